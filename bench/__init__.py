@@ -1,0 +1,1 @@
+"""The experiment: suites, plan, jobs, run store, measuring, command line."""

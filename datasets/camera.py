@@ -1,0 +1,92 @@
+"""The pinhole camera that every renderer and every method here shares."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera with OpenCV axes: x right, y down, z forward.
+
+    Pixel centres lie at half-integers: pixel (column u, row v) is sampled at (u + 0.5, v + 0.5).
+
+    Attributes:
+        camera_to_world: (4, 4) float64 rigid transform, last row 0 0 0 1.
+        fx, fy: focal lengths in pixels.
+        cx, cy: principal point in pixels, measured from the top-left image corner.
+        width, height: image size in pixels.
+        name: identifier of the view within its set (file stem for views on disk).
+    """
+
+    camera_to_world: NDArray[np.float64]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    name: str = ""
+
+    @classmethod
+    def with_fov(
+        cls,
+        camera_to_world: NDArray[np.float64],
+        fov_x: float,
+        width: int,
+        height: int,
+        name: str = "",
+    ) -> Camera:
+        """A camera with square pixels, centred principal point and horizontal field of view in radians."""
+        focal = 0.5 * width / math.tan(0.5 * fov_x)
+        matrix = np.asarray(camera_to_world, dtype=np.float64)
+        return cls(matrix, focal, focal, 0.5 * width, 0.5 * height, width, height, name)
+
+    @property
+    def fov_x(self) -> float:
+        """Horizontal field of view in radians (of a centred principal point)."""
+        return 2.0 * math.atan(0.5 * self.width / self.fx)
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """(3,) camera centre in world space."""
+        return self.camera_to_world[:3, 3]
+
+    @property
+    def world_to_camera(self) -> NDArray[np.float64]:
+        """(4, 4) inverse of the rigid ``camera_to_world``."""
+        rotation = self.camera_to_world[:3, :3].T
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation
+        matrix[:3, 3] = -rotation @ self.camera_to_world[:3, 3]
+        return matrix
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view at another resolution."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=self.cx * sx,
+            cy=self.cy * sy,
+            width=width,
+            height=height,
+        )
+
+    def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """World-space rays through all pixel centres.
+
+        Returns:
+            origins (3,) and unit directions (height, width, 3), float64.
+        """
+        u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+        v = (np.arange(self.height) + 0.5 - self.cy) / self.fy
+        grid = np.stack(np.broadcast_arrays(u[None, :], v[:, None], 1.0), axis=-1)
+        directions = grid @ self.camera_to_world[:3, :3].T
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        return self.position, directions

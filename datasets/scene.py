@@ -1,0 +1,99 @@
+"""Scenes and datasets: what a method is asked to represent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from datasets.names import unknown
+from datasets.transfer import TransferFunction
+from datasets.volume import Volume
+
+RGB = tuple[float, float, float]
+WHITE: RGB = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Light:
+    """Blinn-Phong light and material of one basic scene.
+
+    Attributes:
+        direction: unit vector from the object to a directional light in world space, or None for
+            a headlight at the camera.
+        ambient, diffuse, specular: coefficients >= 0; specular light is white.
+        shininess: exponent > 0.
+    """
+
+    direction: tuple[float, float, float] | None = None
+    ambient: float = 0.4
+    diffuse: float = 0.7
+    specular: float = 0.2
+    shininess: float = 20.0
+
+
+@dataclass(frozen=True)
+class BasicScene:
+    """One transfer function on one variable with one light and one background.
+
+    Attributes:
+        name: identifier within the dataset.
+        variable: name of the volume it shows ("" for pre-rendered scenes).
+        transfer: None for pre-rendered scenes.
+        light: None renders unshaded (emission-absorption).
+        views_folder: folder with ``transforms_{train,test}.json`` for pre-rendered scenes.
+    """
+
+    name: str
+    variable: str = ""
+    transfer: TransferFunction | None = None
+    light: Light | None = field(default_factory=Light)
+    background: RGB = WHITE
+    views_folder: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Volumes (one per variable), or only views, with basic scenes and named compositions.
+
+    Attributes:
+        name: identifier in the catalogue, or a stem made from a file name.
+        title: one line for people.
+        kind: "volume" renders its ground truth; "views" was rendered elsewhere.
+        scenes: basic scenes by order of the catalogue.
+        compositions: name -> names of basic scenes; empty for "views".
+        volumes: variable -> function that reads it; empty for "views".
+    """
+
+    name: str
+    title: str
+    kind: Literal["volume", "views"]
+    scenes: tuple[BasicScene, ...]
+    compositions: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    volumes: dict[str, Callable[[], Volume]] = field(default_factory=dict)
+    _loaded: dict[str, Volume] = field(default_factory=dict, repr=False)
+
+    def scene(self, name: str) -> BasicScene:
+        """The basic scene of that name.
+
+        Raises:
+            UnknownName: no scene has it; near matches are listed.
+        """
+        for scene in self.scenes:
+            if scene.name == name:
+                return scene
+        raise unknown("scene", name, [s.name for s in self.scenes], of=self.name)
+
+    def volume(self, variable: str) -> Volume:
+        """The volume of a variable, read once.
+
+        Raises:
+            UnknownName: the dataset has no such variable.
+            DataError: its file cannot be used.
+        """
+        if variable not in self._loaded:
+            if variable not in self.volumes:
+                raise unknown("variable", variable, self.volumes, of=self.name)
+            self._loaded[variable] = self.volumes[variable]()
+        return self._loaded[variable]

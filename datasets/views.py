@@ -1,0 +1,65 @@
+"""Sets of views: cameras with their background-free images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.camera import Camera
+from datasets.scene import RGB
+
+Split = Literal["train", "val", "trainval", "test"]
+
+
+@dataclass(frozen=True)
+class ViewRequest:
+    """Which views of a scene are wanted.
+
+    Attributes:
+        split: "train" (without validation), "val" (every tenth training view), "trainval" (both,
+            in camera order) or "test".
+        train_views: number of training cameras before the validation split (6, 12, 42, 92).
+        test_views: number of cameras on the test path (181 in the paper).
+        width, height: pixels. Pre-rendered views are area-averaged down to it where it divides
+            their size, and the request is refused otherwise.
+    """
+
+    split: Split
+    train_views: int
+    test_views: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSet:
+    """Ground-truth views of one scene.
+
+    Attributes:
+        cameras: one per image.
+        images: (n, height, width, 4) float32, RGB in [0, 1] as displayed (sRGB-encoded)
+            premultiplied by alpha, background-free.
+        background: the scene's recorded background.
+        key: content hash of what made the images (scene, cameras, renderer and its version).
+    """
+
+    cameras: tuple[Camera, ...]
+    images: NDArray[np.float32]
+    background: RGB
+    key: str
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def composited(self, index: int, background: RGB | None = None) -> NDArray[np.float32]:
+        """(height, width, 3) image over ``background`` (default: the scene's own)."""
+        return over(self.images[index], self.background if background is None else background)
+
+
+def over(premultiplied: NDArray[np.float32], background: RGB) -> NDArray[np.float32]:
+    """Composite (..., 4) premultiplied RGBA over an opaque background, giving (..., 3)."""
+    back = np.asarray(background, dtype=np.float32)
+    return premultiplied[..., :3] + (1.0 - premultiplied[..., 3:4]) * back

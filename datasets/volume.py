@@ -1,0 +1,59 @@
+"""A scalar field on a regular grid, placed in scene space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """One variable on a regular grid.
+
+    Scene space: the grid's physical box (point data: (n - 1) * spacing along each axis) is
+    scaled uniformly so that its longest side is 1, and centred at the origin.
+
+    Attributes:
+        name: the variable's name.
+        values: (nz, ny, nx) array, x fastest, finite; integer or floating type as stored.
+        spacing: physical distance between samples along x, y, z; positive.
+        value_range: (low, high) data values mapped to 0 and 1 before the transfer function.
+        source: file or generator that the values came from, for error messages and records.
+    """
+
+    name: str
+    values: NDArray[np.generic]
+    spacing: tuple[float, float, float]
+    value_range: tuple[float, float]
+    source: str
+
+    @property
+    def dims(self) -> tuple[int, int, int]:
+        """Samples along x, y, z."""
+        nz, ny, nx = self.values.shape
+        return nx, ny, nz
+
+    @property
+    def extent(self) -> NDArray[np.float64]:
+        """(3,) side lengths x, y, z of the box in scene space; the longest is 1."""
+        sides = (np.array(self.dims) - 1) * np.array(self.spacing)
+        return sides / sides.max()
+
+    @property
+    def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lower and upper corner (3,), (3,) of the box in scene space, centred at the origin."""
+        half = 0.5 * self.extent
+        return -half, half
+
+    @property
+    def voxel(self) -> float:
+        """Smallest sample distance in scene space: the unit of the ray step."""
+        return float((self.extent / (np.array(self.dims) - 1)).min())
+
+    def normalised(self) -> NDArray[np.float32]:
+        """(nz, ny, nx) float32 values with ``value_range`` mapped to [0, 1] and clipped."""
+        low, high = self.value_range
+        scaled = (self.values.astype(np.float32) - np.float32(low)) / np.float32(high - low)
+        return np.clip(scaled, 0.0, 1.0, out=scaled)

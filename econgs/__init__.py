@@ -1,0 +1,1 @@
+"""The representation: splatting core, shading, anchors, decoders, context model, bitstream."""

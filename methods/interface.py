@@ -1,0 +1,306 @@
+"""What a method must offer: the contract between the harness and every plugin.
+
+A method is declared by a :class:`MethodSpec` (import-light) and implemented by a class that
+satisfies :class:`Method`, named in the spec as "module:attribute" and imported only when used.
+Shapes are written as trailing comments; torch tensors live on the device given to ``fit``/``load``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+if TYPE_CHECKING:
+    import numpy as np
+    import torch
+
+    from datasets.camera import Camera
+    from datasets.cloud import PointCloud
+    from datasets.scene import RGB, BasicScene
+    from datasets.views import ViewSet
+    from datasets.volume import Volume
+
+OptionValue = bool | int | float | str
+
+
+# --------------------------------------------------------------------------- declaration
+
+
+@dataclass(frozen=True)
+class Option:
+    """One setting of a method.
+
+    Attributes:
+        default: its value when nothing is said; its type is the option's type.
+        doc: one line for people, with the unit.
+        minimum, maximum: inclusive range of numbers.
+        choices: the only values allowed, if not empty.
+    """
+
+    default: OptionValue
+    doc: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[OptionValue, ...] = ()
+
+
+@dataclass(frozen=True)
+class RateKnob:
+    """A knob that trades bytes for quality.
+
+    Attributes:
+        name: "codebook size", "lambda".
+        values: what draws the method's rate curve.
+        refit: True if each value needs its own fit (then ``name`` is an option); False if one fit
+            can be saved at any value (``Model.save(rate=value)``).
+    """
+
+    name: str
+    values: tuple[float, ...]
+    refit: bool
+
+
+@dataclass(frozen=True)
+class MethodSpec:
+    """What a method is and can do; pure data, imports nothing heavy.
+
+    Attributes:
+        name: identifier on the command line ("3dgs").
+        title: full name.
+        reference: citation of its paper.
+        version: raised when results may change; part of the fit key.
+        implementation: "module:attribute" of the :class:`Method`.
+        source: import packages or modules whose source decides the results; rows of an older
+            source are marked stale.
+        joint: trains several scenes of a dataset as one group.
+        composable: models of several groups render together.
+        edits: which parts of :class:`Edit` it honours.
+        needs_volume: reads the volume itself, not only views and cloud.
+        uses_alpha: how it uses the alpha of training views, for people.
+        devices: "cpu", "cuda".
+        options: name -> option.
+        presets: preset name -> option values that differ from the defaults; at least "quick",
+            "standard", "paper".
+        iterations: preset name -> training iterations per group.
+        rate_knobs: empty if the method has one size only.
+    """
+
+    name: str
+    title: str
+    reference: str
+    version: str
+    implementation: str
+    source: tuple[str, ...]
+    joint: bool
+    composable: bool
+    edits: frozenset[Literal["palette", "opacity", "light", "shading"]]
+    needs_volume: bool
+    uses_alpha: str
+    devices: tuple[str, ...]
+    options: Mapping[str, Option]
+    presets: Mapping[str, Mapping[str, OptionValue]]
+    iterations: Mapping[str, int]
+    rate_knobs: tuple[RateKnob, ...] = ()
+
+
+class Refused(Exception):
+    """The method declines what it cannot do, by name; recorded as a row with status "refused"."""
+
+
+class Diverged(Exception):
+    """Training produced NaN or infinite values; recorded as a row with status "diverged"."""
+
+
+# --------------------------------------------------------------------------- input
+
+
+@dataclass(frozen=True, eq=False)
+class SceneInput:
+    """All that a method may see of one basic scene. Test views are not among it.
+
+    Attributes:
+        scene: its definition.
+        train: training views (validation views left out when validation leads the choices).
+        validation: views for anytime curves and choices; never trained on. May be empty.
+        cloud: initial points with colors, in scene space.
+        extent: 1.1 x the greatest distance of a training camera from the mean camera centre.
+        volume: reads the scene's volume; None for pre-rendered scenes.
+    """
+
+    scene: BasicScene
+    train: ViewSet
+    validation: ViewSet
+    cloud: PointCloud
+    extent: float
+    volume: Callable[[], Volume] | None = None
+
+    @property
+    def name(self) -> str:
+        return self.scene.name
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long a fit may take.
+
+    Attributes:
+        iterations: optimiser steps for the whole group; phase boundaries of a schedule are
+            fractions of it.
+    """
+
+    iterations: int
+
+
+# --------------------------------------------------------------------------- training
+
+
+@dataclass
+class Checkpoint:
+    """All that is needed to continue a fit exactly where it was.
+
+    Attributes:
+        iteration: steps done. Equal to the budget's in the checkpoint of a finished fit.
+        arrays: name -> tensor (parameters, optimiser moments, random states as uint8).
+        scalars: JSON values.
+    """
+
+    iteration: int
+    arrays: dict[str, torch.Tensor]
+    scalars: dict[str, Any] = field(default_factory=dict)
+
+
+class Monitor(Protocol):
+    """What the harness gives to ``fit``. The training clock stands still inside its calls."""
+
+    def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
+        """Report at every iteration: cheap, and throttled by the monitor.
+
+        Raises:
+            Diverged: a loss is not finite.
+        """
+
+    def due(self, iteration: int) -> bool:
+        """Whether an anytime evaluation or a checkpoint is wanted now."""
+
+    def pause(
+        self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]
+    ) -> None:
+        """Evaluate and/or checkpoint, as due: calls the given functions only if needed."""
+
+    def stage(self, name: str) -> None:
+        """Name the stage that begins ("warm-up", "context model")."""
+
+
+@dataclass(frozen=True)
+class Edit:
+    """Changes to a scene at render time. A value of None leaves what was trained.
+
+    Attributes:
+        palette: displayed sRGB palette color in [0, 1].
+        opacity: factor on opacity, >= 0.
+        light: unit vector from the object to the light, or "headlight".
+        ambient, diffuse, specular, shininess: factors on the trained coefficients, >= 0.
+    """
+
+    palette: RGB | None = None
+    opacity: float | None = None
+    light: tuple[float, float, float] | Literal["headlight"] | None = None
+    ambient: float | None = None
+    diffuse: float | None = None
+    specular: float | None = None
+    shininess: float | None = None
+
+
+class Model(Protocol):
+    """A trained representation of the scenes of one group (or several, once composed)."""
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the scenes it holds."""
+
+    def primitives(self, scene: str | None = None) -> int:
+        """Number of Gaussians, anchors, voxels of one scene or of all."""
+
+    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
+        """Write every file that ``load`` needs into an empty folder.
+
+        Returns:
+            The byte ledger: scene name, or "" for what the group shares -> part name -> bytes.
+            All entries sum to the size of the files.
+        """
+
+    def render(
+        self,
+        camera: Camera,
+        scenes: Sequence[str] | None = None,
+        edit: Mapping[str, Edit] | None = None,
+        background: RGB | None = None,
+    ) -> tuple[torch.Tensor, torch.Tensor]:  # rgb [H, W, 3] in [0, 1], alpha [H, W]
+        """Render scenes (default: all) together, composited on ``background``.
+
+        Args:
+            background: default: the recorded background of the first scene.
+
+        Raises:
+            Refused: an edit or a composition that the method cannot do.
+        """
+
+    def timings(self, camera: Camera) -> Mapping[str, float]:
+        """Seconds of one frame by part ("decode", "shade", "rasterise"), of all scenes."""
+
+
+class Method(Protocol):
+    """The implementation behind a spec."""
+
+    def partition(
+        self, scenes: Sequence[SceneInput], options: Mapping[str, OptionValue]
+    ) -> list[list[SceneInput]]:
+        """Split the scenes of a dataset into groups that are fitted together."""
+
+    def fit(
+        self,
+        group: Sequence[SceneInput],
+        options: Mapping[str, OptionValue],
+        budget: Budget,
+        seed: int,
+        device: str,
+        monitor: Monitor,
+        resume: Checkpoint | None = None,
+    ) -> Model:
+        """Train one group.
+
+        Args:
+            options: every option of the spec, resolved and validated.
+            seed: the only source of randomness.
+            resume: continue from here; from the checkpoint of a finished fit the model is
+                returned without training.
+
+        Raises:
+            Refused: the group or an option combination cannot be fitted.
+            Diverged: parameters or losses are no longer finite.
+        """
+
+    def load(self, folder: Path, device: str) -> Model:
+        """Read what ``Model.save`` wrote, in a process that knows nothing else."""
+
+    def compose(self, models: Sequence[Model]) -> Model:
+        """Join models so that any subset of their scenes renders together.
+
+        Raises:
+            Refused: the method cannot compose.
+        """
+
+
+def edits_by_scene(
+    edit: Mapping[str, Edit] | None, scenes: Sequence[str]
+) -> dict[str, Edit]:
+    """Resolve ``edit`` for the scenes rendered, refusing names that are not among them."""
+    resolved = dict(edit or {})
+    for name in resolved:
+        if name not in scenes:
+            raise Refused(f"edit names scene {name!r}, which is not rendered ({', '.join(scenes)})")
+    return resolved
+
+
