@@ -1,0 +1,59 @@
+"""Empty-space bricks: which blocks of a volume a transfer function leaves invisible, and how far one may leap."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_cdt
+
+BRICK = 8
+"""Voxels along a brick's side."""
+
+
+class Bricks:
+    """Value ranges of the bricks of a field; made once per volume.
+
+    Brick b along an axis covers grid indices [8 b, 8 b + 8] and its range takes in one voxel more on
+    either side, so that rounding at a border can never hide a visible sample.
+
+    Args:
+        values: (nz, ny, nx) normalised to [0, 1].
+    """
+
+    def __init__(self, values: NDArray[np.float32]) -> None:
+        self.low = _blockwise(values, np.minimum)
+        self.high = _blockwise(values, np.maximum)
+
+    def leaps(self, extinction: NDArray[np.float32]) -> NDArray[np.int32]:
+        """Chebyshev distance in bricks to the nearest brick that is visible (0: this one is).
+
+        Args:
+            extinction: (S,) table over [0, 1], linear in between.
+
+        Returns:
+            Array of the bricks' shape (z, y, x), int32. A ray in a brick with distance d > 0 meets nothing
+            within d - 1 bricks on any side.
+        """
+        size = len(extinction)
+        visible_below = np.concatenate([[0], np.cumsum(extinction > 0.0)])
+        first = np.floor(self.low * np.float64(size - 1)).astype(np.int64)
+        last = np.minimum(np.ceil(self.high * np.float64(size - 1)).astype(np.int64), size - 1)
+        # One entry more on either side: look-ups run in float32.
+        first, last = np.maximum(first - 1, 0), np.minimum(last + 1, size - 1)
+        empty = visible_below[last + 1] == visible_below[first]
+        if empty.all():
+            return np.full(empty.shape, max(empty.shape) + 1, dtype=np.int32)
+        return np.asarray(distance_transform_cdt(empty, metric="chessboard"), dtype=np.int32)
+
+
+def _blockwise(values: NDArray[np.float32], pick: np.ufunc) -> NDArray[np.float32]:
+    """Minimum or maximum over each brick with one voxel more on either side."""
+    for axis in range(3):
+        n = values.shape[axis]
+        bricks = max(1, -(-(n - 1) // BRICK))
+        reduced = []
+        for b in range(bricks):
+            block = np.take(values, np.arange(max(b * BRICK - 1, 0), min((b + 1) * BRICK + 2, n)), axis)
+            reduced.append(pick.reduce(block, axis=axis))
+        values = np.stack(reduced, axis=axis)
+    return values
