@@ -1,0 +1,54 @@
+"""3D Gaussian splatting: what it can do and how it is set."""
+
+from methods.interface import MethodSpec, Option
+
+SPEC = MethodSpec(
+    name="3dgs",
+    title="3D Gaussian splatting",
+    reference=(
+        "B. Kerbl, G. Kopanas, T. Leimkühler, G. Drettakis: 3D Gaussian Splatting for Real-Time Radiance "
+        "Field Rendering. ACM Transactions on Graphics 42(4), 2023"
+    ),
+    version="1",
+    implementation="methods.gaussian_splatting.method:GaussianSplatting",
+    source=("methods.gaussian_splatting", "econgs.splat", "econgs.losses", "econgs.optim"),
+    joint=False,
+    composable=True,
+    edits=frozenset({"opacity"}),
+    needs_volume=False,
+    uses_alpha="views are composited on the training background; alpha is no target of its own",
+    devices=("cpu", "cuda"),
+    options={
+        "start": Option("cloud", "where the first Gaussians come from", choices=("cloud", "random")),
+        "random_points": Option(100_000, "number of points of a random start", minimum=1, maximum=10_000_000),
+        "random_half_extent": Option(
+            1.3, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
+        ),
+        "background": Option(
+            "scene",
+            "what training views are composited on: the scene's own, or another",
+            choices=("scene", "white", "black", "random"),
+        ),
+        "sh_degree": Option(3, "final degree of the spherical harmonics", minimum=0, maximum=3),
+        "ssim_weight": Option(0.2, "weight of 1 - SSIM against L1 in the loss", minimum=0.0, maximum=1.0),
+        "position_lr": Option(1.6e-4, "first learning rate of positions, x extent", minimum=0.0, maximum=1.0),
+        "opacity_lr": Option(5e-2, "learning rate of opacity logits", minimum=0.0, maximum=1.0),
+        "growth_gradient": Option(
+            2e-4, "mean screen-space gradient (NDC) from which a Gaussian is cloned or split", minimum=0.0
+        ),
+        "dense_fraction": Option(
+            0.01, "largest scale, as a fraction of the extent, that is cloned and not split", minimum=0.0
+        ),
+        "prune_opacity": Option(0.005, "opacity under which a Gaussian is pruned", minimum=0.0, maximum=1.0),
+        "opacity_reset": Option(True, "reset opacities to 0.01 periodically while growing"),
+        "max_gaussians": Option(
+            0, "growth stops at this number (reported as a stage); 0 = no limit", minimum=0
+        ),
+    },
+    presets={
+        "quick": {},
+        "standard": {},
+        "paper": {"start": "random"},
+    },
+    iterations={"quick": 1_200, "standard": 7_000, "paper": 30_000},
+)

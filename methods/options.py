@@ -1,0 +1,144 @@
+"""Option values of a method: from a preset and ``--set method.option=value`` to one checked mapping."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from datasets.errors import DataError
+from datasets.names import unknown
+from methods.interface import MethodSpec, Option, OptionValue
+
+ITERATIONS = "iterations"
+"""Settable for every method like an option: the budget, which a preset otherwise gives."""
+
+_TRUE = ("true", "yes", "on", "1")
+_FALSE = ("false", "no", "off", "0")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that decides how a method is fitted, apart from scene and seed.
+
+    Attributes:
+        options: every option of the spec.
+        iterations: training iterations per group.
+        variant: what was set beyond the preset, as "option=value" sorted and joined by commas;
+            "" for the preset's own.
+    """
+
+    options: dict[str, OptionValue]
+    iterations: int
+    variant: str
+
+
+def resolve(
+    spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] | None = None
+) -> Settings:
+    """Defaults, overlaid by the preset, overlaid by what the user set.
+
+    Args:
+        spec: the method.
+        preset: one of the spec's presets.
+        overrides: option (or "iterations") -> value; strings are parsed by the option's type.
+
+    Raises:
+        UnknownName: no such preset or option; near matches are listed.
+        DataError: a value of the wrong type, out of range or not among the choices.
+    """
+    if preset not in spec.presets:
+        raise unknown("preset", preset, spec.presets, of=f"method {spec.name}")
+    options = {name: option.default for name, option in spec.options.items()}
+    options.update(spec.presets[preset])
+    iterations = spec.iterations[preset]
+    changed: dict[str, OptionValue] = {}
+    for name, given in (overrides or {}).items():
+        if name == ITERATIONS:
+            value = check(spec.name, name, Option(iterations, "budget", minimum=1), given)
+            if value != iterations:
+                changed[name] = value
+                iterations = int(value)
+        elif name in spec.options:
+            value = check(spec.name, name, spec.options[name], given)
+            if value != options[name]:
+                changed[name] = value
+                options[name] = value
+        else:
+            raise unknown("option", name, [*spec.options, ITERATIONS], of=f"method {spec.name}")
+    variant = ",".join(f"{name}={_text(changed[name])}" for name in sorted(changed))
+    return Settings(options, iterations, variant)
+
+
+def parse_assignments(texts: Iterable[str]) -> dict[str, dict[str, OptionValue]]:
+    """Split ``--set`` arguments "method.option=value" into method -> option -> text.
+
+    Raises:
+        DataError: not of that form, or one option set twice to different values.
+    """
+    parsed: dict[str, dict[str, OptionValue]] = {}
+    for text in texts:
+        target, equals, value = text.partition("=")
+        method, dot, option = target.strip().rpartition(".")
+        if not equals or not dot or not method or not option:
+            raise DataError(
+                f"--set {text}", "not of the form method.option=value", "Example: --set 3dgs.background=black"
+            )
+        options = parsed.setdefault(method, {})
+        if options.setdefault(option, value.strip()) != value.strip():
+            raise DataError(
+                f"--set {text}", f"already set to {options[option]!r}", "Give each option one value"
+            )
+    return parsed
+
+
+def check(method: str, name: str, option: Option, value: OptionValue) -> OptionValue:
+    """One value, converted to the option's type.
+
+    Raises:
+        DataError: wrong type, out of range or not among the choices.
+    """
+    what = f"option {method}.{name} = {value!r}"
+    remedy = f"{option.doc[:1].upper()}{option.doc[1:]}; default {_text(option.default)}"
+    converted = _convert(option.default, value)
+    if converted is None:
+        raise DataError(what, f"not {_KINDS[type(option.default)]}", remedy)
+    if option.choices and converted not in option.choices:
+        raise DataError(what, f"not one of {', '.join(_text(c) for c in option.choices)}", remedy)
+    if isinstance(converted, int | float) and not isinstance(converted, bool):
+        if option.minimum is not None and converted < option.minimum:
+            raise DataError(what, f"below the minimum {option.minimum:g}", remedy)
+        if option.maximum is not None and converted > option.maximum:
+            raise DataError(what, f"above the maximum {option.maximum:g}", remedy)
+    return converted
+
+
+_KINDS = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a text"}
+
+
+def _convert(like: OptionValue, value: OptionValue) -> OptionValue | None:
+    """``value`` in the type of ``like``, or None if it is not one."""
+    if isinstance(like, str):
+        return value if isinstance(value, str) else None
+    if isinstance(like, bool):
+        if isinstance(value, str):
+            lowered = value.strip().lower()
+            return True if lowered in _TRUE else False if lowered in _FALSE else None
+        return value if isinstance(value, bool) else None
+    if isinstance(value, bool):
+        return None
+    try:
+        number = float(value)
+    except ValueError:
+        return None
+    if not math.isfinite(number):
+        return None
+    if isinstance(like, float):
+        return number
+    return int(number) if number == int(number) else None
+
+
+def _text(value: OptionValue) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,241 @@
+"""Which methods there are: those built in, those installed, those in plugin folders.
+
+Looking methods up imports their specs only, never their implementations: no torch.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import pkgutil
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import methods
+from datasets.errors import DataError
+from datasets.names import unknown
+from methods.interface import MethodSpec
+from methods.options import ITERATIONS, check
+
+if TYPE_CHECKING:
+    from methods.interface import Method
+
+GROUP = "econgs_bench.methods"
+PRESETS = ("quick", "standard", "paper")
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A method before its spec is imported."""
+
+    name: str | None  # known without importing it: entry points only
+    origin: str
+    load: Callable[[], Any]
+
+
+class Registry:
+    """The methods at hand.
+
+    Args:
+        plugin_folders: folders given by ``--plugins``. Each is a package with a ``SPEC`` (in
+            ``__init__.py`` or ``spec.py``) or holds such packages and modules. They join
+            ``sys.path``, behind all that is there.
+
+    Raises:
+        DataError: a plugin folder is missing or empty, a plugin in it cannot be used, or two
+            methods share a name. (An installed plugin that cannot be used only lands in
+            ``broken``: it must not stop those who do not ask for it.)
+    """
+
+    def __init__(self, plugin_folders: Iterable[Path | str] = ()) -> None:
+        self._specs: dict[str, MethodSpec] = {}
+        self._origins: dict[str, str] = {}
+        self.broken: dict[str, str] = {}
+        """Installed plugins that cannot be used: entry point name -> what is wrong."""
+        for found in _built_in():
+            self._add(found)
+        for found in _installed():
+            try:
+                self._add(found)
+            except DataError as error:
+                self.broken[str(found.name)] = str(error)
+        for folder in plugin_folders:
+            for found in _in_folder(Path(folder)):
+                self._add(found)
+
+    def _add(self, found: _Found) -> None:
+        try:
+            spec = found.load()
+        except DataError:
+            raise
+        except Exception as error:
+            raise DataError(
+                found.origin, f"its spec cannot be imported ({type(error).__name__}: {error})", "Repair the plugin"
+            ) from error
+        check_spec(spec, found.origin)
+        if found.name is not None and found.name != spec.name:
+            raise DataError(
+                found.origin,
+                f"its entry point is called {found.name!r} but its spec {spec.name!r}",
+                "Give both the same name",
+            )
+        if spec.name in self._specs:
+            raise DataError(
+                found.origin,
+                f"a method {spec.name!r} is there already ({self._origins[spec.name]})",
+                "Rename one of them",
+            )
+        self._specs[spec.name] = spec
+        self._origins[spec.name] = found.origin
+
+    def __iter__(self) -> Iterator[MethodSpec]:
+        return (self._specs[name] for name in self.names())
+
+    def names(self) -> list[str]:
+        """Names of all usable methods, sorted."""
+        return sorted(self._specs)
+
+    def spec(self, name: str) -> MethodSpec:
+        """The spec of a method.
+
+        Raises:
+            UnknownName: no method has that name; near matches are listed.
+            DataError: it is installed but cannot be used.
+        """
+        if name in self._specs:
+            return self._specs[name]
+        if name in self.broken:
+            raise DataError(f"method {name!r}", self.broken[name], "The other methods can be used")
+        raise unknown("method", name, self._specs)
+
+    def origin(self, name: str) -> str:
+        """Where a method comes from, for people."""
+        self.spec(name)
+        return self._origins[name]
+
+
+def load_method(spec: MethodSpec) -> Method:
+    """Import the implementation that a spec names; this is where torch comes in.
+
+    Raises:
+        DataError: the module or the attribute is not there.
+    """
+    module_name, _, attribute = spec.implementation.partition(":")
+    try:
+        implementation = getattr(importlib.import_module(module_name), attribute)
+    except (ImportError, AttributeError) as error:
+        raise DataError(
+            f"method {spec.name!r}",
+            f"its implementation {spec.implementation!r} cannot be imported ({error})",
+            "Install what it needs, or correct the spec",
+        ) from error
+    return cast("Method", implementation() if isinstance(implementation, type) else implementation)
+
+
+def check_spec(spec: Any, origin: str) -> None:
+    """Refuse a spec that contradicts itself.
+
+    Raises:
+        DataError: naming what is wrong with it.
+    """
+
+    def wrong(reason: str, remedy: str) -> DataError:
+        return DataError(origin, reason, remedy)
+
+    if not isinstance(spec, MethodSpec):
+        raise wrong(f"SPEC is a {type(spec).__name__}", "Make it a methods.interface.MethodSpec")
+    if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", spec.name):
+        raise wrong(f"method name {spec.name!r}", "Use lower-case letters, digits, - and _")
+    if not re.fullmatch(r"[\w.]+:\w+", spec.implementation):
+        raise wrong(f"implementation {spec.implementation!r}", "Write it as module:attribute")
+    missing = [p for p in PRESETS if p not in spec.presets]
+    if missing:
+        raise wrong(f"no preset {', '.join(missing)}", f"Declare {', '.join(PRESETS)}")
+    if set(spec.iterations) != set(spec.presets) or min(spec.iterations.values()) < 1:
+        raise wrong("iterations do not cover the presets", "Give each preset a number of iterations >= 1")
+    if ITERATIONS in spec.options:
+        raise wrong(f"an option called {ITERATIONS!r}", "Leave it out: the budget is settable as it is")
+    for name, option in spec.options.items():
+        check(spec.name, name, option, option.default)
+    for preset, values in spec.presets.items():
+        for name, value in values.items():
+            if name not in spec.options:
+                raise unknown("option", name, spec.options, of=f"preset {preset} of {spec.name}")
+            check(spec.name, name, spec.options[name], value)
+    for knob in spec.rate_knobs:
+        if knob.refit and knob.name not in spec.options:
+            raise unknown("rate knob", knob.name, spec.options, of=f"method {spec.name}")
+
+
+def _built_in() -> Iterator[_Found]:
+    """Packages beside this module with a ``spec.py``: there without any metadata installed."""
+    for module in pkgutil.iter_modules(methods.__path__):
+        folder = Path(methods.__path__[0], module.name)
+        if module.ispkg and (folder / "spec.py").is_file():
+            yield _Found(
+                None, f"built in: methods.{module.name}", _importer(f"methods.{module.name}.spec", "SPEC")
+            )
+
+
+def _installed() -> Iterator[_Found]:
+    """Entry points of other distributions; one installed twice over counts once."""
+    seen: set[tuple[str, str]] = set()
+    for point in entry_points(group=GROUP):
+        own = point.value.startswith(f"{methods.__name__}.")
+        if not own and (point.name, point.value) not in seen:
+            seen.add((point.name, point.value))
+            yield _Found(point.name, f"installed: {_distribution(point)}{point.value}", point.load)
+
+
+def _distribution(point: EntryPoint) -> str:
+    return f"{point.dist.name} {point.dist.version}, " if point.dist is not None else ""
+
+
+def _in_folder(folder: Path) -> Iterator[_Found]:
+    folder = folder.expanduser().resolve()
+    if not folder.is_dir():
+        raise DataError(folder, "not a folder", "Give --plugins the folder that holds the plugins")
+    if (folder / "__init__.py").is_file():
+        root, candidates = folder.parent, [folder]
+    else:
+        root, candidates = folder, sorted(folder.iterdir())
+    found = [(path, module) for path in candidates if (module := _spec_module(path)) is not None]
+    if not found:
+        raise DataError(
+            folder, "no method in it", "A plugin is a module, or a package with spec.py, that defines SPEC"
+        )
+    if str(root) not in sys.path:
+        sys.path.append(str(root))
+    for path, module in found:
+        top = path.stem
+        located = importlib.util.find_spec(top)
+        if located is None or located.origin is None or not Path(located.origin).resolve().is_relative_to(root):
+            raise DataError(
+                path,
+                f"another module {top!r} comes first ({located.origin if located else 'none'})",
+                "Rename the plugin",
+            )
+        yield _Found(None, f"plugin folder: {path}", _importer(module, "SPEC"))
+
+
+def _spec_module(path: Path) -> str | None:
+    """The module that defines SPEC, found without running anything; None if ``path`` is no plugin."""
+    if path.suffix == ".py" and path.is_file():
+        options = [(path, path.stem)]
+    else:
+        options = [(path / "spec.py", f"{path.name}.spec"), (path / "__init__.py", path.name)]
+        if not (path / "__init__.py").is_file():
+            return None
+    for file, module in options:
+        if file.is_file() and re.search(r"^SPEC\b\s*[:=]", file.read_text(encoding="utf-8"), re.MULTILINE):
+            return module
+    return None
+
+
+def _importer(module: str, attribute: str) -> Callable[[], Any]:
+    return lambda: getattr(importlib.import_module(module), attribute)

@@ -1,0 +1,166 @@
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import methods
+import pytest
+from datasets.errors import DataError, UnknownName
+from methods import registry
+from methods.registry import Registry, load_method
+
+ROOT = Path(methods.__file__).parents[1]
+
+PLUGIN = """
+from methods.interface import MethodSpec, Option
+SPEC = MethodSpec(
+    name={name!r}, title="A toy", reference="", version="1", implementation="{module}:Toy", source=("{module}",),
+    joint=False, composable=False, edits=frozenset(), needs_volume=False, uses_alpha="no", devices=("cpu",),
+    options={{"size": Option(3, "how much", minimum=1)}},
+    presets={{"quick": {{}}, "standard": {{}}, "paper": {preset}}},
+    iterations={{"quick": 1, "standard": 2, "paper": 3}},
+)
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder for plugins; what they add to the process is taken back."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    before = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if name.startswith("toy_"):
+            del sys.modules[name]
+
+
+def write(folder, module, name="toy", file="spec.py", preset="{}", extra=""):
+    package = folder / module
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / file).write_text(PLUGIN.format(name=name, module=f"{module}.method", preset=preset) + extra)
+    (package / "method.py").write_text("class Toy:\n    pass\n")
+    return package
+
+
+def python(code):
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+def test_listing_finds_the_built_in_methods_without_torch_or_numpy():
+    code = (
+        "import sys; sys.path.insert(0, '.');"
+        "from methods.registry import Registry; r = Registry();"
+        "print(*r.names()); print([m for m in ('torch', 'numpy', 'scipy') if m in sys.modules])"
+    )
+    names = python(code)
+    assert "3dgs" in names
+    assert names[-1] == "[]"
+
+
+def test_every_built_in_spec_loads_its_implementation():
+    known = Registry()
+    for spec in known:
+        if known.origin(spec.name).startswith("built in"):
+            method = load_method(spec)
+            assert all(callable(getattr(method, name)) for name in ("partition", "fit", "load", "compose"))
+
+
+def test_unknown_method_lists_near_matches():
+    with pytest.raises(UnknownName, match="Did you mean 3dgs"):
+        Registry().spec("3dg")
+
+
+@pytest.mark.parametrize("file", ["spec.py", "__init__.py"])
+def test_a_folder_of_plugins(folder, file):
+    write(folder, f"toy_in_{file.strip('_').split('.')[0].strip('_')}", file=file)
+    (folder / "helper.py").write_text("raise RuntimeError('not a plugin: must not run')\n")
+    found = Registry([folder])
+    assert "toy" in found.names()
+    assert str(folder) in found.origin("toy")
+    assert type(load_method(found.spec("toy"))).__name__ == "Toy"
+
+
+def test_the_plugin_itself_may_be_the_folder(folder):
+    package = write(folder, "toy_alone")
+    assert "toy" in Registry([package]).names()
+
+
+def test_a_module_is_a_plugin_too(folder):
+    (folder / "toy_module.py").write_text(
+        PLUGIN.format(name="toy", module="toy_module", preset="{}") + "class Toy: pass\n"
+    )
+    assert type(load_method(Registry([folder]).spec("toy"))).__name__ == "Toy"
+
+
+def test_duplicates_are_refused_naming_both(folder):
+    write(folder, "toy_a")
+    write(folder, "toy_b")
+    with pytest.raises(DataError) as caught:
+        Registry([folder])
+    assert "toy_a" in str(caught.value)
+    assert "toy_b" in str(caught.value)
+
+
+def test_a_plugin_cannot_replace_a_built_in_method(folder):
+    write(folder, "toy_thief", name="3dgs")
+    with pytest.raises(DataError, match="built in"):
+        Registry([folder])
+
+
+def test_a_plugin_hidden_by_another_module_is_refused(folder):
+    write(folder, "json")
+    with pytest.raises(DataError, match="another module 'json' comes first"):
+        Registry([folder])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ({"preset": "{'sise': 4}"}, "sise"),
+        ({"preset": "{'size': 0}"}, "below the minimum"),
+        ({"name": "To y"}, "method name"),
+        ({"extra": "SPEC = 3\n"}, "SPEC is a int"),
+        ({"extra": "import no_such_module_here\n"}, "no_such_module_here"),
+    ],
+)
+def test_a_spec_that_is_wrong_says_so(folder, arguments, reason):
+    write(folder, "toy_wrong", **arguments)
+    with pytest.raises(DataError, match=reason):
+        Registry([folder])
+
+
+def test_missing_and_empty_folders(folder):
+    with pytest.raises(DataError, match="not a folder"):
+        Registry([folder / "nothing"])
+    with pytest.raises(DataError, match="no method in it"):
+        Registry([folder])
+
+
+def test_installed_plugins_one_broken(folder, monkeypatch):
+    write(folder, "toy_installed", name="toy")
+    sys.path.append(str(folder))
+    points = [
+        EntryPoint("toy", "toy_installed.spec:SPEC", registry.GROUP),
+        EntryPoint("toy", "toy_installed.spec:SPEC", registry.GROUP),  # found twice on the path
+        EntryPoint("broken", "toy_not_there:SPEC", registry.GROUP),
+        EntryPoint("3dgs", "methods.gaussian_splatting.spec:SPEC", registry.GROUP),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    found = Registry()
+    assert set(found.names()) >= {"3dgs", "toy"}
+    assert found.origin("toy").startswith("installed")
+    assert set(found.broken) == {"broken"}
+    with pytest.raises(DataError, match="toy_not_there"):
+        found.spec("broken")
+
+
+def test_an_implementation_that_is_not_there(folder):
+    write(folder, "toy_hollow")
+    (folder / "toy_hollow" / "method.py").write_text("")
+    with pytest.raises(DataError, match="cannot be imported"):
+        load_method(Registry([folder]).spec("toy"))
