@@ -1,0 +1,8 @@
+"""The splatting core: one differentiable function with three backends."""
+
+from __future__ import annotations
+
+from econgs.splat.rasterise import Rasterised, choose_backend, rasterise
+from econgs.splat.sh import spherical_harmonics
+
+__all__ = ["Rasterised", "choose_backend", "rasterise", "spherical_harmonics"]

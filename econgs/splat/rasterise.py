@@ -1,0 +1,188 @@
+"""The one function that splats: it checks its input and picks the backend."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import math
+import os
+import warnings
+from dataclasses import dataclass
+from functools import cache
+
+import torch
+from torch import Tensor
+
+from datasets.camera import Camera
+from datasets.names import unknown
+
+BACKENDS = ("native", "gsplat", "torch")
+
+
+@dataclass(frozen=True)
+class Rasterised:
+    """What :func:`rasterise` returns.
+
+    Attributes:
+        features: (H, W, C) sum of weight × feature: premultiplied, without background.
+        alpha: (H, W) sum of the weights, in [0, 1].
+        depth: (H, W) sum of weight × depth along the optical axis (divide by ``alpha`` for a mean depth).
+        radii: (N,) int32, ⌈3 σ⌉ of the longer axis in pixels; 0 where a Gaussian touches no pixel.
+    """
+
+    features: Tensor
+    alpha: Tensor
+    depth: Tensor
+    radii: Tensor
+
+
+def rasterise(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    features: Tensor,
+    camera: Camera,
+    *,
+    near: float = 0.2,
+    screen_offset: Tensor | None = None,
+    backend: str | None = None,
+) -> Rasterised:
+    """Splats N Gaussians with C feature channels into one view (Kerbl et al. 2023, with EWA projection).
+
+    All tensors share one floating dtype and device. Outputs but ``radii`` are differentiable with respect to every
+    tensor. What is skipped (alpha under 1/255, pixels that ended, Gaussians nearer than ``near``) is constant for
+    the gradient, and so is an alpha held at 0.99.
+
+    Args:
+        means: (N, 3) centres in scene space.
+        quats: (N, 4) rotations (w, x, y, z), of any length but zero; normalised inside.
+        scales: (N, 3) standard deviations along the rotated axes, ≥ 0.
+        opacities: (N,) in [0, 1].
+        features: (N, C), C ≥ 1: colors, normals, anything that blends.
+        camera: the view.
+        near: Gaussians with a camera depth up to this are culled.
+        screen_offset: (N, 2) added to the projected centres, in pixels; its gradient is the screen-space gradient
+            that densification reads.
+        backend: "native" (CPU, float32), "gsplat" (CUDA, float32) or "torch"; by default the environment variable
+            ``ECONGS_BACKEND``, else the one that suits the tensors.
+
+    Raises:
+        ValueError: a wrong shape, dtype or device, NaN or infinity, a zero quaternion, a negative scale or an
+            opacity outside [0, 1]; the message names the tensor and the first bad index.
+        datasets.errors.UnknownName: no backend of that name.
+    """
+    tensors = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "features": features}
+    if screen_offset is not None:
+        tensors["screen_offset"] = screen_offset
+    _check_shapes(tensors)
+    _check_camera(camera)
+    _check_values(tensors)
+    chosen = choose_backend(means, backend)
+    module = importlib.import_module(
+        f"econgs.splat.{'native' if chosen == 'native' else chosen + '_backend'}"
+    )
+    images = module.rasterise(
+        means, quats, scales, opacities, features, camera, near=near, screen_offset=screen_offset
+    )
+    return Rasterised(*images)
+
+
+def choose_backend(like: Tensor, backend: str | None = None) -> str:
+    """The backend for tensors like this one: as asked, as ``ECONGS_BACKEND`` says, or as suits them."""
+    wanted = backend or os.environ.get("ECONGS_BACKEND") or None
+    if wanted is not None:
+        if wanted not in BACKENDS:
+            raise unknown("backend", wanted, BACKENDS, of="the splatting core")
+        place = {"native": "cpu", "gsplat": "cuda", "torch": like.device.type}[wanted]
+        if wanted != "torch" and (like.device.type != place or like.dtype != torch.float32):
+            raise ValueError(
+                f"the {wanted} backend takes float32 tensors on {place}, not {like.dtype} on {like.device}"
+            )
+        if wanted != "torch" and not _present(wanted):
+            remedy = (
+                "pip install 'econgs-bench[cuda]'"
+                if wanted == "gsplat"
+                else "reinstall with a C++17 compiler"
+            )
+            raise RuntimeError(f"the {wanted} backend is not installed: {remedy}")
+        return wanted
+    suited = {"cpu": "native", "cuda": "gsplat"}.get(like.device.type)
+    if suited is None or like.dtype != torch.float32:
+        return "torch"
+    if not _present(suited):
+        _notice(suited)
+        return "torch"
+    return suited
+
+
+@cache
+def _present(backend: str) -> bool:
+    return importlib.util.find_spec("econgs._native" if backend == "native" else backend) is not None
+
+
+@cache
+def _notice(missing: str) -> None:
+    """Says once per process that a slower way is taken."""
+    warnings.warn(
+        f"the {missing} splatting backend is not installed; falling back to PyTorch, which is tens of times slower",
+        RuntimeWarning,
+        stacklevel=4,
+    )
+
+
+def _check_shapes(tensors: dict[str, Tensor]) -> None:
+    means = tensors["means"]
+    count = means.shape[0] if means.ndim else 0
+    wanted = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "screen_offset": (2,)}
+    for name, tensor in tensors.items():
+        tail = tuple(tensor.shape[1:])
+        fits = len(tail) == 1 and tail[0] >= 1 if name == "features" else tail == wanted[name]
+        if tensor.ndim == 0 or tensor.shape[0] != count or not fits:
+            size = ", ".join(str(n) for n in (count, *wanted.get(name, ("C ≥ 1",))))
+            raise ValueError(f"{name} has shape {tuple(tensor.shape)}, not ({size}), for {count} means")
+        if not tensor.dtype.is_floating_point or tensor.dtype != means.dtype:
+            raise ValueError(
+                f"{name} is {tensor.dtype}; all tensors must share one floating dtype ({means.dtype})"
+            )
+        if tensor.device != means.device:
+            raise ValueError(f"{name} is on {tensor.device} but means is on {means.device}")
+
+
+def _check_camera(camera: Camera) -> None:
+    if camera.width < 1 or camera.height < 1:
+        raise ValueError(f"camera: image of {camera.width}×{camera.height} pixels")
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.camera_to_world.ravel().tolist()]
+    if not all(math.isfinite(number) for number in numbers) or camera.fx <= 0 or camera.fy <= 0:
+        raise ValueError("camera: pose and intrinsics must be finite and focal lengths positive")
+
+
+def _check_values(tensors: dict[str, Tensor]) -> None:
+    if tensors["means"].shape[0] == 0:
+        return
+    with torch.no_grad():
+        low, high = torch.aminmax(tensors["opacities"])
+        length = tensors["quats"].square().sum(-1).amin()
+        # A sum is finite only if every term is: one cheap pass per tensor, and one synchronisation for all.
+        sums = torch.stack([tensor.sum() for tensor in tensors.values()])
+        fine = torch.isfinite(sums).all() & (low >= 0) & (high <= 1)
+        fine &= (tensors["scales"].amin() >= 0) & (length > 0)
+        if not fine:
+            _find_bad(tensors)
+
+
+def _find_bad(tensors: dict[str, Tensor]) -> None:
+    """Raises for the first bad value; returns if a sum merely overflowed."""
+    for name, tensor in tensors.items():
+        _refuse(name, tensor, ~torch.isfinite(tensor), "every value must be finite")
+    opacities, scales, quats = tensors["opacities"], tensors["scales"], tensors["quats"]
+    _refuse("opacities", opacities, (opacities < 0) | (opacities > 1), "opacities lie in [0, 1]")
+    _refuse("scales", scales, scales < 0, "scales are standard deviations, ≥ 0")
+    _refuse("quats", quats, quats.square().sum(-1) == 0, "a zero quaternion is no rotation")
+
+
+def _refuse(name: str, tensor: Tensor, bad: Tensor, rule: str) -> None:
+    if bool(bad.any()):
+        index = bad.nonzero()[0].tolist()
+        value = tensor[tuple(index)].tolist()
+        raise ValueError(f"{name}{index} is {value}: {rule}")
