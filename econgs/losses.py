@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from econgs.splat.rasterise import choose_backend
+from econgs.splat.rasterise import choose_backend, native
 
 WINDOW = 11  # taps of the Gaussian window of Wang et al. 2004
 SIGMA = 1.5
@@ -30,9 +30,8 @@ def photometric_loss(
     """
     _check(rendered, target)
     if choose_backend(rendered, backend) == "native":
-        from econgs.splat import native
-
-        return native.photometric_loss(rendered, target, ssim_weight)
+        value: Tensor = native().photometric_loss(rendered, target, ssim_weight)
+        return value
     absolute = (rendered - target).abs().mean()
     if ssim_weight == 0:
         return absolute
@@ -47,9 +46,8 @@ def ssim(rendered: Tensor, target: Tensor, *, backend: str | None = None) -> Ten
     """
     _check(rendered, target)
     if choose_backend(rendered, backend) == "native":
-        from econgs.splat import native
-
-        return native.ssim(rendered, target)
+        value: Tensor = native().ssim(rendered, target)
+        return value
     return torch_ssim(rendered, target)
 
 
@@ -71,12 +69,13 @@ def torch_ssim(rendered: Tensor, target: Tensor) -> Tensor:
     covariance = product - mean_x * mean_y
     luminance = (2 * mean_x * mean_y + C1) / (mean_x * mean_x + mean_y * mean_y + C1)
     structure = (2 * covariance + C2) / (variance_x + variance_y + C2)
-    return (luminance * structure).mean()
+    value: Tensor = (luminance * structure).mean()
+    return value
 
 
 def _check(rendered: Tensor, target: Tensor) -> None:
     if rendered.ndim != 3 or rendered.shape != target.shape or rendered.numel() == 0:
         raise ValueError(
             f"rendered has shape {tuple(rendered.shape)} and target {tuple(target.shape)}; "
-            "both must be images of one size, H×W×C"
+            "both must be (height, width, channels) of one image size"
         )

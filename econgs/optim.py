@@ -8,15 +8,15 @@ import torch
 from torch import Tensor
 from torch.optim.adam import adam
 
-from econgs.splat.rasterise import choose_backend
+from econgs.splat.rasterise import choose_backend, native
 
 
 class Adam:
     """Adam (Kingma and Ba 2015) with one learning rate per named group of parameters.
 
-    A group is one tensor (``optimizer["means"]`` is the current one: densification replaces it) or several that
-    share a rate (the weights of a decoder). The optimiser owns them as leaf tensors that require gradients. A tensor
-    without a gradient is left alone and its step count too, as in ``torch.optim.Adam``.
+    A group is one tensor (``optimizer["means"]`` is the current one: densification replaces it) or several
+    that share a rate (the weights of a decoder). The optimiser owns them as leaf tensors that require gradients.
+    A tensor without a gradient is left alone and its step count too, as in ``torch.optim.Adam``.
 
     Args:
         groups: name → tensor or tensors.
@@ -102,7 +102,7 @@ class Adam:
         self._replace(name, values.detach().clone(), zeros, zeros.clone())
 
     def state(self) -> dict[str, Tensor]:
-        """Parameters, moments and step counts as plain tensors, ``group/place/part``: what a checkpoint saves."""
+        """Parameters, moments and step counts as plain tensors ``group/place/part``, for a checkpoint."""
         saved = {}
         for name, group in self.parameters.items():
             for place, tensor in enumerate(group):
@@ -149,10 +149,8 @@ Entries = list[tuple[Tensor, Tensor, Tensor, Tensor, float]]  # value, gradient,
 
 
 def _native_step(entries: Entries, step: int, betas: tuple[float, float], eps: float) -> None:
-    from econgs.splat import native
-
     values, gradients, first, second, rates = (list(column) for column in zip(*entries, strict=True))
-    native.adam_step(values, gradients, first, second, rates, *betas, eps, step)
+    native().adam_step(values, gradients, first, second, rates, *betas, eps, step)
 
 
 def _torch_step(entries: Entries, step: int, betas: tuple[float, float], eps: float) -> None:

@@ -9,6 +9,7 @@ import os
 import warnings
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -50,9 +51,9 @@ def rasterise(
 ) -> Rasterised:
     """Splats N Gaussians with C feature channels into one view (Kerbl et al. 2023, with EWA projection).
 
-    All tensors share one floating dtype and device. Outputs but ``radii`` are differentiable with respect to every
-    tensor. What is skipped (alpha under 1/255, pixels that ended, Gaussians nearer than ``near``) is constant for
-    the gradient, and so is an alpha held at 0.99.
+    All tensors share one floating dtype and device. Outputs but ``radii`` are differentiable with respect to
+    every tensor. What is skipped (alpha under 1/255, pixels that ended, Gaussians nearer than ``near``) is
+    constant for the gradient, and so is an alpha held at 0.99.
 
     Args:
         means: (N, 3) centres in scene space.
@@ -62,10 +63,10 @@ def rasterise(
         features: (N, C), C ≥ 1: colors, normals, anything that blends.
         camera: the view.
         near: Gaussians with a camera depth up to this are culled.
-        screen_offset: (N, 2) added to the projected centres, in pixels; its gradient is the screen-space gradient
-            that densification reads.
-        backend: "native" (CPU, float32), "gsplat" (CUDA, float32) or "torch"; by default the environment variable
-            ``ECONGS_BACKEND``, else the one that suits the tensors.
+        screen_offset: (N, 2) added to the projected centres, in pixels; its gradient is the screen-space
+            gradient that densification reads.
+        backend: "native" (CPU, float32), "gsplat" (CUDA, float32) or "torch"; by default the environment
+            variable ``ECONGS_BACKEND``, else the one that suits the tensors.
 
     Raises:
         ValueError: a wrong shape, dtype or device, NaN or infinity, a zero quaternion, a negative scale or an
@@ -79,9 +80,7 @@ def rasterise(
     _check_camera(camera)
     _check_values(tensors)
     chosen = choose_backend(means, backend)
-    module = importlib.import_module(
-        f"econgs.splat.{'native' if chosen == 'native' else chosen + '_backend'}"
-    )
+    module = native() if chosen == "native" else importlib.import_module(f"econgs.splat.{chosen}_backend")
     images = module.rasterise(
         means, quats, scales, opacities, features, camera, near=near, screen_offset=screen_offset
     )
@@ -116,6 +115,11 @@ def choose_backend(like: Tensor, backend: str | None = None) -> str:
     return suited
 
 
+def native() -> Any:
+    """The compiled kernels' module, imported when first used."""
+    return importlib.import_module("econgs.splat.native")
+
+
 @cache
 def _present(backend: str) -> bool:
     return importlib.util.find_spec("econgs._native" if backend == "native" else backend) is not None
@@ -125,7 +129,7 @@ def _present(backend: str) -> bool:
 def _notice(missing: str) -> None:
     """Says once per process that a slower way is taken."""
     warnings.warn(
-        f"the {missing} splatting backend is not installed; falling back to PyTorch, which is tens of times slower",
+        f"the {missing} splatting backend is not installed; PyTorch stands in, tens of times slower",
         RuntimeWarning,
         stacklevel=4,
     )
@@ -151,7 +155,7 @@ def _check_shapes(tensors: dict[str, Tensor]) -> None:
 
 def _check_camera(camera: Camera) -> None:
     if camera.width < 1 or camera.height < 1:
-        raise ValueError(f"camera: image of {camera.width}×{camera.height} pixels")
+        raise ValueError(f"camera: image of {camera.width} x {camera.height} pixels")
     numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.camera_to_world.ravel().tolist()]
     if not all(math.isfinite(number) for number in numbers) or camera.fx <= 0 or camera.fy <= 0:
         raise ValueError("camera: pose and intrinsics must be finite and focal lengths positive")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from econgs.splat.rasterise import choose_backend
+from econgs.splat.rasterise import choose_backend, native
 
 MAX_DEGREE = 3
 
@@ -40,9 +40,8 @@ def spherical_harmonics(
         raise ValueError(f"degree {degree} needs {used} coefficients, not {coefficients.shape[1]}")
     camera_position = torch.as_tensor(camera_position, dtype=means.dtype, device=means.device)
     if choose_backend(means, backend) == "native":
-        from econgs.splat import native
-
-        return native.spherical_harmonics(degree, means, camera_position, coefficients)
+        colors: Tensor = native().spherical_harmonics(degree, means, camera_position, coefficients)
+        return colors
     return torch_spherical_harmonics(degree, means, camera_position, coefficients)
 
 

@@ -1,7 +1,8 @@
 """The splatting core in plain PyTorch: the oracle of the tests, and the way without a compiled module.
 
-Any floating dtype, any device, gradients by autograd. The arithmetic is the textbook's (EWA projection, Zwicker et
-al. 2001; tiles and front-to-back blending, Kerbl et al. 2023), vectorised over the pixels and Gaussians of a tile.
+Any floating dtype, any device, gradients by autograd. The arithmetic is the textbook's (EWA projection, Zwicker
+et al. 2001; tiles and front-to-back blending, Kerbl et al. 2023), vectorised over the pixels and Gaussians of a
+tile.
 """
 
 from __future__ import annotations
@@ -98,8 +99,8 @@ def _project(
         ],
         dim=-2,
     )
-    # With M = J W R S the projected covariance is M Mᵀ + 0.3 I. Its determinant is taken from the cross product
-    # of M's rows (Cauchy-Binet): a c - b² cancels for needles.
+    # With M = J W R S the projected covariance is M Mᵀ + 0.3 I. Its determinant is taken from the cross
+    # product of M's rows (Cauchy-Binet): a c - b² cancels for needles.
     first, second = (jacobian @ view @ _rotations(quats) * scales[:, None, :]).unbind(1)
     aa, cc = (first * first).sum(-1), (second * second).sum(-1)
     cross = torch.linalg.cross(first, second)
@@ -126,8 +127,8 @@ def _visible(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Indices of the visible Gaussians from near to far, the radii of all, and pixel boxes of the visible.
 
-    The support is the ellipse on which alpha reaches 1/255; a Gaussian is visible if the ellipse's box holds a pixel
-    centre. Boxes are inclusive: first and last column, first and last row.
+    The support is the ellipse on which alpha reaches 1/255; a Gaussian is visible if the ellipse's box holds a
+    pixel centre. Boxes are inclusive: first and last column, first and last row.
     """
     squared = 2.0 * torch.log(opacities / MIN_ALPHA).clamp(min=0)
     half_u, half_v = (squared * splats.a).sqrt(), (squared * splats.c).sqrt()
@@ -135,7 +136,7 @@ def _visible(
     upper = torch.stack([splats.u + half_u, splats.v + half_v], dim=-1) - 0.5
     last = torch.tensor([camera.width - 1, camera.height - 1], dtype=lower.dtype, device=lower.device)
     lower, upper = lower.ceil().clamp(min=0), torch.minimum(upper.floor(), last)
-    # What overflows (an absurd scale) fails one of these comparisons and is culled, as is anything not a number.
+    # What overflows (an absurd scale) fails one of these comparisons and is culled.
     visible = (lower <= upper).all(-1) & (splats.depth > near) & (opacities >= MIN_ALPHA)
     visible &= torch.isfinite(splats.det)
 
@@ -149,7 +150,7 @@ def _visible(
 
 
 def _intersections(boxes: Tensor, camera: Camera) -> tuple[Tensor, list[int]]:
-    """Which of the visible Gaussians touch which tile: indices grouped by tile, near to far, and group sizes."""
+    """Which of the visible touch which tile: indices grouped by tile, near to far, and group sizes."""
     across, down = math.ceil(camera.width / TILE), math.ceil(camera.height / TILE)
     first_x, last_x, first_y, last_y = (boxes // TILE).unbind(-1)
     wide, high = last_x - first_x + 1, last_y - first_y + 1
