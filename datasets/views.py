@@ -63,3 +63,10 @@ def over(premultiplied: NDArray[np.float32], background: RGB) -> NDArray[np.floa
     """Composite (..., 4) premultiplied RGBA over an opaque background, giving (..., 3)."""
     back = np.asarray(background, dtype=np.float32)
     return premultiplied[..., :3] + (1.0 - premultiplied[..., 3:4]) * back
+
+
+def split_indices(n: int, split: Split) -> list[int]:
+    """Which of n training (or test) cameras belong to a split: every tenth training view is validation."""
+    if split in ("trainval", "test"):
+        return list(range(n))
+    return [i for i in range(n) if (i % 10 == 9) == (split == "val")]

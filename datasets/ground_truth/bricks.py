@@ -1,4 +1,4 @@
-"""Empty-space bricks: which blocks of a volume a transfer function leaves invisible, and how far one may leap."""
+"""Empty-space bricks: which blocks are invisible under a transfer function, and how far to leap."""
 
 from __future__ import annotations
 

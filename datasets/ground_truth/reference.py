@@ -136,14 +136,13 @@ class ReferenceMarcher:
         gradient = 0.5 * torch.stack(sides, dim=-1) * (self._scale * self._voxel)
         square = (gradient * gradient).sum(-1, keepdim=True)
         normal = gradient / square.sqrt().clamp_min(1e-12)
-        if light.direction is None:
-            towards = view
-        else:
-            towards = self._tensor(np.array(light.direction)).expand_as(view)
+        fixed = None if light.direction is None else self._tensor(np.array(light.direction))
+        towards = view if fixed is None else fixed.expand_as(view)
         half = view + towards
         half = half / half.norm(dim=-1, keepdim=True).clamp_min(1e-6)
         lit = light.ambient + light.diffuse * (normal * towards).sum(-1, keepdim=True).abs()
         highlight = light.specular * (normal * half).sum(-1, keepdim=True).abs() ** light.shininess
         trust = square / (square + GRADIENT_FLOOR**2)
-        shaded = trust * (color * lit + highlight)
-        return shaded + (1.0 - trust) * color * (light.ambient + light.diffuse)
+        shaded: Tensor = trust * (color * lit + highlight)
+        unshaded: Tensor = color * (light.ambient + light.diffuse)
+        return shaded + (1.0 - trust) * unshaded

@@ -1,0 +1,160 @@
+"""Which Mitsuba backend works here, found out once and in a subprocess.
+
+Dr.Jit compiles through libLLVM, which no pip wheel brings. Versions 15 and 16 load but abort the whole
+process at the first float minimum or maximum, which Python cannot catch: so every candidate library is tried
+in a process of its own, newest first, and the verdict is remembered for that file.
+"""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Literal
+
+from datasets.view_cache import cache_root
+
+REMEDY = (
+    "Install LLVM 17 or newer (Debian, Ubuntu: apt-get install libllvm19; macOS: brew install llvm), or set "
+    "DRJIT_LIBLLVM_PATH to its shared library"
+)
+
+_PATTERNS = (
+    "/usr/lib/*-linux-gnu/libLLVM*.so*",
+    "/usr/lib64/libLLVM*.so*",
+    "/usr/lib/libLLVM*.so*",
+    "/usr/lib/llvm-*/lib/libLLVM*.so*",
+    "/usr/lib64/llvm*/lib*/libLLVM*.so*",
+    "/usr/local/lib/libLLVM*.so*",
+    "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
+    "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
+)
+# The literal in the kernel differs each time, so that no kernel cached on disk hides a compiler that fails.
+_TRIAL = """
+import sys
+import drjit as dr
+from drjit.{backend} import Float
+x = dr.minimum(Float([1.0, 4.0]) + {salt!r}, Float([3.0, 2.0]))
+assert abs(dr.sum(x)[0] - (3.0 + {salt!r})) < 1e-4
+sys.stdout.write("works")
+"""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """What Mitsuba can run on here.
+
+    Attributes:
+        name: "cuda", "llvm" or "none".
+        library: path of libLLVM for "llvm", else "".
+        reason: why there is none, else "".
+    """
+
+    name: Literal["cuda", "llvm", "none"]
+    library: str = ""
+    reason: str = ""
+
+
+@cache
+def find_backend() -> Backend:
+    """The backend to use, CUDA first; the first call on a machine takes about a second, later ones none."""
+    if _has_cuda_driver() and not _trial_failure("cuda", ""):
+        return Backend("cuda")
+    chosen = os.environ.get("DRJIT_LIBLLVM_PATH", "")
+    candidates = [chosen] if chosen else libllvm_candidates()
+    failures = []
+    for library in candidates:
+        failure = _trial_failure("llvm", library)
+        if not failure:
+            return Backend("llvm", library)
+        failures.append(f"{library} {failure}")
+    return Backend("none", reason="; ".join(failures) or "no libLLVM was found")
+
+
+def activate(backend: Backend) -> None:
+    """Import Mitsuba and set its variant for a backend that :func:`find_backend` gave."""
+    if backend.library:
+        os.environ["DRJIT_LIBLLVM_PATH"] = backend.library  # read when Dr.Jit initialises LLVM
+    import mitsuba
+
+    mitsuba.set_variant(f"{backend.name}_ad_rgb")
+
+
+def libllvm_candidates() -> list[str]:
+    """Shared libraries of LLVM 15 and newer in the usual places, newest first, each file once."""
+    found: dict[str, tuple[int, ...]] = {}
+    folders = [sys.prefix, *os.environ.get("LD_LIBRARY_PATH", "").split(":")]
+    patterns = [*_PATTERNS, *(f"{f}/{lib}libLLVM*.so*" for f in folders if f for lib in ("", "lib/"))]
+    for path in (p for pattern in patterns for p in glob.glob(pattern)):
+        real = os.path.realpath(path)
+        digits = re.search(r"libLLVM-?(?:\.so\.|\.dylib)?(\d+(?:\.\d+)*)", os.path.basename(real))
+        number = tuple(int(d) for d in digits[1].split(".")) if digits else (0,)
+        if os.path.isfile(real) and (number[0] >= 15 or not digits):
+            found[real] = number
+    return sorted(found, key=lambda path: (found[path], path), reverse=True)
+
+
+def _has_cuda_driver() -> bool:
+    return any(os.path.exists(p) for p in ("/dev/nvidiactl", "/dev/dxg"))
+
+
+def _trial_failure(backend: str, library: str) -> str:
+    """Empty if a kernel ran, else what happened; remembered per library file and Dr.Jit version."""
+    if library and not os.path.isfile(library):
+        return "does not exist"
+    stamp = os.stat(library).st_mtime_ns if library else 0
+    device = os.environ.get("CUDA_VISIBLE_DEVICES", "") if backend == "cuda" else ""
+    key = f"{backend} {library} {stamp} {device} drjit {version('drjit')}"
+    record = cache_root() / "probe" / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.json"
+    try:
+        return str(json.loads(record.read_text())["failure"])
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    failure, lasting = _try(backend, library)
+    if lasting:
+        _remember(record, key, failure)
+    return failure
+
+
+def _try(backend: str, library: str) -> tuple[str, bool]:
+    """Run a kernel in a subprocess: what went wrong, and whether it would again."""
+    environment = dict(os.environ)
+    if library:
+        environment["DRJIT_LIBLLVM_PATH"] = library
+    salt = int.from_bytes(os.urandom(2), "big") / 2**20
+    trial = _TRIAL.format(backend=backend, salt=salt)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", trial],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    except (subprocess.TimeoutExpired, OSError) as error:
+        return f"could not be tried ({type(error).__name__})", False
+    if done.returncode == 0 and done.stdout.endswith("works"):
+        return "", True
+    if done.returncode < 0:
+        return f"aborts the process when Dr.Jit compiles with it (signal {-done.returncode})", True
+    lines = done.stderr.strip().splitlines()
+    return f"cannot be used by Dr.Jit ({lines[-1] if lines else f'exit status {done.returncode}'})", True
+
+
+def _remember(record: Path, key: str, failure: str) -> None:
+    try:
+        record.parent.mkdir(parents=True, exist_ok=True)
+        aside = record.with_suffix(f".{os.getpid()}")
+        aside.write_text(json.dumps({"key": key, "failure": failure}))
+        os.replace(aside, record)
+    except OSError:
+        pass  # a read-only cache costs a second each time, no more

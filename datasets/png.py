@@ -1,0 +1,54 @@
+"""8-bit RGBA pictures on disk: straight alpha in the file, premultiplied in memory."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from datasets.errors import DataError
+
+
+def write_png(path: Path, premultiplied: NDArray[np.float32]) -> None:
+    """Write a picture, aside first and then renamed in place.
+
+    Args:
+        path: the file; its folder exists.
+        premultiplied: (height, width, 4) RGBA, premultiplied; or (height, width, 3) RGB. In [0, 1].
+    """
+    straight = np.array(premultiplied, dtype=np.float64)
+    if straight.shape[-1] == 4:
+        alpha = straight[..., 3:]
+        # Divide by the alpha that will be stored, so that reading gives back the premultiplied color.
+        stored = np.rint(np.clip(alpha, 0.0, 1.0) * 255.0) / 255.0
+        straight[..., :3] /= np.where(stored > 0.0, stored, 1.0)
+        straight[..., :3] *= stored > 0.0
+    pixels = np.rint(np.clip(straight, 0.0, 1.0) * 255.0).astype(np.uint8)
+    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        Image.fromarray(pixels).save(aside, format="PNG", compress_level=4)
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
+def read_png(path: Path) -> NDArray[np.float32]:
+    """(height, width, 4) float32 premultiplied RGBA of an 8-bit picture; alpha is 1 where the file has none.
+
+    Raises:
+        DataError: the file is missing or not a picture.
+    """
+    try:
+        with Image.open(path) as image:
+            pixels = np.asarray(image.convert("RGBA"), dtype=np.float32) / 255.0
+    except FileNotFoundError as error:
+        raise DataError(path, "no such picture", "Check the path") from error
+    except (OSError, ValueError, SyntaxError) as error:
+        raise DataError(
+            path, f"cannot be read as a picture ({error})", "Write it again as an 8-bit PNG"
+        ) from error
+    pixels[..., :3] *= pixels[..., 3:]
+    return pixels

@@ -1,0 +1,230 @@
+"""The ground-truth views of a scene: rendered, from the cache, or read where they were rendered elsewhere."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import time
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any, Literal
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.camera import Camera
+from datasets.camera_paths import test_cameras, training_cameras
+from datasets.errors import DataError
+from datasets.ground_truth import probe
+from datasets.ground_truth.model import MODEL_VERSION, Marcher, MarchSettings, Progress
+from datasets.scene import BasicScene, Dataset
+from datasets.view_cache import CachedViews, ViewCache
+from datasets.views import ViewRequest, ViewSet, split_indices
+from datasets.volume import Volume
+
+Renderer = Literal["auto", "mitsuba", "reference"]
+
+_log = logging.getLogger(__name__)
+_digests: WeakKeyDictionary[Volume, str] = WeakKeyDictionary()
+
+
+def views_of(
+    dataset: Dataset,
+    scene_name: str,
+    request: ViewRequest,
+    *,
+    renderer: Renderer = "auto",
+    cache: ViewCache | None = None,
+    progress: Progress | None = None,
+) -> ViewSet:
+    """The views that a request names, of one basic scene.
+
+    All training views are rendered and cached together, whichever split is asked for.
+
+    Args:
+        dataset: with volumes (views are rendered) or with views only (they are read).
+        scene_name: one of its basic scenes.
+        request: split, numbers and size.
+        renderer: "auto" takes Mitsuba where it works, else the reference marcher, with a notice.
+        cache: default the user's.
+        progress: called with views done and views in all while rendering.
+
+    Raises:
+        UnknownName: no such scene.
+        DataError: the request cannot be met, or Mitsuba was asked for and cannot run.
+    """
+    scene = dataset.scene(scene_name)
+    if dataset.kind == "views":
+        from datasets.prerendered import load_views
+
+        prerendered: ViewSet = load_views(scene, request)
+        return prerendered
+    cache = ViewCache() if cache is None else cache
+    work = _Work(dataset, scene, request, renderer)
+    views = cache.get(work.key)
+    if views is None:
+        images, record = work.render(progress)
+        views = CachedViews(cache.put(work.key, images, record), record)
+    if len(work.chosen) == len(work.cameras):
+        return ViewSet(work.cameras, views.images, scene.background, work.key)
+    cameras = tuple(work.cameras[i] for i in work.chosen)
+    return ViewSet(cameras, views.images[work.chosen], scene.background, f"{work.key}-{request.split}")
+
+
+def views_are_cached(
+    dataset: Dataset,
+    scene_name: str,
+    request: ViewRequest,
+    *,
+    renderer: Renderer = "auto",
+    cache: ViewCache | None = None,
+) -> bool:
+    """Whether :func:`views_of` would render nothing."""
+    return dataset.kind == "views" or (
+        render_cost(dataset, scene_name, request, renderer=renderer, cache=cache) is not None
+    )
+
+
+def render_cost(
+    dataset: Dataset,
+    scene_name: str,
+    request: ViewRequest,
+    *,
+    renderer: Renderer = "auto",
+    cache: ViewCache | None = None,
+) -> dict[str, Any] | None:
+    """What rendering the cached views cost (``ms_per_view``, renderer, ...); None if none are cached."""
+    if dataset.kind == "views":
+        return None
+    cache = ViewCache() if cache is None else cache
+    return cache.record(_Work(dataset, dataset.scene(scene_name), request, renderer).key)
+
+
+def volume_digest(volume: Volume) -> str:
+    """Content hash of a volume's values, type, spacing and range; computed once per volume."""
+    if volume not in _digests:
+        about = (volume.values.shape, volume.values.dtype.str, volume.spacing, volume.value_range)
+        digest = hashlib.sha256(repr(about).encode())
+        digest.update(np.ascontiguousarray(volume.values).data)
+        _digests[volume] = digest.hexdigest()
+    return _digests[volume]
+
+
+class _Work:
+    """A request made concrete: cameras, renderer and key."""
+
+    def __init__(self, dataset: Dataset, scene: BasicScene, request: ViewRequest, renderer: Renderer) -> None:
+        if scene.transfer is None:
+            raise DataError(
+                f"{dataset.name}/{scene.name}",
+                "the scene has no transfer function",
+                "Give it one in the catalogue",
+            )
+        if min(request.width, request.height) < 1:
+            raise DataError(
+                f"{request.width}x{request.height} views",
+                "there must be at least one pixel",
+                "Ask for 128x128, say",
+            )
+        self.transfer, self.light = scene.transfer, scene.light
+        self.volume = dataset.volume(scene.variable)
+        radius = 0.5 * float(np.linalg.norm(self.volume.extent))
+        if request.split == "test":
+            self.cameras = test_cameras(request.test_views, radius, request.width, request.height)
+        else:
+            self.cameras = training_cameras(request.train_views, radius, request.width, request.height)
+        self.chosen = split_indices(len(self.cameras), request.split)
+        if not self.chosen:
+            raise DataError(
+                f"validation split of {request.train_views} training views",
+                "every tenth view is validation and there are fewer than ten",
+                "Use 12 or more training views",
+            )
+        self.settings = MarchSettings()
+        self.backend = _backend(renderer)
+        self.key = self._key()
+
+    def render(self, progress: Progress | None) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """The images and the record of what they cost."""
+        started = time.perf_counter()
+        marcher = self._marcher()
+        if self.backend.name != "none":
+            marcher.render(
+                self.cameras[:1], self.transfer, self.light
+            )  # compiles, or loads what was compiled
+        ready = time.perf_counter()
+        images = marcher.render(self.cameras, self.transfer, self.light, progress)
+        seconds = time.perf_counter() - ready
+        record = {
+            **self._renderer(),
+            "ms_per_view": 1e3 * seconds / len(images),
+            "setup_seconds": ready - started,
+            "views": len(images),
+            "width": images.shape[2],
+            "height": images.shape[1],
+        }
+        return images, record
+
+    def _marcher(self) -> Marcher:
+        if self.backend.name == "none":
+            import torch
+
+            from datasets.ground_truth.reference import ReferenceMarcher
+
+            return ReferenceMarcher(self.volume, self.settings, torch.float32)
+        probe.activate(self.backend)
+        from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
+
+        return MitsubaMarcher(self.volume, self.settings)
+
+    def _renderer(self) -> dict[str, Any]:
+        if self.backend.name == "none":
+            return {"renderer": "reference", "version": version("torch"), "backend": "torch"}
+        return {
+            "renderer": "mitsuba",
+            "version": f"{version('mitsuba')}+drjit{version('drjit')}",
+            "backend": self.backend.name,
+        }
+
+    def _key(self) -> str:
+        transfer = asdict(self.transfer)
+        # Names do not change a picture.
+        transfer.pop("name")
+        for bump in transfer["bumps"]:
+            bump.pop("name")
+        ingredients = {
+            "model": MODEL_VERSION,
+            "volume": volume_digest(self.volume),
+            "transfer": transfer,
+            "light": asdict(self.light) if self.light else None,
+            "cameras": hashlib.sha256(b"".join(_bytes(c) for c in self.cameras)).hexdigest(),
+            "settings": asdict(self.settings),
+            "renderer": self._renderer(),
+        }
+        return hashlib.sha256(json.dumps(ingredients, sort_keys=True).encode()).hexdigest()[:40]
+
+
+def _backend(renderer: Renderer) -> probe.Backend:
+    if renderer == "reference":
+        return probe.Backend("none")
+    backend = probe.find_backend()
+    if backend.name == "none":
+        if renderer == "mitsuba":
+            raise DataError("Mitsuba", f"it has no working backend here: {backend.reason}", probe.REMEDY)
+        _notice(backend.reason)
+    return backend
+
+
+def _notice(reason: str) -> None:
+    _log.warning(
+        "ground truth is rendered by the slow reference marcher, as Mitsuba has no working backend here: %s. %s",
+        reason,
+        probe.REMEDY,
+    )
+
+
+def _bytes(camera: Camera) -> bytes:
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height]
+    return np.concatenate([camera.camera_to_world.ravel(), numbers]).tobytes()

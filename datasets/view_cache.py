@@ -1,0 +1,210 @@
+"""Rendered views on disk, found by the content of what made them.
+
+An entry is a folder named by its key: ``entry.json`` and ``images.zst``, one zstd frame per view of
+premultiplied 16-bit RGBA (error at most 7.7e-6, far below the 8 bits that any metric sees). It is written
+aside and renamed in place, so it is whole or absent; a checksum finds what was damaged later.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import time
+import uuid
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+DEFAULT_MAX_BYTES = 20 * 2**30
+_LEVELS = 65535
+_SCHEMA = 1
+_ABANDONED_AFTER = 3600.0  # seconds without a change: its writer is dead
+
+
+def cache_root() -> Path:
+    """The folder of all that can be made again: ``BENCH_CACHE``, or the user's cache folder."""
+    if folder := os.environ.get("BENCH_CACHE"):
+        return Path(folder).expanduser()
+    from platformdirs import user_cache_path
+
+    return user_cache_path("econgs-bench", appauthor=False)
+
+
+@dataclass(frozen=True, eq=False)
+class CachedViews:
+    """Images (n, height, width, 4) float32 premultiplied, and the record stored beside them."""
+
+    images: NDArray[np.float32]
+    record: dict[str, Any]
+
+
+class ViewCache:
+    """Views by key, with a size cap.
+
+    Args:
+        folder: where entries lie; default ``views`` in :func:`cache_root`.
+        max_bytes: after each write, least recently used entries go until the rest fits.
+    """
+
+    def __init__(self, folder: Path | None = None, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
+        self.folder = cache_root() / "views" if folder is None else folder
+        self.max_bytes = max_bytes
+
+    def get(self, key: str) -> CachedViews | None:
+        """The entry of that key, or None if it is absent or damaged (a damaged one is removed)."""
+        entry = self._entry(key)
+        if entry is None:
+            return None
+        try:
+            data = (self.folder / key / "images.zst").read_bytes()
+            if hashlib.sha256(data).hexdigest() != entry["sha256"]:
+                raise ValueError("checksum")
+            images = _decode(data, entry["frames"], tuple(entry["shape"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            self._discard(self.folder / key)
+            return None
+        self._touch(key)
+        return CachedViews(images, dict(entry["record"]))
+
+    def record(self, key: str) -> dict[str, Any] | None:
+        """The record of an entry without its images; None if there is no entry of the size it should have."""
+        entry = self._entry(key)
+        return None if entry is None else dict(entry["record"])
+
+    def put(self, key: str, images: NDArray[np.float32], record: dict[str, Any]) -> NDArray[np.float32]:
+        """Store views; two processes may write the same key.
+
+        Args:
+            key: content hash, a plain file name.
+            images: (n, height, width, 4), in [0, 1].
+            record: what to keep beside them, as plain JSON values.
+
+        Returns:
+            The images exactly as :meth:`get` will give them.
+        """
+        import pyarrow
+
+        codec = pyarrow.Codec("zstd", compression_level=1)
+        stored = np.empty_like(images)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        aside = self.folder / f".partial-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        aside.mkdir()
+        try:
+            checksum, frames = hashlib.sha256(), []
+            with (aside / "images.zst").open("wb") as file:
+                for i, image in enumerate(images):
+                    levels = np.rint(np.clip(image, 0.0, 1.0) * _LEVELS).astype("<u2")
+                    stored[i] = levels.astype(np.float32) / _LEVELS
+                    frame = codec.compress(levels.tobytes(), asbytes=True)
+                    frames.append(len(frame))
+                    checksum.update(frame)
+                    file.write(frame)
+            entry = {
+                "schema": _SCHEMA,
+                "shape": list(images.shape),
+                "frames": frames,
+                "sha256": checksum.hexdigest(),
+                "record": record,
+            }
+            (aside / "entry.json").write_text(json.dumps(entry, indent=1))
+            self._place(aside, key)
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+        self.prune(self.max_bytes, keep=key)
+        return stored
+
+    def prune(self, max_bytes: int, keep: str = "") -> int:
+        """Remove least recently used entries until the rest takes at most ``max_bytes``.
+
+        What dead writers left goes too; the entry ``keep`` stays.
+
+        Returns:
+            Bytes freed.
+        """
+        freed, entries = 0, []
+        for folder in self._folders():
+            try:
+                used = folder.stat().st_mtime
+                size = sum(file.stat().st_size for file in folder.iterdir())
+            except OSError:
+                continue  # another process removed it meanwhile
+            if not folder.name.startswith("."):
+                entries.append((used, size, folder))
+            elif time.time() - used > _ABANDONED_AFTER:
+                shutil.rmtree(folder, ignore_errors=True)
+                freed += size
+        total = sum(size for _, size, _ in entries)
+        for _, size, folder in sorted(entries, key=lambda e: (e[0], e[2].name)):
+            if total <= max_bytes:
+                break
+            if folder.name != keep:
+                self._discard(folder)
+                total -= size
+                freed += size
+        return freed
+
+    def size(self) -> int:
+        """Bytes of all entries."""
+        return sum(file.stat().st_size for folder in self._folders() for file in folder.iterdir())
+
+    def _folders(self) -> list[Path]:
+        return [f for f in self.folder.iterdir() if f.is_dir()] if self.folder.is_dir() else []
+
+    def _entry(self, key: str) -> dict[str, Any] | None:
+        folder = self.folder / key
+        try:
+            entry = json.loads((folder / "entry.json").read_text())
+            size = (folder / "images.zst").stat().st_size
+            whole = entry["schema"] == _SCHEMA and size == sum(entry["frames"])
+            if not (whole and isinstance(entry["record"], dict)):
+                raise ValueError("schema or size")
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError):
+            self._discard(folder)
+            return None
+        return dict(entry)
+
+    def _place(self, aside: Path, key: str) -> None:
+        for _ in range(3):
+            try:
+                os.rename(aside, self.folder / key)
+            except OSError:
+                if self._entry(key) is not None:
+                    return  # another process was first, with the same content
+                self._discard(self.folder / key)
+            else:
+                return
+        raise OSError(f"{self.folder / key}: cannot be put in place")
+
+    def _discard(self, folder: Path) -> None:
+        """Take a folder out of sight first: a reader sees an entry whole or not at all."""
+        grave = self.folder / f".partial-removed-{uuid.uuid4().hex[:8]}"
+        try:
+            os.rename(folder, grave)
+        except OSError:
+            return
+        shutil.rmtree(grave, ignore_errors=True)
+
+    def _touch(self, key: str) -> None:
+        with suppress(OSError):  # a read-only cache, or pruned meanwhile
+            os.utime(self.folder / key)
+
+
+def _decode(data: bytes, frames: list[int], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    import pyarrow
+
+    codec = pyarrow.Codec("zstd")
+    images = np.empty(shape, dtype=np.float32)
+    start = 0
+    for i, size in enumerate(frames):
+        raw = codec.decompress(data[start : start + size], int(np.prod(shape[1:])) * 2, asbytes=True)
+        np.divide(np.frombuffer(raw, "<u2").reshape(shape[1:]), np.float32(_LEVELS), out=images[i])
+        start += size
+    return images
