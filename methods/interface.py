@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 if TYPE_CHECKING:
-    import numpy as np
     import torch
+    from datasets.cloud import PointCloud
 
     from datasets.camera import Camera
-    from datasets.cloud import PointCloud
     from datasets.scene import RGB, BasicScene
     from datasets.views import ViewSet
     from datasets.volume import Volume
@@ -184,9 +183,7 @@ class Monitor(Protocol):
     def due(self, iteration: int) -> bool:
         """Whether an anytime evaluation or a checkpoint is wanted now."""
 
-    def pause(
-        self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]
-    ) -> None:
+    def pause(self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]) -> None:
         """Evaluate and/or checkpoint, as due: calls the given functions only if needed."""
 
     def stage(self, name: str) -> None:
@@ -293,14 +290,10 @@ class Method(Protocol):
         """
 
 
-def edits_by_scene(
-    edit: Mapping[str, Edit] | None, scenes: Sequence[str]
-) -> dict[str, Edit]:
+def edits_by_scene(edit: Mapping[str, Edit] | None, scenes: Sequence[str]) -> dict[str, Edit]:
     """Resolve ``edit`` for the scenes rendered, refusing names that are not among them."""
     resolved = dict(edit or {})
     for name in resolved:
         if name not in scenes:
             raise Refused(f"edit names scene {name!r}, which is not rendered ({', '.join(scenes)})")
     return resolved
-
-

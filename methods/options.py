@@ -33,9 +33,7 @@ class Settings:
     variant: str
 
 
-def resolve(
-    spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] | None = None
-) -> Settings:
+def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] | None = None) -> Settings:
     """Defaults, overlaid by the preset, overlaid by what the user set.
 
     Args:

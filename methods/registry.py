@@ -74,9 +74,8 @@ class Registry:
         except DataError:
             raise
         except Exception as error:
-            raise DataError(
-                found.origin, f"its spec cannot be imported ({type(error).__name__}: {error})", "Repair the plugin"
-            ) from error
+            reason = f"its spec cannot be imported ({type(error).__name__}: {error})"
+            raise DataError(found.origin, reason, "Repair the plugin") from error
         check_spec(spec, found.origin)
         if found.name is not None and found.name != spec.name:
             raise DataError(
@@ -214,12 +213,9 @@ def _in_folder(folder: Path) -> Iterator[_Found]:
     for path, module in found:
         top = path.stem
         located = importlib.util.find_spec(top)
-        if located is None or located.origin is None or not Path(located.origin).resolve().is_relative_to(root):
-            raise DataError(
-                path,
-                f"another module {top!r} comes first ({located.origin if located else 'none'})",
-                "Rename the plugin",
-            )
+        origin = Path(located.origin) if located is not None and located.origin is not None else None
+        if origin is None or not origin.resolve().is_relative_to(root):
+            raise DataError(path, f"another module {top!r} comes first ({origin})", "Rename the plugin")
         yield _Found(None, f"plugin folder: {path}", _importer(module, "SPEC"))
 
 

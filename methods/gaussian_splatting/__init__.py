@@ -1,0 +1,1 @@
+"""3D Gaussian splatting (Kerbl et al. 2023)."""

@@ -1,7 +1,8 @@
 import pytest
-from datasets.errors import DataError, UnknownName
 from hypothesis import given
 from hypothesis import strategies as st
+
+from datasets.errors import DataError, UnknownName
 from methods.gaussian_splatting.spec import SPEC
 from methods.interface import Option
 from methods.options import check, parse_assignments, resolve
@@ -85,7 +86,7 @@ def test_assignments_are_split_at_the_last_dot_and_first_equals_sign():
 
 @pytest.mark.parametrize("text", ["", "3dgs", "3dgs.background", "background=white", ".x=1", "3dgs.=1"])
 def test_malformed_assignments_are_refused_with_an_example(text):
-    with pytest.raises(DataError, match="method.option=value"):
+    with pytest.raises(DataError, match=r"method\.option=value"):
         parse_assignments([text])
 
 

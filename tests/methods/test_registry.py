@@ -3,8 +3,9 @@ import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-import methods
 import pytest
+
+import methods
 from datasets.errors import DataError, UnknownName
 from methods import registry
 from methods.registry import Registry, load_method
@@ -14,7 +15,8 @@ ROOT = Path(methods.__file__).parents[1]
 PLUGIN = """
 from methods.interface import MethodSpec, Option
 SPEC = MethodSpec(
-    name={name!r}, title="A toy", reference="", version="1", implementation="{module}:Toy", source=("{module}",),
+    name={name!r}, title="A toy", reference="", version="1",
+    implementation="{module}:Toy", source=("{module}",),
     joint=False, composable=False, edits=frozenset(), needs_volume=False, uses_alpha="no", devices=("cpu",),
     options={{"size": Option(3, "how much", minimum=1)}},
     presets={{"quick": {{}}, "standard": {{}}, "paper": {preset}}},

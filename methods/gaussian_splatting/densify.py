@@ -1,0 +1,150 @@
+"""Adaptive density control: which Gaussians are cloned, split and pruned (section 5 of the 3DGS paper)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+SPLIT_SCALE = 1.6
+SPLIT_PARTS = 2
+LARGE_RADIUS = 20  # pixels
+LARGE_SCALE = 0.1  # of the extent
+RESET_OPACITY = 0.01
+
+
+@dataclass
+class GrowthStatistics:
+    """What was seen of each Gaussian since the last growth event.
+
+    Attributes:
+        gradients: (N,) sum of screen-space gradient norms, normalised device coordinates.
+        visits: (N,) number of views in which it was visible.
+        radii: (N,) its largest radius in pixels.
+    """
+
+    gradients: torch.Tensor
+    visits: torch.Tensor
+    radii: torch.Tensor
+
+    @classmethod
+    def zeros(cls, count: int, device: torch.device | str) -> GrowthStatistics:
+        return cls(*(torch.zeros(count, device=device) for _ in range(3)))
+
+    def record(self, pixel_gradients: torch.Tensor, radii: torch.Tensor, width: int, height: int) -> None:
+        """Add one view: (N, 2) gradients with respect to pixels and (N,) radii.
+
+        The gradient of an invisible Gaussian is zero, so nothing needs to be masked.
+        """
+        half_size = pixel_gradients.new_tensor((0.5 * width, 0.5 * height))
+        self.gradients += (pixel_gradients * half_size).norm(dim=1)
+        self.visits += radii > 0
+        torch.maximum(self.radii, radii.to(self.radii.dtype), out=self.radii)
+
+    def mean_gradients(self) -> torch.Tensor:
+        return self.gradients / self.visits.clamp(min=1.0)
+
+
+@dataclass(frozen=True)
+class GrowthRules:
+    """Thresholds of growth and pruning.
+
+    Attributes:
+        gradient: mean screen-space gradient from which a Gaussian is cloned or split.
+        dense_scale: largest scale that is cloned, not split; scene units.
+        prune_opacity: opacity under which it is pruned.
+        extent: of the scene.
+        limit: number of Gaussians at which growth stops; 0 = none.
+    """
+
+    gradient: float
+    dense_scale: float
+    prune_opacity: float
+    extent: float
+    limit: int
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What a growth event changes.
+
+    Attributes:
+        keep: indices of the Gaussians that stay, ascending.
+        added: parameters of the new ones.
+        limited: the limit kept some from being cloned or split.
+    """
+
+    keep: torch.Tensor
+    added: dict[str, torch.Tensor]
+    limited: bool
+
+
+def grow(
+    parameters: dict[str, torch.Tensor],
+    statistics: GrowthStatistics,
+    rules: GrowthRules,
+    prune_large: bool,
+    generator: torch.Generator,
+) -> Growth:
+    """Clone small and split large Gaussians with high gradients, then prune.
+
+    Args:
+        parameters: as in ``model.SceneGaussians``, detached.
+        statistics: since the last growth event.
+        rules: thresholds.
+        prune_large: also prune those with a radius over 20 px or a scale over 0.1 x extent.
+        generator: CPU generator that places the parts of split Gaussians.
+    """
+    gradients = statistics.mean_gradients()
+    hot = gradients >= rules.gradient
+    limited = False
+    if rules.limit:
+        room = max(0, rules.limit - len(gradients))
+        if int(hot.sum()) > room:
+            limited = True
+            hottest = torch.where(hot, gradients, -1.0).argsort(descending=True, stable=True)[:room]
+            hot = torch.zeros_like(hot).index_fill_(0, hottest, True)
+    largest = parameters["log_scales"].amax(dim=1).exp()
+    clone = hot & (largest <= rules.dense_scale)
+    split = hot & ~clone
+
+    clones = {name: values[clone] for name, values in parameters.items()}
+    parts = _split({name: values[split] for name, values in parameters.items()}, generator)
+    added = {name: torch.cat([clones[name], parts[name]]) for name in parameters}
+
+    keep = ~_prunable(parameters, rules, prune_large) & ~split
+    if prune_large:
+        keep &= statistics.radii <= LARGE_RADIUS
+    stay = ~_prunable(added, rules, prune_large)
+    return Growth(keep.nonzero()[:, 0], {name: values[stay] for name, values in added.items()}, limited)
+
+
+def capped_logits(logits: torch.Tensor) -> torch.Tensor:
+    """Logits of opacities capped at 0.01."""
+    return logits.detach().clamp(max=math.log(RESET_OPACITY / (1.0 - RESET_OPACITY)))
+
+
+def _split(parents: dict[str, torch.Tensor], generator: torch.Generator) -> dict[str, torch.Tensor]:
+    """Two smaller Gaussians for each parent, placed by sampling it."""
+    parts = {name: values.repeat(SPLIT_PARTS, *[1] * (values.ndim - 1)) for name, values in parents.items()}
+    scales = parts["log_scales"].exp()
+    samples = torch.randn(scales.shape, generator=generator).to(scales) * scales
+    parts["means"] = parts["means"] + rotate(parts["quats"], samples)
+    parts["log_scales"] = (scales / SPLIT_SCALE).log()
+    return parts
+
+
+def rotate(quats: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
+    """Rotate (N, 3) vectors by (N, 4) quaternions w x y z, normalised here."""
+    unit = torch.nn.functional.normalize(quats, dim=1)
+    w, axis = unit[:, :1], unit[:, 1:]
+    across = 2.0 * torch.linalg.cross(axis, vectors)
+    return vectors + w * across + torch.linalg.cross(axis, across)
+
+
+def _prunable(parameters: dict[str, torch.Tensor], rules: GrowthRules, prune_large: bool) -> torch.Tensor:
+    prunable: torch.Tensor = parameters["logits"].sigmoid() < rules.prune_opacity
+    if prune_large:
+        prunable |= parameters["log_scales"].amax(dim=1).exp() > LARGE_SCALE * rules.extent
+    return prunable

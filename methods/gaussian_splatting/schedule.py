@@ -1,0 +1,74 @@
+"""When things happen in a fit: phase boundaries scale with the budget, intervals do not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+PUBLISHED = 30_000
+"""Iterations of the published schedule; boundaries below are given in its iterations."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The published schedule, fitted to a budget.
+
+    Iterations count from 1. Phase boundaries (start and end of growth, SH degrees, end of the
+    learning-rate decay) are the published fractions of the budget. Growth happens every 100
+    iterations as published, or more often where that would leave fewer than ten growth events.
+
+    Attributes:
+        iterations: the budget.
+        sh_degree: final SH degree.
+        resets: whether opacities are reset at all.
+        early_reset: also reset when growth starts (white background).
+    """
+
+    iterations: int
+    sh_degree: int = 3
+    resets: bool = True
+    early_reset: bool = False
+
+    def _scaled(self, published: int) -> int:
+        return max(1, round(published * self.iterations / PUBLISHED))
+
+    @property
+    def growth_start(self) -> int:
+        return self._scaled(500)
+
+    @property
+    def growth_stop(self) -> int:
+        return self._scaled(15_000)
+
+    @property
+    def growth_interval(self) -> int:
+        return max(1, min(100, (self.growth_stop - self.growth_start) // 11))
+
+    @property
+    def reset_interval(self) -> int:
+        return self._scaled(3_000)
+
+    def degree(self, iteration: int) -> int:
+        """SH degree in use: one more every 1,000 published iterations."""
+        return min(self.sh_degree, iteration // self._scaled(1_000))
+
+    def collects(self, iteration: int) -> bool:
+        """Whether densification statistics are still needed."""
+        return iteration < self.growth_stop
+
+    def grows(self, iteration: int) -> bool:
+        return self.growth_start < iteration < self.growth_stop and iteration % self.growth_interval == 0
+
+    def prunes_large(self, iteration: int) -> bool:
+        """Whether Gaussians that are too large go as well: once resets have begun."""
+        return self.resets and iteration > self.reset_interval
+
+    def resets_opacity(self, iteration: int) -> bool:
+        if not self.resets or iteration >= self.growth_stop:
+            return False
+        return iteration % self.reset_interval == 0 or (self.early_reset and iteration == self.growth_start)
+
+    def decayed(self, iteration: int, first: float, last: float) -> float:
+        """Log-linear decay from ``first`` to ``last`` over the budget."""
+        t = min(1.0, iteration / self.iterations)
+        return math.exp((1.0 - t) * math.log(first) + t * math.log(last))
