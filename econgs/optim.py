@@ -15,7 +15,7 @@ class Adam:
     """Adam (Kingma and Ba 2015) with one learning rate per named group of parameters.
 
     A group is one tensor (``optimizer["means"]`` is the current one: densification replaces it) or several
-    that share a rate (the weights of a decoder). The optimiser owns them as leaf tensors that require gradients.
+    that share a rate (the weights of a decoder). The optimiser owns them as leaves that require gradients.
     A tensor without a gradient is left alone and its step count too, as in ``torch.optim.Adam``.
 
     Args:

@@ -1,8 +1,8 @@
 """The splatting core in plain PyTorch: the oracle of the tests, and the way without a compiled module.
 
-Any floating dtype, any device, gradients by autograd. The arithmetic is the textbook's (EWA projection, Zwicker
-et al. 2001; tiles and front-to-back blending, Kerbl et al. 2023), vectorised over the pixels and Gaussians of a
-tile.
+Any floating dtype, any device, gradients by autograd. The arithmetic is the textbook's (EWA projection,
+Zwicker et al. 2001; tiles and front-to-back blending, Kerbl et al. 2023), vectorised over the pixels and
+Gaussians of a tile.
 """
 
 from __future__ import annotations
@@ -127,8 +127,8 @@ def _visible(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Indices of the visible Gaussians from near to far, the radii of all, and pixel boxes of the visible.
 
-    The support is the ellipse on which alpha reaches 1/255; a Gaussian is visible if the ellipse's box holds a
-    pixel centre. Boxes are inclusive: first and last column, first and last row.
+    The support is the ellipse on which alpha reaches 1/255; a Gaussian is visible if the ellipse's box holds
+    a pixel centre. Boxes are inclusive: first and last column, first and last row.
     """
     squared = 2.0 * torch.log(opacities / MIN_ALPHA).clamp(min=0)
     half_u, half_v = (squared * splats.a).sqrt(), (squared * splats.c).sqrt()

@@ -1,0 +1,309 @@
+"""Every backend and instruction set that is present, against the float64 oracle; and what they refuse."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from datasets.errors import UnknownName
+from econgs.splat import choose_backend, rasterise
+
+SCENES: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "dense": {"count": 600, "sigma": 0.08, "opacity": (0.4, 1.0)},
+    "sparse": {"count": 20, "sigma": 0.02},
+    "large": {"count": 150, "sigma": 0.3, "opacity": (0.02, 0.3)},
+    "needles": {"stretch": 1.2, "count": 150},
+    "off-centre": {"shift": 11.0, "size": (75, 38)},
+    "tiles": {"size": (64, 48)},
+    "one-channel": {"channels": 1, "size": (17, 16)},
+    "four-channels": {"channels": 4, "size": (33, 31)},
+    "seven-channels": {"channels": 7},
+    "many-channels": {"channels": 35},
+    "near": {"position": (0.3, 0.4, 0.3), "fov": 1.2, "count": 120},
+    "one-pixel": {"size": (1, 1), "count": 60, "sigma": 0.1},
+}
+
+
+@pytest.fixture(scope="session")
+def oracle(splat: Any) -> Any:
+    """Scene, seeds, and the oracle's outputs and gradients: computed once for all backends."""
+    cache: dict[str, Any] = {}
+
+    def get(name: str) -> Any:
+        if name not in cache:
+            scene = splat.make_scene(seed=sum(map(ord, name)), **SCENES[name])
+            reference = splat.brute_force(scene)
+            # Few pixels may be left out: those where rounding decides. All others count in full.
+            assert reference.doubtful.mean() < 0.2
+            keep = ~reference.doubtful
+            seeds = splat.random_seeds(scene, keep)
+            cache[name] = scene, keep, seeds, *scene.gradients(torch.float64, "torch", seeds)
+        return cache[name]
+
+    return get
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_outputs_and_gradients_match_the_oracle(splat: Any, oracle: Any, backend: Any, name: str) -> None:
+    scene, keep, seeds, outputs, gradients = oracle(name)
+    mine, my_gradients = scene.gradients(torch.float32, backend.name, seeds, backend.device)
+    keep = torch.from_numpy(keep)
+    for output in splat.outputs:
+        assert splat.relative(mine[output][keep], outputs[output][keep]) < backend.tolerance, output
+    errors = {one: splat.relative(my_gradients[one], gradients[one]) for one in splat.names}
+    assert max(errors.values()) < backend.tolerance, errors
+
+
+def test_no_gradient_array_is_trivially_zero(splat: Any, oracle: Any) -> None:
+    for name in SCENES:
+        *_, gradients = oracle(name)
+        assert all(gradients[one].norm() > 0 for one in splat.names), name
+
+
+def test_radii_match_the_oracle(splat: Any, oracle: Any, backend: Any) -> None:
+    scene = oracle("dense")[0]
+    expected = scene.render(torch.float64, "torch").radii.numpy()
+    actual = scene.render(torch.float32, backend.name, backend.device).radii.cpu().numpy()
+    assert actual.dtype == np.int32
+    if backend.name == "gsplat":
+        # Its extent is that of its own version (3 or 3.33 σ): only visibility is comparable.
+        assert ((actual > 0) == (expected > 0)).mean() > 0.97
+    else:
+        # ⌈·⌉ of a value within rounding of a whole number may differ by one, no more and rarely.
+        seen = (actual > 0) & (expected > 0)
+        assert (seen == (expected > 0)).mean() > 0.97
+        assert abs(actual - expected)[seen].max() <= 1
+        assert (actual == expected)[seen].mean() > 0.99
+
+
+def test_order_of_the_input_does_not_matter(splat: Any, oracle: Any, backend: Any) -> None:
+    scene = oracle("plain")[0]
+    shuffle = torch.from_numpy(np.random.default_rng(3).permutation(len(scene.tensors["means"])))
+    shuffled = replace(scene, tensors={name: one[shuffle] for name, one in scene.tensors.items()})
+    first = scene.render(torch.float32, backend.name, backend.device)
+    second = shuffled.render(torch.float32, backend.name, backend.device)
+    torch.testing.assert_close(first.features, second.features, rtol=0, atol=1e-6)
+    assert torch.equal(first.radii[shuffle.to(first.radii.device)], second.radii)
+
+
+def test_quaternions_are_normalised_and_their_gradient_is_tangential(oracle: Any, backend: Any) -> None:
+    scene, _, seeds, *_ = oracle("plain")
+    longer = replace(scene, tensors={**scene.tensors, "quats": 4.0 * scene.tensors["quats"]})
+    outputs, gradients = scene.gradients(torch.float32, backend.name, seeds, backend.device)
+    same, smaller = longer.gradients(torch.float32, backend.name, seeds, backend.device)
+    torch.testing.assert_close(outputs["features"], same["features"], rtol=0, atol=2e-6)
+    quats = gradients["quats"]
+    assert (4.0 * smaller["quats"] - quats).norm() < 20 * backend.tolerance * quats.norm()
+    radial = (quats * torch.nn.functional.normalize(scene.tensors["quats"], dim=1)).sum(1)
+    assert radial.norm() < 20 * backend.tolerance * quats.norm()
+
+
+def test_native_is_bit_identical_for_any_thread_count(splat: Any, oracle: Any, backend: Any) -> None:
+    if backend.name != "native":
+        pytest.skip("a promise of the native backend")
+    scene, _, seeds, *_ = oracle("dense")
+    before = splat.native.threads()
+    results = []
+    try:
+        for threads in (1, 2, 3):
+            splat.native.set_threads(threads)
+            results.append(scene.gradients(torch.float32, "native", seeds))
+    finally:
+        splat.native.set_threads(before)
+    for outputs, gradients in results[1:]:
+        assert all(torch.equal(outputs[name], results[0][0][name]) for name in outputs)
+        assert all(torch.equal(gradients[name], results[0][1][name]) for name in gradients)
+
+
+def test_gradients_of_a_single_output_suffice(splat: Any, oracle: Any, backend: Any) -> None:
+    """A loss on alpha alone, or depth alone, and inputs of which only some want gradients."""
+    scene, _, seeds, *_ = oracle("plain")
+    for output in splat.outputs:
+        results = []
+        for dtype, name, device in (
+            (torch.float64, "torch", "cpu"),
+            (torch.float32, backend.name, backend.device),
+        ):
+            moved = {one: tensor.to(device, dtype, copy=True) for one, tensor in scene.tensors.items()}
+            moved["means"].requires_grad_(True)
+            image = getattr(rasterise(camera=scene.camera, backend=name, **moved), output)
+            (image * seeds[output].to(image)).sum().backward()
+            results.append(moved["means"].grad.double().cpu())
+            assert moved["scales"].grad is None
+        assert splat.relative(results[1], results[0]) < backend.tolerance
+
+
+# ------------------------------------------------------------------ degenerate input
+
+
+def _changed(scene: Any, name: str, rows: Any, value: Any) -> Any:
+    tensors = {one: tensor.clone() for one, tensor in scene.tensors.items()}
+    tensors[name][rows] = torch.as_tensor(value, dtype=torch.float64)
+    return replace(scene, tensors=tensors)
+
+
+def _empty(scene: Any) -> Any:
+    return replace(scene, tensors={name: one[:0] for name, one in scene.tensors.items()})
+
+
+@pytest.mark.parametrize("case", ["no Gaussians", "all behind", "all beside", "all transparent"])
+def test_what_is_not_seen_leaves_background_and_zero_gradients(splat: Any, backend: Any, case: str) -> None:
+    scene = splat.make_scene(50)
+    camera = scene.camera
+    beyond = torch.from_numpy(camera.camera_to_world[:3, :3] @ [0.0, 0.0, -3.0])
+    beside = torch.from_numpy(camera.camera_to_world[:3, :3] @ [50.0, 0.0, 0.0])
+    scene = {
+        "no Gaussians": lambda: _empty(scene),
+        "all behind": lambda: _changed(scene, "means", slice(None), scene.tensors["means"] + beyond),
+        "all beside": lambda: _changed(scene, "means", slice(None), scene.tensors["means"] + beside),
+        "all transparent": lambda: _changed(scene, "opacities", slice(None), 0.003),
+    }[case]()
+    seeds = splat.random_seeds(scene, np.ones((camera.height, camera.width), bool))
+    outputs, gradients = scene.gradients(torch.float32, backend.name, seeds, backend.device)
+    assert outputs["features"].shape == (camera.height, camera.width, 3)
+    assert all(one.abs().max() == 0 for one in outputs.values())
+    for name, one in gradients.items():
+        assert one.shape == scene.tensors[name].shape
+        assert one.numel() == 0 or one.abs().max() == 0
+    assert scene.render(torch.float32, backend.name, backend.device).radii.sum() == 0
+
+
+def test_zero_scale_is_a_dot_of_the_blur(splat: Any, backend: Any) -> None:
+    scene = _changed(splat.make_scene(30), "scales", slice(None), 0.0)
+    seeds = splat.random_seeds(scene, ~splat.brute_force(scene).doubtful)
+    _, expected = scene.gradients(torch.float64, "torch", seeds)
+    outputs, gradients = scene.gradients(torch.float32, backend.name, seeds, backend.device)
+    reference = splat.brute_force(scene)
+    keep = ~reference.doubtful
+    assert outputs["alpha"].max() > 0.1
+    np.testing.assert_allclose(outputs["alpha"].numpy()[keep], reference.alpha[keep], atol=1e-4)
+    for name in ("means", "opacities", "features", "screen_offset"):
+        assert splat.relative(gradients[name], expected[name]) < 3 * backend.tolerance
+    # A scale enters squared: at zero it has no slope, nor has the rotation of a point.
+    assert gradients["scales"].abs().max() == 0
+    assert gradients["quats"].abs().max() == 0
+
+
+def test_a_huge_gaussian_veils_the_whole_image(splat: Any, backend: Any) -> None:
+    scene = _changed(splat.make_scene(30), "scales", 3, 1e3)
+    scene = _changed(scene, "opacities", 3, 0.5)
+    reference = splat.brute_force(scene)
+    seeds = splat.random_seeds(scene, ~reference.doubtful)
+    assert reference.alpha.min() > 0.4
+    outputs, gradients = scene.gradients(torch.float32, backend.name, seeds, backend.device)
+    np.testing.assert_allclose(
+        outputs["alpha"].numpy()[~reference.doubtful], reference.alpha[~reference.doubtful], atol=1e-4
+    )
+    assert all(torch.isfinite(one).all() for one in gradients.values())
+
+
+@pytest.mark.parametrize("scale", [1e10, 1e30])
+def test_an_absurd_scale_never_makes_a_number_infinite(splat: Any, backend: Any, scale: float) -> None:
+    scene = _changed(splat.make_scene(30), "scales", 3, [scale, 0.1, scale])
+    seeds = splat.random_seeds(scene, np.ones((scene.camera.height, scene.camera.width), bool))
+    outputs, gradients = scene.gradients(torch.float32, backend.name, seeds, backend.device)
+    assert all(torch.isfinite(one).all() for one in [*outputs.values(), *gradients.values()])
+
+
+def test_the_near_plane_culls(splat: Any, backend: Any) -> None:
+    scene = splat.make_scene(80)
+    depths = (scene.tensors["means"].numpy() - scene.camera.position) @ scene.camera.camera_to_world[:3, 2]
+    cut = float(np.median(depths)) + 1e-5
+    scene = replace(scene, near=cut)
+    radii = scene.render(torch.float32, backend.name, backend.device).radii.cpu().numpy()
+    assert (radii[depths < cut - 1e-4] == 0).all()
+    assert (radii[depths > cut + 1e-4] > 0).any()
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "features", "screen_offset"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_what_is_not_finite_is_refused_by_name(splat: Any, backend: Any, name: str, value: float) -> None:
+    scene = _changed(splat.make_scene(40), name, 17, value)
+    with pytest.raises(ValueError, match=rf"^{name}\[17(, 0)?\] is .*finite"):
+        scene.render(torch.float32, backend.name, backend.device)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("quats", 0.0, r"quats\[17\] is .*zero quaternion"),
+        ("scales", -1e-6, r"scales\[17, 0\] is .*≥ 0"),
+        ("opacities", 1.001, r"opacities\[17\] is .*\[0, 1\]"),
+        ("opacities", -0.1, r"opacities\[17\] is .*\[0, 1\]"),
+    ],
+)
+def test_what_has_no_meaning_is_refused_by_name(
+    splat: Any, backend: Any, name: str, value: float, message: str
+) -> None:
+    scene = _changed(splat.make_scene(40), name, 17, value)
+    with pytest.raises(ValueError, match=message):
+        scene.render(torch.float32, backend.name, backend.device)
+
+
+def test_a_sum_that_overflows_is_no_reason_to_refuse(splat: Any) -> None:
+    scene = _changed(splat.make_scene(40), "features", slice(None), 3e38)
+    assert torch.isfinite(scene.render(torch.float32, "torch").alpha).all()
+
+
+def test_shapes_dtypes_and_cameras_are_checked(splat: Any) -> None:
+    scene = splat.make_scene(10)
+    good = scene.tensors
+    for name, wrong in {
+        "quats": good["quats"][:, :3],
+        "scales": good["scales"][:5],
+        "opacities": good["opacities"][:, None],
+        "features": good["features"][:, 0],
+        "screen_offset": good["screen_offset"].float(),
+    }.items():
+        with pytest.raises(ValueError, match=name):
+            rasterise(camera=scene.camera, **{**good, name: wrong})
+    with pytest.raises(ValueError, match="features"):
+        rasterise(camera=scene.camera, **{**good, "features": good["features"][:, :0]})
+    for bad in ({"width": 0}, {"fx": -1.0}, {"cx": float("nan")}):
+        with pytest.raises(ValueError, match="camera"):
+            rasterise(camera=replace(scene.camera, **bad), **good)
+
+
+# ------------------------------------------------------------------ choosing a backend
+
+
+def test_the_backend_suits_the_tensors(splat: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ECONGS_BACKEND", raising=False)
+    assert choose_backend(torch.zeros(1, dtype=torch.float64)) == "torch"
+    if splat.native is not None:
+        assert choose_backend(torch.zeros(1)) == "native"
+    assert choose_backend(torch.zeros(1), "torch") == "torch"
+    monkeypatch.setenv("ECONGS_BACKEND", "torch")
+    assert choose_backend(torch.zeros(1)) == "torch"
+    monkeypatch.setenv("ECONGS_BACKEND", "pytorch")
+    with pytest.raises(UnknownName, match="torch"):
+        choose_backend(torch.zeros(1))
+    for name in ("native", "gsplat"):
+        with pytest.raises(ValueError, match=f"the {name} backend takes float32"):
+            choose_backend(torch.zeros(1, dtype=torch.float64), name)
+
+
+def test_without_the_compiled_module_torch_stands_in_and_says_so_once() -> None:
+    program = """
+import importlib.util, warnings
+find = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *rest: None if name == "econgs._native" else find(name, *rest)
+import torch
+from econgs.splat import choose_backend
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    print(choose_backend(torch.zeros(1)), choose_backend(torch.zeros(1)), len(caught), caught[0].message)
+"""
+    environment = {name: value for name, value in os.environ.items() if name != "ECONGS_BACKEND"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, env=environment, check=True
+    )
+    assert done.stdout.startswith("torch torch 1 the native splatting backend is not installed")

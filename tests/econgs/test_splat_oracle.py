@@ -1,0 +1,103 @@
+"""The oracle itself, against numpy without tiles, closed forms and finite differences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from datasets.camera import Camera
+from econgs.splat import rasterise
+
+SCENES = {
+    "plain": {},
+    "dense": {"count": 500, "sigma": 0.08, "opacity": (0.5, 1.0)},
+    "needles": {"stretch": 1.5, "channels": 1},
+    "off-centre": {"shift": 9.0, "size": (50, 33), "channels": 7},
+    "wide and near": {"position": (0.3, 0.4, 0.2), "fov": 1.6, "channels": 4},
+    "tiny": {"sigma": 0.001, "size": (16, 16)},
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_oracle_is_the_definition_pixel_by_pixel(splat: Any, name: str) -> None:
+    scene = splat.make_scene(seed=len(name), **SCENES[name])
+    expected = splat.brute_force(scene)
+    actual = scene.render(torch.float64, "torch")
+    assert expected.alpha.max() > 0.3
+    np.testing.assert_allclose(actual.features.numpy(), expected.features, atol=1e-11)
+    np.testing.assert_allclose(actual.alpha.numpy(), expected.alpha, atol=1e-11)
+    np.testing.assert_allclose(actual.depth.numpy(), expected.depth, atol=1e-11)
+    # A Gaussian whose box holds a pixel but whose ellipse does not counts as touching: radii may only add.
+    touched = expected.radii > 0
+    np.testing.assert_array_equal(actual.radii.numpy()[touched], expected.radii[touched])
+
+
+def test_scenes_reach_every_rule(splat: Any) -> None:
+    """The scenes above would be no test if no pixel ended and no alpha were held."""
+    dense = splat.make_scene(seed=5, **SCENES["dense"])
+    assert splat.brute_force(dense).alpha.max() > 0.999
+    near = splat.make_scene(seed=13, **SCENES["wide and near"])
+    camera = near.camera
+    local = (near.tensors["means"].numpy() - camera.position) @ camera.camera_to_world[:3, :3]
+    assert (local[:, 2] <= 0.2).any()
+    in_front = local[local[:, 2] > 0.2]
+    assert (abs(in_front[:, 0] / in_front[:, 2]) > 1.3 * camera.width / 2 / camera.fx).any()
+
+
+def test_gradients_are_those_of_finite_differences(splat: Any) -> None:
+    scene = splat.make_scene(7, (18, 13), 2, seed=2, sigma=0.15, opacity=(0.3, 0.7), shift=1.0)
+    inputs = [one.clone().requires_grad_(True) for one in scene.tensors.values()]
+
+    def render(*tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        named = dict(zip(scene.tensors, tensors, strict=True))
+        out = rasterise(camera=scene.camera, **named)
+        return out.features, out.alpha, out.depth
+
+    assert torch.autograd.gradcheck(render, inputs, eps=1e-7, atol=1e-6, rtol=1e-5)
+
+
+def test_gradients_reach_gaussians_whose_jacobian_is_clamped(splat: Any) -> None:
+    """Far outside the image x/z is held, but depth still moves the Jacobian."""
+    camera = Camera.with_fov(np.eye(4), 0.5, 16, 16)
+    tensors = [
+        torch.tensor([[0.9, 0.1, 1.5]], dtype=torch.float64),
+        torch.tensor([[0.8, 0.1, 0.5, -0.3]], dtype=torch.float64),
+        torch.tensor([[0.3, 0.5, 0.4]], dtype=torch.float64),
+        torch.tensor([0.8], dtype=torch.float64),
+        torch.tensor([[1.0]], dtype=torch.float64),
+    ]
+    assert tensors[0][0, 0] / tensors[0][0, 2] > 1.3 * 8 / camera.fx
+    inputs = [one.requires_grad_(True) for one in tensors]
+    images = rasterise(*inputs, camera)
+    assert images.alpha.max() > 0.1
+    check = torch.autograd.gradcheck(
+        lambda *all: rasterise(*all, camera).features, inputs, eps=1e-7, atol=1e-6
+    )
+    assert check
+
+
+def test_one_gaussian_is_a_closed_form(backend: Any) -> None:
+    """On the optical axis an isotropic Gaussian of scale s at depth z has variance (f s / z)² + 0.3."""
+    size, depth, scale, opacity = 40, 2.0, 0.1, 0.8
+    camera = Camera.with_fov(np.eye(4), 0.6, size, size)
+    kind = {"dtype": torch.float32, "device": backend.device}
+    out = rasterise(
+        torch.tensor([[0.0, 0.0, depth]], **kind),
+        torch.tensor([[0.3, 0.5, -0.2, 0.9]], **kind),
+        torch.full((1, 3), scale, **kind),
+        torch.tensor([opacity], **kind),
+        torch.tensor([[2.0, -1.0]], **kind),
+        camera,
+        backend=backend.name,
+    )
+    x = np.arange(size) + 0.5 - size / 2
+    variance = (camera.fx * scale / depth) ** 2 + 0.3
+    alpha = opacity * np.exp(-0.5 * (x[None] ** 2 + x[:, None] ** 2) / variance)
+    alpha[alpha < 1 / 255] = 0
+    tolerance = {"rtol": 0, "atol": max(2e-6, backend.tolerance)}
+    np.testing.assert_allclose(out.alpha.cpu().numpy(), alpha, **tolerance)
+    np.testing.assert_allclose(out.depth.cpu().numpy(), alpha * depth, **tolerance)
+    np.testing.assert_allclose(out.features.cpu().numpy(), alpha[..., None] * [2.0, -1.0], **tolerance)
