@@ -1,0 +1,126 @@
+"""What every reader ends with: checks that hold for any format, and bounded decompression."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import zlib
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import DataError
+from datasets.volume import Volume
+
+Spacing = tuple[float, float, float]
+UNIT: Spacing = (1.0, 1.0, 1.0)
+
+_DEFLATE_LIMIT = 1032
+"""No deflate stream expands by more than this factor."""
+_CHUNK = 1 << 24
+
+
+def make_volume(name: str, values: NDArray[np.generic], spacing: Spacing, path: Path | str) -> Volume:
+    """The volume of an array (nz, ny, nx), checked; native byte order, booleans as uint8.
+
+    Raises:
+        DataError: not three axes of at least two samples, not real numbers, NaN or Inf, constant, or a
+            spacing that is not positive.
+    """
+    shape = " x ".join(str(n) for n in reversed(values.shape)) or "a single number"
+    if 0 in values.shape:
+        raise DataError(path, f"has no samples (size {shape})", "Write it again with positive dims")
+    if values.ndim != 3:
+        remedy = "Write one scalar field on a 3-D grid (one time step, one component)"
+        raise DataError(path, f"is {values.ndim}-D data ({shape})", remedy)
+    if min(values.shape) < 2:
+        raise DataError(path, f"is 2-D data ({shape})", "Every axis needs at least two samples")
+    if len(spacing) != 3 or not all(math.isfinite(s) and s > 0.0 for s in spacing):
+        raise DataError(path, f"spacing {spacing} is not positive", "Give three positive distances x, y, z")
+    if values.dtype.kind == "b":
+        values = values.view(np.uint8)
+    if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
+        remedy = "Convert it to an integer or floating type of at most 64 bits"
+        raise DataError(path, f"values of type {values.dtype} are no scalar field", remedy)
+    if not values.dtype.isnative:
+        values = values.astype(values.dtype.newbyteorder("="))
+    return Volume(
+        name, values, (float(spacing[0]), float(spacing[1]), float(spacing[2])), _range(values, path), str(path)
+    )
+
+
+def _range(values: NDArray[np.generic], path: Path | str) -> tuple[float, float]:
+    """Minimum and maximum, slice by slice, so that a memory-mapped file is never in memory twice."""
+    slices = max(1, _CHUNK // values[0].nbytes)
+    low, high, bad = math.inf, -math.inf, 0
+    for start in range(0, len(values), slices):
+        part = values[start : start + slices]
+        a, b = float(part.min()), float(part.max())  # type: ignore[attr-defined]
+        if not (math.isfinite(a) and math.isfinite(b)):
+            bad += int(np.count_nonzero(~np.isfinite(part)))  # type: ignore[call-overload]
+        low, high = min(low, a), max(high, b)
+    if bad:
+        remedy = "Replace them by a value outside the range of interest, for example the minimum"
+        raise DataError(path, f"{bad} of {values.size} values are NaN or infinite", remedy)
+    if high - low > 1e38 or max(abs(low), abs(high)) > 1e38:
+        raise DataError(path, f"values from {low:g} to {high:g} exceed single precision", "Rescale them")
+    if high - low < 1e-30:
+        remedy = "A constant field shows nothing; check that the file holds what you expect"
+        raise DataError(path, f"all values are {low:g}", remedy)
+    return low, high
+
+
+def positive_dims(dims: tuple[int, ...], path: Path) -> None:
+    """Refuse sizes that are not three positive numbers, before anything is allocated for them."""
+    text = " x ".join(str(n) for n in dims)
+    if len(dims) != 3:
+        remedy = "Write one scalar field on a 3-D grid (one time step, one component)"
+        raise DataError(path, f"is {len(dims)}-D data ({text})", remedy)
+    if min(dims) < 1:
+        raise DataError(path, f"has no samples (size {text})", "Write it again with positive dims")
+
+
+def wrong_size(path: Path, expected: int, found: str, dims: tuple[int, ...], dtype: str) -> DataError:
+    """The error for a file that does not hold what its dims and type promise."""
+    text = " x ".join(str(n) for n in dims)
+    return DataError(
+        path,
+        f"holds {found} where {text} values of {dtype} need {expected} bytes",
+        "Check dims and type, or copy the file again if it is truncated",
+    )
+
+
+def check_expansion(path: Path, compressed: int, expected: int, dims: tuple[int, ...], dtype: str) -> None:
+    """Refuse to allocate what no compressed file of that size can hold."""
+    if expected > compressed * _DEFLATE_LIMIT + 1024:
+        raise wrong_size(path, expected, f"{compressed} compressed bytes", dims, dtype)
+
+
+def gunzip(
+    file: BinaryIO, path: Path, compressed: int, skip: int, dims: tuple[int, ...], dtype: np.dtype
+) -> bytearray:
+    """Decompress exactly what dims and type need from a gzip stream, and never more than that.
+
+    Raises:
+        DataError: the stream is damaged, ends early, or holds more.
+    """
+    expected = math.prod(dims) * dtype.itemsize
+    check_expansion(path, compressed, expected, dims, dtype.name)
+    data = bytearray()
+    try:
+        with gzip.GzipFile(fileobj=file) as stream:
+            if skip:
+                stream.read(skip)
+            while len(data) <= expected:
+                chunk = stream.read(min(_CHUNK, expected + 1 - len(data)))
+                if not chunk:
+                    break
+                data += chunk
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise DataError(path, f"its gzip stream is damaged ({error})", "Copy or download it again") from error
+    if len(data) != expected:
+        found = f"more than {expected} bytes" if len(data) > expected else f"{len(data)} bytes"
+        raise wrong_size(path, expected, found, dims, dtype.name)
+    return data

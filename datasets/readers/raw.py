@@ -1,0 +1,115 @@
+"""Headerless ``.raw`` and ``.raw.gz``: x fastest, dims and type in the name or in a sidecar.
+
+Name: ``fuel_64x64x64_uint8.raw`` (x, y, z; little endian unless ``_be`` follows the type).
+Sidecar ``fuel.raw.toml`` beside ``fuel.raw`` (it leads where both exist)::
+
+    dims = [64, 64, 64]        # x, y, z
+    dtype = "uint8"
+    endian = "little"          # or "big"
+    spacing = [1.0, 1.0, 1.0]
+    header_bytes = 0           # skipped before the first value
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import DataError
+from datasets.readers.finish import UNIT, Spacing, gunzip, positive_dims, wrong_size
+
+_DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64")
+_DTYPES += ("float16", "float32", "float64")
+_DIMS_IN_NAME = re.compile(r"(?<![0-9a-z])(\d+(?:x\d+)+)(?![0-9a-z])")
+_DTYPE_IN_NAME = re.compile(r"(?<![0-9a-z])(u?int\d*|float\d*)[_-]?(le|be)?(?![0-9a-z])")
+_KEYS = ("dims", "dtype", "endian", "spacing", "header_bytes")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What a raw file does not say itself."""
+
+    dims: tuple[int, ...]
+    dtype: np.dtype
+    spacing: Spacing = UNIT
+    header_bytes: int = 0
+
+
+def read_raw(path: Path) -> tuple[NDArray[np.generic], Spacing]:
+    """Values (nz, ny, nx) and spacing of a raw file."""
+    layout = layout_of(path)
+    dims = layout.dims
+    positive_dims(dims, path)
+    expected = math.prod(dims) * layout.dtype.itemsize
+    size = path.stat().st_size
+    shape = tuple(reversed(dims))
+    if path.name.lower().endswith(".gz"):
+        with path.open("rb") as file:
+            data = gunzip(file, path, size, layout.header_bytes, dims, layout.dtype)
+        return np.frombuffer(data, layout.dtype).reshape(shape), layout.spacing
+    if size != expected + layout.header_bytes:
+        found = f"{size - layout.header_bytes} bytes"
+        raise wrong_size(path, expected, found, dims, layout.dtype.name)
+    values = np.memmap(path, layout.dtype, mode="r", offset=layout.header_bytes, shape=shape)
+    return values, layout.spacing
+
+
+def layout_of(path: Path) -> Layout:
+    """Dims, type, spacing and offset from the sidecar or the name.
+
+    Raises:
+        DataError: neither says them, or what they say makes no sense.
+    """
+    sidecar = path.with_name(path.name + ".toml")
+    if sidecar.is_file():
+        return _from_sidecar(sidecar)
+    name = path.name.lower()
+    dims, dtype = _DIMS_IN_NAME.findall(name), _DTYPE_IN_NAME.findall(name)
+    if not dims or not dtype:
+        missing = " and ".join([*(["dims"] if not dims else []), *(["type"] if not dtype else [])])
+        raise DataError(
+            path,
+            f"its name does not say the {missing} of the values",
+            f"Name it like head_128x256x256_uint8.raw (x, y, z), or write {sidecar.name} with dims and dtype",
+        )
+    type_name, endian = dtype[-1]
+    return Layout(tuple(int(n) for n in dims[-1].split("x")), _dtype(type_name, endian == "be", path))
+
+
+def _dtype(name: str, big: bool, path: Path) -> np.dtype:
+    if name not in _DTYPES:
+        raise DataError(path, f"unknown type {name!r}", f"Known types: {', '.join(_DTYPES)}")
+    return np.dtype(name).newbyteorder(">" if big else "<")
+
+
+def _from_sidecar(path: Path) -> Layout:
+    remedy = f"It may hold {', '.join(_KEYS)}; dims = [x, y, z] and dtype are needed"
+    try:
+        said: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(path, f"is not TOML ({error})", remedy) from error
+    if strange := [key for key in said if key not in _KEYS]:
+        raise DataError(path, f"unknown key {strange[0]!r}", remedy)
+    dims = said.get("dims")
+    if not (isinstance(dims, list) and dims and all(type(n) is int for n in dims)):
+        raise DataError(path, "dims are not a list of integers", remedy)
+    if not isinstance(said.get("dtype"), str):
+        raise DataError(path, "no dtype", remedy)
+    endian = said.get("endian", "little")
+    if endian not in ("little", "big"):
+        raise DataError(path, f"endian {endian!r} is neither little nor big", remedy)
+    spacing = said.get("spacing", [1.0, 1.0, 1.0])
+    if not (isinstance(spacing, list) and len(spacing) == 3 and all(type(s) in (int, float) for s in spacing)):
+        raise DataError(path, "spacing is not three numbers", remedy)
+    skip = said.get("header_bytes", 0)
+    if type(skip) is not int or skip < 0:
+        raise DataError(path, "header_bytes is not a number of bytes", remedy)
+    dtype = _dtype(said["dtype"], endian == "big", path)
+    return Layout(tuple(dims), dtype, (float(spacing[0]), float(spacing[1]), float(spacing[2])), skip)
