@@ -1,0 +1,158 @@
+"""Blender-style ``transforms_*.json``: the one place where camera conventions are converted.
+
+In these files (as in NeRF's synthetic data) a camera looks along -z with +y up; here it looks along +z
+with +y down. The world is the same.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.camera import Camera
+from datasets.errors import DataError
+
+_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+_REMEDY = "Write it as NeRF's synthetic data: camera_angle_x and frames with file_path and transform_matrix"
+
+
+def read_transforms(path: Path | str) -> list[tuple[Camera, Path]]:
+    """Cameras and image files of a ``transforms_*.json``.
+
+    Intrinsics come from ``camera_angle_x``, or ``fl_x`` (``fl_y``, ``cx``, ``cy``), of the frame or of the
+    file; the image size from ``w`` and ``h``, else from the header of each image. ``.png`` is added to a
+    path without a suffix. Rotations are made exactly orthonormal.
+
+    Raises:
+        DataError: the file cannot be read, lacks something, or a matrix is not a rigid transform.
+    """
+    path = Path(path)
+    said = _read_json(path)
+    frames = said.get("frames")
+    if not (isinstance(frames, list) and frames and all(isinstance(f, dict) for f in frames)):
+        raise DataError(path, "has no frames", _REMEDY)
+    return [_frame(path, i, {**said, **frame}) for i, frame in enumerate(frames)]
+
+
+def write_transforms(
+    path: Path | str, cameras: Sequence[Camera], files: Sequence[str] | None = None
+) -> None:
+    """Write cameras as a ``transforms_*.json``; inverse of :func:`read_transforms`.
+
+    Args:
+        path: the file to write, in a folder that exists.
+        cameras: with square, centred pixels (what ``camera_angle_x`` can say) or any intrinsics, which are
+            then written as ``fl_x, fl_y, cx, cy`` per frame as well.
+        files: image paths relative to the file's folder, "/" between parts; default
+            ``<split>/<camera name>.png`` with the split from ``transforms_<split>.json``.
+    """
+    path = Path(path)
+    split = path.stem.removeprefix("transforms_")
+    names = [f"{split}/{c.name or f'r_{i:04d}'}.png" for i, c in enumerate(cameras)]
+    files = names if files is None else files
+    frames = [
+        {
+            "file_path": f"./{file}",
+            "transform_matrix": (camera.camera_to_world @ _FLIP).tolist(),
+            "fl_x": camera.fx,
+            "fl_y": camera.fy,
+            "cx": camera.cx,
+            "cy": camera.cy,
+            "w": camera.width,
+            "h": camera.height,
+        }
+        for camera, file in zip(cameras, files, strict=True)
+    ]
+    angle = cameras[0].fov_x if cameras else 0.0
+    path.write_text(json.dumps({"camera_angle_x": angle, "frames": frames}, indent=1), encoding="utf-8")
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        said = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise DataError(path, "no such file", "Check the folder of pre-rendered views") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise DataError(path, f"is not readable JSON ({error})", _REMEDY) from error
+    if not isinstance(said, dict):
+        raise DataError(path, "is no JSON object", _REMEDY)
+    return said
+
+
+def _frame(path: Path, index: int, said: dict[str, Any]) -> tuple[Camera, Path]:
+    file_path = said.get("file_path")
+    if not isinstance(file_path, str) or not file_path:
+        raise DataError(path, f"frame {index} has no file_path", _REMEDY)
+    image = path.parent / file_path
+    if not image.suffix:
+        image = image.with_name(image.name + ".png")
+    matrix = _rigid(path, index, said.get("transform_matrix"))
+    width, height = (_number(path, index, said, key) for key in ("w", "h"))
+    if width is None or height is None:
+        width, height = _image_size(image)
+    fx = _number(path, index, said, "fl_x")
+    if fx is None:
+        angle = _number(path, index, said, "camera_angle_x")
+        if angle is None or not 0.0 < angle < math.pi:
+            raise DataError(path, f"frame {index} has neither fl_x nor a camera_angle_x in (0, pi)", _REMEDY)
+        fx = 0.5 * width / math.tan(0.5 * angle)
+    fy, cx, cy = (_number(path, index, said, key) for key in ("fl_y", "cx", "cy"))
+    camera = Camera(
+        matrix,
+        fx,
+        fx if fy is None else fy,
+        0.5 * width if cx is None else cx,
+        0.5 * height if cy is None else cy,
+        int(width),
+        int(height),
+        image.stem,
+    )
+    if not (camera.fx > 0.0 and camera.fy > 0.0 and camera.width > 0 and camera.height > 0):
+        raise DataError(path, f"frame {index} has a focal length or size that is not positive", _REMEDY)
+    return camera, image
+
+
+def _number(path: Path, index: int, said: dict[str, Any], key: str) -> float | None:
+    value = said.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise DataError(path, f"{key} of frame {index} is not a number", _REMEDY)
+    return float(value)
+
+
+def _rigid(path: Path, index: int, value: Any) -> NDArray[np.float64]:
+    """The OpenCV camera-to-world of a Blender matrix; exporters leave rounding and noise of about 1e-6."""
+    try:
+        matrix = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        matrix = np.zeros(0)
+    if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
+        raise DataError(path, f"transform_matrix of frame {index} is not 4 x 4 numbers", _REMEDY)
+    rotation = matrix[:3, :3]
+    u, singular, vt = np.linalg.svd(rotation)
+    if np.abs(singular - 1.0).max() > 1e-3 or np.linalg.det(rotation) < 0.0:
+        reason = f"transform_matrix of frame {index} is not a rotation with a translation"
+        raise DataError(path, reason, "Export cameras without scale or mirroring")
+    rigid = np.eye(4)
+    rigid[:3, :3] = u @ vt
+    rigid[:3, 3] = matrix[:3, 3]
+    return np.asarray(rigid @ _FLIP)
+
+
+def _image_size(image: Path) -> tuple[int, int]:
+    from PIL import Image
+
+    try:
+        with Image.open(image) as opened:
+            return opened.size
+    except FileNotFoundError as error:
+        raise DataError(image, "no such picture", "Check file_path in the transforms file") from error
+    except (OSError, ValueError, SyntaxError) as error:
+        raise DataError(image, f"cannot be read as a picture ({error})", "Write it as an 8-bit PNG") from error

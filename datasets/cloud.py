@@ -1,0 +1,204 @@
+"""Initial point clouds: from a volume and its transfer function, from a ``.ply`` file, or random."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import DataError
+from datasets.scene import BasicScene, Dataset
+from datasets.volume import Volume
+
+_GRID = 255
+"""The paper draws from a volume subsampled to less than 256 samples along each axis."""
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+_REMEDY = "Write it as a binary little-endian PLY whose vertices have x y z and red green blue"
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points with colors.
+
+    Attributes:
+        points: (n, 3) float32, scene space.
+        colors: (n, 3) float32, displayed sRGB in [0, 1].
+    """
+
+    points: NDArray[np.float32]
+    colors: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def initial_cloud(
+    dataset: Dataset, scene: BasicScene | str, max_points: int = 10_000, seed: int = 0
+) -> PointCloud:
+    """The cloud that training starts from.
+
+    Random voxels of non-zero opacity in transfer function colors, of the volume subsampled to fewer than
+    256 samples an axis (section 10.1 of the method sheet: the paper's initialisation); ``points3d.ply`` for
+    pre-rendered scenes, thinned at random where it has more points.
+
+    Raises:
+        DataError: no voxel is visible, or the file is missing or cannot be used.
+    """
+    scene = dataset.scene(scene) if isinstance(scene, str) else scene
+    generator = np.random.default_rng(seed)
+    if scene.views_folder is not None:
+        cloud = read_ply(scene.views_folder / "points3d.ply")
+        if len(cloud) <= max_points + 1:  # published clouds have 10,001
+            return cloud
+        chosen = np.sort(generator.choice(len(cloud), max_points, replace=False))
+        return PointCloud(cloud.points[chosen], cloud.colors[chosen])
+    if scene.transfer is None:
+        what = f"{dataset.name}/{scene.name}"
+        raise DataError(what, "the scene has no transfer function", "Give it one in the catalogue")
+    volume = dataset.volume(scene.variable)
+    strides = [-(-n // _GRID) for n in volume.values.shape]
+    values = volume.values[:: strides[0], :: strides[1], :: strides[2]]
+    coarse = Volume(volume.name, values, volume.spacing, volume.value_range, volume.source)
+    normalised = coarse.normalised()
+    # Extinction by table is exact where it matters: a voxel is drawn only if the exact value is above 0.
+    steps = 65536
+    visible_steps = scene.transfer.classify(np.arange(steps + 1) / steps)[:, 3] > 0.0
+    visible_steps[:-1] |= visible_steps[1:]
+    candidates = np.flatnonzero(visible_steps[(normalised * steps).astype(np.int32)])
+    picked = generator.permutation(len(candidates))[: 2 * max_points]
+    chosen = candidates[picked]
+    classified = scene.transfer.classify(normalised.reshape(-1)[chosen])
+    seen = classified[:, 3] > 0.0
+    chosen, classified = chosen[seen][:max_points], classified[seen][:max_points]
+    if not len(chosen):
+        raise DataError(
+            f"{dataset.name}/{scene.name}",
+            "no voxel has opacity under its transfer function",
+            "Move its bumps to values that occur in the volume",
+        )
+    grid = np.stack(np.unravel_index(chosen, values.shape), axis=-1)[:, ::-1] * np.array(strides[::-1])
+    low, _ = volume.box
+    points = low + grid * volume.extent / (np.array(volume.dims) - 1)
+    return PointCloud(points.astype(np.float32), classified[:, :3].astype(np.float32))
+
+
+def random_cloud(n: int, half_extent: float, seed: int = 0) -> PointCloud:
+    """n points with random colors, uniform in the cube [-half_extent, half_extent]^3."""
+    generator = np.random.default_rng(seed)
+    points = generator.uniform(-half_extent, half_extent, (n, 3)).astype(np.float32)
+    return PointCloud(points, generator.random((n, 3)).astype(np.float32))
+
+
+def write_ply(path: Path | str, cloud: PointCloud) -> None:
+    """Write a binary little-endian PLY (x y z as float, red green blue as uchar), in place at once."""
+    path = Path(path)
+    fields = [(name, "<f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]
+    vertices = np.empty(len(cloud), dtype=fields)
+    for axis, name in enumerate("xyz"):
+        vertices[name] = cloud.points[:, axis]
+    for channel, name in enumerate(("red", "green", "blue")):
+        vertices[name] = np.rint(np.clip(cloud.colors[:, channel], 0.0, 1.0) * 255.0)
+    kinds = ["float"] * 3 + ["uchar"] * 3
+    properties = "".join(f"property {k} {f[0]}\n" for k, f in zip(kinds, fields, strict=True))
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(cloud)}\n{properties}end_header\n"
+    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        aside.write_bytes(header.encode() + vertices.tobytes())
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
+def read_ply(path: Path | str) -> PointCloud:
+    """Points and colors of a PLY's vertices, binary of either byte order or ASCII; grey where it has none.
+
+    Raises:
+        DataError: missing, no PLY, no x y z, truncated, or a coordinate that is not finite.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            encoding, count, fields = _read_header(file, path)
+            vertices = _read_vertices(file, path, encoding, count, fields)
+    except FileNotFoundError as error:
+        raise DataError(path, "no such point cloud", "Pre-rendered scenes need a points3d.ply") from error
+    except OSError as error:
+        raise DataError(path, f"cannot be read ({error})", "Check the file and its permissions") from error
+    points = np.stack([vertices[name].astype(np.float32) for name in "xyz"], axis=-1)
+    if not np.isfinite(points).all():
+        raise DataError(path, "a coordinate is not finite", _REMEDY)
+    colors = np.full((count, 3), 0.5, dtype=np.float32)
+    for channel, name in enumerate(("red", "green", "blue")):
+        if name in vertices.dtype.names:
+            stored = vertices[name].astype(np.float32)
+            colors[:, channel] = stored / 255.0 if vertices.dtype[name].kind in "iu" else stored
+    if not (np.isfinite(colors).all() and colors.min(initial=0.0) >= 0.0 and colors.max(initial=0.0) <= 1.0):
+        raise DataError(path, "a color is out of range", _REMEDY)
+    return PointCloud(points, colors)
+
+
+def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, list[tuple[str, str]]]:
+    """Format, number of vertices, and name and NumPy type of each vertex property."""
+    if file.readline(64).strip() != b"ply":
+        raise DataError(path, "is not a PLY file", _REMEDY)
+    encoding, count, element, fields = "", -1, "", []
+    for _ in range(1000):
+        words = file.readline(4096).decode("ascii", errors="replace").split()
+        match words:
+            case ["end_header"]:
+                break
+            case ["format", kind, _]:
+                encoding = kind
+            case ["element", name, number]:
+                if count < 0 and name != "vertex":
+                    raise DataError(path, f"its first element is {name!r}, not vertex", _REMEDY)
+                element = name
+                if name == "vertex":
+                    count = int(number) if number.isascii() and number.isdigit() and len(number) < 12 else -2
+            case ["property", kind, name] if element == "vertex":
+                if kind not in _TYPES or name in dict(fields):
+                    raise DataError(path, f"property {name!r} of type {kind!r} is not understood", _REMEDY)
+                fields.append((name, _TYPES[kind]))
+            case ["property", *_] if element != "vertex":
+                pass
+            case ["comment" | "obj_info", *_]:
+                pass
+            case _:
+                raise DataError(path, f"header line {' '.join(words)[:60]!r} is not understood", _REMEDY)
+    else:
+        raise DataError(path, "its header does not end", _REMEDY)
+    if encoding not in ("ascii", "binary_little_endian", "binary_big_endian") or count < 1:
+        raise DataError(path, "its header names no known format or no vertices", _REMEDY)
+    if not {"x", "y", "z"} <= set(dict(fields)):
+        raise DataError(path, "its vertices have no x, y, z", _REMEDY)
+    return encoding, count, fields
+
+
+def _read_vertices(
+    file: BinaryIO, path: Path, encoding: str, count: int, fields: list[tuple[str, str]]
+) -> np.ndarray:
+    order = ">" if encoding == "binary_big_endian" else "<"
+    dtype = np.dtype([(name, order + kind) for name, kind in fields])
+    remaining = path.stat().st_size - file.tell()
+    if count * (dtype.itemsize if encoding != "ascii" else 2 * len(fields) - 1) > remaining:
+        raise DataError(path, f"is truncated: {remaining} bytes do not hold {count} vertices", "Copy it again")
+    if encoding != "ascii":
+        return np.frombuffer(file.read(count * dtype.itemsize), dtype)
+    vertices = np.zeros(count, dtype)
+    for i in range(count):
+        words = file.readline(4096).split()
+        try:
+            if len(words) != len(fields):
+                raise ValueError("number of values")
+            vertices[i] = tuple(float(w) if k[0] == "f" else int(w) for w, (_, k) in zip(words, fields, strict=True))
+        except (ValueError, OverflowError) as error:
+            raise DataError(path, f"vertex {i} is not understood ({error})", _REMEDY) from error
+    return vertices

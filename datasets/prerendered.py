@@ -1,0 +1,100 @@
+"""Views that were rendered elsewhere: a folder of PNGs with Blender-style cameras."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.blender import read_transforms
+from datasets.camera import Camera
+from datasets.errors import DataError
+from datasets.png import read_png
+from datasets.scene import BasicScene
+from datasets.views import ViewRequest, ViewSet, split_indices
+
+_log = logging.getLogger(__name__)
+
+
+def load_views(scene: BasicScene, request: ViewRequest) -> ViewSet:
+    """The views that a request names.
+
+    Where fewer views are wanted than the folder has, they are picked evenly spaced in file order; where
+    more are wanted, all are taken (the set tells how many). Validation views are every tenth of the
+    training views picked.
+
+    Args:
+        scene: pre-rendered, with ``views_folder``.
+        request: its size must divide the size of the pictures.
+
+    Raises:
+        DataError: the folder, a camera or a picture cannot be used; the size does not divide; or the split
+            is empty.
+    """
+    if scene.views_folder is None:
+        raise DataError(f"scene {scene.name}", "it has no pre-rendered views", "Render it from its volume")
+    test = request.split == "test"
+    path = scene.views_folder / f"transforms_{'test' if test else 'train'}.json"
+    views = read_transforms(path)
+    picked = evenly_spaced(len(views), request.test_views if test else request.train_views)
+    chosen = [picked[i] for i in split_indices(len(picked), request.split)]
+    if not chosen:
+        raise DataError(
+            f"{request.split} split of {len(picked)} views of {path}",
+            "it is empty (every tenth training view is validation)",
+            "Use 12 or more training views",
+        )
+    digest = hashlib.sha256(repr((request.width, request.height, scene.background)).encode())
+    cameras: list[Camera] = []
+    images = np.empty((len(chosen), request.height, request.width, 4), dtype=np.float32)
+    opaque = 0
+    for row, index in enumerate(chosen):
+        camera, file = views[index]
+        image = read_png(file)
+        height, width = image.shape[:2]
+        if (camera.width, camera.height) != (width, height):
+            camera = camera.resized(width, height)
+        opaque += bool((image[..., 3] == 1.0).all())
+        images[row] = area_average(image, request.width, request.height, file)
+        camera = camera.resized(request.width, request.height)
+        cameras.append(camera)
+        numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
+        digest.update(np.concatenate([camera.camera_to_world.ravel(), numbers]).tobytes())
+        digest.update(images[row].tobytes())
+    if opaque == len(chosen):
+        _log.warning("%s: no picture has transparency; its background is taken as part of the scene", path)
+    return ViewSet(tuple(cameras), images, scene.background, digest.hexdigest()[:40])
+
+
+def evenly_spaced(available: int, wanted: int) -> list[int]:
+    """``wanted`` of ``available`` indices, evenly spread from the first on; all if there are not more.
+
+    Raises:
+        DataError: fewer than one is wanted.
+    """
+    if wanted < 1:
+        raise DataError(f"{wanted} views", "there must be at least one", "Ask for 16 or 92, say")
+    if wanted >= available:
+        return list(range(available))
+    return [i * available // wanted for i in range(wanted)]
+
+
+def area_average(image: NDArray[np.float32], width: int, height: int, file: Path) -> NDArray[np.float32]:
+    """Mean over blocks of a premultiplied picture.
+
+    Raises:
+        DataError: the wanted size does not divide the picture's.
+    """
+    rows, columns = image.shape[:2]
+    if (columns, rows) == (width, height):
+        return image
+    if min(width, height) < 1 or columns % width or rows % height or columns // width != rows // height:
+        sizes = [f"{columns // k}x{rows // k}" for k in (1, 2, 4, 5, 8) if columns % k == 0 and rows % k == 0]
+        reason = f"{columns}x{rows} pixels do not divide evenly into {width}x{height}"
+        raise DataError(file, reason, f"Pre-rendered views can be had at {', '.join(sizes)}")
+    factor = columns // width
+    blocks = image.reshape(height, factor, width, factor, image.shape[2])
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64).astype(np.float32))
