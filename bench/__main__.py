@@ -1,0 +1,165 @@
+"""The command line: ``bench`` or ``python -m bench``.
+
+Only what a command needs is imported, and only once it is known: ``bench list`` starts without torch.
+
+Exit codes: 0 all done; 1 some job failed or was not finished (its row says why); 2 the request or its
+input cannot be used; 130 stopped by Ctrl-C (run again to resume).
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+COMMANDS = {
+    "run": "bench.commands.run:run",
+    "plan": "bench.commands.run:plan",
+    "list": "bench.commands.lists:list_names",
+    "doctor": "bench.commands.doctor:doctor",
+    "results": "bench.commands.results:results",
+    "report": "bench.commands.results:report",
+    "render": "bench.commands.pictures:render",
+    "score": "bench.commands.pictures:score",
+    "merge": "bench.commands.stores:merge",
+    "compare": "bench.commands.stores:compare",
+    "cache": "bench.commands.stores:cache",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns its exit code."""
+    options = _parser().parse_args(arguments)
+    from datasets.errors import DataError
+
+    module, _, function = COMMANDS[options.command].partition(":")
+    try:
+        return int(getattr(importlib.import_module(module), function)(options))
+    except DataError as error:
+        if options.debug:
+            raise
+        print(f"bench: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("bench: stopped", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader (head, less) had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="bench",
+        description="Benchmark of compressed scene representations of volume visualisation.",
+        epilog="Exit codes: 0 done, 1 a job failed or is unfinished, 2 unusable input, 130 stopped by Ctrl-C.",
+    )
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--debug", action="store_true", help="show tracebacks of errors in the input")
+    plugins = argparse.ArgumentParser(add_help=False)
+    plugins.add_argument(
+        "--plugins", action="append", default=[], metavar="DIR", help="folder with methods of your own (repeatable)"
+    )
+    runs = argparse.ArgumentParser(add_help=False)
+    runs.add_argument("--runs", default="runs", metavar="DIR", help="the run store (default: runs)")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def command(name: str, help: str, *parents: argparse.ArgumentParser) -> argparse.ArgumentParser:
+        return commands.add_parser(name, help=help, description=help, parents=[common, *parents])
+
+    run = command("run", "run a suite and report; what is finished is not run again", plugins)
+    _add_selection(run)
+    run.add_argument("--out", default="runs", metavar="DIR", help="the run store (default: runs)")
+    run.add_argument("--retry", action="store_true", help="run failed jobs again")
+    run.add_argument("--time-limit", type=_seconds, metavar="TIME", help="per job: 90, 90s, 30m, 2h")
+    run.add_argument("--memory-limit", type=_bytes, metavar="SIZE", help="per job: 8G, 500M")
+    plan = command("plan", "show the jobs of a suite, which are done, and an estimate", plugins)
+    _add_selection(plan)
+    plan.add_argument("--out", default="runs", metavar="DIR", help="the run store (default: runs)")
+
+    lists = command("list", "list methods, datasets, suites or metrics", plugins)
+    lists.add_argument("what", choices=("methods", "datasets", "suites", "metrics"))
+    command("doctor", "what this machine has and lacks, with remedies", plugins)
+
+    results = command("results", "every measurement of a run store", plugins, runs)
+    results.add_argument("--format", choices=("csv", "md", "tex", "json"), default="csv")
+    report = command("report", "write the HTML report of a run store", plugins, runs)
+    report.add_argument("--out", metavar="FILE", help="default: report.html in the run store")
+
+    render = command("render", "write pictures: ground truth, or those of a finished model", plugins, runs)
+    render.add_argument("dataset", help="name in the catalogue, or a path")
+    render.add_argument("--scene", action="append", default=[], help="only this scene (repeatable)")
+    render.add_argument("--views", type=_count, default=8, help="number of views on the test path (default: 8)")
+    render.add_argument("--size", type=_size, default=(256, 256), metavar="WxH", help="pixels (default: 256)")
+    render.add_argument("--out", default="pictures", metavar="DIR", help="default: pictures")
+    render.add_argument("--model", metavar="JOB", help="an encode or measure job of --runs: render its model")
+    render.add_argument("--device", default="cpu")
+    score = command("score", "apply the metrics to two folders of images")
+    score.add_argument("renders", metavar="RENDERS")
+    score.add_argument("truth", metavar="TRUTH")
+    score.add_argument("--format", choices=("csv", "md", "tex", "json"), default="csv")
+
+    merge = command("merge", "join run stores of several machines")
+    merge.add_argument("stores", nargs="+", metavar="STORE")
+    merge.add_argument("--out", required=True, metavar="DIR", help="a new run store, or one to add to")
+    compare = command("compare", "pair two run stores view by view")
+    compare.add_argument("stores", nargs=2, metavar="RUN")
+    compare.add_argument("--format", choices=("csv", "md", "tex", "json"), help="default: a table for people")
+    cache = command("cache", "ground-truth cache: what it takes, or make it smaller")
+    cache.add_argument("action", choices=("info", "prune"))
+    cache.add_argument("--max-size", type=_bytes, metavar="SIZE", help="prune to this size (default: its cap)")
+    return parser
+
+
+def _add_selection(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("suite", help="a suite of `bench list suites`, or a TOML file")
+    parser.add_argument(
+        "--dataset", action="append", default=[], metavar="NAME|PATH", help="instead of the suite's (repeatable)"
+    )
+    parser.add_argument("--scene", action="append", default=[], help="only this scene (repeatable)")
+    parser.add_argument("--method", action="append", default=[], help="instead of the suite's (repeatable)")
+    parser.add_argument("--seed", action="append", default=[], type=int, help="instead of the suite's (repeatable)")
+    parser.add_argument("--preset", choices=("quick", "standard", "paper"), help="default: the suite's")
+    parser.add_argument(
+        "--split", choices=("test", "val"), default="test",
+        help="measure on test views, or leave every tenth training view out of the fit and measure on those",
+    )  # fmt: skip
+    parser.add_argument("--set", action="append", default=[], metavar="METHOD.OPTION=VALUE", help="(repeatable)")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda (default: cpu)")
+
+
+def _seconds(text: str) -> float:
+    return _positive(text, {"s": 1.0, "m": 60.0, "h": 3600.0}, "a time such as 90, 30m or 2h")
+
+
+def _bytes(text: str) -> int:
+    units = {"K": 2.0**10, "M": 2.0**20, "G": 2.0**30, "T": 2.0**40}
+    return int(_positive(text.upper().removesuffix("B").removesuffix("I"), units, "a size such as 500M or 8G"))
+
+
+def _positive(text: str, units: dict[str, float], example: str) -> float:
+    unit = units.get(text[-1:], None)
+    try:
+        value = float(text[:-1] if unit else text) * (unit or 1.0)
+    except ValueError:
+        value = -1.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not {example}")
+    return value
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of at least 1")
+    return int(text)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    return _count(width), _count(height or width)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""Checkpoints on disk: safetensors for arrays, JSON for the rest; no pickle."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+from bench.store import write_text
+from methods.interface import Checkpoint
+
+_META, _ARRAYS = "checkpoint.json", "arrays.safetensors"
+
+
+def write_checkpoint(folder: Path, checkpoint: Checkpoint, harness: dict[str, Any]) -> None:
+    """Write ``folder/<iteration>/`` aside, rename it in place, then drop the older ones.
+
+    Args:
+        folder: holds the checkpoints of one fit.
+        harness: what the harness itself needs to continue (clock, curve); JSON values.
+    """
+    target = folder / f"{checkpoint.iteration:09d}"
+    if target.exists():  # the same state, stored whole
+        return
+    aside = folder / f".{target.name}"
+    shutil.rmtree(aside, ignore_errors=True)
+    aside.mkdir(parents=True)
+    if checkpoint.arrays:
+        from safetensors.torch import save_file
+
+        arrays = {name: a.detach().cpu().contiguous().clone() for name, a in checkpoint.arrays.items()}
+        save_file(arrays, aside / _ARRAYS)
+    meta = {"iteration": checkpoint.iteration, "scalars": checkpoint.scalars, "harness": harness}
+    write_text(aside / _META, json.dumps(meta))
+    os.rename(aside, target)
+    for older in folder.iterdir():
+        if older != target:
+            shutil.rmtree(older, ignore_errors=True)
+
+
+def read_checkpoint(folder: Path) -> tuple[Checkpoint, dict[str, Any]] | None:
+    """The newest checkpoint under a folder and what the harness stored with it; None if there is none."""
+    found = sorted(p for p in folder.glob("[0-9]*") if (p / _META).is_file()) if folder.is_dir() else []
+    if not found:
+        return None
+    meta = json.loads((found[-1] / _META).read_text(encoding="utf-8"))
+    arrays = {}
+    if (found[-1] / _ARRAYS).is_file():
+        from safetensors.torch import load_file
+
+        arrays = load_file(found[-1] / _ARRAYS)
+    return Checkpoint(meta["iteration"], arrays, meta["scalars"]), meta["harness"]

@@ -1,0 +1,77 @@
+"""``bench results`` and ``bench report``, and the table at the end of a run."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bench.store import Store
+from bench.tables import build_tables
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def results(options: Namespace) -> int:
+    """Print the table ``results`` of a store."""
+    store = Store(Path(options.runs))
+    tables = build_tables(store, _sources(options, store), write=False)
+    print_as(tables["results"], options.format)
+    return 0
+
+
+def report(options: Namespace) -> int:
+    """Write the HTML report of a store."""
+    store = Store(Path(options.runs))
+    tables = build_tables(store, _sources(options, store))
+    print(write_html(tables, store, Path(options.out) if options.out else None))
+    return 0
+
+
+def write_html(tables: dict[str, pd.DataFrame], store: Store, out: Path | None = None) -> Path:
+    """The report of a store; returns its path."""
+    from reports.page import write_report
+
+    path = out or store.root / "report.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_report(tables, store.root, path)
+    return path
+
+
+def print_as(table: pd.DataFrame, form: str) -> None:
+    """Write a table to standard output as csv, md, tex or json."""
+    if form == "csv":
+        sys.stdout.write(table.to_csv(index=False, lineterminator="\n"))
+    elif form == "json":
+        print(table.to_json(orient="records", indent=1))
+    else:
+        from reports import tables as convert
+
+        writer: Any = convert.to_markdown if form == "md" else convert.to_latex
+        print(writer(table))
+
+
+def print_table(table: pd.DataFrame) -> None:
+    """The rows of a run, for people."""
+    from reports.tables import terminal_rows
+    from rich.console import Console
+    from rich.table import Table
+
+    header, *lines = terminal_rows(table)
+    shown = Table(*(str(cell) for cell in header), box=None, pad_edge=False)
+    for line in lines:
+        shown.add_row(*(str(cell) for cell in line))
+    width = None if sys.stdout.isatty() else 200
+    Console(width=width).print(shown, markup=False, highlight=False)
+
+
+def _sources(options: Namespace, store: Store) -> dict[str, str]:
+    """Method -> hash of its source as it is now, for the methods at hand."""
+    from bench.provenance import source_hash
+    from methods.registry import Registry
+
+    known = {spec.name: spec for spec in Registry(options.plugins)}
+    used = {record.job.method for record in store.records()}
+    return {name: source_hash(spec) for name, spec in known.items() if name in used}

@@ -1,0 +1,119 @@
+"""How a run shows itself: a live line on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+from bench.executor import Display
+from bench.records import Job, Record
+
+PLAIN_SECONDS = 10.0
+
+
+def make_display() -> Display:
+    """The display that fits standard error."""
+    return LiveDisplay() if sys.stderr.isatty() else PlainDisplay()
+
+
+class PlainDisplay:
+    """Lines on standard error: begin and end of each job, and a state now and then."""
+
+    def __init__(self) -> None:
+        self._told = 0.0
+
+    def begin(self, job: Job, number: int, total: int) -> None:
+        self._started = self._told = time.monotonic()
+        self._prefix = f"[{number}/{total}]"
+        self._say(f"{self._prefix} {job.title}")
+
+    def state(self, state: dict[str, Any]) -> None:
+        if time.monotonic() - self._told >= PLAIN_SECONDS:
+            self._told = time.monotonic()
+            self._say(f"{self._prefix}   {describe(state)}")
+
+    def end(self, job: Job, record: Record | None, note: str = "") -> None:
+        seconds = time.monotonic() - self._started
+        self._say(f"{self._prefix}   {ending(record, note)} after {seconds:.1f} s")
+
+    def _say(self, line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+
+class LiveDisplay:
+    """One live line per running job (rich), a line that stays for each finished one."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+
+        self._console = Console(stderr=True)
+        self._live: Any = None
+
+    def begin(self, job: Job, number: int, total: int) -> None:
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        self._started = time.monotonic()
+        self._number = f"{number}/{total}"
+        self._live = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.fields[number]} {task.description}"),
+            BarColumn(bar_width=20),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[state]}"),
+            console=self._console,
+            transient=True,
+        )
+        self._task = self._live.add_task(job.title, total=None, number=self._number, state="")
+        self._live.start()
+
+    def state(self, state: dict[str, Any]) -> None:
+        if self._live is not None:
+            known = {k: state[k] for k in ("iteration", "iterations") if state.get(k) is not None}
+            self._live.update(
+                self._task,
+                completed=known.get("iteration", 0),
+                total=known.get("iterations"),
+                state=describe(state),
+            )
+
+    def end(self, job: Job, record: Record | None, note: str = "") -> None:
+        self._live.stop()
+        color = "green" if record is not None and record.ok else "yellow" if record is None else "red"
+        seconds = time.monotonic() - self._started
+        self._console.print(f"{self._number} {job.title}", style="bold", end=": ", highlight=False, markup=False)
+        self._console.print(f"{ending(record, note)}, {seconds:.1f} s", style=color, highlight=False, markup=False)
+
+
+def describe(state: dict[str, Any]) -> str:
+    """Stage, iteration, loss, PSNR on validation views, primitives, time left: as far as known."""
+    parts = [str(state.get("stage", ""))]
+    if state.get("iteration") is not None:
+        parts.append(f"{state['iteration']}/{state.get('iterations', '?')}")
+    if state.get("loss") is not None:
+        parts.append(f"loss {state['loss']:.4f}")
+    if state.get("psnr") is not None:
+        parts.append(f"{state['psnr']:.2f} dB")
+    if state.get("primitives"):
+        parts.append(f"{state['primitives']} primitives")
+    if state.get("left") is not None:
+        parts.append(f"{span(state['left'])} left")
+    return ", ".join(part for part in parts if part)
+
+
+def ending(record: Record | None, note: str) -> str:
+    """How a job ended, in words."""
+    if record is None:
+        return note or "not finished"
+    told = record.status if record.ok else f"{record.status} ({record.reason})"
+    return f"{told}, {note}" if note else told
+
+
+def span(seconds: float) -> str:
+    """A duration for people: 8 s, 3:05 min, 2:10 h."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60}:{whole % 60:02d} min"
+    return f"{whole // 3600}:{whole % 3600 // 60:02d} h"

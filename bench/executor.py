@@ -1,0 +1,374 @@
+"""Runs a plan on this machine: one job after the other, each in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import site
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import psutil
+from filelock import Timeout
+
+from bench.plan import Planner
+from bench.records import Job, Record, Status, Task
+from bench.store import Store, write_text
+from bench.worker import BUSY, STOPPED, last_progress, log_tail, now
+
+POLL_SECONDS = 0.1
+GRACE_SECONDS = 60.0
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+class Display(Protocol):
+    """Shows how the run goes."""
+
+    def begin(self, job: Job, number: int, total: int) -> None: ...
+
+    def state(self, state: dict[str, Any]) -> None: ...
+
+    def end(self, job: Job, record: Record | None, note: str = "") -> None: ...
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of one job. ``seconds`` do not count waiting for the machine; ``memory`` in bytes."""
+
+    seconds: float | None = None
+    memory: int | None = None
+
+
+@dataclass
+class Outcome:
+    """Records of the plan's jobs (finished now or before), and what kept others from finishing."""
+
+    records: list[Record] = field(default_factory=list)
+    ran: list[str] = field(default_factory=list)
+    unfinished: list[str] = field(default_factory=list)
+    stopped: bool = False
+
+    @property
+    def failed(self) -> list[Record]:
+        return [record for record in self.records if not record.ok]
+
+
+class LocalExecutor:
+    """Runs the jobs of a planner into a store.
+
+    A first SIGINT or SIGTERM asks the running job to checkpoint and ends the run; a second one
+    kills the job. What is finished stays finished.
+
+    Args:
+        retry: run failed jobs again.
+        plugins: plugin folders for the workers.
+        threads: threads per job, pinned.
+        after: called after each job that has a new record.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        planner: Planner,
+        display: Display,
+        *,
+        retry: bool = False,
+        limits: Limits | None = None,
+        plugins: tuple[str, ...] = (),
+        threads: int | None = None,
+        after: Any = None,
+    ) -> None:
+        self._store = store
+        self._planner = planner
+        self._display = display
+        self._retry = retry
+        self._limits = limits or Limits()
+        self._plugins = plugins
+        self._threads = threads or available_cores()
+        self._after = after or (lambda record: None)
+        self._signals = 0
+        self._attempted: set[str] = set()
+
+    def run(self) -> Outcome:
+        """Run all that is not finished yet; failures do not end it."""
+        outcome = Outcome()
+        before = {s: signal.signal(s, self._on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            self._store.sweep()
+            while self._pass(outcome) and not self._signals:
+                pass
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+        outcome.stopped = bool(self._signals)
+        jobs = self._planner.jobs(self._store)
+        found = [(job, self._store.record(job.id)) for job in jobs]
+        outcome.records = [record for _, record in found if record is not None]
+        outcome.unfinished = [job.id for job, record in found if record is None]
+        return outcome
+
+    def _on_signal(self, number: int, frame: Any) -> None:
+        self._signals += 1
+
+    # ------------------------------------------------------------------ the graph
+
+    def _pass(self, outcome: Outcome) -> bool:
+        """Go once through the plan; True if it must be planned again."""
+        jobs = self._planner.jobs(self._store)
+        for number, job in enumerate(jobs, 1):
+            if self._signals:
+                return False
+            if self.settled(job):
+                continue
+            records = {need: self._store.record(need) for need in job.needs}
+            if any(record is None for record in records.values()):
+                continue
+            self._attempted.add(job.id)
+            cause = next((record for record in records.values() if record and not record.ok), None)
+            if cause is not None:
+                record = self._give_up(job, cause)
+            else:
+                self._display.begin(job, number, len(jobs))
+                record, note = self._run_job(job)
+                self._display.end(job, record, note)
+                outcome.ran.append(job.id)
+            if record is not None:
+                self._after(record)
+                if job.kind == "partition":
+                    return True
+        return False
+
+    def settled(self, job: Job) -> bool:
+        """Whether a job has a record that stands (and is not to be tried again)."""
+        if job.id in self._attempted:
+            return True
+        record = self._store.record(job.id)
+        if record is None or record.ok:
+            return record is not None
+        if record.cause is not None:  # it never ran; its reason may be gone
+            cause = self._store.record(record.cause)
+            if cause is None or cause.ok or cause.finished > record.finished:
+                return False
+        return not self._retry
+
+    def _give_up(self, job: Job, cause: Record) -> Record | None:
+        """The record of a job that cannot run because one before it failed."""
+        record = Record(
+            job=job,
+            status=cause.status,
+            reason=cause.reason if cause.cause else f"{cause.job.kind}: {cause.reason}",
+            cause=cause.cause or cause.job.id,
+            stage=cause.stage,
+            iteration=cause.iteration,
+            started=now(),
+            finished=now(),
+            wall_seconds=0.0,
+            provenance=cause.provenance,
+        )
+        try:
+            with self._store.lock(job.id).acquire(timeout=0):
+                folder = self._store.partial / job.id
+                shutil.rmtree(folder, ignore_errors=True)
+                self._store.finish(record)
+        except Timeout:
+            return None
+        return record
+
+    # ------------------------------------------------------------------ one job
+
+    def _run_job(self, job: Job) -> tuple[Record | None, str]:
+        """Run one job to its record; without one, the note says why."""
+        while True:
+            code, ended = self._attempt(job)
+            if code != BUSY or self._signals:
+                break
+            self._display.state({"stage": "another run works on it"})
+            self._wait_for(job)
+            if (record := self._store.record(job.id)) is not None:
+                return record, "by another run"
+        record = self._store.record(job.id)
+        if record is not None:
+            return record, ""
+        if code == STOPPED or self._signals:
+            return None, "stopped; resumes from its last checkpoint"
+        try:
+            with self._store.lock(job.id).acquire(timeout=5):
+                return self._post_mortem(job, code, ended), ""
+        except Timeout:
+            return None, "another run took it over"
+
+    def _attempt(self, job: Job) -> tuple[int, tuple[Status, str] | None]:
+        """Start a worker and watch it: its exit code, and status and reason if this program ended it."""
+        folder = self._store.partial / job.id
+        previous = self._store.record(job.id)
+        if previous is not None and not previous.ok:
+            with self._store.lock(job.id):
+                self._store.reopen(previous)
+        task = Task(job=job, plugins=self._plugins, threads=self._threads)
+        self._started = time.time()
+        try:
+            folder.mkdir(exist_ok=True)
+            write_text(folder / "job.json", task.model_dump_json(indent=1) + "\n")
+            log = (folder / "log.txt").open("ab")
+        except FileNotFoundError:  # another run has just renamed the folder in place
+            return BUSY, None
+        with log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "bench.worker", str(folder)],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env=self._environment(),
+            )
+        try:
+            return self._watch(process, folder)
+        finally:
+            if process.poll() is None:
+                _kill(process)
+
+    def _watch(
+        self, process: subprocess.Popen[bytes], folder: Path
+    ) -> tuple[int, tuple[Status, str] | None]:
+        tail = _Tail(folder / "progress.jsonl")
+        running_since: float | None = None
+        asked: float | None = None
+        while (code := process.poll()) is None:
+            for state in tail.new():
+                if state["time"] < self._started:
+                    continue  # of an earlier attempt
+                if state.get("waiting") is False:
+                    running_since = time.monotonic()
+                self._display.state(state)
+            if self._signals:
+                if asked is None:
+                    asked = time.monotonic()
+                    process.send_signal(signal.SIGTERM)
+                    self._display.state({"stage": "stopping (again to kill)"})
+                elif self._signals > 1 or time.monotonic() - asked > GRACE_SECONDS:
+                    _kill(process)
+                    return STOPPED, None
+            elif (ended := self._over_limit(process, running_since)) is not None:
+                _kill(process)
+                return process.returncode, ended
+            try:
+                process.wait(POLL_SECONDS)
+            except subprocess.TimeoutExpired:
+                continue
+        return code, None
+
+    def _over_limit(
+        self, process: subprocess.Popen[bytes], since: float | None
+    ) -> tuple[Status, str] | None:
+        limits = self._limits
+        if limits.seconds is not None and since is not None and time.monotonic() - since > limits.seconds:
+            return "timeout", f"killed after its time limit of {limits.seconds:g} s"
+        if limits.memory is not None:
+            used = resident_bytes(process.pid)
+            if used > limits.memory:
+                return "oom", (
+                    f"killed over its memory limit: {used / 2**20:.0f} MiB of {limits.memory / 2**20:.0f} MiB"
+                )
+        return None
+
+    def _post_mortem(self, job: Job, code: int, ended: tuple[Status, str] | None) -> Record:
+        """The record of a job whose process died without writing one."""
+        folder = self._store.partial / job.id
+        if (folder / "record.json").is_file():
+            self._store.put_in_place(folder, job.id)
+            record = self._store.record(job.id)
+            assert record is not None
+            return record
+        if ended is None and code < 0:
+            ended = ("failed", f"killed by signal {-code} ({signal.Signals(-code).name})")
+        status, reason = ended or ("failed", f"its process ended with exit code {code}")
+        last = last_progress(folder)
+        finished = time.time()
+        record = Record(
+            job=job,
+            status=status,
+            reason=reason,
+            stage=last.get("stage"),
+            iteration=last.get("iteration"),
+            log_tail=log_tail(folder),
+            started=now(),
+            finished=now(),
+            wall_seconds=finished - self._started,
+        )
+        self._store.finish(record)
+        return record
+
+    def _wait_for(self, job: Job) -> None:
+        while not self._signals:
+            try:
+                with self._store.lock(job.id).acquire(timeout=0):
+                    return
+            except Timeout:
+                time.sleep(POLL_SECONDS)
+
+    def _environment(self) -> dict[str, str]:
+        """The worker's: pinned threads, and this very package before any other of its name."""
+        environment = dict(os.environ)
+        environment.update(dict.fromkeys(THREAD_VARIABLES, str(self._threads)))
+        environment["PYTHONSAFEPATH"] = "1"
+        root = str(Path(__file__).resolve().parent.parent)
+        if root not in site.getsitepackages():
+            environment["PYTHONPATH"] = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
+        return environment
+
+
+class _Tail:
+    """New whole lines of a growing JSON-lines file."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._offset = 0
+
+    def new(self) -> list[dict[str, Any]]:
+        import json
+
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._offset)
+                data = file.read()
+        except OSError:
+            return []
+        whole = data[: data.rfind(b"\n") + 1]
+        self._offset += len(whole)
+        states = []
+        for line in whole.splitlines():
+            try:
+                states.append(json.loads(line))
+            except ValueError:  # cut off by an earlier kill
+                continue
+        return states
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def resident_bytes(pid: int) -> int:
+    """Resident memory of a process and its children; 0 once it is gone."""
+    try:
+        process = psutil.Process(pid)
+        return sum(p.memory_info().rss for p in [process, *process.children(recursive=True)])
+    except psutil.Error:
+        return 0
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill a worker and all that it started (it leads a session of its own)."""
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+    process.wait()

@@ -1,0 +1,169 @@
+"""What jobs read: datasets, their content hashes, and the scenes as a method may see them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.records import Job, Request, derived_seed, hash_of
+from bench.suites import ViewPreset
+from datasets.camera import Camera
+from datasets.catalogue import open_dataset
+from datasets.cloud import initial_cloud
+from datasets.errors import DataError
+from datasets.render_views import views_of, volume_digest
+from datasets.scene import Dataset
+from datasets.views import Split, ViewRequest, ViewSet
+from methods.interface import SceneInput
+
+_IMAGES = {".png", ".json", ".ply"}
+
+
+def fingerprint(dataset: Dataset, scene_name: str) -> str:
+    """Hash of all that decides how a scene looks: its definition and the data behind it.
+
+    Raises:
+        DataError: the data cannot be read (found here, before any job starts).
+    """
+    scene = dataset.scene(scene_name)
+    identity: dict[str, Any] = {"scene": _plain({k: v for k, v in asdict(scene).items() if k != "views_folder"})}
+    if scene.views_folder is not None:
+        identity["files"] = _folder_hash(scene.views_folder)
+    else:
+        identity["volume"] = volume_digest(dataset.volume(scene.variable))
+    return hash_of(identity)
+
+
+def request(dataset: Dataset, scene_name: str, preset: ViewPreset) -> Request:
+    """The views that a preset wants of a dataset.
+
+    Raises:
+        DataError: its pre-rendered views cannot be read, or have no size that the preset can use.
+    """
+    scene = dataset.scene(scene_name)
+    native = None if scene.views_folder is None else _native_size(scene.views_folder)
+    width, height = view_size(preset, native)
+    return Request(train_views=preset.train_views, test_views=preset.test_views, width=width, height=height)
+
+
+def view_size(preset: ViewPreset, native: tuple[int, int] | None) -> tuple[int, int]:
+    """Width and height to ask for: the preset's, or a whole fraction of pre-rendered views' own size.
+
+    Raises:
+        DataError: no whole factor brings the views under the preset's limit.
+    """
+    if native is None:
+        return preset.width, preset.height
+    width, height = native
+    limit = preset.prerendered_limit
+    for factor in range(1, max(native) + 1):
+        if width % factor == 0 and height % factor == 0 and max(width, height) // factor <= limit:
+            return width // factor, height // factor
+    raise DataError(
+        f"views of {width}x{height}",
+        f"no whole factor divides them to at most {limit} pixels",
+        "Resize them to a size with small factors, or use a larger preset",
+    )
+
+
+def views(dataset: Dataset, scene: str, request: Request, split: Split) -> ViewSet:
+    """Ground-truth views, from the cache where they are in it."""
+    wanted = ViewRequest(split, request.train_views, request.test_views, request.width, request.height)
+    return views_of(dataset, scene, wanted)
+
+
+def scene_inputs(job: Job) -> tuple[list[SceneInput], dict[str, ViewSet]]:
+    """The scenes of a fit, and the validation views for its anytime curve.
+
+    With ``--split val`` the validation views (every tenth training view) are left out of the fit and
+    given to the method for its choices. With ``--split test`` the fit uses every training view and
+    the method gets no validation views; the curve is then taken on those same tenth views.
+    """
+    dataset = open_dataset(job.dataset)
+    inputs, curve = [], {}
+    for name in job.scenes:
+        scene = dataset.scene(name)
+        validation = views(dataset, name, job.request, "val")
+        curve[name] = validation
+        if job.split == "val":
+            train = views(dataset, name, job.request, "train")
+            given = validation
+        else:
+            train = views(dataset, name, job.request, "trainval")
+            given = ViewSet((), validation.images[:0], validation.background, validation.key)
+        seed = derived_seed("cloud", job.dataset_name, name, job.seed)
+        inputs.append(
+            SceneInput(
+                scene=scene,
+                train=train,
+                validation=given,
+                cloud=initial_cloud(dataset, name, job.cloud_points, seed),
+                extent=camera_extent(train.cameras),
+                volume=(lambda variable=scene.variable: dataset.volume(variable)) if dataset.volumes else None,
+            )
+        )
+    return inputs, curve
+
+
+def camera_extent(cameras: Sequence[Camera]) -> float:
+    """1.1 x the greatest distance of a camera from the mean camera centre (3DGS's scene extent)."""
+    centres = np.stack([camera.position for camera in cameras])
+    return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
+
+
+def camera_to_json(camera: Camera) -> dict[str, Any]:
+    """A camera as JSON values; floats survive exactly."""
+    return {
+        "name": camera.name,
+        "width": camera.width,
+        "height": camera.height,
+        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "camera_to_world": camera.camera_to_world.tolist(),
+    }
+
+
+def camera_from_json(data: dict[str, Any]) -> Camera:
+    """Inverse of :func:`camera_to_json`."""
+    fx, fy, cx, cy = data["intrinsics"]
+    matrix = np.asarray(data["camera_to_world"], dtype=np.float64)
+    return Camera(matrix, fx, fy, cx, cy, data["width"], data["height"], data["name"])
+
+
+def _native_size(folder: Path) -> tuple[int, int]:
+    """Width and height of the first training view."""
+    from PIL import Image
+
+    transforms = folder / "transforms_train.json"
+    try:
+        first = folder / json.loads(transforms.read_text(encoding="utf-8"))["frames"][0]["file_path"]
+        with Image.open(first if first.suffix else first.with_suffix(".png")) as image:
+            return image.size
+    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+        raise DataError(
+            transforms, f"its first view cannot be read ({error})", "Check the file and its file_path entries"
+        ) from error
+
+
+def _folder_hash(folder: Path) -> str:
+    digest = hashlib.sha256()
+    for file in sorted(p for p in folder.rglob("*") if p.suffix.lower() in _IMAGES and p.is_file()):
+        digest.update(str(file.relative_to(folder)).encode() + b"\0")
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """Dataclass contents as JSON values."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value

@@ -1,0 +1,123 @@
+"""The measure job: a process that knows only the saved folder loads it, renders and times it."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bench.monitor import as_numpy
+from bench.records import MeasureResult, ViewResult
+from bench.timing import (
+    mean_of,
+    median_timings,
+    peak_host_bytes,
+    reference_seconds,
+    synchronise,
+    time_frames,
+)
+
+if TYPE_CHECKING:
+    from bench.stages import Context
+    from datasets.scene import RGB
+
+
+def measure(context: Context) -> MeasureResult:
+    """Load, time and render one scene, then compare it with the ground truth.
+
+    Memory is read before the ground truth and the metrics come into the process.
+    """
+    from bench.stages import read_cameras
+
+    job, scene = context.job, context.job.scenes[0]
+    shown = context.needed("views")
+    assert shown.views is not None
+    cameras = read_cameras(context.path_of(shown))
+    background = shown.views.background
+    folder = context.path_of(context.needed("encode")) / "model"
+    method = context.method()
+
+    context.report(stage="load")
+    start = time.perf_counter()
+    model = method.load(folder, job.device)
+    synchronise(job.device)
+    load_seconds = time.perf_counter() - start
+    if scene not in model.scenes:
+        raise RuntimeError(f"the loaded model holds {list(model.scenes)}, not {scene!r}")
+
+    context.report(stage="timing")
+    before = reference_seconds()
+    frames = time_frames(
+        lambda camera: model.render(camera, scenes=[scene], background=background), cameras, job.device
+    )
+    after = reference_seconds()
+    parts = median_timings(model.timings, cameras)
+    context.peak_host_bytes = peak_host_bytes()
+
+    context.report(stage="metrics")
+    from bench.inputs import open_dataset, views
+    from bench.metrics import evaluate
+    from datasets.png import write_png
+
+    truth = views(open_dataset(job.dataset), scene, job.request, job.split)
+    if truth.key != shown.views.view_keys[job.split]:
+        raise RuntimeError("the ground truth has changed since its views job; delete that job or use a new store")
+    out = context.folder / "renders"
+    out.mkdir(exist_ok=True)
+    rows: list[ViewResult] = []
+    missing: dict[str, str] = {}
+    for index, camera in enumerate(cameras):
+        tensor, tensor_alpha = model.render(camera, scenes=[scene], background=background)
+        rgb, alpha = as_numpy(tensor), as_numpy(tensor_alpha)
+        if not (np.isfinite(rgb).all() and np.isfinite(alpha).all()):
+            raise FloatingPointError(f"the loaded model renders values that are not finite in view {camera.name}")
+        values, reasons = evaluate(truth.images[index], rgb, alpha, background, list(job.metrics))
+        missing.update(reasons)
+        file = f"{index:04d}.png"
+        write_png(out / file, premultiplied(rgb, alpha, background))
+        rows.append(
+            ViewResult(
+                view=camera.name or f"{index:04d}",
+                metrics=values,
+                identical=identical(rgb, truth.composited(index)),
+                truth_file=f"jobs/{shown.job.id}/truth/{shown.views.truth[job.split][index]}",
+                render_file=f"jobs/{job.id}/renders/{file}",
+            )
+        )
+        context.report(stage="metrics", iteration=index + 1, iterations=len(cameras))
+    return MeasureResult(
+        load_seconds=load_seconds,
+        frame_seconds=frames.median,
+        frame_seconds_p05=frames.p05,
+        frame_seconds_p95=frames.p95,
+        frames=frames.frames,
+        warmup_frames=frames.warmup,
+        warmup_stable=frames.stable,
+        timing={"frame": frames.median, **parts},
+        primitives=model.primitives(scene),
+        metrics={name: _mean([row.metrics[name] for row in rows]) for name in job.metrics},
+        missing=missing,
+        views=rows,
+        reference_seconds=mean_of(before, after),
+    )
+
+
+def identical(rgb: np.ndarray, truth: np.ndarray) -> bool:
+    """Whether two composited images are the same once rounded to 8 bit."""
+    a, b = (np.round(np.clip(x, 0.0, 1.0) * 255.0) for x in (rgb, truth))
+    return bool(np.array_equal(a, b))
+
+
+def _mean(values: list[float | None]) -> float | None:
+    """Mean over all views; None if any of them is missing (no average over an incomplete set)."""
+    known = [v for v in values if v is not None]
+    return math.fsum(known) / len(known) if known and len(known) == len(values) else None
+
+
+def premultiplied(rgb: np.ndarray, alpha: np.ndarray, background: RGB) -> np.ndarray:
+    """(H, W, 4) background-free image from one composited on ``background``."""
+    back = np.asarray(background, dtype=np.float32)
+    free = np.clip(rgb - (1.0 - alpha[..., None]) * back, 0.0, 1.0)
+    return np.concatenate([free, alpha[..., None]], axis=-1).astype(np.float32)

@@ -1,0 +1,255 @@
+"""What a fit reports to: the training clock, anytime evaluations, checkpoints, and the way to stop it."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.checkpoints import read_checkpoint, write_checkpoint
+from bench.records import CurvePoint
+from datasets.views import ViewSet
+from methods.interface import Checkpoint, Diverged, Model
+
+CHECKPOINT_SECONDS = 30.0
+CURVE_POINTS = 8
+CURVE_VIEWS = 4
+REPORT_SECONDS = 0.5
+
+
+class Stopped(BaseException):
+    """The job was asked to stop and has stored what it can continue from."""
+
+
+class Stop:
+    """Set by SIGTERM (or SIGINT): a fit then ends at its next checkpoint, any other job at once."""
+
+    def __init__(self) -> None:
+        self.requested = threading.Event()
+        self.deferred = False
+
+    def install(self) -> None:
+        """Handle the signals; call from the main thread."""
+        signal.signal(signal.SIGTERM, self._handle)
+        signal.signal(signal.SIGINT, self._handle)
+
+    def _handle(self, number: int, frame: Any) -> None:
+        self.requested.set()
+        if not self.deferred:
+            raise Stopped
+
+
+class Progress:
+    """Appends states to ``progress.jsonl``, which the executor shows."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("a", encoding="utf-8", buffering=1)
+
+    def __call__(self, **state: Any) -> None:
+        self._file.write(json.dumps({"time": time.time(), **state}) + "\n")
+
+
+class FitMonitor:
+    """Implements :class:`methods.interface.Monitor`.
+
+    The training clock runs from :meth:`start` to :meth:`stop` and stands still inside :meth:`pause`.
+    Anytime evaluations take place at moments spread evenly over the logarithm of the iteration, on
+    a few validation views of the group's first scenes; a checkpoint is written every 30 s, at the last iteration
+    and when the job is asked to stop.
+
+    Args:
+        folder: where checkpoints go.
+        iterations: the budget.
+        validation: scene -> validation views.
+        report: takes progress.
+        stop: says when to end early.
+        every: seconds between checkpoints.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        iterations: int,
+        validation: Mapping[str, ViewSet],
+        report: Callable[..., None],
+        stop: Stop,
+        every: float = CHECKPOINT_SECONDS,
+    ) -> None:
+        self._folder = folder
+        self._iterations = iterations
+        self._views = _some_views(validation)
+        self._report = report
+        self._stop = stop
+        self._every = every
+        self._moments = _moments(iterations)
+        self._clock = 0.0
+        self._since: float | None = None
+        self._loss: float | None = None
+        self._primitives = 0
+        self._psnr: float | None = None
+        self._stage = "fit"
+        self._reported = 0.0
+        self._stored = time.monotonic()
+        self._speed: tuple[int, float] | None = None
+        self.curve: list[CurvePoint] = []
+        self.resumed = 0
+        self.iteration = 0
+        self.final = False
+
+    # ------------------------------------------------------------------ the harness's side
+
+    def resume(self) -> Checkpoint | None:
+        """Continue clock and curve from the newest checkpoint, if there is one, and return it."""
+        found = read_checkpoint(self._folder)
+        if found is None:
+            return None
+        checkpoint, harness = found
+        self._clock = harness["seconds"]
+        self.curve = [CurvePoint.model_validate(point) for point in harness["curve"]]
+        self.resumed = harness["resumed"] + 1
+        self.iteration = checkpoint.iteration
+        self.final = checkpoint.iteration >= self._iterations
+        self._moments = [m for m in self._moments if m > checkpoint.iteration]
+        return checkpoint
+
+    def start(self) -> None:
+        self._since = time.perf_counter()
+
+    def stop(self) -> None:
+        if self._since is not None:
+            self._clock += time.perf_counter() - self._since
+            self._since = None
+
+    @property
+    def seconds(self) -> float:
+        """Training time so far."""
+        running = time.perf_counter() - self._since if self._since is not None else 0.0
+        return self._clock + running
+
+    # ------------------------------------------------------------------ the method's side
+
+    def stage(self, name: str) -> None:
+        self._stage = name
+        self._tell(force=True)
+
+    def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
+        self.iteration, self._primitives = iteration, primitives
+        total = losses.get("total", sum(losses.values())) if losses else None
+        if total is not None and not math.isfinite(total):
+            named = ", ".join(f"{name} = {value}" for name, value in losses.items())
+            raise Diverged(f"loss is not finite at iteration {iteration}: {named}")
+        self._loss = total
+        self._tell()
+
+    def due(self, iteration: int) -> bool:
+        return (
+            self._stop.requested.is_set()
+            or iteration >= self._iterations
+            or bool(self._moments and iteration >= self._moments[0])
+            or time.monotonic() - self._stored >= self._every
+        )
+
+    def pause(
+        self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]
+    ) -> None:
+        self.stop()
+        try:
+            self.iteration = iteration
+            if self._moments and iteration >= self._moments[0]:
+                self._evaluate(iteration, model())
+                self._moments = [m for m in self._moments if m > iteration]
+            ended = iteration >= self._iterations
+            stopping = self._stop.requested.is_set()
+            if ended or stopping or time.monotonic() - self._stored >= self._every:
+                self._write(checkpoint())
+                self.final = ended
+            if stopping and not ended:
+                raise Stopped
+        finally:
+            self.start()
+
+    # ------------------------------------------------------------------ inside
+
+    def _write(self, checkpoint: Checkpoint) -> None:
+        harness = {
+            "seconds": self._clock,
+            "curve": [point.model_dump() for point in self.curve],
+            "resumed": self.resumed,
+        }
+        write_checkpoint(self._folder, checkpoint, harness)
+        self._stored = time.monotonic()
+        self._report(stage=self._stage, iteration=checkpoint.iteration, iterations=self._iterations, stored=True)
+
+    def _evaluate(self, iteration: int, model: Model) -> None:
+        values = []
+        for scene, index, views in self._views:
+            rgb, _ = model.render(views.cameras[index], scenes=[scene], background=views.background)
+            values.append(_psnr(as_numpy(rgb), views.composited(index)))
+        self._psnr = float(np.mean(values)) if values else None
+        self._primitives = model.primitives()
+        self.curve.append(
+            CurvePoint(
+                iteration=iteration,
+                train_seconds=self._clock,
+                loss=self._loss,
+                psnr_val=self._psnr,
+                primitives=self._primitives,
+            )
+        )
+        self._tell(force=True)
+
+    def _tell(self, force: bool = False) -> None:
+        now = time.monotonic()
+        if not force and now - self._reported < REPORT_SECONDS:
+            return
+        left = None
+        if self._speed is not None and self.iteration > self._speed[0]:
+            left = (self._iterations - self.iteration) * (now - self._speed[1]) / (self.iteration - self._speed[0])
+        elif self._speed is None and self.iteration:
+            self._speed = (self.iteration, now)
+        self._reported = now
+        self._report(
+            stage=self._stage,
+            iteration=self.iteration,
+            iterations=self._iterations,
+            loss=self._loss,
+            psnr=self._psnr,
+            primitives=self._primitives,
+            left=left,
+        )
+
+
+def as_numpy(array: Any) -> Any:
+    """A tensor (or array) as a numpy array on the host."""
+    return array.detach().cpu().numpy() if hasattr(array, "detach") else np.asarray(array)
+
+
+def _moments(iterations: int) -> list[int]:
+    """About eight iterations, evenly spread over the logarithm between 2 % and 100 % of the budget."""
+    first = max(1, iterations // 50)
+    return sorted({round(m) for m in np.geomspace(first, iterations, CURVE_POINTS)})
+
+
+def _some_views(validation: Mapping[str, ViewSet]) -> list[tuple[str, int, ViewSet]]:
+    """At most four validation views, spread over scenes and cameras."""
+    each = max(1, CURVE_VIEWS // max(1, len(validation)))
+    chosen = []
+    for scene, views in validation.items():
+        picks = {round(i) for i in np.linspace(0, len(views) - 1, each)} if len(views) else set()
+        chosen += [(scene, index, views) for index in sorted(picks)]
+    return chosen[:CURVE_VIEWS]
+
+
+def _psnr(rgb: Any, truth: Any) -> float:
+    """PSNR on 8-bit-rounded images, identical ones counting 100 dB: as the metric ``psnr``, for the curve only."""
+    a = np.round(np.clip(rgb, 0.0, 1.0) * 255.0)
+    b = np.round(np.clip(truth, 0.0, 1.0) * 255.0)
+    error = float(np.mean((a - b) ** 2))
+    return 100.0 if error == 0.0 else 10.0 * math.log10(255.0**2 / error)

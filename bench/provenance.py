@@ -1,0 +1,113 @@
+"""Where a job runs: machine, software, commit, and the hash of a method's source."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import platform
+import subprocess
+import sys
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import psutil
+
+from bench.records import Provenance
+from methods.interface import MethodSpec
+
+PACKAGES = (
+    "econgs-bench", "numpy", "scipy", "torch", "gsplat", "mitsuba", "drjit", "scikit-image", "lpips", "flip-evaluator",
+    "colour-science", "safetensors",
+)  # fmt: skip
+
+
+def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance:
+    """The facts about this process; needs no heavy import of its own."""
+    return Provenance(
+        machine=platform.node() or "unknown",
+        cpu=_cpu(),
+        cores=os.cpu_count() or 1,
+        threads=threads,
+        memory_bytes=psutil.virtual_memory().total,
+        gpu=_gpu(device),
+        system=platform.platform(),
+        python=platform.python_version(),
+        versions=_versions(),
+        isa=native_isa(),
+        commit=_commit(),
+        source=source_hash(spec) if spec else None,
+    )
+
+
+def source_hash(spec: MethodSpec) -> str:
+    """Hash of the Python source of the modules that ``spec.source`` names, found without running them."""
+    digest = hashlib.sha256()
+    for module in sorted(spec.source):
+        digest.update(_module_hash(module).encode())
+    return digest.hexdigest()[:16]
+
+
+@cache
+def _module_hash(module: str) -> str:
+    try:
+        found = importlib.util.find_spec(module)
+    except ModuleNotFoundError:
+        found = None
+    digest = hashlib.sha256(module.encode())
+    if found is not None:
+        roots = [Path(p) for p in found.submodule_search_locations or ()]
+        files = [f for root in roots for f in root.rglob("*.py")] or ([Path(found.origin)] if found.origin else [])
+        for file in sorted(files):
+            digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()
+
+
+def native_isa() -> str | None:
+    """Instruction set of the native core, if this process has loaded it."""
+    native = sys.modules.get("econgs.splat.native")
+    isa = getattr(native, "isa", None)
+    return str(isa()) if callable(isa) else None
+
+
+def _cpu() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _gpu(device: str) -> str | None:
+    torch = sys.modules.get("torch")
+    if torch is None or not device.startswith("cuda"):
+        return None
+    return str(torch.cuda.get_device_name(device))
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _commit() -> str | None:
+    """Commit of the clone that the package runs from ("+" if it has changes); None when installed."""
+    root = Path(__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return None
+    try:
+        head = subprocess.run(
+            ["git", "-C", str(root), "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"],
+            capture_output=True, text=True, timeout=10, check=True,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return head.stdout.strip() or None

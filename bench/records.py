@@ -1,0 +1,229 @@
+"""What a job is and what it leaves behind: typed, versioned, one JSON file per job."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+SCHEMA = 1
+"""Raised when a record of an older store could be misread."""
+
+Kind = Literal["views", "partition", "fit", "encode", "measure"]
+Status = Literal["ok", "failed", "oom", "timeout", "diverged", "refused"]
+Value = bool | int | float | str
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", ser_json_inf_nan="null")
+
+
+class Request(_Model):
+    """Numbers of views and their size in pixels, before the validation split."""
+
+    train_views: int
+    test_views: int
+    width: int
+    height: int
+
+
+class Job(_Model):
+    """One node of the job graph.
+
+    Attributes:
+        key: hash of ``identity``, which holds everything that decides the result; what a job only
+            carries along (labels, needs) stands beside it.
+        scenes: the scenes the job is about: one for views and measure, a group for fit and encode.
+        group: name of the group of scenes fitted together.
+        needs: ids of the jobs that must be finished before.
+        metrics: metric name -> version (measure only).
+        cloud_points: size of the initial cloud.
+    """
+
+    kind: Kind
+    key: str
+    identity: dict[str, Any]
+    needs: tuple[str, ...] = ()
+    dataset: str
+    dataset_name: str
+    scenes: tuple[str, ...]
+    group: str = ""
+    request: Request
+    split: Literal["test", "val"] = "test"
+    method: str | None = None
+    variant: str = ""
+    preset: str
+    seed: int = 0
+    options: dict[str, Value] = Field(default_factory=dict)
+    iterations: int | None = None
+    rate: float | None = None
+    device: str = "cpu"
+    cloud_points: int = 10_000
+    metrics: dict[str, str] = Field(default_factory=dict)
+
+    @property
+    def id(self) -> str:
+        return f"{self.kind}-{self.key}"
+
+    @property
+    def title(self) -> str:
+        """For people: what, of which scenes, by which method."""
+        parts = [self.kind, f"{self.dataset_name}/{self.group or '+'.join(self.scenes)}"]
+        if self.method:
+            parts.append(self.method + (f"[{self.variant}]" if self.variant else ""))
+        if self.rate is not None:
+            parts.append(f"rate {self.rate:g}")
+        if self.method and self.seed:
+            parts.append(f"seed {self.seed}")
+        return " ".join(parts)
+
+
+class Task(_Model):
+    """``job.json``: a job and how this machine runs it."""
+
+    job: Job
+    plugins: tuple[str, ...] = ()
+    threads: int
+
+
+class Provenance(_Model):
+    """Where and with what a job ran; recorded, never hashed."""
+
+    machine: str
+    cpu: str
+    cores: int
+    threads: int
+    memory_bytes: int
+    gpu: str | None
+    system: str
+    python: str
+    versions: dict[str, str]
+    isa: str | None
+    commit: str | None
+    source: str | None
+    """Hash of the method's source."""
+
+
+class CurvePoint(_Model):
+    """An anytime evaluation on the validation views."""
+
+    iteration: int
+    train_seconds: float
+    loss: float | None
+    psnr_val: float | None
+    primitives: int
+    bytes_estimate: int | None = None
+
+
+class ViewsResult(_Model):
+    """``truth``: split -> PNG file names, in the order of the cameras; see ``cameras.json``."""
+
+    view_keys: dict[str, str]
+    background: tuple[float, float, float]
+    truth: dict[str, list[str]]
+    render_seconds: float
+
+
+class PartitionResult(_Model):
+    """Scene names by group."""
+
+    groups: list[list[str]]
+    seconds: float
+
+
+class FitResult(_Model):
+    """``seconds``: the training clock, summed over resumes."""
+
+    seconds: float
+    iterations: int
+    primitives: dict[str, int]
+    train_views: int
+    curve: list[CurvePoint]
+    resumed: int
+    reference_seconds: float | None
+
+
+class EncodeResult(_Model):
+    """``ledger``: scene ("" = shared by the group) -> part -> bytes; sums to ``total_bytes``."""
+
+    seconds: float
+    total_bytes: int
+    ledger: dict[str, dict[str, int]]
+
+
+class ViewResult(_Model):
+    """Measures of one view. A metric that cannot be computed is None."""
+
+    view: str
+    metrics: dict[str, float | None]
+    identical: bool
+    truth_file: str
+    render_file: str
+
+
+class MeasureResult(_Model):
+    """What a fresh process measured on the loaded model."""
+
+    load_seconds: float
+    frame_seconds: float
+    frame_seconds_p05: float
+    frame_seconds_p95: float
+    frames: int
+    warmup_frames: int
+    warmup_stable: bool
+    timing: dict[str, float]
+    primitives: int
+    metrics: dict[str, float | None]
+    missing: dict[str, str]
+    """Metric -> why it could not be computed."""
+    views: list[ViewResult]
+    features: dict[str, list[float]] = Field(default_factory=dict)
+    reference_seconds: float | None
+
+
+class Record(_Model):
+    """A finished job, also a failed one.
+
+    Attributes:
+        status: "ok" or how it failed; then ``reason``, ``stage``, ``iteration``, ``log_tail`` say more.
+        cause: id of the failed job that kept this one from running at all.
+        peak_host_bytes: VmHWM of the process (of the timed part for measure).
+    """
+
+    schema_version: int = SCHEMA
+    job: Job
+    status: Status
+    reason: str | None = None
+    cause: str | None = None
+    stage: str | None = None
+    iteration: int | None = None
+    log_tail: str | None = None
+    started: str
+    finished: str
+    wall_seconds: float
+    peak_host_bytes: int | None = None
+    peak_device_bytes: int | None = None
+    provenance: Provenance | None = None
+    views: ViewsResult | None = None
+    partition: PartitionResult | None = None
+    fit: FitResult | None = None
+    encode: EncodeResult | None = None
+    measure: MeasureResult | None = None
+
+    @property
+    def ok(self) -> bool:
+        return self.status == "ok"
+
+
+def hash_of(identity: Any) -> str:
+    """First 16 hex digits of SHA-256 over canonical JSON."""
+    text = json.dumps(identity, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def derived_seed(purpose: str, *axes: object) -> int:
+    """A seed in [0, 2^31) for one source of randomness, from the axes it may depend on."""
+    digest = hashlib.sha256("\x1f".join([purpose, *map(str, axes)]).encode()).digest()
+    return int.from_bytes(digest[:4], "big") >> 1

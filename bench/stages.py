@@ -1,0 +1,236 @@
+"""What each kind of job does, inside its own process (see ``bench.worker``)."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench.inputs import camera_from_json, camera_to_json, scene_inputs
+from bench.monitor import FitMonitor, Progress, Stop
+from bench.records import (
+    EncodeResult,
+    FitResult,
+    Job,
+    PartitionResult,
+    Record,
+    ViewsResult,
+    derived_seed,
+)
+from bench.store import Store, write_text
+from bench.timing import mean_of, reference_seconds, synchronise
+from datasets.errors import DataError
+from datasets.views import Split
+from methods.interface import Budget, Checkpoint, Method, Model
+
+
+@dataclass
+class Context:
+    """What a stage works with.
+
+    Attributes:
+        folder: where its files go.
+        store: finished jobs it may read.
+        method: loads the implementation (None for views).
+    """
+
+    job: Job
+    folder: Path
+    store: Store
+    method: Callable[[], Method]
+    stop: Stop
+    report: Progress
+    peak_host_bytes: int | None = None
+
+    def needed(self, kind: str) -> Record:
+        """The finished job of that kind that this one builds on."""
+        for name in self.job.needs:
+            if name.startswith(f"{kind}-"):
+                record = self.store.record(name)
+                if record is not None and record.ok:
+                    return record
+        raise RuntimeError(f"{self.job.id} needs a finished {kind} job, and there is none")
+
+    def path_of(self, record: Record) -> Path:
+        return self.store.jobs / record.job.id
+
+
+def run_stage(context: Context) -> dict[str, Any]:
+    """Run a job; returns the fields of its record that it fills."""
+    if context.job.kind == "measure":
+        from bench.measure import measure
+
+        return {"measure": measure(context)}
+    stage = {"views": _views, "partition": _partition, "fit": _fit, "encode": _encode}[context.job.kind]
+    return {context.job.kind: stage(context)}
+
+
+# --------------------------------------------------------------------------- views
+
+
+def _views(context: Context) -> ViewsResult:
+    """Render (or find in the cache) the views, and keep those that are measured on as PNG files."""
+    from bench.inputs import open_dataset, views
+    from datasets.png import write_png
+
+    job = context.job
+    dataset = open_dataset(job.dataset)
+    scene = job.scenes[0]
+    measured: Split = job.split
+    keys: dict[str, str] = {}
+    start = time.perf_counter()
+    wanted: tuple[Split, ...] = ("trainval", measured)
+    for split in wanted:
+        context.report(stage=f"views: {split}")
+        found = views(dataset, scene, job.request, split)
+        keys[split] = found.key
+    seconds = time.perf_counter() - start
+    if len(found) == 0:
+        raise DataError(f"{job.dataset_name}/{scene}", f"no views in split {measured!r}", "Use another split")
+    folder = context.folder / "truth"
+    folder.mkdir(exist_ok=True)
+    names = []
+    for index, image in enumerate(found.images):
+        names.append(f"{index:04d}.png")
+        write_png(folder / names[-1], image)
+    cameras = [camera_to_json(camera) for camera in found.cameras]
+    write_text(context.folder / "cameras.json", json.dumps(cameras))
+    background = tuple(float(c) for c in found.background)
+    return ViewsResult(
+        view_keys=keys, background=background, truth={measured: names}, render_seconds=seconds
+    )  # type: ignore[arg-type]
+
+
+def read_cameras(folder: Path) -> list[Any]:
+    """Cameras that a views job stored."""
+    return [camera_from_json(c) for c in json.loads((folder / "cameras.json").read_text(encoding="utf-8"))]
+
+
+# --------------------------------------------------------------------------- partition
+
+
+def _partition(context: Context) -> PartitionResult:
+    job = context.job
+    scenes, _ = scene_inputs(job)
+    method = context.method()
+    context.report(stage="partition")
+    start = time.perf_counter()
+    groups = method.partition(scenes, job.options)
+    synchronise(job.device)
+    seconds = time.perf_counter() - start
+    names = [[scene.name for scene in group] for group in groups]
+    if sorted(name for group in names for name in group) != sorted(job.scenes):
+        raise RuntimeError(f"{job.method} partitioned {list(job.scenes)} into {names}")
+    return PartitionResult(groups=names, seconds=seconds)
+
+
+# --------------------------------------------------------------------------- fit
+
+
+def _fit(context: Context) -> FitResult:
+    job = context.job
+    context.report(stage="loading")
+    scenes, validation = scene_inputs(job)
+    method = context.method()
+    assert job.iterations is not None
+    monitor = FitMonitor(
+        context.folder / "checkpoint", job.iterations, validation, context.report, context.stop
+    )
+    resume = monitor.resume()
+    before = reference_seconds()
+    context.stop.deferred = True
+    monitor.start()
+    model = method.fit(scenes, job.options, Budget(job.iterations), _seed(job), job.device, monitor, resume)
+    synchronise(job.device)
+    monitor.stop()
+    context.stop.deferred = False
+    after = reference_seconds()
+    if not monitor.final:
+        raise RuntimeError(
+            f"{job.method} ended its fit without a checkpoint at iteration {job.iterations}: "
+            "its fit must call monitor.due and monitor.pause after the last iteration"
+        )
+    return FitResult(
+        seconds=monitor.seconds,
+        iterations=job.iterations,
+        primitives={name: model.primitives(name) for name in job.scenes},
+        train_views=sum(len(scene.train) for scene in scenes) // len(scenes),
+        curve=monitor.curve,
+        resumed=monitor.resumed,
+        reference_seconds=mean_of(before, after),
+    )
+
+
+def _seed(job: Job) -> int:
+    return derived_seed("fit", job.method, job.dataset_name, job.group, job.seed)
+
+
+# --------------------------------------------------------------------------- encode
+
+
+class SilentMonitor:
+    """Given to ``fit`` where it only returns the model of a finished checkpoint."""
+
+    def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
+        raise RuntimeError("the method trains although it was given the checkpoint of a finished fit")
+
+    def due(self, iteration: int) -> bool:
+        return False
+
+    def pause(
+        self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]
+    ) -> None:
+        pass
+
+    def stage(self, name: str) -> None:
+        pass
+
+
+def _encode(context: Context) -> EncodeResult:
+    from bench.checkpoints import read_checkpoint
+
+    job = context.job
+    found = read_checkpoint(context.path_of(context.needed("fit")) / "checkpoint")
+    if found is None:
+        raise RuntimeError("the fit has no checkpoint")
+    context.report(stage="loading")
+    scenes, _ = scene_inputs(job)
+    method = context.method()
+    assert job.iterations is not None
+    model = method.fit(
+        scenes, job.options, Budget(job.iterations), _seed(job), job.device, SilentMonitor(), found[0]
+    )
+    folder = context.folder / "model"
+    if folder.exists():
+        import shutil
+
+        shutil.rmtree(folder)
+    folder.mkdir()
+    context.report(stage="encode")
+    start = time.perf_counter()
+    ledger = {scene: dict(parts) for scene, parts in model.save(folder, job.rate).items()}
+    synchronise(job.device)
+    seconds = time.perf_counter() - start
+    total = sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
+    check_ledger(ledger, total, job.scenes)
+    return EncodeResult(seconds=seconds, total_bytes=total, ledger=ledger)
+
+
+def check_ledger(ledger: Mapping[str, Mapping[str, int]], total: int, scenes: tuple[str, ...]) -> None:
+    """Refuse a byte ledger that is not about these scenes or does not sum to the files' size.
+
+    Raises:
+        RuntimeError: saying by how much, or what is in it that should not be.
+    """
+    foreign = [name for name in ledger if name and name not in scenes]
+    if foreign:
+        raise RuntimeError(f"byte ledger names scenes that are not in the group: {', '.join(foreign)}")
+    negative = [f"{s}/{p}" for s, parts in ledger.items() for p, n in parts.items() if n < 0]
+    if negative:
+        raise RuntimeError(f"byte ledger has negative entries: {', '.join(negative)}")
+    claimed = sum(sum(parts.values()) for parts in ledger.values())
+    if claimed != total:
+        raise RuntimeError(f"byte ledger sums to {claimed} bytes, the saved files have {total}")

@@ -1,0 +1,180 @@
+"""The run store: a folder per job, written aside and renamed in place.
+
+    RUNS/store.json  jobs/<kind>-<key>/  partial/<kind>-<key>/  locks/  tables/*.parquet
+
+A record is either whole or absent: ``record.json`` is written last (temporary file, fsync, rename)
+and its folder then moves from ``partial/`` to ``jobs/`` by one rename.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+from filelock import FileLock
+from pydantic import ValidationError
+
+from bench.records import SCHEMA, Record
+from datasets.errors import DataError
+
+
+class Store:
+    """A run store on disk.
+
+    Args:
+        root: its folder.
+        create: make it if it is not there.
+
+    Raises:
+        DataError: the folder is no run store, or one of another schema version.
+    """
+
+    def __init__(self, root: Path, *, create: bool = False) -> None:
+        self.root = root.expanduser().resolve()
+        self._cache: dict[str, tuple[int, Record]] = {}
+        marker = self.root / "store.json"
+        if not marker.is_file():
+            if not create:
+                raise DataError(root, "no run store", "Give --runs the folder that `bench run --out` wrote")
+            if self.root.exists() and (not self.root.is_dir() or any(self.root.iterdir())):
+                others = self.root.is_file() or any(p.name != "locks" for p in self.root.iterdir())
+                if others:
+                    raise DataError(root, "neither empty nor a run store", "Give --out a new folder")
+            try:
+                self.root.mkdir(parents=True, exist_ok=True)
+                write_text(marker, json.dumps({"schema_version": SCHEMA}) + "\n")
+            except OSError as error:
+                raise DataError(root, f"cannot be written ({error.strerror})", "Give --out another folder") from error
+        try:
+            version = json.loads(marker.read_text(encoding="utf-8"))["schema_version"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise DataError(marker, "cannot be read as a run store's marker", "Restore it or start anew") from error
+        if version != SCHEMA:
+            raise DataError(
+                root, f"has schema version {version}, this program writes {SCHEMA}", "Use a new folder for new runs"
+            )
+        for folder in (self.jobs, self.partial, self.locks, self.tables):
+            folder.mkdir(exist_ok=True)
+
+    @property
+    def jobs(self) -> Path:
+        return self.root / "jobs"
+
+    @property
+    def partial(self) -> Path:
+        return self.root / "partial"
+
+    @property
+    def locks(self) -> Path:
+        return self.root / "locks"
+
+    @property
+    def tables(self) -> Path:
+        return self.root / "tables"
+
+    def lock(self, name: str) -> FileLock:
+        """A lock held by the process that works on a job (or on "tables"); freed when it dies."""
+        return FileLock(self.locks / f"{name}.lock")
+
+    def record(self, job: str) -> Record | None:
+        """The record of a finished job, or None.
+
+        Raises:
+            DataError: it is there but cannot be read.
+        """
+        path = self.jobs / job / "record.json"
+        try:
+            stamp = path.stat().st_mtime_ns
+        except FileNotFoundError:
+            self._cache.pop(job, None)
+            return None
+        cached = self._cache.get(job)
+        if cached is None or cached[0] != stamp:
+            cached = (stamp, read_record(path))
+            self._cache[job] = cached
+        return cached[1]
+
+    def records(self) -> Iterator[Record]:
+        """All finished jobs, by id."""
+        for folder in sorted(self.jobs.iterdir()):
+            record = self.record(folder.name)
+            if record is not None:
+                yield record
+
+    def finish(self, record: Record, folder: Path | None = None) -> None:
+        """Write a record into its partial folder and rename that in place.
+
+        The caller holds the job's lock.
+        """
+        folder = folder or self.partial / record.job.id
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / "record.json", record.model_dump_json(indent=1) + "\n")
+        self.put_in_place(folder, record.job.id)
+
+    def put_in_place(self, folder: Path, job: str) -> None:
+        """Rename a folder that holds a whole record into ``jobs/``, instead of an older one."""
+        target = self.jobs / job
+        if target.exists():
+            aside = self.partial / f"old-{uuid.uuid4().hex}"
+            os.rename(target, aside)
+            os.rename(folder, target)
+            shutil.rmtree(aside, ignore_errors=True)
+        else:
+            os.rename(folder, target)
+        _sync(self.jobs)
+
+    def reopen(self, record: Record) -> None:
+        """Take a failed job back for another attempt; what it can continue from is kept.
+
+        A checkpoint is worth keeping where the outside ended the job (time, memory, a signal),
+        not where the method itself failed.
+        """
+        source, target = self.jobs / record.job.id, self.partial / record.job.id
+        shutil.rmtree(target, ignore_errors=True)
+        os.rename(source, target)
+        (target / "record.json").unlink(missing_ok=True)
+        if record.status not in ("timeout", "oom") and not (record.reason or "").startswith("killed"):
+            shutil.rmtree(target)
+
+    def sweep(self) -> None:
+        """Remove what a killed process left aside."""
+        for leftover in self.partial.glob("old-*"):
+            shutil.rmtree(leftover, ignore_errors=True)
+
+
+def read_record(path: Path) -> Record:
+    """Read and check a record.
+
+    Raises:
+        DataError: it is no record of this schema.
+    """
+    try:
+        return Record.model_validate_json(path.read_bytes())
+    except (ValidationError, OSError) as error:
+        first = str(error).splitlines()[0]
+        raise DataError(path, f"not a whole record ({first})", "Delete its folder; the job then runs again") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file so that it is there whole or not at all, also after a power cut."""
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    with temporary.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+    _sync(path.parent)
+
+
+def _sync(folder: Path) -> None:
+    """Make a rename last (a directory can be synchronised on POSIX only)."""
+    if os.name == "posix":
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,0 +1,207 @@
+"""Runs one job in this process: ``python -m bench.worker FOLDER``.
+
+FOLDER is ``RUNS/partial/<kind>-<key>`` with a ``job.json``. Exit codes: 0 the job has its record
+(of success or failure), 75 stopped and resumable, 76 another process works on it, 1 a defect.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from filelock import Timeout
+
+from bench.monitor import Progress, Stop, Stopped
+from bench.records import Record, Status, Task
+from bench.store import Store
+from bench.timing import machine_lock, peak_device_bytes, peak_host_bytes
+from datasets.errors import DataError
+from methods.interface import Diverged, Method, Refused
+
+if TYPE_CHECKING:
+    from methods.interface import MethodSpec
+
+STOPPED, BUSY = 75, 76
+_TAIL = 40
+
+
+def main(folder: Path) -> int:
+    """Run the job of a partial folder to its record."""
+    store = Store(folder.parent.parent)
+    task = Task.model_validate_json((folder / "job.json").read_bytes())
+    stop = Stop()
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(store.lock(task.job.id).acquire(timeout=0))
+        except Timeout:
+            return BUSY
+        if (folder / "record.json").is_file():  # ended between its record and the rename
+            store.put_in_place(folder, task.job.id)
+            return 0
+        if store.record(task.job.id) is not None:  # finished by another run in the meantime
+            shutil.rmtree(folder, ignore_errors=True)
+            return 0
+        stop.install()
+        _follow_parent(stop)
+        report = Progress(folder / "progress.jsonl")
+        try:
+            if task.job.kind != "views":  # timed jobs have the machine to themselves
+                report(stage="waiting for the machine", waiting=True)
+                stack.enter_context(machine_lock())
+            report(stage=task.job.kind, waiting=False)
+            record = run(task, folder, store, stop, report)
+        except Stopped:
+            return STOPPED
+        store.finish(record, folder)
+    return 0
+
+
+def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) -> Record:
+    """Do the job and describe how it went; only :class:`Stopped` comes out of here."""
+    job = task.job
+    started, start = now(), time.perf_counter()
+    status: Status = "ok"
+    reason: str | None = None
+    fields: dict[str, object] = {}
+    spec: MethodSpec | None = None
+    context = None
+    try:
+        from bench.stages import Context, run_stage
+
+        spec = _spec(task)
+        if spec is not None:
+            _prepare_device(job.device, spec)
+        context = Context(job, folder, store, _loader(spec, task.threads), stop, report)
+        fields = run_stage(context)
+    except Refused as error:
+        status, reason = "refused", str(error)
+    except Diverged as error:
+        status, reason = "diverged", str(error)
+    except DataError as error:
+        status, reason = "failed", str(error)
+    except Exception as error:
+        traceback.print_exc()
+        status = "oom" if is_memory_error(error) else "failed"
+        reason = f"{type(error).__name__}: {error}".strip().splitlines()[0]
+    stop.deferred = True  # from here on it is finished: let the record be written
+    from bench.provenance import provenance
+
+    last = last_progress(folder) if status != "ok" else {}
+    return Record(
+        job=job,
+        status=status,
+        reason=reason,
+        stage=last.get("stage"),
+        iteration=last.get("iteration"),
+        log_tail=log_tail(folder) if status != "ok" else None,
+        started=started,
+        finished=now(),
+        wall_seconds=time.perf_counter() - start,
+        peak_host_bytes=(context.peak_host_bytes if context else None) or peak_host_bytes(),
+        peak_device_bytes=peak_device_bytes(job.device),
+        provenance=provenance(task.threads, spec, job.device),
+        **fields,  # type: ignore[arg-type]
+    )
+
+
+def is_memory_error(error: BaseException) -> bool:
+    """Whether memory ran out, on the host or on the device (torch says so in its own ways)."""
+    if isinstance(error, MemoryError) or type(error).__name__ in ("OutOfMemoryError", "_ArrayMemoryError"):
+        return True
+    return isinstance(error, RuntimeError) and "not enough memory" in str(error)
+
+
+def log_tail(folder: Path) -> str | None:
+    """The last lines that a job printed."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    try:
+        with (folder / "log.txt").open("rb") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - 16_384))
+            text = file.read().decode(errors="replace")
+    except OSError:
+        return None
+    return "\n".join(text.splitlines()[-_TAIL:]) or None
+
+
+def last_progress(folder: Path) -> dict:
+    """The last whole state in ``progress.jsonl``."""
+    import json
+
+    try:
+        lines = (folder / "progress.jsonl").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return {}
+    for line in reversed(lines):
+        try:
+            return dict(json.loads(line))
+        except ValueError:  # cut off by a kill
+            continue
+    return {}
+
+
+def now() -> str:
+    """UTC, to the millisecond."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def _spec(task: Task) -> MethodSpec | None:
+    if task.job.method is None:
+        return None
+    from methods.registry import Registry
+
+    return Registry(task.plugins).spec(task.job.method)
+
+
+def _loader(spec: MethodSpec | None, threads: int) -> Callable[[], Method]:
+    """Imports the implementation when it is asked for, with torch (if it uses it) held to ``threads``."""
+
+    def load() -> Method:
+        from methods.registry import load_method
+
+        assert spec is not None
+        method = load_method(spec)
+        if "torch" in sys.modules:
+            sys.modules["torch"].set_num_threads(threads)
+        return method
+
+    return load
+
+
+def _prepare_device(device: str, spec: MethodSpec) -> None:
+    if device.split(":")[0] not in spec.devices:
+        raise Refused(f"{spec.name} runs on {', '.join(spec.devices)}, not on {device}")
+    if device.startswith("cuda"):
+        import torch
+
+        if not torch.cuda.is_available():
+            raise Refused(f"device {device} is not available: torch {torch.__version__} sees no CUDA device")
+        torch.cuda.reset_peak_memory_stats(device)
+
+
+def _follow_parent(stop: Stop) -> None:
+    """Stop, as on SIGTERM, once the process that started this one is gone."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        if stop.deferred:
+            stop.requested.set()
+        else:
+            os._exit(STOPPED)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]).resolve()))
