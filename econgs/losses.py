@@ -52,25 +52,41 @@ def ssim(rendered: Tensor, target: Tensor, *, backend: str | None = None) -> Ten
 
 
 def torch_ssim(rendered: Tensor, target: Tensor) -> Tensor:
-    """The same in plain PyTorch, for any dtype and device."""
-    channels = rendered.shape[2]
-    x, y = rendered.permute(2, 0, 1), target.permute(2, 0, 1)
-    offset = torch.arange(WINDOW, dtype=x.dtype, device=x.device) - WINDOW // 2
-    taps = torch.exp(-0.5 * (offset / SIGMA) ** 2)
-    taps = (taps / taps.sum()).expand(5 * channels, 1, 1, WINDOW).contiguous()
+    """The same in plain PyTorch, for any dtype and device.
 
-    # The window is separable: rows, then columns, of all five moments at once.
-    moments = torch.cat([x, y, x * x, y * y, x * y])[None]
-    rows = functional.conv2d(moments, taps, padding=(0, WINDOW // 2), groups=5 * channels)
-    columns = functional.conv2d(rows, taps.mT.contiguous(), padding=(WINDOW // 2, 0), groups=5 * channels)
-    mean_x, mean_y, square_x, square_y, product = columns[0].split(channels)
-    variance_x = square_x - mean_x * mean_x
-    variance_y = square_y - mean_y * mean_y
-    covariance = product - mean_x * mean_y
-    luminance = (2 * mean_x * mean_y + C1) / (mean_x * mean_x + mean_y * mean_y + C1)
-    structure = (2 * covariance + C2) / (variance_x + variance_y + C2)
+    Written in sums and differences, s = x + y and d = x − y, so that nothing large cancels where the images
+    are flat and alike, as most of a volume rendering is:
+    SSIM = (1 − d̄² / ((s̄² + d̄²) / 2 + C₁)) · (1 − V[d] / ((V[s] + V[d]) / 2 + C₂)).
+    """
+    height, width, channels = rendered.shape
+    offset = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
+    taps = torch.exp(-0.5 * (offset / SIGMA) ** 2)
+    taps = (taps / taps.sum()).reshape(1, 1, 1, WINDOW)
+    kind = {"dtype": rendered.dtype, "device": rendered.device}
+
+    # Sums are centred at 1 (their variance does not mind); `outside` is the window's share on the padding.
+    x, y = rendered.permute(2, 0, 1), target.permute(2, 0, 1)
+    total, difference = x + y - 1, x - y
+    covered = _blur(torch.ones(1, 1, height, width, dtype=torch.float64), taps)[0, 0]
+    inside, outside = covered.to(**kind), (1 - covered).to(**kind)
+
+    moments = torch.cat([total, difference, total * total, difference * difference])[None]
+    mean, mean_d, square, square_d = _blur(moments, taps.to(**kind))[0].split(channels)
+    variance = square - mean * mean + outside * (2 * mean + inside)
+    variance_d = square_d - mean_d * mean_d
+    mean = mean + inside
+    luminance = 1 - mean_d * mean_d / (0.5 * (mean * mean + mean_d * mean_d) + C1)
+    structure = 1 - variance_d / (0.5 * (variance + variance_d) + C2)
     value: Tensor = (luminance * structure).mean()
     return value
+
+
+def _blur(images: Tensor, taps: Tensor) -> Tensor:
+    """The separable window over each of the (1, M, H, W) images, zero-padded."""
+    many = images.shape[1]
+    across = taps.expand(many, 1, 1, WINDOW).contiguous()
+    rows = functional.conv2d(images, across, padding=(0, WINDOW // 2), groups=many)
+    return functional.conv2d(rows, across.mT.contiguous(), padding=(WINDOW // 2, 0), groups=many)
 
 
 def _check(rendered: Tensor, target: Tensor) -> None:

@@ -38,7 +38,9 @@ class Scene:
         self, dtype: torch.dtype, backend: str | None, seeds: dict[str, torch.Tensor], device: str = "cpu"
     ) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
         """Outputs, and gradients of Σ outputs · seeds, in float64 on the CPU."""
-        leaves = {name: one.to(device, dtype, copy=True).requires_grad_(True) for name, one in self.tensors.items()}
+        leaves = {
+            name: one.to(device, dtype, copy=True).requires_grad_(True) for name, one in self.tensors.items()
+        }
         out = rasterise(camera=self.camera, near=self.near, backend=backend, **leaves)
         loss = sum((getattr(out, name) * seeds[name].to(dtype).to(device)).sum() for name in OUTPUTS)
         assert isinstance(loss, torch.Tensor)

@@ -1,0 +1,135 @@
+"""The photometric loss against scikit-image, the usual convolution and finite differences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from skimage.metrics import structural_similarity
+from torch.nn import functional
+
+from econgs.losses import photometric_loss, ssim
+
+SIZES = [(37, 52, 3), (64, 64, 3), (16, 16, 1), (5, 7, 4), (1, 1, 3), (130, 20, 2)]
+
+
+def images(shape: tuple[int, ...], seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    """A smooth picture and a degraded copy, with flat parts as in volume renderings."""
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[: shape[0], : shape[1]] / 9.0
+    picture = 0.5 + 0.4 * np.sin(x + np.arange(shape[2])[:, None, None]) * np.cos(1.3 * y)
+    picture = np.moveaxis(picture, 0, -1)
+    picture[: shape[0] // 4] = 1.0
+    noisy = np.clip(picture + 0.1 * random.normal(size=shape), 0, 1)
+    target, rendered = (torch.from_numpy(one.astype(np.float32)).double() for one in (picture, noisy))
+    return rendered, target
+
+
+def usual_ssim(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """The 11×11 depthwise convolution of the lineage, zero-padded."""
+    offset = torch.arange(11, dtype=x.dtype) - 5
+    taps = torch.exp(-(offset**2) / (2 * 1.5**2))
+    window = torch.outer(taps, taps) / taps.sum() ** 2
+    window = window.expand(x.shape[2], 1, 11, 11)
+
+    def blur(image: torch.Tensor) -> torch.Tensor:
+        return functional.conv2d(image.permute(2, 0, 1)[None], window, padding=5, groups=image.shape[2])
+
+    mx, my = blur(x), blur(y)
+    vx, vy, cov = blur(x * x) - mx**2, blur(y * y) - my**2, blur(x * y) - mx * my
+    return ((2 * mx * my + 1e-4) * (2 * cov + 9e-4) / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))).mean()
+
+
+@pytest.mark.parametrize("shape", SIZES)
+def test_ssim_is_the_usual_convolution(backend: Any, shape: tuple[int, ...]) -> None:
+    rendered, target = images(shape)
+    expected = usual_ssim(rendered, target)
+    assert ssim(rendered, target).item() == pytest.approx(expected.item(), abs=1e-12)
+    single = rendered.float().to(backend.device), target.float().to(backend.device)
+    assert ssim(*single, backend=backend.name).item() == pytest.approx(expected.item(), abs=2e-5)
+
+
+def test_ssim_is_scikit_images_inside_the_border() -> None:
+    """Zero padding touches five pixels at the rim; scikit-image mirrors there."""
+    rendered, target = images((60, 50, 3))
+    _, full = structural_similarity(
+        rendered.numpy(),
+        target.numpy(),
+        channel_axis=2,
+        data_range=1.0,
+        gaussian_weights=True,
+        sigma=1.5,
+        truncate=3.5,
+        use_sample_covariance=False,
+        full=True,
+    )
+    padded = pixel_by_pixel(rendered, target)
+    np.testing.assert_allclose(padded[5:-5, 5:-5].numpy(), full[5:-5, 5:-5], atol=1e-7)
+    assert padded.mean().item() == pytest.approx(ssim(rendered, target).item(), abs=1e-12)
+
+
+def pixel_by_pixel(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """SSIM of every pixel by its definition, window by window."""
+    offset = np.arange(11) - 5
+    taps = np.exp(-(offset**2) / (2 * 1.5**2))
+    window = torch.from_numpy(np.outer(taps, taps) / taps.sum() ** 2)[..., None]
+    pad = (0, 0, 5, 5, 5, 5)
+    a, b = functional.pad(x, pad), functional.pad(y, pad)
+    result = torch.zeros_like(x)
+    for row in range(x.shape[0]):
+        for column in range(x.shape[1]):
+            one = a[row : row + 11, column : column + 11]
+            two = b[row : row + 11, column : column + 11]
+            mx, my = (window * one).sum((0, 1)), (window * two).sum((0, 1))
+            vx, vy = (window * one * one).sum((0, 1)) - mx**2, (window * two * two).sum((0, 1)) - my**2
+            cov = (window * one * two).sum((0, 1)) - mx * my
+            numerator = (2 * mx * my + 1e-4) * (2 * cov + 9e-4)
+            result[row, column] = numerator / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))
+    return result
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize("shape", SIZES)
+def test_loss_and_gradient_match_float64(
+    splat: Any, backend: Any, shape: tuple[int, ...], weight: float
+) -> None:
+    rendered, target = images(shape, seed=2)
+    exact = rendered.clone().requires_grad_(True)
+    expected = photometric_loss(exact, target, weight)
+    expected.backward()
+    mine = rendered.float().to(backend.device).requires_grad_(True)
+    actual = photometric_loss(mine, target.float().to(backend.device), weight, backend=backend.name)
+    (3.0 * actual).backward()
+    assert actual.item() == pytest.approx(expected.item(), rel=2e-5, abs=2e-6)
+    assert splat.relative(mine.grad.double().cpu() / 3.0, exact.grad) < backend.tolerance
+
+
+def test_gradient_is_that_of_finite_differences() -> None:
+    rendered, target = images((9, 8, 2))
+    rendered = (rendered + 0.05).requires_grad_(True)
+    assert torch.autograd.gradcheck(lambda one: photometric_loss(one, target, 0.3), rendered, eps=1e-7)
+
+
+def test_equal_images_have_no_loss(backend: Any) -> None:
+    picture = images((30, 30, 3))[1].float().to(backend.device).requires_grad_(True)
+    loss = photometric_loss(picture, picture.detach().clone(), backend=backend.name)
+    loss.backward()
+    assert abs(loss.item()) < 1e-6
+    assert picture.grad.abs().max() < 1e-6
+
+
+def test_images_of_another_memory_layout_are_the_same_images(backend: Any) -> None:
+    rendered, target = (one.float().to(backend.device) for one in images((20, 33, 3)))
+    strided = target.permute(2, 0, 1).contiguous().permute(1, 2, 0)
+    assert not strided.is_contiguous()
+    first = photometric_loss(rendered, target, backend=backend.name)
+    assert photometric_loss(rendered, strided, backend=backend.name).item() == pytest.approx(first.item())
+
+
+def test_shapes_must_agree() -> None:
+    rendered, target = images((8, 8, 3))
+    for wrong in (target[:4], target[..., 0], target[:0]):
+        with pytest.raises(ValueError, match="image size"):
+            photometric_loss(rendered, wrong)

@@ -1,0 +1,156 @@
+"""Adam against torch.optim.Adam, and what densification does to its state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from econgs.optim import Adam
+from econgs.splat import choose_backend
+
+SHAPES = {"means": (101, 3), "opacities": (101,), "sh": (101, 15, 3), "odd": (7,)}
+RATES = {"means": 1.6e-4, "opacities": 0.05, "sh": 1.25e-4, "odd": 0.3}
+
+
+def draw(dtype: torch.dtype, device: str, seed: int = 0) -> dict[str, torch.Tensor]:
+    random = np.random.default_rng(seed)
+    return {
+        name: torch.from_numpy(random.normal(size=shape).astype(np.float32)).to(device, dtype)
+        for name, shape in SHAPES.items()
+    }
+
+
+def gradients(step: int, like: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Of very different magnitudes; some exactly zero, as those of unseen Gaussians."""
+    random = np.random.default_rng(100 + step)
+    result = {}
+    for name, one in like.items():
+        values = random.normal(size=one.shape) * 10.0 ** random.uniform(-8, 2, one.shape)
+        values[random.uniform(size=one.shape) < 0.2] = 0
+        result[name] = torch.from_numpy(values.astype(np.float32)).to(one)
+    return result
+
+
+def run(dtype: torch.dtype, device: str, steps: int) -> tuple[Adam, dict[str, torch.Tensor]]:
+    """Ours and torch's over the same gradients with a changing rate and a group that sometimes has none."""
+    start = draw(dtype, device)
+    ours = Adam({name: one.clone() for name, one in start.items()}, RATES)
+    exact = {name: one.double().cpu().requires_grad_(True) for name, one in start.items()}
+    theirs = torch.optim.Adam(
+        [{"params": [one], "lr": RATES[name], "name": name} for name, one in exact.items()], eps=1e-15
+    )
+    for step in range(steps):
+        ours.zero_grad()
+        theirs.zero_grad()
+        drawn = gradients(step, start)
+        for name, gradient in drawn.items():
+            if name == "odd" and step % 3 == 1:
+                continue
+            ours[name].grad = gradient.clone()
+            exact[name].grad = gradient.double().cpu()
+        ours.rates["means"] = theirs.param_groups[0]["lr"] = RATES["means"] * 0.9**step
+        ours.step()
+        theirs.step()
+    return ours, {name: one.detach() for name, one in exact.items()}
+
+
+def test_float32_follows_torch(splat: Any, backend: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ECONGS_BACKEND", backend.name)
+    start = draw(torch.float64, "cpu")
+    ours, exact = run(torch.float32, backend.device, 25)
+    for name in SHAPES:
+        moved = ours[name].detach().double().cpu() - start[name]
+        # Rounding of the values themselves (6e-8 of about 1, 25 times) is all that may differ.
+        assert (moved - (exact[name] - start[name])).abs().max() < 3e-6
+        assert moved.abs().max() > 5 * RATES[name] * 0.3
+
+
+def test_float64_is_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ECONGS_BACKEND", raising=False)
+    ours, exact = run(torch.float64, "cpu", 10)
+    for name in SHAPES:
+        torch.testing.assert_close(ours[name].detach(), exact[name], rtol=0, atol=1e-13)
+
+
+def test_rows_take_their_moments_along(backend: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ECONGS_BACKEND", backend.name)
+    ours, _ = run(torch.float32, backend.device, 5)
+    before = {name: one.clone() for name, one in ours.state().items()}
+    rows = torch.arange(101, device=backend.device) % 3 == 0
+    names = ["means", "opacities", "sh"]
+    ours.keep(rows, names)
+    ours.append({name: torch.ones((4, *SHAPES[name][1:]), device=backend.device) for name in names})
+    for name in names:
+        count = int(rows.sum())
+        assert ours[name].shape == (count + 4, *SHAPES[name][1:])
+        assert ours[name].is_leaf
+        assert ours[name].requires_grad
+        for part in ("first", "second", "value"):
+            now = ours.state()[f"{name}/0/{part}"]
+            assert torch.equal(now[:count], before[f"{name}/0/{part}"][rows])
+            assert (now[count:] == (1 if part == "value" else 0)).all()
+        assert ours.steps[name] == [5]
+        ours[name].grad = torch.ones_like(ours[name])
+    assert ours.steps["odd"] == [3]
+    ours.step()
+    # Old rows have their momentum; a new row moves by less than the rate, as bias is corrected for step 6.
+    assert torch.isfinite(ours["means"]).all()
+    ratio = (0.1 / (1 - 0.9**6)) / (0.001 / (1 - 0.999**6)) ** 0.5
+    moved = ours["opacities"].detach()[-4:].cpu()
+    torch.testing.assert_close(moved, torch.full((4,), 1 - 0.05 * ratio), rtol=1e-5, atol=0)
+
+
+def test_overwriting_forgets_the_moments() -> None:
+    ours, _ = run(torch.float32, "cpu", 3)
+    ours.overwrite("opacities", torch.full((101,), -2.0))
+    assert (ours["opacities"] == -2).all()
+    assert ours.first["opacities"][0].abs().max() == 0
+    assert ours.second["opacities"][0].abs().max() == 0
+    assert ours.first["means"][0].abs().max() > 0
+
+
+def test_a_saved_state_continues_as_if_nothing_had_happened() -> None:
+    ours, _ = run(torch.float32, "cpu", 4)
+    saved = {name: one.clone() for name, one in ours.state().items()}
+    other = Adam({name: one[:3] for name, one in draw(torch.float32, "cpu", 9).items()}, RATES)
+    other.load_state(saved)
+    for one in (ours, other):
+        for name, gradient in gradients(7, {name: ours[name].detach() for name in SHAPES}).items():
+            one[name].grad = gradient
+        one.rates = dict(RATES)
+        one.step()
+    for name in SHAPES:
+        assert torch.equal(ours[name], other[name])
+    with pytest.raises(ValueError, match=r"lacks.*sh/0/second"):
+        other.load_state({name: one for name, one in saved.items() if name != "sh/0/second"})
+
+
+def test_a_group_of_several_tensors_keeps_a_modules_own_parameters() -> None:
+    layer = torch.nn.Linear(3, 2)
+    optimiser = Adam({"decoder": list(layer.parameters())}, {"decoder": 0.1})
+    before = layer.weight.detach().clone()
+    layer(torch.ones(1, 3)).sum().backward()
+    optimiser.step()
+    torch.testing.assert_close(layer.weight.detach(), before - 0.1, rtol=0, atol=1e-6)
+    optimiser.load_state({name: one.clone() for name, one in optimiser.state().items()})
+    assert optimiser.parameters["decoder"][0] is layer.weight
+    optimiser.zero_grad()
+    assert layer.weight.grad is None
+
+
+def test_empty_groups_and_wrong_names() -> None:
+    optimiser = Adam({"means": torch.zeros(0, 3)}, {"means": 0.1})
+    optimiser["means"].grad = torch.zeros(0, 3)
+    optimiser.step()
+    with pytest.raises(ValueError, match="name different things"):
+        Adam({"means": torch.zeros(1)}, {"scales": 0.1})
+
+
+def test_the_step_of_float32_on_a_cpu_is_the_native_one(splat: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    if splat.native is None:
+        pytest.skip("econgs._native is not compiled here")
+    monkeypatch.delenv("ECONGS_BACKEND", raising=False)
+    assert choose_backend(torch.zeros(1)) == "native"
