@@ -1,0 +1,286 @@
+"""Calling layer of the compiled CPU kernels (``econgs._native``): torch tensors in, autograd works.
+
+All tensors are float32 on the CPU. The kernels exist once per instruction set; the best one that the
+processor has is taken, or the one named by the environment variable ``ECONGS_ISA``. ``ECONGS_THREADS`` sets the
+number of threads (default: ``torch.get_num_threads()``). Results do not depend on that number.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from datasets.camera import Camera
+from datasets.names import unknown
+from econgs import _native
+
+FEW_COLUMNS = -1  # of adam_step: all columns
+
+
+def available_isas(*, testing: bool = False) -> list[str]:
+    """Instruction sets that this processor and build can run, best first.
+
+    Args:
+        testing: also list variants that exist for tests only ("avx2x16": the 16-lane source of AVX-512
+            compiled for AVX2, so that machines without AVX-512 test its logic).
+    """
+    return list(_native.available_isas(testing))
+
+
+def isa() -> str:
+    """The instruction set in use."""
+    return str(_native.isa())
+
+
+def set_isa(name: str) -> None:
+    """Forces an instruction set, for tests and comparisons.
+
+    Raises:
+        datasets.errors.UnknownName: no kernels of that name were built.
+        RuntimeError: the processor lacks it.
+    """
+    built = list(_native.built_isas())
+    if name not in built:
+        raise unknown("instruction set", name, built, of="the native kernels")
+    if name not in available_isas(testing=True):
+        raise RuntimeError(f"this processor lacks {name}; it has {', '.join(available_isas())}")
+    _native.set_isa(name)
+
+
+def threads() -> int:
+    """The number of threads in use."""
+    return int(_native.threads())
+
+
+def set_threads(count: int) -> None:
+    """Sets the number of threads, the caller's own included.
+
+    Raises:
+        ValueError: fewer than 1 or more than 1024.
+    """
+    if not 1 <= count <= 1024:
+        raise ValueError(f"{count} threads: 1 to 1024 are possible")
+    _native.set_threads(count)
+
+
+def _configure() -> None:
+    wanted = os.environ.get("ECONGS_ISA")
+    if wanted:
+        set_isa(wanted)
+    count = os.environ.get("ECONGS_THREADS")
+    if count is not None and not count.strip().isdigit():
+        raise ValueError(f"ECONGS_THREADS is {count!r}, not a number of threads")
+    set_threads(int(count) if count is not None else torch.get_num_threads())
+
+
+def _plain(tensor: Tensor) -> Tensor:
+    """The tensor as the kernels take it: contiguous, without history."""
+    return tensor.detach().contiguous()
+
+
+class _Rasterise(torch.autograd.Function):
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any,
+        means: Tensor,
+        quats: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        features: Tensor,
+        screen_offset: Tensor | None,
+        view: Tensor,
+        size: tuple[int, int],
+        near: float,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        width, height = size
+        channels = features.shape[1]
+        inputs = [_plain(one) for one in (means, quats, scales, opacities, features)]
+        offset = None if screen_offset is None else _plain(screen_offset)
+        image = means.new_empty((height, width, channels))
+        alpha = means.new_empty((height, width))
+        depth = means.new_empty((height, width))
+        radii = torch.empty(means.shape[0], dtype=torch.int32)
+        keep = any(ctx.needs_input_grad[:6])
+        frame = _native.forward(*inputs, offset, view, near, image, alpha, depth, radii, keep)
+        ctx.frame = frame if keep else None
+        ctx.inputs = inputs
+        ctx.images = (image, alpha, depth)
+        ctx.view = view
+        ctx.mark_non_differentiable(radii)
+        ctx.set_materialize_grads(False)
+        # The kernel keeps its own view of the outputs: returning the tensors themselves would tie a cycle.
+        return image.view_as(image), alpha.view_as(alpha), depth.view_as(depth), radii
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(  # type: ignore[override]
+        ctx: Any, grad_image: Tensor | None, grad_alpha: Tensor | None, grad_depth: Tensor | None, _: Any
+    ) -> tuple[Tensor | None, ...]:
+        if ctx.frame is None:
+            raise RuntimeError("a frame's gradients can be asked for only once")
+        grads = [torch.empty_like(one) for one in ctx.inputs]
+        offset = ctx.inputs[0].new_empty((grads[0].shape[0], 2)) if ctx.needs_input_grad[5] else None
+        outer = [None if one is None else _plain(one) for one in (grad_image, grad_alpha, grad_depth)]
+        _native.backward(ctx.frame, *ctx.inputs, ctx.view, *ctx.images, *outer, *grads, offset)
+        needed = ctx.needs_input_grad
+        kept = [grad if need else None for grad, need in zip(grads, needed[:5], strict=True)]
+        return (*kept, offset, None, None, None)
+
+
+def rasterise(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    features: Tensor,
+    camera: Camera,
+    *,
+    near: float = 0.2,
+    screen_offset: Tensor | None = None,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Features H×W×C, alpha H×W, depth H×W and radii N; arguments as in :func:`econgs.splat.rasterise`.
+
+    Raises:
+        ValueError: NaN or infinity, a zero quaternion, a negative scale or an opacity outside [0, 1]; the
+            message names the tensor and the first such Gaussian.
+    """
+    pose = camera.world_to_camera
+    numbers = [*pose[:3, :4].ravel().tolist(), camera.fx, camera.fy, camera.cx, camera.cy]
+    view = torch.tensor(numbers, dtype=torch.float64)
+    size = (camera.width, camera.height)
+    images: tuple[Tensor, Tensor, Tensor, Tensor] = _Rasterise.apply(
+        means, quats, scales, opacities, features, screen_offset, view, size, near
+    )
+    return images
+
+
+class _SphericalHarmonics(torch.autograd.Function):
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any, degree: int, means: Tensor, position: Tensor, coefficients: Tensor
+    ) -> Tensor:
+        inputs = [_plain(one) for one in (means, position, coefficients)]
+        colors = means.new_empty((means.shape[0], 3))
+        _native.sh_forward(degree, *inputs, colors)
+        ctx.degree = degree
+        ctx.save_for_backward(*inputs, colors)
+        return colors
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        means, position, coefficients, colors = ctx.saved_tensors
+        grad_means = torch.empty_like(means)
+        grad_coefficients = torch.empty_like(coefficients)
+        _native.sh_backward(
+            ctx.degree,
+            means,
+            position,
+            coefficients,
+            colors.detach(),
+            _plain(grad),
+            grad_means,
+            grad_coefficients,
+        )
+        grad_position = -grad_means.sum(0) if ctx.needs_input_grad[2] else None
+        return None, grad_means, grad_position, grad_coefficients
+
+
+def spherical_harmonics(
+    degree: int, means: Tensor, camera_position: Tensor, coefficients: Tensor
+) -> Tensor:
+    """(N, 3) colors; arguments as in :func:`econgs.splat.spherical_harmonics`."""
+    colors: Tensor = _SphericalHarmonics.apply(degree, means, camera_position, coefficients)
+    return colors
+
+
+class _Photometric(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rendered: Tensor, target: Tensor, absolute: float, structural: float) -> Tensor:  # type: ignore[override]
+        # The loss is a scalar, so its gradient is made at once and only scaled in the backward pass.
+        grad = torch.empty_like(rendered) if ctx.needs_input_grad[0] else None
+        grad = None if grad is None else grad.contiguous()
+        mean_absolute, ssim = _native.photometric(
+            _plain(rendered), _plain(target), absolute, structural, grad
+        )
+        ctx.grad = grad
+        return rendered.new_tensor(absolute * mean_absolute + structural * ssim)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        return ctx.grad * grad, None, None, None
+
+
+def photometric_loss(rendered: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
+    """(1 − w) · mean |rendered − target| + w · (1 − SSIM) of two (H, W, C) images, as a scalar."""
+    loss: Tensor = _Photometric.apply(rendered, target, 1.0 - ssim_weight, -ssim_weight)
+    return loss + ssim_weight
+
+
+def ssim(rendered: Tensor, target: Tensor) -> Tensor:
+    """Mean SSIM of two (H, W, C) images: 11×11 window, σ 1.5, zero padding."""
+    value: Tensor = _Photometric.apply(rendered, target, 0.0, 1.0)
+    return value
+
+
+def adam_step(
+    params: Sequence[Tensor],
+    grads: Sequence[Tensor],
+    m: Sequence[Tensor],
+    v: Sequence[Tensor],
+    lrs: Sequence[float],
+    beta1: float,
+    beta2: float,
+    eps: float,
+    step: int,
+) -> None:
+    """One step of Adam (Kingma and Ba 2015) on all tensors at once, in place.
+
+    What has exactly zero gradient and zero moments (spherical harmonics above the active degree) is read but
+    not written.
+
+    Args:
+        params: tensors to update; contiguous, as are all others.
+        grads: their gradients.
+        m: first moments.
+        v: second moments.
+        lrs: one learning rate per tensor.
+        beta1: decay of the first moment.
+        beta2: decay of the second moment.
+        eps: guard of the division.
+        step: count of steps including this one, ≥ 1.
+
+    Raises:
+        ValueError: lists or tensors of different sizes, or a parameter that is not contiguous.
+    """
+    columns = [[_in_place(one) for one in column] for column in (params, m, v)]
+    _native.adam(columns[0], [_plain(one) for one in grads], *columns[1:], list(lrs), beta1, beta2, eps, step)
+
+
+def _in_place(tensor: Tensor) -> Tensor:
+    if not tensor.is_contiguous():
+        raise ValueError("adam_step takes contiguous parameters and moments")
+    return tensor.detach()
+
+
+def fixed_reference_kernel() -> float:
+    """Seconds of a fixed piece of work (FMA and memory traffic, all threads), to compare moments by."""
+    return float(_native.reference_kernel())
+
+
+def bench_blend(channels: int = 3, backward: bool = False) -> float:
+    """Lane evaluations (pixel × Gaussian) per second of one thread's blend loop on L1-resident data."""
+    return float(_native.bench_blend(channels, backward))
+
+
+def last_frame() -> dict[str, float]:
+    """Of the last frame rasterised: seconds by stage, intersections, lane evaluations of the blend loop."""
+    return dict(_native.last_frame())
+
+
+_configure()
