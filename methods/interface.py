@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 if TYPE_CHECKING:
     import torch
-    from datasets.cloud import PointCloud
 
     from datasets.camera import Camera
+    from datasets.cloud import PointCloud
     from datasets.scene import RGB, BasicScene
     from datasets.views import ViewSet
     from datasets.volume import Volume

@@ -198,9 +198,13 @@ class Trainer:
         self.limited |= growth.limited
 
     def _check_finite(self) -> None:
-        for name in PARAMETERS:
-            if not bool(torch.isfinite(self.optimiser[name].sum())):
-                raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
+        with torch.no_grad():
+            for name in PARAMETERS:
+                values = self.optimiser[name]
+                # A logarithm may be finite and its exponential not.
+                total = values.exp().sum() if name == "log_scales" else values.sum()
+                if not math.isfinite(float(total)):
+                    raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
 
     # ------------------------------------------------------------------ what comes out
 

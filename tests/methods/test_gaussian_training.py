@@ -1,0 +1,197 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from methods.gaussian_splatting.initialise import neighbour_distances
+from methods.gaussian_splatting.method import GaussianSplatting
+from methods.gaussian_splatting.spec import SPEC
+from methods.gaussian_splatting.training import PARAMETERS, Trainer
+from methods.interface import Budget, Diverged, Refused
+from methods.options import resolve
+
+
+def fit(scene, recorder, iterations=120, seed=0, resume=None, **overrides):
+    options = resolve(SPEC, "quick", overrides).options
+    return GaussianSplatting().fit([scene], options, Budget(iterations), seed, "cpu", recorder, resume)
+
+
+def assert_same_model(one, other):
+    for name in PARAMETERS:
+        first, second = (getattr(model.gaussians("tiny"), name) for model in (one, other))
+        assert torch.equal(first, second), name
+
+
+def test_training_recovers_views_it_never_saw(tiny, scene):
+    recorder = tiny.Recorder(checkpoint_at=[1])
+    model = fit(scene, recorder, iterations=300)
+    before, after = tiny.psnr(recorder.models[0], scene.validation), tiny.psnr(model, scene.validation)
+    assert after > before + 6.0
+    assert after > 27.0
+    assert len(recorder.losses) == 300
+    assert recorder.counts[-1] == model.primitives() != recorder.counts[0] == 96
+    assert recorder.stages == ["growth", "refinement"]
+
+
+@pytest.mark.parametrize("overrides", [{"background": "random"}, {"start": "random", "random_points": 200}])
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tiny, scene, tmp_path, overrides):
+    files = []
+    for run, seed in enumerate((5, 5, 6)):
+        torch.manual_seed(run)  # the global generator must not matter
+        np.random.seed(run)  # noqa: NPY002
+        folder = tmp_path / str(run)
+        folder.mkdir()
+        fit(scene, tiny.Recorder(), 40, seed, **overrides).save(folder)
+        files.append((folder / "tiny.ply").read_bytes())
+    assert files[0] == files[1] != files[2]
+
+
+@pytest.mark.parametrize("stop", [1, 17, 60, 119])
+def test_interrupted_and_resumed_is_uninterrupted_bit_for_bit(tiny, scene, stop):
+    recorder = tiny.Recorder(checkpoint_at=[stop])
+    whole = fit(scene, recorder, 120, background="random")
+    checkpoint = recorder.checkpoints[stop]
+    assert checkpoint.iteration == stop
+    rest = tiny.Recorder()
+    resumed = fit(scene, rest, 120, background="random", resume=checkpoint)
+    assert rest.losses == recorder.losses[stop:]
+    assert_same_model(whole, resumed)
+
+
+def test_a_finished_checkpoint_gives_the_model_without_training(tiny, scene):
+    recorder = tiny.Recorder(checkpoint_at=[50])
+    whole = fit(scene, recorder, 50)
+    again = tiny.Recorder()
+    assert_same_model(whole, fit(scene, again, 50, resume=recorder.checkpoints[50]))
+    assert again.losses == []
+
+
+def test_a_checkpoint_survives_being_written_as_arrays_and_json(tiny, scene, tmp_path):
+    import json
+
+    from safetensors.torch import load_file, save_file
+
+    recorder = tiny.Recorder(checkpoint_at=[30])
+    whole = fit(scene, recorder, 60)
+    checkpoint = recorder.checkpoints[30]
+    save_file(checkpoint.arrays, tmp_path / "arrays.safetensors")
+    (tmp_path / "scalars.json").write_text(json.dumps(checkpoint.scalars))
+    read = replace(
+        checkpoint,
+        arrays=load_file(tmp_path / "arrays.safetensors"),
+        scalars=json.loads((tmp_path / "scalars.json").read_text()),
+    )
+    assert_same_model(whole, fit(scene, tiny.Recorder(), 60, resume=read))
+
+
+def test_views_come_without_replacement(scene, options):
+    trainer = Trainer(scene, options, 100, 0, "cpu")
+    count = len(scene.train)
+    rounds = [[trainer._next_view() for _ in range(count)] for _ in range(3)]
+    assert all(sorted(one) == list(range(count)) for one in rounds)
+    assert rounds[0] != rounds[1]
+
+
+def test_initial_scales_are_neighbour_distances():
+    points = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3], [50, 0, 0]])
+    found = neighbour_distances(points, 1.0)
+    assert found[0] == pytest.approx(np.sqrt((1 + 4 + 9) / 3))
+    assert neighbour_distances(points[:2], 1.0).tolist() == [1.0, 1.0]
+    assert neighbour_distances(points[:1], 4.4).tolist() == [pytest.approx(0.044)]
+    assert neighbour_distances(torch.zeros(6, 3), 1.0)[0] == pytest.approx(np.sqrt(1e-7))
+
+
+def test_start_from_the_cloud_takes_its_points_and_colors(tiny, scene, options):
+    colors = np.array([[1.0, 0.0, 0.25], [0.5, 0.5, 0.5]])
+    model = Trainer(tiny.with_cloud(scene, [[0, 0, 0.1], [0.1, 0, 0]], colors), options, 10, 0, "cpu").model()
+    gaussians = model.gaussians("tiny")
+    np.testing.assert_allclose(gaussians.means, [[0, 0, 0.1], [0.1, 0, 0]], atol=1e-7)
+    np.testing.assert_allclose(gaussians.sh_dc[:, 0] * 0.28209479177387814 + 0.5, colors, atol=1e-6)
+    np.testing.assert_allclose(gaussians.logits.sigmoid(), 0.1, atol=1e-6)
+    np.testing.assert_allclose(gaussians.log_scales.exp(), np.sqrt(0.02), rtol=1e-6)
+
+
+def test_random_start_fills_its_cube(scene):
+    options = resolve(SPEC, "paper", {"random_half_extent": "0.7", "random_points": "5000"}).options
+    means = Trainer(scene, options, 10, 0, "cpu").model().gaussians("tiny").means
+    assert means.shape == (5000, 3)
+    assert means.abs().max() <= 0.7
+    assert means.abs().amax(0).min() > 0.69
+    assert abs(float(means.mean())) < 0.02
+
+
+def test_no_visible_gaussian_leaves_the_background_and_learns_nothing(tiny, scene):
+    """graphdeco-inria/gaussian-splatting#482 ended in an autograd error here."""
+    points = [[0.0, 0.0, 100.0], [0.1, 0.0, 100.0], [0.0, 0.1, 100.0]]
+    far = tiny.with_cloud(scene, points)
+    model = fit(far, tiny.Recorder(), 20, opacity_reset=False)
+    assert model.primitives() == 3
+    rgb, alpha = model.render(scene.train.cameras[0])
+    assert not alpha.any()
+    assert torch.equal(rgb, torch.ones(32, 32, 3))
+    assert torch.equal(model.gaussians("tiny").means, torch.tensor(points))
+
+
+def test_all_pruned_away_ends_in_an_empty_model(tiny, scene, tmp_path):
+    recorder = tiny.Recorder(checkpoint_at=[40])
+    model = fit(scene, recorder, 60, prune_opacity=1.0)
+    assert model.primitives() == 0
+    assert "no Gaussians left" in recorder.stages
+    assert len(recorder.losses) == 60
+    model.save(tmp_path)
+    loaded = GaussianSplatting().load(tmp_path, "cpu")
+    assert torch.equal(loaded.render(scene.train.cameras[0])[0], torch.ones(32, 32, 3))
+    assert_same_model(
+        model, fit(scene, tiny.Recorder(), 60, prune_opacity=1.0, resume=recorder.checkpoints[40])
+    )
+
+
+def test_a_single_point_trains(tiny, scene):
+    model = fit(tiny.with_cloud(scene, [[0.0, 0.0, 0.0]]), tiny.Recorder(), 40)
+    assert model.primitives() >= 1
+
+
+def test_parameters_that_blow_up_are_called_diverged(scene, options):
+    trainer = Trainer(scene, options, 20, 0, "cpu")
+    with torch.no_grad():
+        trainer.optimiser["log_scales"][3] = float("nan")
+    with pytest.raises(Diverged, match="log_scales hold NaN"):
+        trainer.step()
+    trainer = Trainer(scene, options, 20, 0, "cpu")
+    with torch.no_grad():
+        trainer.optimiser["log_scales"][3] = 200.0  # finite, but its exponential is not
+    with pytest.raises(Diverged, match="log_scales"):
+        trainer.step()
+
+
+def test_nan_in_the_views_is_called_diverged(scene, options):
+    images = scene.train.images.copy()
+    images[:, 3, 3] = np.nan
+    broken = replace(scene, train=replace(scene.train, images=images))
+    with pytest.raises(Diverged, match="loss"):
+        Trainer(broken, options, 20, 0, "cpu").step()
+
+
+def test_the_limit_is_kept_and_shown(tiny, scene):
+    recorder = tiny.Recorder()
+    model = fit(scene, recorder, 200, max_gaussians=110, growth_gradient=0.0)
+    assert max(recorder.counts) <= 110
+    assert model.primitives() <= 110
+    assert any("110" in stage for stage in recorder.stages)
+
+
+def test_what_cannot_be_fitted_is_refused(tiny, scene, options):
+    with pytest.raises(Refused, match="more than max_gaussians = 50"):
+        fit(scene, tiny.Recorder(), 10, max_gaussians=50)
+    with pytest.raises(Refused, match="empty"):
+        fit(tiny.with_cloud(scene, []), tiny.Recorder(), 10)
+    with pytest.raises(Refused, match="2 together"):
+        GaussianSplatting().fit([scene, scene], options, Budget(5), 0, "cpu", tiny.Recorder())
+    blind = replace(scene, train=replace(scene.train, cameras=(), images=scene.train.images[:0]))
+    with pytest.raises(Refused, match="no training views"):
+        fit(blind, tiny.Recorder(), 10)
+
+
+def test_every_scene_is_a_group(scene, options):
+    assert GaussianSplatting().partition([scene, scene], options) == [[scene], [scene]]
