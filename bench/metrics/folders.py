@@ -1,0 +1,115 @@
+"""The metrics on any two folders of images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from bench.metrics import METRICS
+from bench.metrics.image import Pair, compute, to_8bit
+from datasets.errors import DataError
+from datasets.png import read_png
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff"})
+_EIGHT_BIT = {"RGB", "RGBA", "L", "LA", "P", "PA"}
+MEAN = "mean"
+
+
+def score(renders: Path, truth: Path, background: Sequence[float] = (1.0, 1.0, 1.0)) -> pd.DataFrame:
+    """Compare images of the same file name (its ending may differ).
+
+    Args:
+        renders, truth: folders of 8-bit images, RGB or RGBA with straight alpha.
+        background: RGB in [0, 1] under images with alpha.
+
+    Returns:
+        One row per image and a last row "mean" (missing if any image's value is), with columns
+        ``file``, the metrics, ``identical`` and ``reason``.
+
+    Raises:
+        DataError: a folder without images, a file without partner, sizes that differ, an unreadable file.
+    """
+    import pandas as pd
+
+    ours, theirs = _images(renders), _images(truth)
+    for here, there, folder in ((ours, theirs, truth), (theirs, ours, renders)):
+        alone = sorted(set(here) - set(there))
+        if alone:
+            raise DataError(
+                here[alone[0]],
+                f"has no partner in {folder} ({len(alone)} of {len(here)} images without)",
+                "Give the images of both folders the same names",
+            )
+    rows: list[dict[str, Any]] = []
+    for name, path in ours.items():
+        pair = _pair(path, theirs[name], background)
+        results = {metric: compute(metric, pair) for metric in METRICS}
+        rows.append(
+            {
+                "file": path.name,
+                **{m: r if isinstance(r, float) else None for m, r in results.items()},
+                "identical": pair.identical,
+                "reason": "; ".join(f"{m}: {r}" for m, r in results.items() if isinstance(r, str)),
+            }
+        )
+    table = pd.DataFrame(rows)
+    table[list(METRICS)] = table[list(METRICS)].astype("Float64")
+    reasons = sorted({part for row in rows for part in row["reason"].split("; ") if part})
+    means = {m: table[m].mean(skipna=False) for m in METRICS}
+    total = {"file": MEAN, **means, "identical": bool(table["identical"].all()), "reason": "; ".join(reasons)}
+    table.loc[len(table)] = total
+    return table
+
+
+def _images(folder: Path) -> dict[str, Path]:
+    """Stem -> file, sorted."""
+    if not folder.is_dir():
+        raise DataError(folder, "is no folder", "Give two folders of images")
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() not in SUFFIXES or path.name.startswith("."):
+            continue
+        if path.stem in found:
+            raise DataError(path, f"has the same name as {found[path.stem].name}", "Keep one of them")
+        found[path.stem] = path
+    if not found:
+        raise DataError(folder, "holds no images", f"Known endings: {', '.join(sorted(SUFFIXES))}")
+    return found
+
+
+def _pair(render: Path, truth: Path, background: Sequence[float]) -> Pair:
+    (a, a_has), (b, b_has) = _read(render), _read(truth)
+    if a.shape != b.shape:
+        raise DataError(
+            render,
+            f"is {a.shape[1]}x{a.shape[0]} pixels, but {truth} is {b.shape[1]}x{b.shape[0]}",
+            "Render at the size of the ground truth: resizing would change the result",
+        )
+    back = np.asarray(background, dtype=np.float64)
+    shown = [to_8bit(image[..., :3] + (1.0 - image[..., 3:].astype(np.float64)) * back) for image in (b, a)]
+    # Alpha says where there is something; an image without it must not make everything foreground.
+    covers = [image[..., 3] >= 1.0 / 255.0 for image, has in ((a, a_has), (b, b_has)) if has]
+    foreground = np.logical_or.reduce(covers) if covers else None
+    return Pair(shown[0], shown[1], foreground)
+
+
+def _read(path: Path) -> tuple[NDArray[np.float32], bool]:
+    """Premultiplied RGBA, and whether the file has alpha."""
+    try:
+        with Image.open(path) as image:
+            mode, has_alpha = image.mode, image.has_transparency_data
+    except (OSError, ValueError, SyntaxError) as error:
+        raise DataError(
+            path, f"cannot be read as a picture ({error})", "Write it again as an 8-bit PNG"
+        ) from error
+    if mode not in _EIGHT_BIT:
+        raise DataError(path, f"has pixels of mode {mode}", "Write it again as 8-bit RGB or RGBA")
+    return read_png(path), has_alpha

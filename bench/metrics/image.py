@@ -1,0 +1,159 @@
+"""The metrics on one pair of images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+IDENTICAL_DB = 100.0
+"""PSNR of identical images, and its cap: one 8-bit step in one pixel of a large image would exceed it."""
+_FOREGROUND = 1.0 / 255.0
+_SSIM_WINDOW = 11
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two pictures as displayed.
+
+    Attributes:
+        truth, render: (height, width, 3) uint8.
+        foreground: (height, width) bool, where either has alpha >= 1/255; None if neither has alpha.
+    """
+
+    truth: NDArray[np.uint8]
+    render: NDArray[np.uint8]
+    foreground: NDArray[np.bool_] | None
+
+    @staticmethod
+    def composite(
+        truth: NDArray[np.float32],
+        rgb: NDArray[np.float32],
+        alpha: NDArray[np.float32],
+        background: Sequence[float],
+    ) -> Pair:
+        """From background-free truth and composited render; see :func:`bench.metrics.evaluate`."""
+        height_width = truth.shape[:2]
+        if truth.ndim != 3 or truth.shape[2] != 4:
+            raise ValueError(f"truth must be (height, width, 4), not {truth.shape}")
+        if rgb.shape != (*height_width, 3) or alpha.shape != height_width:
+            raise ValueError(
+                f"render {rgb.shape} with alpha {alpha.shape} does not match truth {truth.shape}"
+            )
+        if 0 in height_width:
+            raise ValueError("images have no pixels")
+        for what, values in (("truth", truth), ("render", rgb), ("alpha", alpha)):
+            if not np.isfinite(values).all():
+                raise ValueError(f"{what} holds values that are not finite")
+        back = np.asarray(background, dtype=np.float64)
+        shown = truth[..., :3] + (1.0 - truth[..., 3:4].astype(np.float64)) * back
+        foreground = (truth[..., 3] >= _FOREGROUND) | (alpha >= _FOREGROUND)
+        return Pair(to_8bit(shown), to_8bit(rgb), foreground)
+
+    @property
+    def identical(self) -> bool:
+        """Whether the two pictures are the same."""
+        return bool(np.array_equal(self.truth, self.render))
+
+    def floats(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Truth and render in [0, 1]."""
+        return self.truth.astype(np.float32) / 255.0, self.render.astype(np.float32) / 255.0
+
+
+def to_8bit(image: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Clip to [0, 1] and round to the nearest of 256 levels."""
+    return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def compute(name: str, pair: Pair) -> float | str:
+    """One metric of :data:`bench.metrics.METRICS`: its value, or why there is none."""
+    return _FUNCTIONS[name](pair)
+
+
+def _psnr(truth: NDArray[np.uint8], render: NDArray[np.uint8]) -> float:
+    # Integers keep the sum exact: the same pictures give the same number on every machine.
+    error = truth.astype(np.int64) - render.astype(np.int64)
+    squares = int((error * error).sum())
+    if squares == 0:
+        return IDENTICAL_DB
+    return min(IDENTICAL_DB, float(10.0 * np.log10(255.0**2 * error.size / squares)))
+
+
+def psnr(pair: Pair) -> float:
+    """PSNR in dB over all pixels."""
+    return _psnr(pair.truth, pair.render)
+
+
+def psnr_fg(pair: Pair) -> float | str:
+    """PSNR in dB over foreground pixels."""
+    if pair.foreground is None:
+        return "the images have no alpha"
+    if not pair.foreground.any():
+        return "no pixel where truth or render has alpha >= 1/255"
+    return _psnr(pair.truth[pair.foreground], pair.render[pair.foreground])
+
+
+def ssim(pair: Pair) -> float | str:
+    """Mean SSIM of the interior and the channels."""
+    if min(pair.truth.shape[:2]) < _SSIM_WINDOW:
+        return f"the images are smaller than the {_SSIM_WINDOW}x{_SSIM_WINDOW} window"
+    from skimage.metrics import structural_similarity
+
+    truth, render = pair.floats()
+    value = structural_similarity(
+        truth.astype(np.float64),
+        render.astype(np.float64),
+        channel_axis=2,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        data_range=1.0,
+    )
+    return float(value)
+
+
+def flip(pair: Pair) -> float:
+    """Mean LDR-FLIP at 67 pixels per degree."""
+    import flip_evaluator
+
+    truth, render = pair.floats()
+    _, mean, _ = flip_evaluator.evaluate(
+        truth,
+        render,
+        "LDR",
+        inputsRGB=True,
+        applyMagma=False,
+        computeMeanError=True,
+        parameters={"ppd": 67.0},
+    )
+    return float(mean)
+
+
+def delta_e_uv(pair: Pair) -> float:
+    """Mean CIELUV color difference."""
+    from reports.cieluv import delta_e_uv as difference
+
+    return float(difference(*pair.floats()).mean())
+
+
+def _lpips(network: str, *, unscaled: bool = False) -> Callable[[Pair], float | str]:
+    def metric(pair: Pair) -> float | str:
+        from bench.metrics.lpips import distance
+
+        return distance(network, *pair.floats(), unscaled=unscaled)
+
+    return metric
+
+
+_FUNCTIONS: dict[str, Callable[[Pair], float | str]] = {
+    "psnr": psnr,
+    "psnr_fg": psnr_fg,
+    "ssim": ssim,
+    "lpips_vgg": _lpips("vgg"),
+    "lpips_vgg01": _lpips("vgg", unscaled=True),
+    "lpips_alex": _lpips("alex"),
+    "flip": flip,
+    "delta_e_uv": delta_e_uv,
+}
