@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from datasets.camera import Camera
+from datasets.cloud import PointCloud
 from datasets.scene import BasicScene
 from datasets.views import ViewSet
 from econgs.splat.rasterise import rasterise
@@ -18,14 +19,6 @@ from methods.options import resolve
 
 SIZE = 32
 KNOWN = 24
-
-
-class Cloud:
-    """Stands for datasets.cloud.PointCloud: points and colors."""
-
-    def __init__(self, points, colors):
-        self.points = points
-        self.colors = colors
 
 
 class Recorder:
@@ -105,7 +98,7 @@ def scene():
         scene=BasicScene("tiny"),
         train=oracle_views(cameras(12)),
         validation=oracle_views(cameras(3, phase=1.0)),
-        cloud=Cloud(points.numpy(), np.full((4 * KNOWN, 3), 0.5, dtype=np.float32)),
+        cloud=PointCloud(points.numpy(), np.full((4 * KNOWN, 3), 0.5, dtype=np.float32)),
         extent=3.3,
     )
 
@@ -129,7 +122,7 @@ def with_cloud(scene, points, colors=None):
     """The scene with another initial cloud."""
     points = np.asarray(points, dtype=np.float32).reshape(-1, 3)
     colors = np.full_like(points, 0.5) if colors is None else np.asarray(colors, dtype=np.float32)
-    return replace(scene, cloud=Cloud(points, colors))
+    return replace(scene, cloud=PointCloud(points, colors))
 
 
 @pytest.fixture(scope="session")
