@@ -53,8 +53,8 @@ METRICS: dict[str, Metric] = {
         ),
         Metric(
             "ssim", "1", "SSIM", "", True, (-1.0, 1.0),
-            "Wang et al. 2004 as in scikit-image: Gaussian window 11x11, sigma 1.5, population covariance, mean "
-            "over the interior (5 pixels from the border) and the three channels.",
+            "Wang et al. 2004 as in scikit-image: Gaussian window 11x11, sigma 1.5, population covariance, "
+            "mean over the interior (5 pixels from the border) and the three channels.",
         ),
         Metric(
             "lpips_vgg", "1", "LPIPS (VGG)", "", False, (0.0, _INF),
@@ -62,7 +62,8 @@ METRICS: dict[str, Metric] = {
         ),
         Metric(
             "lpips_vgg01", "1", "LPIPS (VGG, unscaled)", "", False, (0.0, _INF),
-            "LPIPS 0.1, VGG-16, input left in [0, 1]: the splatting papers' convention, which gives lower values.",
+            "LPIPS 0.1, VGG-16, input left in [0, 1]: the splatting papers' convention, "
+            "which gives lower values.",
         ),
         Metric(
             "lpips_alex", "1", "LPIPS (AlexNet)", "", False, (0.0, _INF),
