@@ -7,6 +7,7 @@ import json
 import logging
 import time
 from dataclasses import asdict
+from functools import cache as once
 from importlib.metadata import version
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
@@ -151,9 +152,7 @@ class _Work:
         started = time.perf_counter()
         marcher = self._marcher()
         if self.backend.name != "none":
-            marcher.render(
-                self.cameras[:1], self.transfer, self.light
-            )  # compiles, or loads what was compiled
+            marcher.render(self.cameras[:1], self.transfer, self.light)  # compiles the kernel
         ready = time.perf_counter()
         images = marcher.render(self.cameras, self.transfer, self.light, progress)
         seconds = time.perf_counter() - ready
@@ -169,6 +168,8 @@ class _Work:
 
     def _marcher(self) -> Marcher:
         if self.backend.name == "none":
+            if self.backend.reason:
+                _notice(self.backend.reason)
             import torch
 
             from datasets.ground_truth.reference import ReferenceMarcher
@@ -210,16 +211,15 @@ def _backend(renderer: Renderer) -> probe.Backend:
     if renderer == "reference":
         return probe.Backend("none")
     backend = probe.find_backend()
-    if backend.name == "none":
-        if renderer == "mitsuba":
-            raise DataError("Mitsuba", f"it has no working backend here: {backend.reason}", probe.REMEDY)
-        _notice(backend.reason)
+    if backend.name == "none" and renderer == "mitsuba":
+        raise DataError("Mitsuba", f"it has no working backend here: {backend.reason}", probe.REMEDY)
     return backend
 
 
+@once
 def _notice(reason: str) -> None:
     _log.warning(
-        "ground truth is rendered by the slow reference marcher, as Mitsuba has no working backend here: %s. %s",
+        "ground truth comes from the slow reference marcher, as Mitsuba has no working backend here: %s. %s",
         reason,
         probe.REMEDY,
     )

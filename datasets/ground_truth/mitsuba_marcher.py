@@ -97,14 +97,14 @@ class MitsubaMarcher:
             ray misses); rest: part of a step that remains; view: unit vector to the camera (scene space).
         """
         width, height = cameras[0].width, cameras[0].height
-        packed = np.stack([_pack(c) for c in cameras]).ravel()
+        packed = np.stack([_pack(c) for c in cameras])
         opaque_width, opaque_height = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
         index = dr.arange(mi.UInt32, len(cameras) * width * height)
         row = index // opaque_width
         column = index - row * opaque_width
         number = row // opaque_height
         row -= number * opaque_height
-        camera = mi.Float64(packed)
+        camera = mi.Float64(_aligned(packed))
         entry = [dr.gather(mi.Float64, camera, number * _CAMERA_WIDTH + k) for k in range(_CAMERA_WIDTH)]
 
         x = (mi.Float64(column) + 0.5 - entry[14]) / entry[12]
@@ -175,10 +175,10 @@ class _SceneData:
     ) -> None:
         self.light = light
         self.dt = dr.opaque(mi.Float, dt)
-        self._leaps = mi.Int32(leaps.ravel())
+        self._leaps = mi.Int32(_aligned(leaps))
         self._bricks = [dr.opaque(mi.Int32, n) for n in reversed(leaps.shape)]
         self._per_voxel = mi.Vector3f(*(dr.opaque(mi.Float, float(s)) for s in indices_per_voxel))
-        self._table = mi.Float(table.ravel())
+        self._table = mi.Float(_aligned(table))
         self._last = dr.opaque(mi.Float, float(len(table) - 1))
         if light is not None:
             self._headlight = dr.opaque(mi.Bool, light.direction is None)
@@ -232,9 +232,13 @@ class _Field:
     """The grid of values."""
 
     def __init__(self, values: NDArray[np.float32]) -> None:
-        self.values = mi.Float(values.ravel())
+        self.values = mi.Float(_aligned(values))
         self.dims = [dr.opaque(mi.Int32, n) for n in reversed(values.shape)]
-        self.stride = [mi.Int32(1), self.dims[0], dr.opaque(mi.Int32, values.shape[2] * values.shape[1])]
+        self.stride = [
+            dr.opaque(mi.Int32, 1),
+            self.dims[0],
+            dr.opaque(mi.Int32, values.shape[2] * values.shape[1]),
+        ]
 
     def cell(self, at: Any) -> _Cell:
         """The cell around a position in grid indices."""
@@ -306,6 +310,19 @@ def _bilinear(values: Sequence[Any], first: Any, second: Any) -> Any:
 def _clamp(color: Any) -> Any:
     """Clamp to [0, 1]."""
     return dr.select(color > 1.0, 1.0, dr.select(color > 0.0, color, 0.0))
+
+
+def _aligned(array: NDArray[Any]) -> NDArray[Any]:
+    """A flat copy that starts at a multiple of 64 bytes.
+
+    Dr.Jit maps numpy's memory where it lies, and compiles other code for memory that lies unaligned: without
+    this, chance would decide whether a launch finds its kernel compiled.
+    """
+    room = np.empty(array.nbytes + 64, dtype=np.uint8)
+    start = -room.ctypes.data % 64
+    flat = room[start : start + array.nbytes].view(array.dtype)
+    flat[:] = array.ravel()
+    return flat
 
 
 def _pack(camera: Camera) -> NDArray[np.float64]:

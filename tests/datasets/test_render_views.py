@@ -1,0 +1,235 @@
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from datasets import render_views
+from datasets.errors import DataError
+from datasets.ground_truth import probe
+from datasets.render_views import render_cost, views_are_cached, views_of
+from datasets.scene import BasicScene, Dataset, Light
+from datasets.transfer import Bump, TransferFunction
+from datasets.view_cache import ViewCache
+from datasets.views import ViewRequest
+from datasets.volume import Volume
+
+ROOT = Path(__file__).parents[2]
+TRAIN = ViewRequest("train", 12, 5, 24, 24)
+TRANSFER = TransferFunction("t", (Bump("b", 0.5, 0.6, 0.9, 1.0, (0.9, 0.4, 0.2), 0.4),))
+
+
+def field(seed=0):
+    values = gaussian_filter(np.random.default_rng(seed).standard_normal((14, 16, 12)), 1.5)
+    return ((values - values.min()) / np.ptp(values)).astype(np.float32)
+
+
+def dataset(values=None, spacing=(1.0, 1.0, 1.0), **scene):
+    v = Volume("v", field() if values is None else values, spacing, (0.0, 1.0), "made here")
+    basic = replace(BasicScene("s", "v", TRANSFER, background=(0.1, 0.2, 0.3)), **scene)
+    return Dataset("d", "made here", "volume", (basic,), volumes={"v": lambda: v})
+
+
+@pytest.fixture
+def cache(tmp_path):
+    return ViewCache(tmp_path / "views")
+
+
+@pytest.fixture
+def no_backend(monkeypatch):
+    """A machine without a usable libLLVM."""
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/nonsense/libLLVM.so")
+    monkeypatch.setattr(probe, "_has_cuda_driver", lambda: False)
+    probe.find_backend.cache_clear()
+    render_views._notice.cache_clear()
+    yield
+    probe.find_backend.cache_clear()
+
+
+def test_splits_share_one_rendering(cache, monkeypatch):
+    data = dataset()
+    assert not views_are_cached(data, "s", TRAIN, cache=cache)
+    train = views_of(data, "s", TRAIN, cache=cache)
+    monkeypatch.setattr(render_views._Work, "render", None)  # all else comes from the cache
+    val = views_of(data, "s", replace(TRAIN, split="val"), cache=cache)
+    both = views_of(data, "s", replace(TRAIN, split="trainval"), cache=cache)
+    assert (len(train), len(val), len(both)) == (11, 1, 12)
+    assert [c.name for c in val.cameras] == ["train_009"]
+    np.testing.assert_array_equal(np.insert(train.images, 9, val.images[0], axis=0), both.images)
+    assert len({train.key, val.key, both.key}) == 3
+    assert train.background == (0.1, 0.2, 0.3)
+    assert train.images.shape == (11, 24, 24, 4)
+    assert train.images.dtype == np.float32
+    assert train.images[..., 3].max() > 0.3
+
+
+def test_a_hit_equals_the_rendering_and_a_damaged_entry_is_made_again(cache):
+    first = views_of(dataset(), "s", TRAIN, cache=cache)
+    second = views_of(dataset(), "s", TRAIN, cache=cache)
+    np.testing.assert_array_equal(first.images, second.images)
+    (entry,) = cache.folder.iterdir()
+    (entry / "images.zst").write_bytes(b"rubbish")
+    assert not views_are_cached(dataset(), "s", TRAIN, cache=cache)
+    np.testing.assert_array_equal(views_of(dataset(), "s", TRAIN, cache=cache).images, first.images)
+
+
+def key_of(data, request=TRAIN, renderer="auto"):
+    return render_views._Work(data, data.scene("s"), request, renderer).key
+
+
+def test_the_key_follows_content_and_nothing_else():
+    other = field()
+    other[3, 4, 5] += 1e-3
+    bump = TRANSFER.bumps[0]
+    keys = [
+        key_of(dataset()),
+        key_of(dataset(other)),
+        key_of(dataset(spacing=(1.0, 1.0, 1.1))),
+        key_of(dataset(light=None)),
+        key_of(dataset(light=Light(shininess=21.0))),
+        key_of(dataset(light=Light(direction=(0.0, 0.0, 1.0)))),
+        key_of(dataset(transfer=replace(TRANSFER, reference_length=0.02))),
+        key_of(dataset(transfer=replace(TRANSFER, bumps=(replace(bump, rise=0.61),)))),
+        key_of(dataset(), replace(TRAIN, width=25)),
+        key_of(dataset(), replace(TRAIN, train_views=42)),
+        key_of(dataset(), replace(TRAIN, split="test")),
+        key_of(dataset(), replace(TRAIN, split="test", test_views=6)),
+        key_of(dataset(), renderer="reference"),
+    ]
+    assert len(set(keys)) == len(keys)
+    named = replace(TRANSFER, name="other", bumps=(replace(bump, name="other"),))
+    same = [
+        key_of(dataset(transfer=named)),
+        key_of(dataset(background=(1.0, 1.0, 1.0))),  # images are background-free
+        key_of(dataset(), replace(TRAIN, test_views=9)),
+    ]
+    assert set(same) == {keys[0]}
+
+
+def test_renderers_agree(cache):
+    request = replace(TRAIN, split="test")
+    a = views_of(dataset(), "s", request, renderer="mitsuba", cache=cache)
+    b = views_of(dataset(), "s", request, renderer="reference", cache=cache)
+    assert a.key != b.key
+    assert len(a) == 5
+    np.testing.assert_allclose(a.images, b.images, atol=1e-3)
+
+
+def test_progress_and_cost(cache):
+    seen = []
+    views_of(dataset(), "s", TRAIN, renderer="reference", cache=cache, progress=lambda *a: seen.append(a))
+    assert seen == [(i, 12) for i in range(1, 13)]
+    cost = render_cost(dataset(), "s", TRAIN, renderer="reference", cache=cache)
+    assert cost["renderer"] == "reference"
+    assert cost["views"] == 12
+    assert 0.0 < cost["ms_per_view"] < 1e5
+    assert render_cost(dataset(), "s", TRAIN, renderer="mitsuba", cache=cache) is None
+
+
+def test_requests_that_cannot_be_met_are_refused(cache):
+    for request, reason in (
+        (replace(TRAIN, split="val", train_views=6), "fewer than ten"),
+        (replace(TRAIN, train_views=13), "12 and 42"),
+        (replace(TRAIN, width=0), "at least one pixel"),
+    ):
+        with pytest.raises(DataError, match=reason):
+            views_of(dataset(), "s", request, cache=cache)
+    with pytest.raises(DataError, match="no transfer function"):
+        views_of(dataset(transfer=None), "s", TRAIN, cache=cache)
+    with pytest.raises(DataError, match="unknown name"):
+        views_of(dataset(), "x", TRAIN, cache=cache)
+
+
+def test_without_libllvm_the_reference_renders_with_a_notice(no_backend, cache, caplog):
+    with caplog.at_level(logging.WARNING):
+        views = views_of(dataset(), "s", TRAIN, cache=cache)
+        views_of(dataset(), "s", replace(TRAIN, split="test"), cache=cache)
+    assert views.images[..., 3].max() > 0.3
+    assert render_cost(dataset(), "s", TRAIN, cache=cache)["renderer"] == "reference"
+    (notice,) = [r.getMessage() for r in caplog.records]
+    for word in ("/nonsense/libLLVM.so does not exist", "libllvm19", "DRJIT_LIBLLVM_PATH", "reference"):
+        assert word in notice
+    with pytest.raises(DataError, match="libllvm19"):
+        views_of(dataset(), "s", TRAIN, renderer="mitsuba", cache=cache)
+
+
+def trial(library, cache_folder):
+    """What a fresh process makes of a library, and how often it had to try."""
+    code = (
+        "from datasets.ground_truth import probe\n"
+        "probe._has_cuda_driver = lambda: False\n"
+        "real, tries = probe._try, []\n"
+        "probe._try = lambda *a: (tries.append(a), real(*a))[1]\n"
+        "b = probe.find_backend()\n"
+        "print(b.name, len(tries), b.reason)\n"
+    )
+    environment = {**os.environ, "DRJIT_LIBLLVM_PATH": str(library), "BENCH_CACHE": str(cache_folder)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, cwd=ROOT, check=True
+    )
+    return done.stdout
+
+
+def test_a_library_that_is_none_is_found_out_once(tmp_path):
+    library = tmp_path / "libLLVM.so"
+    library.write_text("this is no library")
+    first = trial(library, tmp_path / "cache")
+    assert first.startswith("none 1 ")
+    assert "Dr.Jit" in first
+    assert trial(library, tmp_path / "cache").startswith("none 0 ")
+    os.utime(library, (1e9, 1e9))  # another file now: tried again
+    assert trial(library, tmp_path / "cache").startswith("none 1 ")
+
+
+def test_a_libllvm_that_aborts_is_survived(tmp_path):
+    found = [p for p in probe.libllvm_candidates() if "libLLVM-15" in p or "libLLVM-16" in p]
+    if not found:
+        pytest.skip("neither libLLVM 15 nor 16 is installed here")
+    assert trial(found[0], tmp_path).startswith("none 1 ")
+
+
+def test_the_newest_libllvm_is_tried_first(monkeypatch, tmp_path):
+    for name in (
+        "libLLVM-15.so.1",
+        "libLLVM.so.19.1",
+        "libLLVM-17.so.1",
+        "libLLVM-14.so.1",
+        "libLLVM.so.22.0",
+    ):
+        (tmp_path / name).write_text("")
+    (tmp_path / "libLLVM-19.so").symlink_to(tmp_path / "libLLVM.so.19.1")
+    monkeypatch.setattr(probe, "_PATTERNS", (f"{tmp_path}/libLLVM*.so*",))
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "none"))
+    monkeypatch.delenv("LD_LIBRARY_PATH", raising=False)
+    names = [os.path.basename(p) for p in probe.libllvm_candidates()]
+    assert names == ["libLLVM.so.22.0", "libLLVM.so.19.1", "libLLVM-17.so.1", "libLLVM-15.so.1"]
+
+
+def test_a_cached_view_needs_neither_mitsuba_nor_torch(tmp_path):
+    code = (
+        "import sys; sys.path.insert(0, 'tests/datasets')\n"
+        "from test_render_views import *\n"
+        "views_of(dataset(), 's', TRAIN)\n"
+        "print([m for m in ('mitsuba', 'drjit', 'torch') if m in sys.modules])\n"
+    )
+    environment = {**os.environ, "BENCH_CACHE": str(tmp_path), "PYTHONPATH": "."}
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            env=environment,
+            cwd=ROOT,
+            check=True,
+        ).stdout.strip()
+        for _ in range(2)
+    ]
+    assert "drjit" in runs[0] or "torch" in runs[0]
+    assert runs[1] == "[]"
