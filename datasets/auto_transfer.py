@@ -1,0 +1,181 @@
+"""Transfer functions for data that nobody has looked at yet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import DataError
+from datasets.scene import BasicScene
+from datasets.transfer import Bump, TransferFunction
+from datasets.volume import Volume
+
+COLORS = (
+    (0.34, 0.71, 0.91),
+    (0.90, 0.62, 0.00),
+    (0.80, 0.47, 0.65),
+    (0.00, 0.62, 0.45),
+    (0.84, 0.37, 0.00),
+    (0.00, 0.45, 0.70),
+    (0.94, 0.89, 0.26),
+)
+"""Okabe and Ito's palette: eyes of every kind tell its colors apart."""
+
+_BINS = 256
+_MAX_SAMPLES = 160  # per axis: enough for a histogram, and fast for any volume
+_REFERENCE_LENGTH = 0.01
+_SURFACE_DEPTH = 1.2  # optical depth of one crossing of a surface: 70 % opaque
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """What is known of each of ``n`` equal bins of normalised values.
+
+    Attributes:
+        count: (n,) voxels.
+        area: (n,) sum of gradient magnitudes: proportional to the area of the bin's isosurface
+            (co-area formula), so homogeneous regions weigh nothing, however large they are.
+        gradient: (n,) mean gradient magnitude per unit of scene space; 0 where no voxel is.
+        background: bins that belong to the homogeneous surroundings.
+    """
+
+    count: NDArray[np.int64]
+    area: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+    background: NDArray[np.bool_]
+
+
+def automatic_scenes(volume: Volume, count: int = 3) -> tuple[BasicScene, ...]:
+    """Basic scenes whose opacity bumps share the occupied value range without overlap.
+
+    The range outside the homogeneous background is cut where isosurface areas are equal and, nearby, where
+    gradients are weakest; each part becomes a bump with its plateau at the part's strongest boundary, and
+    an opacity that makes one crossing of that boundary mostly, not fully, opaque.
+
+    Args:
+        volume: any.
+        count: scenes wanted; fewer come back where the values allow no more distinct ones.
+
+    Raises:
+        DataError: count < 1.
+    """
+    if count < 1:
+        raise DataError(f"{count} automatic scenes", "there must be at least one", "Ask for 3, say")
+    stats = statistics(volume)
+    cuts = _cuts(stats, count)
+    scenes = []
+    for i, (low, high) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+        name = f"tf{i + 1}"
+        bump = _bump(name, stats, low, high, COLORS[i % len(COLORS)])
+        scenes.append(BasicScene(name, volume.name, TransferFunction(name, (bump,), _REFERENCE_LENGTH)))
+    return tuple(scenes)
+
+
+def statistics(volume: Volume) -> Statistics:
+    """Histogram, isosurface areas and mean gradients of a volume (of a regular subset if it is large)."""
+    strides = [-(-n // _MAX_SAMPLES) for n in volume.values.shape]
+    values = volume.values[:: strides[0], :: strides[1], :: strides[2]]
+    coarse = Volume(volume.name, values, volume.spacing, volume.value_range, volume.source).normalised()
+    distances = volume.extent[::-1] / (np.array(volume.values.shape) - 1) * strides
+    squared = np.zeros_like(coarse)
+    for axis in range(3):
+        if coarse.shape[axis] > 1:
+            squared += np.gradient(coarse, float(distances[axis]), axis=axis) ** 2
+    slope = np.sqrt(squared).reshape(-1)
+    bins = _bin(coarse.reshape(-1))
+    number = np.bincount(bins, minlength=_BINS)
+    area = np.bincount(bins, weights=slope, minlength=_BINS)
+    gradient = np.where(number > 0, area / np.maximum(number, 1), 0.0)
+    stats = Statistics(number, area, gradient, np.zeros(_BINS, dtype=bool))
+    return replace(stats, background=_background(coarse, stats))
+
+
+def _bin(values: NDArray[np.float32]) -> NDArray[np.int64]:
+    return np.minimum((values * _BINS).astype(np.int64), _BINS - 1)
+
+
+def _background(values: NDArray[np.float32], stats: Statistics) -> NDArray[np.bool_]:
+    """Bins around the commonest value of the volume's border, as far as its noise reaches.
+
+    It is background only if it is common inside as well, and homogeneous: its gradients are weak.
+    """
+    number = stats.count
+    inside = np.zeros(_BINS, dtype=bool)
+    faces = np.concatenate([np.take(values, k, axis).reshape(-1) for axis in range(3) for k in (0, -1)])
+    mode = int(np.bincount(_bin(faces), minlength=_BINS).argmax())
+    low, high = max(mode - 2, 0), min(mode + 3, _BINS)
+    common = number[low:high].sum() / number.sum()
+    slope = stats.area[low:high].sum() / max(number[low:high].sum(), 1)
+    if common < 0.1 or slope > 0.5 * stats.area.sum() / number.sum():
+        return inside
+    low = high = mode
+    while low > 0 and number[low - 1] > 0.02 * number[mode]:
+        low -= 1
+    while high < _BINS - 1 and number[high + 1] > 0.02 * number[mode]:
+        high += 1
+    if high - low > _BINS // 4:  # a smooth decay is structure, not noise
+        low, high = max(mode - 2, 0), min(mode + 2, _BINS - 1)
+    inside[low : high + 1] = True
+    return inside
+
+
+def _cuts(stats: Statistics, count: int) -> list[float]:
+    """Ends of the bumps, ascending in [0, 1]: each part holds at least one occupied bin."""
+    area = np.where(stats.background, 0.0, stats.area)
+    occupied = np.flatnonzero((stats.count > 0) & ~stats.background)
+    if not len(occupied) or area.sum() <= 0.0:
+        return _two_valued(stats)
+    share = np.cumsum(area) / area.sum()
+    first = max(int(np.searchsorted(share, 0.005)), int(occupied[0]))
+    last = min(int(np.searchsorted(share, 0.998)), int(occupied[-1]))
+    if last - first < 4 or len(occupied) < 3:
+        return _two_valued(stats)
+    wanted = min(count, (last - first + 1) // 4)
+    level = share[first - 1] if first else 0.0
+    targets = level + (share[last] - level) * np.arange(1, wanted) / wanted
+    edges = [first, *(int(i) + 1 for i in np.searchsorted(share, targets)), last + 1]
+    for i in range(1, wanted):
+        reach = max(min(edges[i] - edges[i - 1], edges[i + 1] - edges[i]) // 4, 0)
+        window = np.arange(edges[i] - reach, edges[i] + reach + 1)
+        weak = np.where(stats.count[window] > 0, stats.gradient[window], np.inf)
+        if np.isfinite(weak).any():
+            edges[i] = int(window[weak.argmin()])
+    kept = [edges[0]]
+    for edge in edges[1:]:
+        if edge - kept[-1] >= 3 and stats.count[kept[-1] : edge].sum() > 0:
+            kept.append(edge)
+    kept[-1] = edges[-1]
+    return [e / _BINS for e in kept] if len(kept) > 1 else _two_valued(stats)
+
+
+def _two_valued(stats: Statistics) -> list[float]:
+    """One bump for a mask, a label or a field with hardly any values: all that lies halfway to the rest.
+
+    Interpolation between the samples passes all values between theirs.
+    """
+    if stats.background.any():
+        low, high = np.flatnonzero(stats.background)[[0, -1]]
+        return [0.5 * (high + 1) / _BINS + 0.5, 1.0] if low < _BINS - 1 - high else [0.0, 0.5 * low / _BINS]
+    return [0.5, 1.0]
+
+
+def _bump(name: str, stats: Statistics, low: float, high: float, color: tuple[float, float, float]) -> Bump:
+    """A trapezoid over [low, high], its plateau around the strongest boundary within."""
+    first, last = round(low * _BINS), max(round(high * _BINS), round(low * _BINS) + 1)
+    gradient = np.convolve(stats.gradient, np.full(3, 1.0 / 3.0), mode="same")[first:last]
+    weight = gradient * np.sqrt(stats.count[first:last])  # strong, and more than a few voxels
+    centre = low + (int(weight.argmax()) + 0.5) / _BINS if weight.any() else 0.5 * (low + high)
+    half = 0.2 * (high - low)
+    centre = min(max(centre, low + half), high - half)
+    rise, fall = centre - 0.5 * half, centre + 0.5 * half
+    if high >= 1.0 - 1.5 / _BINS:  # nothing lies above: values at the top stay visible
+        fall = high = 1.0
+    if low <= 1.5 / _BINS and not stats.background[:2].any():
+        rise = low = 0.0
+    slope = float(stats.area[first:last].sum() / max(stats.count[first:last].sum(), 1))
+    thickness = 0.5 * (high - low) / slope if slope > 0.0 else 1.0
+    opacity = 1.0 - math.exp(-_SURFACE_DEPTH * _REFERENCE_LENGTH / thickness)
+    return Bump(name, low, rise, fall, high, color, min(max(opacity, 0.15), 0.9))
