@@ -1,1 +1,4 @@
-"""What is concluded: tables, charts, pages from the documented tables. Imports no other package of this project."""
+"""What is concluded: tables, charts and pages from the documented tables.
+
+Pure functions that import no other package of this project.
+"""

@@ -42,4 +42,5 @@ def cieluv(srgb: NDArray[np.floating]) -> NDArray[np.float64]:
 def delta_e_uv(a: NDArray[np.floating], b: NDArray[np.floating]) -> NDArray[np.float64]:
     """(...) Euclidean CIELUV difference of two (..., 3) sRGB images in [0, 1]."""
     difference = cieluv(a) - cieluv(b)
-    return np.sqrt((difference * difference).sum(axis=-1))
+    distance: NDArray[np.float64] = np.sqrt((difference * difference).sum(axis=-1))
+    return distance

@@ -27,7 +27,8 @@ def score(renders: Path, truth: Path, background: Sequence[float] = (1.0, 1.0, 1
     """Compare images of the same file name (its ending may differ).
 
     Args:
-        renders, truth: folders of 8-bit images, RGB or RGBA with straight alpha.
+        renders: folder of 8-bit images, RGB or RGBA with straight alpha.
+        truth: the same.
         background: RGB in [0, 1] under images with alpha.
 
     Returns:
@@ -64,9 +65,13 @@ def score(renders: Path, truth: Path, background: Sequence[float] = (1.0, 1.0, 1
     table[list(METRICS)] = table[list(METRICS)].astype("Float64")
     reasons = sorted({part for row in rows for part in row["reason"].split("; ") if part})
     means = {m: table[m].mean(skipna=False) for m in METRICS}
-    total = {"file": MEAN, **means, "identical": bool(table["identical"].all()), "reason": "; ".join(reasons)}
-    table.loc[len(table)] = total
-    return table
+    total: dict[str, Any] = {
+        "file": MEAN,
+        **means,
+        "identical": bool(table["identical"].all()),
+        "reason": "; ".join(reasons),
+    }
+    return pd.concat([table, pd.DataFrame([total]).astype(table.dtypes)], ignore_index=True)
 
 
 def _images(folder: Path) -> dict[str, Path]:

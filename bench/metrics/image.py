@@ -64,7 +64,8 @@ class Pair:
 
 def to_8bit(image: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Clip to [0, 1] and round to the nearest of 256 levels."""
-    return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    levels: NDArray[np.uint8] = np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return levels
 
 
 def compute(name: str, pair: Pair) -> float | str:

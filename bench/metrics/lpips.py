@@ -54,7 +54,8 @@ def distance(
 
     Args:
         network: a name in :data:`BACKBONES`.
-        truth, render: (height, width, 3) in [0, 1].
+        truth: (height, width, 3) in [0, 1].
+        render: the same.
         unscaled: feed [0, 1] as it is, as splatting papers do, instead of [-1, 1].
     """
     least = BACKBONES[network].least
