@@ -40,9 +40,7 @@ def read_transforms(path: Path | str) -> list[tuple[Camera, Path]]:
     return [_frame(path, i, {**said, **frame}) for i, frame in enumerate(frames)]
 
 
-def write_transforms(
-    path: Path | str, cameras: Sequence[Camera], files: Sequence[str] | None = None
-) -> None:
+def write_transforms(path: Path | str, cameras: Sequence[Camera], files: Sequence[str] | None = None) -> None:
     """Write cameras as a ``transforms_*.json``; inverse of :func:`read_transforms`.
 
     Args:
@@ -155,4 +153,6 @@ def _image_size(image: Path) -> tuple[int, int]:
     except FileNotFoundError as error:
         raise DataError(image, "no such picture", "Check file_path in the transforms file") from error
     except (OSError, ValueError, SyntaxError) as error:
-        raise DataError(image, f"cannot be read as a picture ({error})", "Write it as an 8-bit PNG") from error
+        raise DataError(
+            image, f"cannot be read as a picture ({error})", "Write it as an 8-bit PNG"
+        ) from error

@@ -189,7 +189,9 @@ def _read_vertices(
     dtype = np.dtype([(name, order + kind) for name, kind in fields])
     remaining = path.stat().st_size - file.tell()
     if count * (dtype.itemsize if encoding != "ascii" else 2 * len(fields) - 1) > remaining:
-        raise DataError(path, f"is truncated: {remaining} bytes do not hold {count} vertices", "Copy it again")
+        raise DataError(
+            path, f"is truncated: {remaining} bytes do not hold {count} vertices", "Copy it again"
+        )
     if encoding != "ascii":
         return np.frombuffer(file.read(count * dtype.itemsize), dtype)
     vertices = np.zeros(count, dtype)
@@ -198,7 +200,9 @@ def _read_vertices(
         try:
             if len(words) != len(fields):
                 raise ValueError("number of values")
-            vertices[i] = tuple(float(w) if k[0] == "f" else int(w) for w, (_, k) in zip(words, fields, strict=True))
+            vertices[i] = tuple(
+                float(w) if k[0] == "f" else int(w) for w, (_, k) in zip(words, fields, strict=True)
+            )
         except (ValueError, OverflowError) as error:
             raise DataError(path, f"vertex {i} is not understood ({error})", _REMEDY) from error
     return vertices

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 
 import numpy as np
@@ -32,18 +31,22 @@ def make_volume(name: str, resolution: int | None = None, seed: int = 0) -> Volu
     Raises:
         DataError: the resolution is out of range.
     """
-    n = DEFAULT_RESOLUTION if resolution is None else resolution
-    if not 8 <= n <= 1024:
-        raise DataError(f"{name}@{n}", "the resolution is out of range", "Ask for 8 to 1024, 64 or 128 say")
+    n = check_resolution(name, resolution)
     field = FIELDS[name](n, seed)
     values = np.rint(np.clip(field, 0.0, 1.0) * _LEVELS).astype(np.uint16)
     return Volume(name, values, (1.0, 1.0, 1.0), (0.0, float(_LEVELS)), f"procedural {name}@{n}, seed {seed}")
 
 
-def split_resolution(name: str) -> tuple[str, int | None]:
-    """``"vortices@128"`` as name and resolution; None where it names none."""
-    match = re.fullmatch(r"([^@]+)@(\d{1,6})", name)
-    return (match[1], int(match[2])) if match else (name, None)
+def check_resolution(name: str, resolution: int | None) -> int:
+    """The resolution asked for, or the default.
+
+    Raises:
+        DataError: it is out of range.
+    """
+    n = DEFAULT_RESOLUTION if resolution is None else resolution
+    if not 8 <= n <= 1024:
+        raise DataError(f"{name}@{n}", "the resolution is out of range", "Ask for 8 to 1024, 64 or 128 say")
+    return n
 
 
 def _vortices(n: int, seed: int) -> NDArray[np.float64]:
@@ -60,7 +63,9 @@ def _vortices(n: int, seed: int) -> NDArray[np.float64]:
     inside = (length > 0.0) & (length <= _MODES)
     amplitude = np.where(inside, np.maximum(length, 1.0) ** (-11.0 / 6.0), 0.0)
     generator = np.random.default_rng(seed)
-    modes = amplitude * (generator.standard_normal(length.shape) + 1j * generator.standard_normal(length.shape))
+    modes = amplitude * (
+        generator.standard_normal(length.shape) + 1j * generator.standard_normal(length.shape)
+    )
     waves = np.exp(2j * np.pi * np.linspace(0.0, 1.0, n)[:, None] * k)
     magnitude = _square(modes, waves)
     slope = _square(2j * np.pi * kx * modes, waves)

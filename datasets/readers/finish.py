@@ -47,7 +47,11 @@ def make_volume(name: str, values: NDArray[np.generic], spacing: Spacing, path: 
     if not values.dtype.isnative:
         values = values.astype(values.dtype.newbyteorder("="))
     return Volume(
-        name, values, (float(spacing[0]), float(spacing[1]), float(spacing[2])), _range(values, path), str(path)
+        name,
+        values,
+        (float(spacing[0]), float(spacing[1]), float(spacing[2])),
+        _range(values, path),
+        str(path),
     )
 
 

@@ -39,7 +39,8 @@ def read_nrrd(path: Path) -> tuple[NDArray[np.generic], Spacing]:
             kind, encoding = str(header["type"]), str(header["encoding"]).lower()
             big = header.get("endian", "little") == "big"
             line_skip, byte_skip = (
-                int(header.get(key, header.get(key.replace(" ", ""), 0))) for key in ("line skip", "byte skip")
+                int(header.get(key, header.get(key.replace(" ", ""), 0)))
+                for key in ("line skip", "byte skip")
             )
             spacing = _spacing(header, len(sizes))
         except MemoryError:

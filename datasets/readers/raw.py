@@ -106,7 +106,9 @@ def _from_sidecar(path: Path) -> Layout:
     if endian not in ("little", "big"):
         raise DataError(path, f"endian {endian!r} is neither little nor big", remedy)
     spacing = said.get("spacing", [1.0, 1.0, 1.0])
-    if not (isinstance(spacing, list) and len(spacing) == 3 and all(type(s) in (int, float) for s in spacing)):
+    if not (
+        isinstance(spacing, list) and len(spacing) == 3 and all(type(s) in (int, float) for s in spacing)
+    ):
         raise DataError(path, "spacing is not three numbers", remedy)
     skip = said.get("header_bytes", 0)
     if type(skip) is not int or skip < 0:

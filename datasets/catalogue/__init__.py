@@ -1,0 +1,12 @@
+"""The catalogue: known datasets by name, and any volume file or folder of views by path.
+
+Each entry is a TOML file in this package. The real files are found by searching the folders of
+``BENCH_DATA`` (separated as in ``PATH``), then ``econgs-bench`` in the user's data folder.
+"""
+
+from __future__ import annotations
+
+from datasets.catalogue.entries import DatasetInfo, data_folders, list_datasets
+from datasets.catalogue.opening import open_dataset
+
+__all__ = ["DatasetInfo", "data_folders", "list_datasets", "open_dataset"]

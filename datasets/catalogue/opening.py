@@ -1,0 +1,179 @@
+"""From a name or a path to a dataset."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from datasets.catalogue import entries
+from datasets.errors import DataError
+from datasets.names import unknown
+
+if TYPE_CHECKING:
+    from datasets.scene import BasicScene, Dataset
+    from datasets.volume import Volume
+
+
+def open_dataset(
+    name_or_path: str | Path,
+    data_dirs: Sequence[Path | str] | None = None,
+    resolution: int | None = None,
+    *,
+    download: bool = False,
+) -> Dataset:
+    """A dataset by its catalogue name, or from a volume file or a folder of pre-rendered views.
+
+    Args:
+        name_or_path: "vis_male"; "vortices" or "vortices@128"; a volume file, which gets automatic transfer
+            functions; or a folder with ``transforms_train.json``, in itself or in one subfolder per scene.
+        data_dirs: folders to search instead of ``BENCH_DATA`` and the user's data folder.
+        resolution: samples per axis of a procedural volume (default 64).
+        download: fetch missing files that are public into the user's data folder (checked by sha512).
+
+    Raises:
+        UnknownName: neither a name nor a path; near matches are listed.
+        DataError: its files are missing or cannot be used.
+    """
+    text = str(name_or_path)
+    base, _, at = text.partition("@")
+    if base in entries.names() and not isinstance(name_or_path, Path):
+        said = entries.entry(base)
+        if said["kind"] == "procedural":
+            return _procedural(base, said, _resolution(text, at) if at else resolution)
+        if resolution is not None or "@" in text:
+            raise DataError(text, "only procedural volumes have a choice of resolution", f"Ask for {base}")
+        return _known(base, said, entries.data_folders(data_dirs), download)
+    path = Path(text).expanduser()
+    try:
+        is_folder, exists = path.is_dir(), path.exists()
+    except (OSError, ValueError):
+        is_folder = exists = False
+    if is_folder:
+        return _views_folder(path)
+    from datasets.readers import suffix_of
+
+    if exists or "/" in text or suffix_of(path):
+        return _file(path)
+    raise unknown("dataset", text, entries.names())
+
+
+def _resolution(text: str, at: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,6}", at):
+        raise DataError(text, "no number follows the @", "Write vortices@128, say")
+    return int(at)
+
+
+def _procedural(name: str, said: dict[str, Any], resolution: int | None) -> Dataset:
+    from datasets import procedural
+    from datasets.scene import Dataset
+
+    n = procedural.check_resolution(name, resolution)
+    full = name if n == procedural.DEFAULT_RESOLUTION else f"{name}@{n}"
+    volumes = {name: lambda: procedural.make_volume(name, n)}
+    return Dataset(full, said["title"], "volume", _scenes(said), entries.compositions_of(said), volumes)
+
+
+def _known(name: str, said: dict[str, Any], folders: Sequence[Path], download: bool) -> Dataset:
+    from datasets.scene import BasicScene, Dataset
+
+    found: dict[str, Path] = {}
+    for path in entries.paths_of(said):
+        at = entries.locate(path, folders)
+        if at is None and download:
+            at = _fetch(name, next((f for f in said.get("files", []) if f["path"] == path), {}))
+        if at is None:
+            raise DataError(f"dataset {name}", f"{path} was not found", entries.remedy(said, folders))
+        found[path] = at
+    if said["kind"] == "views":
+        scenes = tuple(
+            BasicScene(Path(path).parent.name, views_folder=at.parent) for path, at in found.items()
+        )
+        return Dataset(name, said["title"], "views", scenes)
+    spacing = tuple(said["spacing"]) if "spacing" in said else None
+    volumes = {f["variable"]: _reader(found[f["path"]], f["variable"], spacing) for f in said["files"]}
+    return Dataset(name, said["title"], "volume", _scenes(said), entries.compositions_of(said), volumes)
+
+
+def _reader(path: Path, variable: str, spacing: Any) -> Callable[[], Volume]:
+    def read() -> Volume:
+        from datasets.readers import read_volume
+
+        return read_volume(path, variable, spacing=spacing)
+
+    return read
+
+
+def _fetch(name: str, file: dict[str, Any]) -> Path | None:
+    """Download a public file into the user's data folder; None if none is published under a fixed URL."""
+    if "url" not in file:
+        return None
+    import pooch
+
+    target = entries.user_folder() / file["path"]
+    try:
+        pooch.retrieve(file["url"], f"sha512:{file['sha512']}", fname=target.name, path=target.parent)
+    except Exception as error:  # network errors of several libraries, or a wrong checksum
+        raise DataError(
+            f"dataset {name}", f"{file['url']} could not be fetched ({error})", "Try later"
+        ) from error
+    return target
+
+
+def _scenes(said: dict[str, Any]) -> tuple[BasicScene, ...]:
+    from datasets.scene import WHITE, BasicScene, Light
+    from datasets.transfer import Bump, TransferFunction
+
+    scenes = []
+    for scene in said["scenes"]:
+        bumps = tuple(Bump(b["name"], *b["range"], tuple(b["color"]), b["opacity"]) for b in scene["bumps"])
+        transfer = TransferFunction(scene["name"], bumps, scene.get("reference_length", 0.01))
+        light = dict(scene.get("light", {}))
+        if "direction" in light:
+            light["direction"] = tuple(light["direction"])
+        background = tuple(scene.get("background", WHITE))
+        scenes.append(BasicScene(scene["name"], scene["variable"], transfer, Light(**light), background))
+    return tuple(scenes)
+
+
+def _file(path: Path) -> Dataset:
+    """A file that the catalogue does not know: automatic transfer functions."""
+    from datasets.auto_transfer import automatic_scenes
+    from datasets.readers import read_volume, suffix_of
+    from datasets.scene import Dataset
+
+    volume = read_volume(path)
+    scenes = automatic_scenes(volume)
+    names = tuple(scene.name for scene in scenes)
+    return Dataset(
+        safe_name(path.name[: len(path.name) - len(suffix_of(path))]),
+        f"{path.name}, automatic transfer functions",
+        "volume",
+        scenes,
+        {"all": names} if len(names) > 1 else {},
+        {volume.name: lambda: volume},
+    )
+
+
+def _views_folder(path: Path) -> Dataset:
+    from datasets.scene import BasicScene, Dataset
+
+    if (path / "transforms_train.json").is_file():
+        folders = [path]
+    else:
+        folders = sorted(f for f in path.iterdir() if (f / "transforms_train.json").is_file())
+    if not folders:
+        raise DataError(
+            path,
+            "is a folder without pre-rendered views",
+            "It needs a transforms_train.json, in itself or in one subfolder per scene; or name a volume file",
+        )
+    scenes = tuple(BasicScene(safe_name(f.resolve().name), views_folder=f.resolve()) for f in folders)
+    name = path.resolve().name
+    return Dataset(safe_name(name), f"pre-rendered views in {name}", "views", scenes)
+
+
+def safe_name(text: str) -> str:
+    """A name for folders, tables and command lines: letters, digits, ``_``, ``-`` and ``.``."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "_", text).strip("_.-") or "volume"
