@@ -54,13 +54,17 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="bench",
         description="Benchmark of compressed scene representations of volume visualisation.",
-        epilog="Exit codes: 0 done, 1 a job failed or is unfinished, 2 unusable input, 130 stopped by Ctrl-C.",
+        epilog="Exit codes: 0 done, 1 a job failed or is unfinished, 2 unusable input, 130 stopped (Ctrl-C).",
     )
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show tracebacks of errors in the input")
     plugins = argparse.ArgumentParser(add_help=False)
     plugins.add_argument(
-        "--plugins", action="append", default=[], metavar="DIR", help="folder with methods of your own (repeatable)"
+        "--plugins",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="folder with methods of your own (repeatable)",
     )
     runs = argparse.ArgumentParser(add_help=False)
     runs.add_argument("--runs", default="runs", metavar="DIR", help="the run store (default: runs)")
@@ -91,7 +95,9 @@ def _parser() -> argparse.ArgumentParser:
     render = command("render", "write pictures: ground truth, or those of a finished model", plugins, runs)
     render.add_argument("dataset", help="name in the catalogue, or a path")
     render.add_argument("--scene", action="append", default=[], help="only this scene (repeatable)")
-    render.add_argument("--views", type=_count, default=8, help="number of views on the test path (default: 8)")
+    render.add_argument(
+        "--views", type=_count, default=8, help="number of views on the test path (default: 8)"
+    )
     render.add_argument("--size", type=_size, default=(256, 256), metavar="WxH", help="pixels (default: 256)")
     render.add_argument("--out", default="pictures", metavar="DIR", help="default: pictures")
     render.add_argument("--model", metavar="JOB", help="an encode or measure job of --runs: render its model")
@@ -109,24 +115,34 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--format", choices=("csv", "md", "tex", "json"), help="default: a table for people")
     cache = command("cache", "ground-truth cache: what it takes, or make it smaller")
     cache.add_argument("action", choices=("info", "prune"))
-    cache.add_argument("--max-size", type=_bytes, metavar="SIZE", help="prune to this size (default: its cap)")
+    cache.add_argument(
+        "--max-size", type=_bytes, metavar="SIZE", help="prune to this size (default: its cap)"
+    )
     return parser
 
 
 def _add_selection(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("suite", help="a suite of `bench list suites`, or a TOML file")
     parser.add_argument(
-        "--dataset", action="append", default=[], metavar="NAME|PATH", help="instead of the suite's (repeatable)"
+        "--dataset",
+        action="append",
+        default=[],
+        metavar="NAME|PATH",
+        help="instead of the suite's (repeatable)",
     )
     parser.add_argument("--scene", action="append", default=[], help="only this scene (repeatable)")
     parser.add_argument("--method", action="append", default=[], help="instead of the suite's (repeatable)")
-    parser.add_argument("--seed", action="append", default=[], type=int, help="instead of the suite's (repeatable)")
+    parser.add_argument(
+        "--seed", action="append", default=[], type=int, help="instead of the suite's (repeatable)"
+    )
     parser.add_argument("--preset", choices=("quick", "standard", "paper"), help="default: the suite's")
     parser.add_argument(
         "--split", choices=("test", "val"), default="test",
         help="measure on test views, or leave every tenth training view out of the fit and measure on those",
     )  # fmt: skip
-    parser.add_argument("--set", action="append", default=[], metavar="METHOD.OPTION=VALUE", help="(repeatable)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="METHOD.OPTION=VALUE", help="(repeatable)"
+    )
     parser.add_argument("--device", default="cpu", help="cpu or cuda (default: cpu)")
 
 
@@ -136,11 +152,13 @@ def _seconds(text: str) -> float:
 
 def _bytes(text: str) -> int:
     units = {"K": 2.0**10, "M": 2.0**20, "G": 2.0**30, "T": 2.0**40}
-    return int(_positive(text.upper().removesuffix("B").removesuffix("I"), units, "a size such as 500M or 8G"))
+    return int(
+        _positive(text.upper().removesuffix("B").removesuffix("I"), units, "a size such as 500M or 8G")
+    )
 
 
 def _positive(text: str, units: dict[str, float], example: str) -> float:
-    unit = units.get(text[-1:], None)
+    unit = units.get(text[-1:])
     try:
         value = float(text[:-1] if unit else text) * (unit or 1.0)
     except ValueError:

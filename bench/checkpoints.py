@@ -19,6 +19,7 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint, harness: dict[str, An
 
     Args:
         folder: holds the checkpoints of one fit.
+        checkpoint: what the method gave.
         harness: what the harness itself needs to continue (clock, curve); JSON values.
     """
     target = folder / f"{checkpoint.iteration:09d}"

@@ -81,8 +81,12 @@ class LiveDisplay:
         self._live.stop()
         color = "green" if record is not None and record.ok else "yellow" if record is None else "red"
         seconds = time.monotonic() - self._started
-        self._console.print(f"{self._number} {job.title}", style="bold", end=": ", highlight=False, markup=False)
-        self._console.print(f"{ending(record, note)}, {seconds:.1f} s", style=color, highlight=False, markup=False)
+        self._console.print(
+            f"{self._number} {job.title}", style="bold", end=": ", highlight=False, markup=False
+        )
+        self._console.print(
+            f"{ending(record, note)}, {seconds:.1f} s", style=color, highlight=False, markup=False
+        )
 
 
 def describe(state: dict[str, Any]) -> str:

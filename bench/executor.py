@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import shutil
 import signal
@@ -23,7 +25,7 @@ from bench.worker import BUSY, STOPPED, last_progress, log_tail, now
 
 POLL_SECONDS = 0.1
 GRACE_SECONDS = 60.0
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "ECONGS_THREADS")
 
 
 class Display(Protocol):
@@ -232,9 +234,7 @@ class LocalExecutor:
             if process.poll() is None:
                 _kill(process)
 
-    def _watch(
-        self, process: subprocess.Popen[bytes], folder: Path
-    ) -> tuple[int, tuple[Status, str] | None]:
+    def _watch(self, process: subprocess.Popen[bytes], folder: Path) -> tuple[int, tuple[Status, str] | None]:
         tail = _Tail(folder / "progress.jsonl")
         running_since: float | None = None
         asked: float | None = None
@@ -262,9 +262,7 @@ class LocalExecutor:
                 continue
         return code, None
 
-    def _over_limit(
-        self, process: subprocess.Popen[bytes], since: float | None
-    ) -> tuple[Status, str] | None:
+    def _over_limit(self, process: subprocess.Popen[bytes], since: float | None) -> tuple[Status, str] | None:
         limits = self._limits
         if limits.seconds is not None and since is not None and time.monotonic() - since > limits.seconds:
             return "timeout", f"killed after its time limit of {limits.seconds:g} s"
@@ -330,8 +328,6 @@ class _Tail:
         self._offset = 0
 
     def new(self) -> list[dict[str, Any]]:
-        import json
-
         try:
             with self._path.open("rb") as file:
                 file.seek(self._offset)
@@ -367,8 +363,6 @@ def resident_bytes(pid: int) -> int:
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
     """Kill a worker and all that it started (it leads a session of its own)."""
-    try:
+    with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
     process.wait()

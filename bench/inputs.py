@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from datasets.cloud import initial_cloud
 from datasets.errors import DataError
 from datasets.render_views import views_of, volume_digest
 from datasets.scene import Dataset
-from datasets.views import Split, ViewRequest, ViewSet
+from datasets.views import Split, ViewRequest, ViewSet, split_indices
 from methods.interface import SceneInput
 
 _IMAGES = {".png", ".json", ".ply"}
@@ -32,7 +32,9 @@ def fingerprint(dataset: Dataset, scene_name: str) -> str:
         DataError: the data cannot be read (found here, before any job starts).
     """
     scene = dataset.scene(scene_name)
-    identity: dict[str, Any] = {"scene": _plain({k: v for k, v in asdict(scene).items() if k != "views_folder"})}
+    identity: dict[str, Any] = {
+        "scene": _plain({k: v for k, v in asdict(scene).items() if k != "views_folder"})
+    }
     if scene.views_folder is not None:
         identity["files"] = _folder_hash(scene.views_folder)
     else:
@@ -89,14 +91,14 @@ def scene_inputs(job: Job) -> tuple[list[SceneInput], dict[str, ViewSet]]:
     inputs, curve = [], {}
     for name in job.scenes:
         scene = dataset.scene(name)
-        validation = views(dataset, name, job.request, "val")
-        curve[name] = validation
         if job.split == "val":
             train = views(dataset, name, job.request, "train")
-            given = validation
+            given = curve[name] = views(dataset, name, job.request, "val")
         else:
             train = views(dataset, name, job.request, "trainval")
-            given = ViewSet((), validation.images[:0], validation.background, validation.key)
+            tenth = split_indices(len(train), "val")  # none of six
+            curve[name] = _subset(train, tenth)
+            given = _subset(train, [])
         seed = derived_seed("cloud", job.dataset_name, name, job.seed)
         inputs.append(
             SceneInput(
@@ -105,10 +107,15 @@ def scene_inputs(job: Job) -> tuple[list[SceneInput], dict[str, ViewSet]]:
                 validation=given,
                 cloud=initial_cloud(dataset, name, job.cloud_points, seed),
                 extent=camera_extent(train.cameras),
-                volume=(lambda variable=scene.variable: dataset.volume(variable)) if dataset.volumes else None,
+                volume=partial(dataset.volume, scene.variable) if dataset.volumes else None,
             )
         )
     return inputs, curve
+
+
+def _subset(views: ViewSet, indices: list[int]) -> ViewSet:
+    cameras = tuple(views.cameras[i] for i in indices)
+    return ViewSet(cameras, views.images[indices], views.background, views.key)
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:
@@ -136,17 +143,18 @@ def camera_from_json(data: dict[str, Any]) -> Camera:
 
 
 def _native_size(folder: Path) -> tuple[int, int]:
-    """Width and height of the first training view."""
+    """Width and height of the first training picture."""
     from PIL import Image
 
-    transforms = folder / "transforms_train.json"
+    from datasets.blender import read_transforms
+
+    _, picture = read_transforms(folder / "transforms_train.json")[0]
     try:
-        first = folder / json.loads(transforms.read_text(encoding="utf-8"))["frames"][0]["file_path"]
-        with Image.open(first if first.suffix else first.with_suffix(".png")) as image:
+        with Image.open(picture) as image:
             return image.size
-    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+    except (OSError, ValueError, SyntaxError) as error:
         raise DataError(
-            transforms, f"its first view cannot be read ({error})", "Check the file and its file_path entries"
+            picture, f"cannot be read as a picture ({error})", "Write it as an 8-bit PNG"
         ) from error
 
 

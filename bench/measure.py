@@ -63,7 +63,9 @@ def measure(context: Context) -> MeasureResult:
 
     truth = views(open_dataset(job.dataset), scene, job.request, job.split)
     if truth.key != shown.views.view_keys[job.split]:
-        raise RuntimeError("the ground truth has changed since its views job; delete that job or use a new store")
+        raise RuntimeError(
+            "the ground truth has changed since its views job; delete that job or use a new store"
+        )
     out = context.folder / "renders"
     out.mkdir(exist_ok=True)
     rows: list[ViewResult] = []
@@ -72,7 +74,9 @@ def measure(context: Context) -> MeasureResult:
         tensor, tensor_alpha = model.render(camera, scenes=[scene], background=background)
         rgb, alpha = as_numpy(tensor), as_numpy(tensor_alpha)
         if not (np.isfinite(rgb).all() and np.isfinite(alpha).all()):
-            raise FloatingPointError(f"the loaded model renders values that are not finite in view {camera.name}")
+            raise FloatingPointError(
+                f"the loaded model renders values that are not finite in view {camera.name}"
+            )
         values, reasons = evaluate(truth.images[index], rgb, alpha, background, list(job.metrics))
         missing.update(reasons)
         file = f"{index:04d}.png"

@@ -61,8 +61,8 @@ class FitMonitor:
 
     The training clock runs from :meth:`start` to :meth:`stop` and stands still inside :meth:`pause`.
     Anytime evaluations take place at moments spread evenly over the logarithm of the iteration, on
-    a few validation views of the group's first scenes; a checkpoint is written every 30 s, at the last iteration
-    and when the job is asked to stop.
+    a few validation views of the group's first scenes; a checkpoint is written every 30 s, at the last
+    iteration and when the job is asked to stop.
 
     Args:
         folder: where checkpoints go.
@@ -156,9 +156,7 @@ class FitMonitor:
             or time.monotonic() - self._stored >= self._every
         )
 
-    def pause(
-        self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]
-    ) -> None:
+    def pause(self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]) -> None:
         self.stop()
         try:
             self.iteration = iteration
@@ -185,7 +183,9 @@ class FitMonitor:
         }
         write_checkpoint(self._folder, checkpoint, harness)
         self._stored = time.monotonic()
-        self._report(stage=self._stage, iteration=checkpoint.iteration, iterations=self._iterations, stored=True)
+        self._report(
+            stage=self._stage, iteration=checkpoint.iteration, iterations=self._iterations, stored=True
+        )
 
     def _evaluate(self, iteration: int, model: Model) -> None:
         values = []
@@ -211,7 +211,11 @@ class FitMonitor:
             return
         left = None
         if self._speed is not None and self.iteration > self._speed[0]:
-            left = (self._iterations - self.iteration) * (now - self._speed[1]) / (self.iteration - self._speed[0])
+            left = (
+                (self._iterations - self.iteration)
+                * (now - self._speed[1])
+                / (self.iteration - self._speed[0])
+            )
         elif self._speed is None and self.iteration:
             self._speed = (self.iteration, now)
         self._reported = now
@@ -248,7 +252,7 @@ def _some_views(validation: Mapping[str, ViewSet]) -> list[tuple[str, int, ViewS
 
 
 def _psnr(rgb: Any, truth: Any) -> float:
-    """PSNR on 8-bit-rounded images, identical ones counting 100 dB: as the metric ``psnr``, for the curve only."""
+    """As the metric ``psnr`` (8-bit-rounded, identical images count 100 dB), for the curve only."""
     a = np.round(np.clip(rgb, 0.0, 1.0) * 255.0)
     b = np.round(np.clip(truth, 0.0, 1.0) * 255.0)
     error = float(np.mean((a - b) ** 2))

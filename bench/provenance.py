@@ -18,8 +18,8 @@ from bench.records import Provenance
 from methods.interface import MethodSpec
 
 PACKAGES = (
-    "econgs-bench", "numpy", "scipy", "torch", "gsplat", "mitsuba", "drjit", "scikit-image", "lpips", "flip-evaluator",
-    "colour-science", "safetensors",
+    "econgs-bench", "numpy", "scipy", "torch", "gsplat", "mitsuba", "drjit", "scikit-image", "lpips",
+    "flip-evaluator", "colour-science", "safetensors",
 )  # fmt: skip
 
 
@@ -58,7 +58,9 @@ def _module_hash(module: str) -> str:
     digest = hashlib.sha256(module.encode())
     if found is not None:
         roots = [Path(p) for p in found.submodule_search_locations or ()]
-        files = [f for root in roots for f in root.rglob("*.py")] or ([Path(found.origin)] if found.origin else [])
+        files = [f for root in roots for f in root.rglob("*.py")] or (
+            [Path(found.origin)] if found.origin else []
+        )
         for file in sorted(files):
             digest.update(file.name.encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()
@@ -66,9 +68,8 @@ def _module_hash(module: str) -> str:
 
 def native_isa() -> str | None:
     """Instruction set of the native core, if this process has loaded it."""
-    native = sys.modules.get("econgs.splat.native")
-    isa = getattr(native, "isa", None)
-    return str(isa()) if callable(isa) else None
+    native = sys.modules.get("econgs._native")
+    return str(native.isa()) if native is not None else None
 
 
 def _cpu() -> str:

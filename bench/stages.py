@@ -99,9 +99,7 @@ def _views(context: Context) -> ViewsResult:
     cameras = [camera_to_json(camera) for camera in found.cameras]
     write_text(context.folder / "cameras.json", json.dumps(cameras))
     background = tuple(float(c) for c in found.background)
-    return ViewsResult(
-        view_keys=keys, background=background, truth={measured: names}, render_seconds=seconds
-    )  # type: ignore[arg-type]
+    return ViewsResult(view_keys=keys, background=background, truth={measured: names}, render_seconds=seconds)  # type: ignore[arg-type]
 
 
 def read_cameras(folder: Path) -> list[Any]:
@@ -180,9 +178,7 @@ class SilentMonitor:
     def due(self, iteration: int) -> bool:
         return False
 
-    def pause(
-        self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]
-    ) -> None:
+    def pause(self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]) -> None:
         pass
 
     def stage(self, name: str) -> None:

@@ -48,14 +48,20 @@ class Store:
                 self.root.mkdir(parents=True, exist_ok=True)
                 write_text(marker, json.dumps({"schema_version": SCHEMA}) + "\n")
             except OSError as error:
-                raise DataError(root, f"cannot be written ({error.strerror})", "Give --out another folder") from error
+                raise DataError(
+                    root, f"cannot be written ({error.strerror})", "Give --out another folder"
+                ) from error
         try:
             version = json.loads(marker.read_text(encoding="utf-8"))["schema_version"]
         except (ValueError, KeyError, TypeError) as error:
-            raise DataError(marker, "cannot be read as a run store's marker", "Restore it or start anew") from error
+            raise DataError(
+                marker, "cannot be read as a run store's marker", "Restore it or start anew"
+            ) from error
         if version != SCHEMA:
             raise DataError(
-                root, f"has schema version {version}, this program writes {SCHEMA}", "Use a new folder for new runs"
+                root,
+                f"has schema version {version}, this program writes {SCHEMA}",
+                "Use a new folder for new runs",
             )
         for folder in (self.jobs, self.partial, self.locks, self.tables):
             folder.mkdir(exist_ok=True)
@@ -156,7 +162,9 @@ def read_record(path: Path) -> Record:
         return Record.model_validate_json(path.read_bytes())
     except (ValidationError, OSError) as error:
         first = str(error).splitlines()[0]
-        raise DataError(path, f"not a whole record ({first})", "Delete its folder; the job then runs again") from error
+        raise DataError(
+            path, f"not a whole record ({first})", "Delete its folder; the job then runs again"
+        ) from error
 
 
 def write_text(path: Path, text: str) -> None:

@@ -17,8 +17,8 @@ METRICS = ("psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv")
 _AXES = ("dataset", "scene", "method", "variant")
 COLUMNS: dict[str, tuple[str, ...]] = {
     "results": (
-        "dataset", "scene", "kind", "method", "variant", "rate", "preset", "split", "seed", "status", "reason",
-        "stale", "group", *METRICS, "size_bytes", "group_bytes", "standalone_bytes", "primitives",
+        "dataset", "scene", "kind", "method", "variant", "rate", "preset", "split", "seed", "status",
+        "reason", "stale", "group", *METRICS, "size_bytes", "group_bytes", "standalone_bytes", "primitives",
         "train_seconds", "group_seconds", "load_seconds", "fps", "peak_host_bytes", "peak_device_bytes",
         "iterations", "train_views", "width", "height", "device", "machine", "threads", "job", "fps_p05",
         "fps_p95", "encode_seconds", "reference_seconds", "identical_views", "stage", "commit",
@@ -37,9 +37,9 @@ _TEXT = {
     "machine", "job", "stage", "commit", "view", "truth_file", "render_file", "alpha_file", "part", "name",
 }  # fmt: skip
 _WHOLE = {
-    "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes", "peak_device_bytes",
-    "iterations", "train_views", "width", "height", "threads", "identical_views", "group_peak_host_bytes",
-    "iteration", "bytes_estimate", "bytes",
+    "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes",
+    "peak_device_bytes", "iterations", "train_views", "width", "height", "threads", "identical_views",
+    "group_peak_host_bytes", "iteration", "bytes_estimate", "bytes",
 }  # fmt: skip
 _FLAGS = {"stale", "identical"}
 
@@ -51,7 +51,9 @@ def share(total: int, names: Iterable[str], name: str) -> int:
     return base + (1 if order.index(name) < rest else 0)
 
 
-def rows(records: Iterable[Record], sources: Mapping[str, str] | None = None) -> dict[str, list[dict[str, Any]]]:
+def rows(
+    records: Iterable[Record], sources: Mapping[str, str] | None = None
+) -> dict[str, list[dict[str, Any]]]:
     """All tables as lists of rows.
 
     Args:
@@ -266,5 +268,5 @@ def _needed(by_id: Mapping[str, Record], record: Record | None, kind: str) -> Re
 
 def _order(row: dict[str, Any]) -> tuple[str, ...]:
     """Rows of one experiment together, whatever their jobs' hashes; the sort keeps the order within a job."""
-    keys = ("dataset", "method", "variant", "preset", "seed", "rate", "split")
+    keys = ("dataset", "scene", "method", "variant", "preset", "seed", "rate", "split")
     return tuple("" if row.get(key) is None else f"{row[key]:>12}" for key in keys)

@@ -19,6 +19,7 @@ from datasets.camera import Camera
 
 WARMUP_SECONDS = 3.0
 MEASURE_SECONDS = 1.0
+MEASURE_FRAMES = 500
 STABLE = 0.05
 _WINDOW = 5
 
@@ -41,12 +42,16 @@ def synchronise(device: str) -> None:
 
 
 def reference_seconds() -> float | None:
-    """Time of the fixed reference kernel on this machine now; None without the native core."""
+    """Time of the fixed reference kernel on this machine now; None without the native core.
+
+    Taken from the kernels themselves: their calling layer would bring torch into every process.
+    """
     try:
-        from econgs.splat.native import fixed_reference_kernel
+        from econgs import _native
     except ImportError:
         return None
-    return float(fixed_reference_kernel())
+    _native.set_threads(int(os.environ.get("ECONGS_THREADS") or os.cpu_count() or 1))
+    return float(_native.reference_kernel())
 
 
 def mean_of(before: float | None, after: float | None) -> float | None:
@@ -77,7 +82,8 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
 
     Warm-up follows the path until the medians of two successive windows of five frames differ by
     less than 5 %, for at most three seconds (but at least two windows). Then whole passes over the
-    path are timed, frame by frame, until a second has gone by. The garbage collector rests meanwhile.
+    path are timed, frame by frame, until a second has gone by or 500 frames are timed. The garbage collector
+    rests meanwhile.
     """
 
     def timed(camera: Camera) -> float:
@@ -100,7 +106,7 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
                 stable = bool(abs(now - before) < STABLE * before)
         times: list[float] = []
         begin = time.perf_counter()
-        while not times or time.perf_counter() - begin < MEASURE_SECONDS:
+        while not times or (time.perf_counter() - begin < MEASURE_SECONDS and len(times) < MEASURE_FRAMES):
             times += [timed(camera) for camera in cameras]
     finally:
         gc.enable()
@@ -108,8 +114,10 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
     return FrameTimes(float(median), float(p05), float(p95), len(times), len(warm), stable)
 
 
-def median_timings(timings: Callable[[Camera], Any], cameras: Sequence[Camera], frames: int = 9) -> dict[str, float]:
-    """Median seconds of each part of a frame, over cameras spread along the path (the first call warms up)."""
+def median_timings(
+    timings: Callable[[Camera], Any], cameras: Sequence[Camera], frames: int = 9
+) -> dict[str, float]:
+    """Median seconds of each part of a frame, over cameras spread along the path, after one warm-up."""
     step = max(1, len(cameras) // frames)
     samples = [dict(timings(camera)) for camera in [cameras[0], *cameras[::step]]][1:]
     return {part: float(np.median([s[part] for s in samples])) for part in samples[0]}

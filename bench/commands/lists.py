@@ -39,7 +39,12 @@ def _metrics(options: Namespace) -> Iterable[tuple[str, ...]]:
     from bench.metrics import METRICS
 
     return [
-        (name, f"version {m.version}", m.unit, "higher is better" if m.higher_is_better else "lower is better")
+        (
+            name,
+            f"version {m.version}",
+            m.unit,
+            "higher is better" if m.higher_is_better else "lower is better",
+        )
         for name, m in METRICS.items()
     ]
 

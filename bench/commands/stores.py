@@ -64,7 +64,9 @@ def compare(options: Namespace) -> int:
         print(table.to_string(index=False, float_format=lambda x: f"{x:.5g}", na_rep="-"))
     alone = (len(first) - table.attrs["views"], len(second) - table.attrs["views"])
     if any(alone):
-        print(f"bench: not paired: {alone[0]} views of the first run, {alone[1]} of the second", file=sys.stderr)
+        print(
+            f"bench: not paired: {alone[0]} views of the first run, {alone[1]} of the second", file=sys.stderr
+        )
     return 0
 
 

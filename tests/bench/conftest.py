@@ -1,0 +1,118 @@
+"""A tiny pre-rendered dataset, a method without torch, and `bench` as a user starts it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.camera import Camera
+
+ROOT = Path(__file__).resolve().parents[2]
+PLUGINS = Path(__file__).parent / "plugins"
+SIZE = 8
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three scenes of 12 training and 4 test views, 8 x 8 pixels."""
+    from datasets.blender import write_transforms
+    from datasets.cloud import random_cloud, write_ply
+    from datasets.png import write_png
+
+    root = tmp_path_factory.mktemp("data") / "tiny"
+    rng = np.random.default_rng(1)
+    for scene in ("a", "b", "c"):
+        color = rng.random(3).astype(np.float32)
+        for split, count in (("train", 12), ("test", 4)):
+            folder = root / scene / split
+            folder.mkdir(parents=True)
+            cameras = [_camera(i, count, f"r_{i:04d}") for i in range(count)]
+            for camera in cameras:
+                image = np.ones((SIZE, SIZE, 4), dtype=np.float32)
+                image[..., :3] = color
+                image[0, 0] = 0.0  # a transparent pixel
+                write_png(folder / f"{camera.name}.png", image)
+            write_transforms(root / scene / f"transforms_{split}.json", cameras)
+        write_ply(root / scene / "points3d.ply", random_cloud(20, 0.5))
+    return root
+
+
+def _camera(index: int, count: int, name: str) -> Camera:
+    angle = 2 * np.pi * index / count
+    forward = -np.array([np.cos(angle), np.sin(angle), 0.0])
+    right = np.array([-np.sin(angle), np.cos(angle), 0.0])
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    matrix[:3, 3] = -2.0 * forward
+    return Camera.with_fov(matrix, 0.6, SIZE, SIZE, name)
+
+
+class Bench:
+    """Runs ``bench`` in processes of their own, against one store."""
+
+    def __init__(self, folder: Path, dataset: Path) -> None:
+        self.store = folder / "runs"
+        self.dataset = dataset
+        self.plugins = PLUGINS
+        self.environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])),
+            "PYTHONSAFEPATH": "1",
+            "BENCH_LOCKS": str(folder / "locks"),
+            "BENCH_CACHE": str(folder / "cache"),
+            "TORCH_HOME": str(folder / "torch"),
+        }
+        self.environment.pop("BENCH_DATA", None)
+
+    def command(self, *arguments: object) -> list[str]:
+        return [sys.executable, "-m", "bench", *map(str, arguments)]
+
+    def run_arguments(self, *more: object, scenes: tuple[str, ...] = ("a",), method: str = "fake") -> list[str]:
+        arguments: list[object] = ["run", "quick", "--dataset", self.dataset, "--method", method]
+        for scene in scenes:
+            arguments += ["--scene", scene]
+        return self.command(*arguments, "--plugins", self.plugins, "--out", self.store, *more)
+
+    def __call__(self, *arguments: object) -> subprocess.CompletedProcess[str]:
+        return self._finish(self.command(*arguments))
+
+    def run(
+        self, *more: object, scenes: tuple[str, ...] = ("a",), method: str = "fake"
+    ) -> subprocess.CompletedProcess[str]:
+        return self._finish(self.run_arguments(*more, scenes=scenes, method=method))
+
+    def start(self, *more: object, scenes: tuple[str, ...] = ("a",)) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            self.run_arguments(*more, scenes=scenes),
+            env=self.environment, cwd=self.store.parent, start_new_session=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+
+    def _finish(self, command: list[str]) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            command, env=self.environment, cwd=self.store.parent, capture_output=True, text=True, timeout=120,
+            check=False,
+        )  # fmt: skip
+
+    def records(self) -> dict[str, object]:
+        from bench.store import Store
+
+        return {record.job.id: record for record in Store(self.store).records()}
+
+    def of_kind(self, kind: str) -> list:
+        return [record for record in self.records().values() if record.job.kind == kind]
+
+
+@pytest.fixture
+def bench(tmp_path: Path, dataset: Path) -> Bench:
+    return Bench(tmp_path, dataset)
+
+
+@pytest.fixture(scope="session")
+def make_bench() -> type[Bench]:
+    return Bench

@@ -1,0 +1,162 @@
+"""A method that takes no time and needs no torch: it learns one color per scene, and misbehaves on demand."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+from methods.interface import Checkpoint, Diverged, MethodSpec, Option, RateKnob, Refused
+
+BEHAVIOURS = (
+    "good", "refuse", "diverge", "nan", "raise", "abort", "exit", "hog", "sleep", "ledger", "no-checkpoint",
+)  # fmt: skip
+
+
+def _spec(name: str, joint: bool) -> MethodSpec:
+    return MethodSpec(
+        name=name,
+        title="A color",
+        reference="none",
+        version="1",
+        implementation=f"fake:{'Joint' if joint else 'Single'}",
+        source=("fake",),
+        joint=joint,
+        composable=False,
+        edits=frozenset(),
+        needs_volume=False,
+        uses_alpha="no",
+        devices=("cpu",),
+        options={
+            "behaviour": Option("good", "what it does wrong, in the fit", choices=BEHAVIOURS),
+            "only": Option("", "name of the one scene on which it does wrong"),
+            "pace": Option(0.0, "seconds per iteration", minimum=0.0),
+            "file": Option("", "if this file exists, all is well"),
+        },
+        presets={"quick": {}, "standard": {}, "paper": {}},
+        iterations={"quick": 20, "standard": 200, "paper": 2000},
+        rate_knobs=(RateKnob("digits", (2.0, 6.0), refit=False),),
+    )
+
+
+SPEC = _spec("fake", joint=False)
+
+
+class Color:
+    def __init__(self, colors: dict[str, list[float]], wrong_ledger: bool = False) -> None:
+        self.colors = colors
+        self.wrong_ledger = wrong_ledger
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        return tuple(self.colors)
+
+    def primitives(self, scene: str | None = None) -> int:
+        return 1 if scene else len(self.colors)
+
+    def save(self, folder: Path, rate: float | None = None) -> dict[str, dict[str, int]]:
+        ledger: dict[str, dict[str, int]] = {"": {}}
+        for name, color in self.colors.items():
+            text = json.dumps([round(c, int(rate)) if rate else c for c in color])
+            (folder / f"{name}.json").write_text(text)
+            ledger[name] = {"color": len(text)}
+        (folder / "shared.txt").write_text("seven b")
+        ledger[""]["shared"] = 7 + (1 if self.wrong_ledger else 0)
+        return ledger
+
+    def render(self, camera, scenes=None, edit=None, background=None):
+        shape = (camera.height, camera.width)
+        color = np.asarray(self.colors[(scenes or self.scenes)[0]], dtype=np.float32)
+        return np.broadcast_to(color, (*shape, 3)).copy(), np.ones(shape, dtype=np.float32)
+
+    def timings(self, camera):
+        return {"rasterise": 1e-4}
+
+
+class Single:
+    name = "fake"
+
+    def partition(self, scenes, options):
+        return [[scene] for scene in scenes]
+
+    def fit(self, group, options, budget, seed, device, monitor, resume=None):
+        targets = {s.name: _target(s.train.images) for s in group}
+        colors = {name: [0.0, 0.0, 0.0] for name in targets}
+        start = 0
+        if resume is not None:
+            start, colors = resume.iteration, {k: list(v) for k, v in resume.scalars["colors"].items()}
+        behaviour = _behaviour(options, group)
+        if behaviour == "refuse":
+            raise Refused("this scene is not to its taste")
+        monitor.stage("colors")
+        for iteration in range(start + 1, budget.iterations + 1):
+            rng = np.random.default_rng([seed, iteration])
+            for name, target in targets.items():
+                noise = rng.normal(scale=0.01, size=3)
+                colors[name] = [
+                    float(c + 0.1 * (t - c) + n) for c, t, n in zip(colors[name], target, noise, strict=True)
+                ]
+            if options["pace"]:
+                time.sleep(options["pace"])
+            loss = float(sum(np.abs(np.subtract(colors[n], targets[n])).mean() for n in targets))
+            if iteration == max(2, budget.iterations // 2):
+                loss = _misbehave(behaviour, loss)
+            monitor.progress(iteration, {"loss": loss}, len(colors))
+            if behaviour != "no-checkpoint" and monitor.due(iteration):
+                now = iteration
+                monitor.pause(
+                    now,
+                    lambda: Color(colors),
+                    lambda: Checkpoint(now, {}, {"colors": {k: list(v) for k, v in colors.items()}}),
+                )
+        return Color(colors, wrong_ledger=behaviour == "ledger")
+
+    def load(self, folder, device):
+        return Color({p.stem: json.loads(p.read_text()) for p in sorted(folder.glob("*.json"))})
+
+    def compose(self, models):
+        raise Refused("no")
+
+
+class Joint(Single):
+    def partition(self, scenes, options):
+        """All but the last scene together."""
+        return [list(scenes[:-1]), list(scenes[-1:])] if len(scenes) > 1 else [list(scenes)]
+
+
+def _target(images: np.ndarray) -> np.ndarray:
+    white = images[..., :3] + (1.0 - images[..., 3:])
+    return white.reshape(-1, 3).mean(axis=0)
+
+
+def _behaviour(options, group) -> str:
+    if options["file"] and os.path.exists(options["file"]):
+        return "good"
+    if options["only"] and options["only"] not in [s.name for s in group]:
+        return "good"
+    return options["behaviour"]
+
+
+def _misbehave(behaviour: str, loss: float) -> float:
+    if behaviour == "diverge":
+        raise Diverged("the color went away")
+    if behaviour == "nan":
+        return float("nan")
+    if behaviour == "raise":
+        raise ValueError("a bug in the method")
+    if behaviour == "abort":
+        print("about to abort", flush=True)
+        os.abort()
+    if behaviour == "exit":
+        os._exit(3)
+    if behaviour == "hog":
+        hoard = []
+        while True:
+            hoard.append(np.ones(2**21))
+            time.sleep(0.01)
+    if behaviour == "sleep":
+        time.sleep(600)
+    return loss

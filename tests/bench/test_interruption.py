@@ -1,0 +1,135 @@
+"""Real signals at awkward moments: nothing half-written, nothing lost but the work since the last checkpoint."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from bench.store import Store, read_record
+
+SLOW = ("--set", "fake.pace=0.05", "--set", "fake.iterations=60")
+
+
+def _records_are_whole(store: Path) -> int:
+    """Every record in the store can be read (``read_record`` raises otherwise); their number."""
+    files = [*store.glob("jobs/*/record.json"), *store.glob("partial/*/record.json")]
+    for file in files:
+        read_record(file)
+    assert not [f for f in store.glob("jobs/*") if not (f / "record.json").is_file()]
+    return len(files)
+
+
+def _wait_for(condition, seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "did not happen in time"
+        time.sleep(0.02)
+
+
+def _workers(process: subprocess.Popen) -> list[psutil.Process]:
+    try:
+        children = psutil.Process(process.pid).children(recursive=True)
+        return [p for p in children if "bench.worker" in p.cmdline()]
+    except psutil.Error:
+        return []
+
+
+def _models(store: Path) -> dict[str, bytes]:
+    return {f"{p.parent.parent.name}/{p.name}": p.read_bytes() for p in store.glob("jobs/encode-*/model/*")}
+
+
+def _progress(store: Path) -> str:
+    return "".join(p.read_text() for p in store.glob("partial/fit-*/progress.jsonl"))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(dataset, tmp_path_factory, make_bench):
+    """Models of a run that nobody touched."""
+    bench = make_bench(tmp_path_factory.mktemp("undisturbed"), dataset)
+    assert bench.run(*SLOW).returncode == 0
+    return _models(bench.store)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_checkpoints_and_resumes(bench, undisturbed, number) -> None:
+    process = bench.start(*SLOW)
+    _wait_for(lambda: '"iteration": 2' in _progress(bench.store))
+    process.send_signal(number)
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 130, output
+    assert "run the same command again to resume" in output
+    assert not bench.of_kind("fit")
+    (checkpoint,) = bench.store.glob("partial/fit-*/checkpoint/0*")
+    assert int(checkpoint.name) >= 2
+
+    assert bench.run(*SLOW).returncode == 0
+    (fit,) = bench.of_kind("fit")
+    assert fit.fit.resumed == 1
+    assert _models(bench.store) == undisturbed
+
+
+def test_killing_the_executor_stops_its_worker(bench, undisturbed) -> None:
+    process = bench.start(*SLOW)
+    _wait_for(lambda: '"iteration": 2' in _progress(bench.store))
+    (worker,) = _workers(process)
+    process.kill()
+    process.communicate(timeout=30)
+    _wait_for(lambda: not worker.is_running())
+    _records_are_whole(bench.store)
+    assert bench.run(*SLOW).returncode == 0
+    assert _models(bench.store) == undisturbed
+
+
+def test_killing_a_worker_is_a_failure_that_retry_resumes(bench, undisturbed) -> None:
+    process = bench.start(*SLOW)
+    _wait_for(lambda: '"iteration": 2' in _progress(bench.store))
+    (worker,) = _workers(process)
+    worker.kill()
+    process.communicate(timeout=30)
+    assert process.returncode == 1
+    (fit,) = bench.of_kind("fit")
+    assert (fit.status, fit.reason) == ("failed", "killed by signal 9 (SIGKILL)")
+    assert bench.run(*SLOW).returncode == 1
+    assert bench.run(*SLOW, "--retry").returncode == 0
+    assert _models(bench.store) == undisturbed
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_kill_9_at_random_moments(bench, undisturbed, seed: int) -> None:
+    """Executor or worker dies again and again; in the end all is as if nothing had happened."""
+    rng = random.Random(seed)
+    for _ in range(4):
+        process = bench.start(*SLOW, "--retry")
+        time.sleep(rng.uniform(0.5, 5.0))
+        victims = [process.pid, *(worker.pid for worker in _workers(process))]
+        rng.shuffle(victims)
+        for victim in victims[: rng.choice([1, 2])]:
+            try:
+                os.kill(victim, signal.SIGKILL)
+            except ProcessLookupError:
+                continue
+        if process.pid not in victims[:1]:
+            process.send_signal(signal.SIGINT)
+        process.communicate(timeout=60)
+        _records_are_whole(bench.store)
+    done = bench.run(*SLOW, "--retry")
+    assert done.returncode == 0, done.stderr
+    assert _records_are_whole(bench.store) == 4
+    assert all(record.ok for record in Store(bench.store).records())
+    assert _models(bench.store) == undisturbed
+
+
+def test_two_runs_on_one_store_share_the_work(bench, undisturbed) -> None:
+    first, second = bench.start(*SLOW), bench.start(*SLOW)
+    for process in (first, second):
+        output, _ = process.communicate(timeout=60)
+        assert process.returncode == 0, output
+    assert _records_are_whole(bench.store) == 4
+    assert _models(bench.store) == undisturbed

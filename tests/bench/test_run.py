@@ -1,0 +1,173 @@
+"""Whole runs with real processes: what a user sees, and what the store holds afterwards."""
+
+from __future__ import annotations
+
+import json
+
+import pandas as pd
+import pytest
+
+from bench.store import Store
+from bench.tables import COLUMNS, build_tables
+
+
+def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
+    first = bench.run(scenes=("a", "b"))
+    assert first.returncode == 0, first.stderr
+    assert (bench.store / "report.html").stat().st_size > 0
+    assert str(bench.store / "report.html") in first.stdout
+    records = bench.records()
+    assert {r.job.kind: r.status for r in records.values()} == dict.fromkeys(
+        ("views", "fit", "encode", "measure"), "ok"
+    )
+    stamps = {job: (bench.store / "jobs" / job / "record.json").stat().st_mtime_ns for job in records}
+
+    again = bench.run(scenes=("a", "b"))
+    assert again.returncode == 0
+    assert "nothing to run, all 8 jobs are finished" in again.stderr
+    after = {job: (bench.store / "jobs" / job / "record.json").stat().st_mtime_ns for job in bench.records()}
+    assert after == stamps
+
+    table = pd.read_parquet(bench.store / "tables" / "results.parquet")
+    assert list(table.columns) == list(COLUMNS["results"])
+    assert list(table["scene"]) == ["a", "b"]
+    assert table["psnr"].notna().all()
+    assert (table["fps"] > 0).all()
+    assert (table["train_views"] == 12).all()
+    assert (table["fps_p05"] <= table["fps"]).all()
+    assert (table["fps"] <= table["fps_p95"]).all()
+    views = pd.read_parquet(bench.store / "tables" / "views.parquet")
+    assert len(views) == 8
+    for file in [*views["truth_file"], *views["render_file"]]:
+        assert (bench.store / file).is_file()
+    folder = next((bench.store / "jobs").glob("encode-*")) / "model"
+    sizes = sum(f.stat().st_size for f in folder.iterdir())
+    assert sizes in set(table["group_bytes"])
+
+    plan = bench("plan", "quick", "--dataset", bench.dataset, "--method", "fake", "--scene", "a", "--plugins",
+                 bench.plugins, "--out", bench.store)  # fmt: skip
+    assert plan.returncode == 0, plan.stderr
+    assert "4 jobs, 4 finished, 0 to do" in plan.stdout
+
+    printed = bench("results", "--runs", bench.store, "--plugins", bench.plugins)
+    assert printed.stdout.splitlines()[0].split(",") == list(COLUMNS["results"])
+    assert len(printed.stdout.splitlines()) == 3
+    data = json.loads(bench("results", "--runs", bench.store, "--format", "json").stdout)
+    assert data[0]["rate"] is None
+
+
+def test_every_tenth_view_is_left_out_with_split_val(bench) -> None:
+    done = bench.run("--split", "val")
+    assert done.returncode == 0, done.stderr
+    (row,) = build_tables(Store(bench.store), write=False)["results"].to_dict("records")
+    assert row["split"] == "val"
+    assert row["train_views"] == 11
+    (measure,) = bench.of_kind("measure")
+    assert [view.view for view in measure.measure.views] == ["r_0009"]
+
+
+def test_failures_are_rows_and_the_rest_goes_on(bench) -> None:
+    done = bench.run("--set", "fake.behaviour=abort", "--set", "fake.only=a", scenes=("a", "b"))
+    assert done.returncode == 1
+    assert "killed by signal 6 (SIGABRT)" in done.stderr
+    table = build_tables(Store(bench.store), write=False)["results"].set_index("scene")
+    assert table.loc["a", "status"] == "failed"
+    assert "SIGABRT" in table.loc["a", "reason"]
+    assert pd.isna(table.loc["a", "psnr"])
+    assert table.loc["b", "status"] == "ok"
+    fit = next(r for r in bench.of_kind("fit") if not r.ok)
+    assert fit.stage == "colors"
+    assert "about to abort" in fit.log_tail
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "status", "words"),
+    [
+        ("refuse", "refused", "not to its taste"),
+        ("diverge", "diverged", "the color went away"),
+        ("nan", "diverged", "not finite at iteration 10"),
+        ("raise", "failed", "ValueError: a bug in the method"),
+        ("exit", "failed", "exit code 3"),
+        ("no-checkpoint", "failed", "without a checkpoint"),
+    ],
+)
+def test_how_a_fit_can_end(bench, behaviour: str, status: str, words: str) -> None:
+    done = bench.run("--set", f"fake.behaviour={behaviour}")
+    assert done.returncode == 1
+    (fit,) = bench.of_kind("fit")
+    assert (fit.status, words in fit.reason) == (status, True), fit.reason
+    (measure,) = bench.of_kind("measure")
+    assert (measure.status, measure.cause) == (status, fit.job.id)
+    assert measure.reason == f"fit: {fit.reason}"
+    assert "Traceback" not in done.stderr
+
+
+def test_a_time_limit(bench) -> None:
+    done = bench.run("--set", "fake.behaviour=sleep", "--time-limit", "3")
+    assert done.returncode == 1
+    (fit,) = bench.of_kind("fit")
+    assert fit.status == "timeout"
+    assert "time limit of 3 s" in fit.reason
+
+
+def test_a_memory_limit(bench) -> None:
+    done = bench.run("--set", "fake.behaviour=hog", "--memory-limit", "400M")
+    assert done.returncode == 1
+    (fit,) = bench.of_kind("fit")
+    assert fit.status == "oom"
+    assert "of 400 MiB" in fit.reason
+
+
+def test_a_ledger_that_does_not_sum_is_a_failure(bench) -> None:
+    done = bench.run("--set", "fake.behaviour=ledger")
+    assert done.returncode == 1
+    (encode,) = bench.of_kind("encode")
+    assert encode.status == "failed"
+    size = sum(f.stat().st_size for f in (bench.store / "jobs" / encode.job.id / "model").iterdir())
+    assert f"sums to {size + 1} bytes, the saved files have {size}" in encode.reason
+
+
+def test_failed_jobs_run_again_only_with_retry(bench, tmp_path) -> None:
+    cure = tmp_path / "cure"
+    wrong = ("--set", "fake.behaviour=raise", "--set", f"fake.file={cure}")
+    assert bench.run(*wrong).returncode == 1
+    cure.touch()
+    again = bench.run(*wrong)
+    assert again.returncode == 1
+    assert "nothing to run" in again.stderr
+    assert bench.run(*wrong, "--retry").returncode == 0
+    assert all(record.ok for record in bench.records().values())
+    assert not list((bench.store / "partial").iterdir())
+
+
+def test_a_joint_method_is_partitioned_and_its_shares_sum(bench) -> None:
+    done = bench.run(scenes=("a", "b", "c"), method="fake-joint")
+    assert done.returncode == 0, done.stderr
+    table = build_tables(Store(bench.store), write=False)["results"].set_index("scene")
+    assert list(table["group"]) == ["a+b", "a+b", "c"]
+    groups = {r.job.group: r.encode.total_bytes for r in bench.of_kind("encode")}
+    assert table["size_bytes"].sum() == sum(groups.values())
+    assert table["group_bytes"].to_dict() == {"a": groups["a+b"], "b": groups["a+b"], "c": groups["c"]}
+    own = {p.stem: p.stat().st_size for p in (bench.store / "jobs").glob("encode-*/model/*.json")}
+    assert table["standalone_bytes"].to_dict() == {scene: size + 7 for scene, size in own.items()}
+    (partition,) = bench.of_kind("partition")
+    spent = partition.partition.seconds
+    spent += sum(r.fit.seconds for r in bench.of_kind("fit"))
+    spent += sum(r.encode.seconds for r in bench.of_kind("encode"))
+    assert table["train_seconds"].sum() == pytest.approx(spent)
+
+
+def test_rows_of_changed_source_are_stale(bench, tmp_path) -> None:
+    import shutil
+
+    plugins = tmp_path / "own"
+    shutil.copytree(bench.plugins, plugins)
+    bench.plugins = plugins
+    assert bench.run().returncode == 0
+    fresh = bench("results", "--runs", bench.store, "--format", "json", "--plugins", plugins)
+    assert json.loads(fresh.stdout)[0]["stale"] is False
+    with (plugins / "fake.py").open("a") as file:
+        file.write("\n# a change\n")
+    stale = bench("results", "--runs", bench.store, "--format", "json", "--plugins", plugins)
+    assert json.loads(stale.stdout)[0]["stale"] is True
+    assert "nothing to run" in bench.run().stderr
