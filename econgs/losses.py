@@ -62,16 +62,14 @@ def torch_ssim(rendered: Tensor, target: Tensor) -> Tensor:
     offset = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
     taps = torch.exp(-0.5 * (offset / SIGMA) ** 2)
     taps = (taps / taps.sum()).reshape(1, 1, 1, WINDOW)
-    kind = {"dtype": rendered.dtype, "device": rendered.device}
-
     # Sums are centred at 1 (their variance does not mind); `outside` is the window's share on the padding.
     x, y = rendered.permute(2, 0, 1), target.permute(2, 0, 1)
     total, difference = x + y - 1, x - y
     covered = _blur(torch.ones(1, 1, height, width, dtype=torch.float64), taps)[0, 0]
-    inside, outside = covered.to(**kind), (1 - covered).to(**kind)
+    inside, outside = covered.to(rendered), (1 - covered).to(rendered)
 
     moments = torch.cat([total, difference, total * total, difference * difference])[None]
-    mean, mean_d, square, square_d = _blur(moments, taps.to(**kind))[0].split(channels)
+    mean, mean_d, square, square_d = _blur(moments, taps.to(rendered))[0].split(channels)
     variance = square - mean * mean + outside * (2 * mean + inside)
     variance_d = square_d - mean_d * mean_d
     mean = mean + inside

@@ -55,13 +55,14 @@ class Scene:
 
 @dataclass
 class Reference:
-    """Images by the independent renderer, and the pixels where a decision hangs on rounding."""
+    """Images by the independent renderer, the pixels where rounding decides, and those with a held alpha."""
 
     features: NDArray[np.float64]
     alpha: NDArray[np.float64]
     depth: NDArray[np.float64]
     radii: NDArray[np.int64]
     doubtful: NDArray[np.bool_]
+    held: NDArray[np.bool_]
 
 
 def look_at(position: tuple[float, float, float], size: tuple[int, int], fov: float, shift: float) -> Camera:
@@ -90,6 +91,7 @@ def make_scene(
     shift: float = 0.0,
     position: tuple[float, float, float] = (1.2, -2.0, 0.7),
     fov: float = 0.7,
+    offset: float = 1.0,
 ) -> Scene:
     """A cloud of Gaussians around the origin; ``stretch`` is the spread of the log scales."""
     random = np.random.default_rng(seed)
@@ -107,7 +109,7 @@ def make_scene(
         "scales": sigma * np.exp(stretch * random.normal(size=(count, 3))),
         "opacities": random.uniform(*opacity, count),
         "features": random.normal(size=(count, channels)),
-        "screen_offset": random.normal(size=(count, 2)),
+        "screen_offset": offset * random.normal(size=(count, 2)),
     }
     tensors = {name: torch.from_numpy(np.asarray(one, np.float32)).double() for name, one in arrays.items()}
     return Scene(tensors, camera)
@@ -126,7 +128,8 @@ def brute_force(scene: Scene) -> Reference:
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     shape = (camera.height, camera.width)
     features, depth = np.zeros((*shape, data["features"].shape[1])), np.zeros(shape)
-    transmittance, running, doubtful = np.ones(shape), np.ones(shape, bool), np.zeros(shape, bool)
+    transmittance, running = np.ones(shape), np.ones(shape, bool)
+    doubtful, held = np.zeros(shape, bool), np.zeros(shape, bool)
     radii = np.zeros(len(local), int)
     limits = 1.3 * camera.width / 2 / camera.fx, 1.3 * camera.height / 2 / camera.fy
     for one in np.argsort(local[:, 2], kind="stable"):
@@ -145,6 +148,7 @@ def brute_force(scene: Scene) -> Reference:
         alpha = data["opacities"][one] * np.exp(-0.5 * exponent)
         doubtful |= running & (abs(alpha * 255 - 1) < 1e-3)
         doubtful |= running & (abs(alpha / 0.99 - 1) < 1e-4)
+        held |= alpha > 0.99
         alpha = np.minimum(alpha, 0.99)
         if (alpha >= 1 / 255).any():
             radii[one] = int(np.ceil(3 * np.sqrt(np.linalg.eigvalsh(covariance)[-1])))
@@ -156,7 +160,7 @@ def brute_force(scene: Scene) -> Reference:
         transmittance = np.where(running, after, transmittance)
         features += weight[..., None] * data["features"][one]
         depth += weight * pz
-    return Reference(features, 1 - transmittance, depth, radii, doubtful)
+    return Reference(features, 1 - transmittance, depth, radii, doubtful, held)
 
 
 def relative(actual: torch.Tensor, expected: torch.Tensor) -> float:

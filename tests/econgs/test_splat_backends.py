@@ -35,25 +35,31 @@ SCENES: dict[str, dict[str, Any]] = {
 @pytest.fixture(scope="session")
 def oracle(splat: Any) -> Any:
     """Scene, seeds, and the oracle's outputs and gradients: computed once for all backends."""
-    cache: dict[str, Any] = {}
+    cache: dict[Any, Any] = {}
 
-    def get(name: str) -> Any:
-        if name not in cache:
-            scene = splat.make_scene(seed=sum(map(ord, name)), **SCENES[name])
+    def get(name: str, backend: str = "") -> Any:
+        # gsplat culls before the offset is added, and holds alpha at 0.999: neither is compared.
+        cuda = backend == "gsplat"
+        key = name, cuda
+        if key not in cache:
+            offset = 1e-3 if cuda else 1.0
+            scene = splat.make_scene(seed=sum(map(ord, name)), offset=offset, **SCENES[name])
             reference = splat.brute_force(scene)
             # Few pixels may be left out: those where rounding decides. All others count in full.
             assert reference.doubtful.mean() < 0.2
-            keep = ~reference.doubtful
+            keep = ~(reference.doubtful | reference.held) if cuda else ~reference.doubtful
             seeds = splat.random_seeds(scene, keep)
-            cache[name] = scene, keep, seeds, *scene.gradients(torch.float64, "torch", seeds)
-        return cache[name]
+            cache[key] = scene, keep, seeds, *scene.gradients(torch.float64, "torch", seeds)
+        return cache[key]
 
     return get
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_outputs_and_gradients_match_the_oracle(splat: Any, oracle: Any, backend: Any, name: str) -> None:
-    scene, keep, seeds, outputs, gradients = oracle(name)
+    if (backend.name, name) == ("gsplat", "off-centre"):
+        pytest.skip("gsplat clamps the Jacobian otherwise where the principal point is off centre")
+    scene, keep, seeds, outputs, gradients = oracle(name, backend.name)
     mine, my_gradients = scene.gradients(torch.float32, backend.name, seeds, backend.device)
     keep = torch.from_numpy(keep)
     for output in splat.outputs:
@@ -69,23 +75,19 @@ def test_no_gradient_array_is_trivially_zero(splat: Any, oracle: Any) -> None:
 
 
 def test_radii_match_the_oracle(splat: Any, oracle: Any, backend: Any) -> None:
-    scene = oracle("dense")[0]
+    scene = oracle("dense", backend.name)[0]
     expected = scene.render(torch.float64, "torch").radii.numpy()
     actual = scene.render(torch.float32, backend.name, backend.device).radii.cpu().numpy()
     assert actual.dtype == np.int32
-    if backend.name == "gsplat":
-        # Its extent is that of its own version (3 or 3.33 σ): only visibility is comparable.
-        assert ((actual > 0) == (expected > 0)).mean() > 0.97
-    else:
-        # ⌈·⌉ of a value within rounding of a whole number may differ by one, no more and rarely.
-        seen = (actual > 0) & (expected > 0)
-        assert (seen == (expected > 0)).mean() > 0.97
-        assert abs(actual - expected)[seen].max() <= 1
-        assert (actual == expected)[seen].mean() > 0.99
+    # ⌈·⌉ of a value within rounding of a whole number may differ by one, no more and rarely.
+    seen = (actual > 0) & (expected > 0)
+    assert (seen == (expected > 0)).mean() > 0.97
+    assert abs(actual - expected)[seen].max() <= 1
+    assert (actual == expected)[seen].mean() > 0.99
 
 
 def test_order_of_the_input_does_not_matter(splat: Any, oracle: Any, backend: Any) -> None:
-    scene = oracle("plain")[0]
+    scene = oracle("plain", backend.name)[0]
     shuffle = torch.from_numpy(np.random.default_rng(3).permutation(len(scene.tensors["means"])))
     shuffled = replace(scene, tensors={name: one[shuffle] for name, one in scene.tensors.items()})
     first = scene.render(torch.float32, backend.name, backend.device)
@@ -95,7 +97,7 @@ def test_order_of_the_input_does_not_matter(splat: Any, oracle: Any, backend: An
 
 
 def test_quaternions_are_normalised_and_their_gradient_is_tangential(oracle: Any, backend: Any) -> None:
-    scene, _, seeds, *_ = oracle("plain")
+    scene, _, seeds, *_ = oracle("plain", backend.name)
     longer = replace(scene, tensors={**scene.tensors, "quats": 4.0 * scene.tensors["quats"]})
     outputs, gradients = scene.gradients(torch.float32, backend.name, seeds, backend.device)
     same, smaller = longer.gradients(torch.float32, backend.name, seeds, backend.device)
@@ -125,7 +127,7 @@ def test_native_is_bit_identical_for_any_thread_count(splat: Any, oracle: Any, b
 
 def test_gradients_of_a_single_output_suffice(splat: Any, oracle: Any, backend: Any) -> None:
     """A loss on alpha alone, or depth alone, and inputs of which only some want gradients."""
-    scene, _, seeds, *_ = oracle("plain")
+    scene, _, seeds, *_ = oracle("plain", backend.name)
     for output in splat.outputs:
         results = []
         for dtype, name, device in (

@@ -1,0 +1,254 @@
+"""Speed of the splatting core as ratios within one run.
+
+    python -m tests.benchmarks.bench_splatting [--repeats N] [--threads N] [--json FILE]
+
+What is compared runs in turns (A B A B …) and medians are divided, so that a busy machine slows both alike.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from datasets.camera import Camera
+from econgs.losses import photometric_loss, torch_ssim
+from econgs.optim import Adam
+from econgs.splat import native, rasterise, spherical_harmonics
+
+SCENES = {"10 k, 200²": (10_000, 200), "50 k, 400²": (50_000, 400)}
+
+
+def scene(count: int, size: int) -> tuple[dict[str, Tensor], Camera]:
+    """Random Gaussians that fill the image, 3 σ ≈ 7.7 px."""
+    random = np.random.default_rng(7)
+    pose = np.eye(4)
+    pose[2, 3] = -3.0
+    camera = Camera.with_fov(pose, 0.6, size, size)
+    sigma = 7.7 / 3 * 3.0 / camera.fx
+    arrays = {
+        "means": random.uniform(-0.8, 0.8, (count, 3)),
+        "quats": random.normal(size=(count, 4)),
+        "scales": sigma * np.exp(0.3 * random.normal(size=(count, 3))),
+        "opacities": random.uniform(0.1, 0.95, count),
+        "features": random.uniform(size=(count, 3)),
+    }
+    return {name: torch.from_numpy(one.astype(np.float32)) for name, one in arrays.items()}, camera
+
+
+def interleaved(ways: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Median milliseconds of each way, called in turns after one warm-up each."""
+    times: dict[str, list[float]] = {name: [] for name in ways}
+    for turn in range(repeats + 1):
+        for name, call in ways.items():
+            start = time.perf_counter()
+            call()
+            if turn:
+                times[name].append(1e3 * (time.perf_counter() - start))
+    return {name: statistics.median(each) for name, each in times.items()}
+
+
+def splatting(tensors: dict[str, Tensor], camera: Camera, backend: str, backward: bool) -> Callable[[], None]:
+    """One frame, or one frame and its gradients to all five inputs from color and alpha."""
+    leaves = {name: one.clone().requires_grad_(backward) for name, one in tensors.items()}
+    color, alpha = torch.rand(camera.height, camera.width, 3), torch.rand(camera.height, camera.width)
+
+    def call() -> None:
+        out = rasterise(camera=camera, backend=backend, **leaves)
+        if backward:
+            torch.autograd.grad([out.features, out.alpha], list(leaves.values()), [color, alpha])
+
+    return call
+
+
+def against_the_oracle(repeats: int) -> list[dict[str, Any]]:
+    rows = []
+    for name, (count, size) in SCENES.items():
+        tensors, camera = scene(count, size)
+        for what, backward in (("forward", False), ("forward + backward", True)):
+            ways = {one: splatting(tensors, camera, one, backward) for one in ("torch", "native")}
+            row = interleaved(ways, repeats)
+            rows.append({"scene": name, "what": what, **row, "ratio": row["torch"] / row["native"]})
+    return rows
+
+
+def blend_share(repeats: int) -> list[dict[str, Any]]:
+    """The blend loop's lane evaluations per second and thread, over those of the same loop in L1."""
+    rows = []
+    threads = native.threads()
+    for name, (count, size) in SCENES.items():
+        tensors, camera = scene(count, size)
+        frame = splatting(tensors, camera, "native", True)
+        for what in ("forward", "backward"):
+            rates, peaks = [], []
+            for _ in range(3 * repeats):
+                frame()
+                last = native.last_frame()
+                rates.append(last[f"{what}_evaluations"] / last[f"{what}_blend_seconds"] / threads)
+                peaks.append(native.bench_blend(3, what == "backward"))
+            rate, peak = statistics.median(rates), statistics.median(peaks)
+            rows.append({"scene": name, "what": what, "rate": rate, "in L1": peak, "share": rate / peak})
+    return rows
+
+
+def usual_ssim(x: Tensor, y: Tensor) -> Tensor:
+    """What 3DGS code does: an 11×11 depthwise convolution of five images."""
+    offset = torch.arange(11.0) - 5
+    taps = torch.exp(-(offset**2) / 4.5)
+    channels = x.shape[2]
+    window = (torch.outer(taps, taps) / taps.sum() ** 2).expand(channels, 1, 11, 11).contiguous()
+    x, y = x.permute(2, 0, 1)[None], y.permute(2, 0, 1)[None]
+    mx, my, xx, yy, xy = (
+        functional.conv2d(one, window, padding=5, groups=channels) for one in (x, y, x * x, y * y, x * y)
+    )
+    numerator = (2 * mx * my + 1e-4) * (2 * (xy - mx * my) + 9e-4)
+    return (numerator / ((mx * mx + my * my + 1e-4) * (xx - mx * mx + yy - my * my + 9e-4))).mean()
+
+
+def ssim(repeats: int) -> list[dict[str, Any]]:
+    rows = []
+    for size in (200, 400, 800):
+        rendered, target = torch.rand(size, size, 3, requires_grad=True), torch.rand(size, size, 3)
+
+        def gradient(
+            loss: Callable[[Tensor, Tensor], Tensor], x: Tensor = rendered, y: Tensor = target
+        ) -> None:
+            torch.autograd.grad(loss(x, y), x)
+
+        ways: dict[str, Callable[[], object]] = {
+            "11x11 convolution": lambda: gradient(usual_ssim),
+            "our torch twin": lambda: gradient(torch_ssim),
+            "native": lambda: gradient(native.ssim),
+        }
+        row = interleaved(ways, repeats)
+        ratios = {
+            "ratio": row["11x11 convolution"] / row["native"],
+            "ratio to twin": row["our torch twin"] / row["native"],
+        }
+        rows.append({"image": f"{size}²", **row, **ratios})
+    return rows
+
+
+def instruction_sets(repeats: int) -> list[dict[str, Any]]:
+    rows = []
+    before = native.isa()
+    isas = native.available_isas()
+    for name, (count, size) in SCENES.items():
+        tensors, camera = scene(count, size)
+        frame = splatting(tensors, camera, "native", True)
+
+        def under(isa: str, frame: Callable[[], None] = frame) -> Callable[[], None]:
+            def call() -> None:
+                native.set_isa(isa)
+                frame()
+
+            return call
+
+        rows.append({"scene": name, **interleaved({isa: under(isa) for isa in isas}, 3 * repeats)})
+    native.set_isa(before)
+    return rows
+
+
+def optimiser_share(repeats: int) -> list[dict[str, Any]]:
+    """A training iteration of 3DGS with all 59 floats per Gaussian, and the optimiser's part of it."""
+    rows = []
+    rates = {"means": 1e-5, "sh": 1e-4, "opacities": 1e-3, "scales": 1e-4, "quats": 1e-4}
+    for name, (count, size) in {**SCENES, "130 k, 800²": (130_000, 800)}.items():
+        tensors, camera = scene(count, size)
+        features = tensors.pop("features")
+        coefficients = torch.cat([(features[:, None] - 0.5) / 0.2821, torch.zeros(count, 15, 3)], dim=1)
+        raw = {
+            "means": tensors["means"],
+            "quats": tensors["quats"],
+            "scales": tensors["scales"].log(),
+            "opacities": tensors["opacities"].logit(),
+            "sh": coefficients,
+        }
+        optimiser = Adam(raw, rates)
+        target = torch.rand(size, size, 3)
+        position = torch.from_numpy(camera.position).float()
+        whole, part = [], []
+        for turn in range(3 * repeats + 2):
+            start = time.perf_counter()
+            optimiser.zero_grad()
+            offset = torch.zeros(count, 2, requires_grad=True)
+            out = rasterise(
+                optimiser["means"],
+                optimiser["quats"],
+                optimiser["scales"].exp(),
+                optimiser["opacities"].sigmoid(),
+                spherical_harmonics(3, optimiser["means"], position, optimiser["sh"]),
+                camera,
+                screen_offset=offset,
+            )
+            image = out.features + (1 - out.alpha[..., None])
+            photometric_loss(image, target).backward()
+            middle = time.perf_counter()
+            optimiser.step()
+            end = time.perf_counter()
+            if turn >= 2:
+                whole.append(1e3 * (end - start))
+                part.append(1e3 * (end - middle))
+        row = {"iteration": statistics.median(whole), "optimiser": statistics.median(part)}
+        rows.append({"scene": name, **row, "share": row["optimiser"] / row["iteration"]})
+    return rows
+
+
+def markdown(title: str, rows: list[dict[str, Any]]) -> str:
+    def text(name: str, value: Any) -> str:
+        if not isinstance(value, float):
+            return str(value)
+        if "share" in name:
+            return f"{100 * value:.0f} %"
+        if "ratio" in name:
+            return f"{value:.1f}x"
+        return f"{value / 1e9:.2f} G/s" if value > 1e6 else f"{value:.2f} ms"
+
+    lines = [f"**{title}**", "", "| " + " | ".join(rows[0]) + " |", "|---" * len(rows[0]) + "|"]
+    lines += ["| " + " | ".join(text(name, value) for name, value in row.items()) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=5, help="repetitions of the slowest (default 5)")
+    parser.add_argument("--threads", type=int, help="threads of torch and of the native kernels")
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--only", help="run only the sections whose title contains this")
+    options = parser.parse_args()
+    if options.threads:
+        torch.set_num_threads(options.threads)
+        native.set_threads(options.threads)
+    torch.manual_seed(0)
+    sections = {
+        "Native against the torch oracle": against_the_oracle,
+        "Blend loop against its own rate in the L1 cache": blend_share,
+        "SSIM with gradient": ssim,
+        "Instruction sets, forward + backward": instruction_sets,
+        "Optimiser's share of a 3DGS iteration": optimiser_share,
+    }
+    machine = {"isa": native.isa(), "available": native.available_isas(), "threads": native.threads()}
+    machine |= {"torch": torch.__version__, "machine": platform.machine(), "date": time.strftime("%Y-%m-%d")}
+    print(machine, "\n")
+    figures: dict[str, Any] = {"machine": machine}
+    for title, measure in sections.items():
+        if options.only and options.only.lower() not in title.lower():
+            continue
+        figures[title] = measure(options.repeats)
+        print(markdown(title, figures[title]), flush=True)
+    if options.json:
+        options.json.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
