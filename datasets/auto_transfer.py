@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,7 @@ def automatic_scenes(volume: Volume, count: int = 3) -> tuple[BasicScene, ...]:
     stats = statistics(volume)
     cuts = _cuts(stats, count)
     scenes = []
-    for i, (low, high) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+    for i, (low, high) in enumerate(pairwise(cuts)):
         name = f"tf{i + 1}"
         bump = _bump(name, stats, low, high, COLORS[i % len(COLORS)])
         scenes.append(BasicScene(name, volume.name, TransferFunction(name, (bump,), _REFERENCE_LENGTH)))
@@ -87,8 +88,8 @@ def statistics(volume: Volume) -> Statistics:
     slope = np.sqrt(squared).reshape(-1)
     bins = _bin(coarse.reshape(-1))
     number = np.bincount(bins, minlength=_BINS)
-    area = np.bincount(bins, weights=slope, minlength=_BINS)
-    gradient = np.where(number > 0, area / np.maximum(number, 1), 0.0)
+    area = np.bincount(bins, weights=slope, minlength=_BINS).astype(np.float64)
+    gradient = area / np.maximum(number, 1)
     stats = Statistics(number, area, gradient, np.zeros(_BINS, dtype=bool))
     return replace(stats, background=_background(coarse, stats))
 

@@ -91,7 +91,7 @@ def initial_cloud(
 
 
 def random_cloud(n: int, half_extent: float, seed: int = 0) -> PointCloud:
-    """n points with random colors, uniform in the cube [-half_extent, half_extent]^3."""
+    """Points (n) with random colors, uniform in the cube [-half_extent, half_extent]^3."""
     generator = np.random.default_rng(seed)
     points = generator.uniform(-half_extent, half_extent, (n, 3)).astype(np.float32)
     return PointCloud(points, generator.random((n, 3)).astype(np.float32))
@@ -100,7 +100,10 @@ def random_cloud(n: int, half_extent: float, seed: int = 0) -> PointCloud:
 def write_ply(path: Path | str, cloud: PointCloud) -> None:
     """Write a binary little-endian PLY (x y z as float, red green blue as uchar), in place at once."""
     path = Path(path)
-    fields = [(name, "<f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]
+    rgb = ("red", "green", "blue")
+    fields = [*((name, "<f4") for name in "xyz"), *((name, "u1") for name in rgb)]
+        (name, "u1") for name in ("red", "green", "blue")
+    ]
     vertices = np.empty(len(cloud), dtype=fields)
     for axis, name in enumerate("xyz"):
         vertices[name] = cloud.points[:, axis]
@@ -137,7 +140,7 @@ def read_ply(path: Path | str) -> PointCloud:
         raise DataError(path, "a coordinate is not finite", _REMEDY)
     colors = np.full((count, 3), 0.5, dtype=np.float32)
     for channel, name in enumerate(("red", "green", "blue")):
-        if name in vertices.dtype.names:
+        if name in (vertices.dtype.names or ()):
             stored = vertices[name].astype(np.float32)
             colors[:, channel] = stored / 255.0 if vertices.dtype[name].kind in "iu" else stored
     if not (np.isfinite(colors).all() and colors.min(initial=0.0) >= 0.0 and colors.max(initial=0.0) <= 1.0):
@@ -149,7 +152,8 @@ def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, list[tuple[str, 
     """Format, number of vertices, and name and NumPy type of each vertex property."""
     if file.readline(64).strip() != b"ply":
         raise DataError(path, "is not a PLY file", _REMEDY)
-    encoding, count, element, fields = "", -1, "", []
+    encoding, count, element = "", -1, ""
+    fields: list[tuple[str, str]] = []
     for _ in range(1000):
         words = file.readline(4096).decode("ascii", errors="replace").split()
         match words:

@@ -6,7 +6,7 @@ import os
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,7 @@ def names() -> list[str]:
     return sorted(found, key=lambda name: entry(name)["kind"] != "procedural")
 
 
-@lru_cache(maxsize=None)
+@cache
 def entry(name: str) -> dict[str, Any]:
     """The TOML of one entry."""
     return tomllib.loads((Path(__file__).parent / f"{name}.toml").read_text(encoding="utf-8"))

@@ -13,6 +13,7 @@ from datasets.names import unknown
 
 if TYPE_CHECKING:
     from datasets.scene import BasicScene, Dataset
+    from datasets.transfer import Bump
     from datasets.volume import Volume
 
 
@@ -111,7 +112,7 @@ def _fetch(name: str, file: dict[str, Any]) -> Path | None:
         return None
     import pooch
 
-    target = entries.user_folder() / file["path"]
+    target: Path = entries.user_folder() / file["path"]
     try:
         pooch.retrieve(file["url"], f"sha512:{file['sha512']}", fname=target.name, path=target.parent)
     except Exception as error:  # network errors of several libraries, or a wrong checksum
@@ -123,11 +124,11 @@ def _fetch(name: str, file: dict[str, Any]) -> Path | None:
 
 def _scenes(said: dict[str, Any]) -> tuple[BasicScene, ...]:
     from datasets.scene import WHITE, BasicScene, Light
-    from datasets.transfer import Bump, TransferFunction
+    from datasets.transfer import TransferFunction
 
     scenes = []
     for scene in said["scenes"]:
-        bumps = tuple(Bump(b["name"], *b["range"], tuple(b["color"]), b["opacity"]) for b in scene["bumps"])
+        bumps = tuple(_bump(said) for said in scene["bumps"])
         transfer = TransferFunction(scene["name"], bumps, scene.get("reference_length", 0.01))
         light = dict(scene.get("light", {}))
         if "direction" in light:
@@ -135,6 +136,13 @@ def _scenes(said: dict[str, Any]) -> tuple[BasicScene, ...]:
         background = tuple(scene.get("background", WHITE))
         scenes.append(BasicScene(scene["name"], scene["variable"], transfer, Light(**light), background))
     return tuple(scenes)
+
+
+def _bump(said: dict[str, Any]) -> Bump:
+    from datasets.transfer import Bump
+
+    start, rise, fall, end = said["range"]
+    return Bump(said["name"], start, rise, fall, end, tuple(said["color"]), said["opacity"])
 
 
 def _file(path: Path) -> Dataset:
@@ -167,7 +175,7 @@ def _views_folder(path: Path) -> Dataset:
         raise DataError(
             path,
             "is a folder without pre-rendered views",
-            "It needs a transforms_train.json, in itself or in one subfolder per scene; or name a volume file",
+            "It needs a transforms_train.json, in itself or in each subfolder; or name a volume file",
         )
     scenes = tuple(BasicScene(safe_name(f.resolve().name), views_folder=f.resolve()) for f in folders)
     name = path.resolve().name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ def read_nifti(path: Path) -> tuple[NDArray[np.generic], Spacing]:
     import nibabel
 
     try:
-        image = nibabel.load(path)
+        image: Any = nibabel.load(path)
         dims = tuple(int(n) for n in image.shape)
         dtype = image.header.get_data_dtype()
         zooms = [abs(float(z)) for z in image.header.get_zooms()]

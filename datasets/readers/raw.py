@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from datasets.errors import DataError
 from datasets.readers.finish import UNIT, Spacing, gunzip, positive_dims, wrong_size
 
-_DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64")
-_DTYPES += ("float16", "float32", "float64")
+_DTYPES = tuple(f"{sign}int{bits}" for bits in (8, 16, 32, 64) for sign in ("u", ""))
+_DTYPES = (*_DTYPES, "float16", "float32", "float64")
 _DIMS_IN_NAME = re.compile(r"(?<![0-9a-z])(\d+(?:x\d+)+)(?![0-9a-z])")
 _DTYPE_IN_NAME = re.compile(r"(?<![0-9a-z])(u?int\d*|float\d*)[_-]?(le|be)?(?![0-9a-z])")
 _KEYS = ("dims", "dtype", "endian", "spacing", "header_bytes")
