@@ -162,17 +162,17 @@ def instruction_sets(repeats: int) -> list[dict[str, Any]]:
 def optimiser_share(repeats: int) -> list[dict[str, Any]]:
     """A training iteration of 3DGS with all 59 floats per Gaussian, and the optimiser's part of it."""
     rows = []
-    rates = {"means": 1e-5, "sh": 1e-4, "opacities": 1e-3, "scales": 1e-4, "quats": 1e-4}
+    rates = {"means": 1e-5, "dc": 1e-3, "rest": 1e-4, "opacities": 1e-3, "scales": 1e-4, "quats": 1e-4}
     for name, (count, size) in {**SCENES, "130 k, 800²": (130_000, 800)}.items():
         tensors, camera = scene(count, size)
         features = tensors.pop("features")
-        coefficients = torch.cat([(features[:, None] - 0.5) / 0.2821, torch.zeros(count, 15, 3)], dim=1)
         raw = {
             "means": tensors["means"],
             "quats": tensors["quats"],
             "scales": tensors["scales"].log(),
             "opacities": tensors["opacities"].logit(),
-            "sh": coefficients,
+            "dc": (features[:, None] - 0.5) / 0.2821,
+            "rest": 0.01 * torch.randn(count, 15, 3),
         }
         optimiser = Adam(raw, rates)
         target = torch.rand(size, size, 3)
@@ -182,12 +182,13 @@ def optimiser_share(repeats: int) -> list[dict[str, Any]]:
             start = time.perf_counter()
             optimiser.zero_grad()
             offset = torch.zeros(count, 2, requires_grad=True)
+            coefficients = torch.cat([optimiser["dc"], optimiser["rest"]], dim=1)
             out = rasterise(
                 optimiser["means"],
                 optimiser["quats"],
                 optimiser["scales"].exp(),
                 optimiser["opacities"].sigmoid(),
-                spherical_harmonics(3, optimiser["means"], position, optimiser["sh"]),
+                spherical_harmonics(3, optimiser["means"], position, coefficients),
                 camera,
                 screen_offset=offset,
             )
