@@ -102,8 +102,6 @@ def write_ply(path: Path | str, cloud: PointCloud) -> None:
     path = Path(path)
     rgb = ("red", "green", "blue")
     fields = [*((name, "<f4") for name in "xyz"), *((name, "u1") for name in rgb)]
-        (name, "u1") for name in ("red", "green", "blue")
-    ]
     vertices = np.empty(len(cloud), dtype=fields)
     for axis, name in enumerate("xyz"):
         vertices[name] = cloud.points[:, axis]
