@@ -14,7 +14,7 @@ import numpy as np
 from bench.records import Job, Request, derived_seed, hash_of
 from bench.suites import ViewPreset
 from datasets.camera import Camera
-from datasets.catalogue import open_dataset
+from datasets.catalogue import list_datasets, open_dataset
 from datasets.cloud import initial_cloud
 from datasets.errors import DataError
 from datasets.render_views import views_of, volume_digest
@@ -23,6 +23,15 @@ from datasets.views import Split, ViewRequest, ViewSet, split_indices
 from methods.interface import SceneInput
 
 _IMAGES = {".png", ".json", ".ply"}
+
+
+def absolute(name_or_path: str) -> str:
+    """A catalogue name as it is, a path so that any process finds it."""
+    path = Path(name_or_path).expanduser()
+    known = {info.name for info in list_datasets()}
+    if name_or_path.partition("@")[0] in known or not path.exists():
+        return name_or_path
+    return str(path.resolve())
 
 
 def fingerprint(dataset: Dataset, scene_name: str) -> str:

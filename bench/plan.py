@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from bench import inputs
@@ -121,7 +120,7 @@ class Planner:
         found: set[str] = set()
         all_names: set[str] = set()
         for name in chosen:
-            source = str(Path(name).expanduser().resolve()) if Path(name).exists() and "/" in name else name
+            source = inputs.absolute(name)
             dataset = inputs.open_dataset(source)
             names = [scene.name for scene in dataset.scenes]
             all_names.update(names)

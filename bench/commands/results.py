@@ -55,9 +55,10 @@ def print_as(table: pd.DataFrame, form: str) -> None:
 
 def print_table(table: pd.DataFrame) -> None:
     """The rows of a run, for people."""
-    from reports.tables import terminal_rows
     from rich.console import Console
     from rich.table import Table
+
+    from reports.tables import terminal_rows
 
     header, *lines = terminal_rows(table)
     shown = Table(*(str(cell) for cell in header), box=None, pad_edge=False)

@@ -122,6 +122,7 @@ def current_sources(planner: Planner, jobs: list[Job]) -> dict[str, str]:
 
 def _planner(options: Namespace) -> Planner:
     from bench.metrics import METRICS
+    from bench.tables import METRICS as MEASURED
     from methods.options import parse_assignments
 
     selection = Selection(
@@ -136,7 +137,7 @@ def _planner(options: Namespace) -> Planner:
         device=options.device,
         plugins=_plugins(options),
     )
-    return Planner(selection, {name: str(metric.version) for name, metric in METRICS.items()})
+    return Planner(selection, {name: METRICS[name].version for name in MEASURED})
 
 
 def _plugins(options: Namespace) -> tuple[str, ...]:

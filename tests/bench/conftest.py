@@ -72,7 +72,9 @@ class Bench:
     def command(self, *arguments: object) -> list[str]:
         return [sys.executable, "-m", "bench", *map(str, arguments)]
 
-    def run_arguments(self, *more: object, scenes: tuple[str, ...] = ("a",), method: str = "fake") -> list[str]:
+    def run_arguments(
+        self, *more: object, scenes: tuple[str, ...] = ("a",), method: str = "fake"
+    ) -> list[str]:
         arguments: list[object] = ["run", "quick", "--dataset", self.dataset, "--method", method]
         for scene in scenes:
             arguments += ["--scene", scene]

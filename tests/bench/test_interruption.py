@@ -1,4 +1,4 @@
-"""Real signals at awkward moments: nothing half-written, nothing lost but the work since the last checkpoint."""
+"""Real signals at awkward moments: nothing half-written, lost only the work since the last checkpoint."""
 
 from __future__ import annotations
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -106,12 +108,8 @@ class Single:
                 loss = _misbehave(behaviour, loss)
             monitor.progress(iteration, {"loss": loss}, len(colors))
             if behaviour != "no-checkpoint" and monitor.due(iteration):
-                now = iteration
-                monitor.pause(
-                    now,
-                    lambda: Color(colors),
-                    lambda: Checkpoint(now, {}, {"colors": {k: list(v) for k, v in colors.items()}}),
-                )
+                state = Checkpoint(iteration, {}, {"colors": {k: list(v) for k, v in colors.items()}})
+                monitor.pause(iteration, lambda: Color(colors), partial(copy.copy, state))
         return Color(colors, wrong_ledger=behaviour == "ledger")
 
     def load(self, folder, device):
