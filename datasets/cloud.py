@@ -102,6 +102,8 @@ def write_ply(path: Path | str, cloud: PointCloud) -> None:
     path = Path(path)
     rgb = ("red", "green", "blue")
     fields = [*((name, "<f4") for name in "xyz"), *((name, "u1") for name in rgb)]
+    vertices = np.empty(len(cloud), dtype=fields)
+    for axis, name in enumerate("xyz"):
         vertices[name] = cloud.points[:, axis]
     for channel, name in enumerate(rgb):
         vertices[name] = np.rint(np.clip(cloud.colors[:, channel], 0.0, 1.0) * 255.0)
