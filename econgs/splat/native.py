@@ -18,8 +18,6 @@ from datasets.camera import Camera
 from datasets.names import unknown
 from econgs import _native
 
-FEW_COLUMNS = -1  # of adam_step: all columns
-
 
 def available_isas(*, testing: bool = False) -> list[str]:
     """Instruction sets that this processor and build can run, best first.
@@ -109,7 +107,7 @@ class _Rasterise(torch.autograd.Function):
         ctx.frame = frame if keep else None
         ctx.inputs = inputs
         ctx.images = (image, alpha, depth)
-        ctx.view = view
+        ctx.offset = offset
         ctx.mark_non_differentiable(radii)
         ctx.set_materialize_grads(False)
         # The kernel keeps its own view of the outputs: returning the tensors themselves would tie a cycle.
@@ -123,12 +121,14 @@ class _Rasterise(torch.autograd.Function):
         if ctx.frame is None:
             raise RuntimeError("a frame's gradients can be asked for only once")
         grads = [torch.empty_like(one) for one in ctx.inputs]
-        offset = ctx.inputs[0].new_empty((grads[0].shape[0], 2)) if ctx.needs_input_grad[5] else None
+        grad_offset = None
+        if ctx.needs_input_grad[5]:
+            grad_offset = torch.empty_like(ctx.offset)
         outer = [None if one is None else _plain(one) for one in (grad_image, grad_alpha, grad_depth)]
-        _native.backward(ctx.frame, *ctx.inputs, ctx.view, *ctx.images, *outer, *grads, offset)
+        _native.backward(ctx.frame, *ctx.inputs, *ctx.images, *outer, *grads, grad_offset, ctx.offset)
         needed = ctx.needs_input_grad
         kept = [grad if need else None for grad, need in zip(grads, needed[:5], strict=True)]
-        return (*kept, offset, None, None, None)
+        return (*kept, grad_offset, None, None, None)
 
 
 def rasterise(
@@ -190,9 +190,7 @@ class _SphericalHarmonics(torch.autograd.Function):
         return None, grad_means, grad_position, grad_coefficients
 
 
-def spherical_harmonics(
-    degree: int, means: Tensor, camera_position: Tensor, coefficients: Tensor
-) -> Tensor:
+def spherical_harmonics(degree: int, means: Tensor, camera_position: Tensor, coefficients: Tensor) -> Tensor:
     """(N, 3) colors; arguments as in :func:`econgs.splat.spherical_harmonics`."""
     colors: Tensor = _SphericalHarmonics.apply(degree, means, camera_position, coefficients)
     return colors

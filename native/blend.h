@@ -1,0 +1,284 @@
+// Blending a tile front to back, and its gradients (Kerbl et al. 2023, section 6 and appendix C).
+//
+// A vector covers a block of 4 x LANES/4 pixels. For each Gaussian of the tile, near to far, the blocks that its
+// ellipse meets are found first (a bit mask) and then visited; the state of the pixels lies in L1. Forward notes
+// in the mask where something was blended, so backward visits exactly those blocks.
+#pragma once
+
+#include "kernels.h"
+#include "simd.h"
+
+namespace ECONGS_ISA {
+
+using namespace econgs;
+
+constexpr int BLOCK_ROWS = LANES / 4;
+constexpr int BANDS = TILE / BLOCK_ROWS;     // rows of blocks, four blocks each
+constexpr int BLOCKS = 4 * BANDS;
+constexpr int PIXELS = TILE * TILE;
+constexpr int BAND_VECTORS = (BANDS + LANES - 1) / LANES;
+
+struct Lattice {
+  alignas(64) float x[PIXELS], y[PIXELS];         // pixel centres, by block and lane
+  alignas(64) float first[LANES * BAND_VECTORS];  // centre of the first and last pixel row of each band
+};
+
+INLINE void make_lattice(Lattice& at) {
+  for (int block = 0; block < BLOCKS; ++block)
+    for (int l = 0; l < LANES; ++l) {
+      at.x[block * LANES + l] = (float)(block % 4 * 4 + l % 4) + 0.5f;
+      at.y[block * LANES + l] = (float)(block / 4 * BLOCK_ROWS + l / 4) + 0.5f;
+    }
+  for (int band = 0; band < LANES * BAND_VECTORS; ++band)
+    at.first[band] = (float)(band * BLOCK_ROWS) + 0.5f;
+}
+
+// The blocks of a tile that a splat's ellipse meets; (u, v) is its centre within the tile.
+INLINE uint64_t touched(const Splat& s, float u, float v, const Lattice& at) {
+  uint64_t mask = 0;
+  for (int part = 0; part < BAND_VECTORS; ++part) {
+    const vf low = load(at.first + part * LANES) - v;
+    const vf high = low + (float)(BLOCK_ROWS - 1);
+    const vf above = max(low, set(-s.top)), below = min(high, set(s.top));
+    const vf at_right = max(above, min(below, set(s.tip)));
+    const vf at_left = max(above, min(below, set(-s.tip)));
+    const vf right = s.slope * at_right +
+                     sqrt(max(s.bound - at_right * at_right * s.inverse, vf{}) * s.width2) + (u - 0.5f);
+    const vf left = s.slope * at_left -
+                    sqrt(max(s.bound - at_left * at_left * s.inverse, vf{}) * s.width2) + (u + 0.5f);
+    // Pixels from floor(left) to floor(right), which is exact where both are positive.
+    const vi from = __builtin_convertvector(min(max(left, vf{}), set(16.0f)), vi);
+    const vi to = __builtin_convertvector(min(max(right, set(-1.0f)), set(15.0f)), vi);
+    const vi some = (above <= below) & (right >= vf{}) & (from <= to);
+    const vi one = vi{} + 1;
+    const vi bits = some & (((one + one) << (to >> 2)) - (one << (from >> 2)));
+    for (int band = 0; band < BANDS - part * LANES && band < LANES; ++band)
+      mask |= (uint64_t)(uint32_t)bits[band] << (4 * (band + part * LANES));
+  }
+  return mask;
+}
+
+// What both passes compute alike; `ok` says where the Gaussian is blended.
+struct Sample {
+  vf dx, dy, raised, alpha, after;
+  vi valid, ok;
+};
+
+INLINE Sample evaluate(const Splat& s, float u, float v, const Lattice& at, int block, vf transmittance) {
+  Sample r;
+  r.dx = load(at.x + block * LANES) - u;
+  r.dy = load(at.y + block * LANES) - v;
+  const vf across = fma(r.dx, s.a, r.dy * s.b);
+  vf power = fma(r.dx, across, fma(r.dy * s.c, r.dy, set(s.lift)));
+  power = max(power, set(-40.0f));
+  r.raised = exp2(power);
+  r.alpha = min(r.raised, set(MAX_ALPHA));
+  r.valid = r.alpha >= MIN_ALPHA;
+  r.after = fma(-r.alpha, transmittance, transmittance);
+  r.ok = r.valid & (r.after >= MIN_TRANSMITTANCE);
+  return r;
+}
+
+INLINE vf where(vi mask, vf value) { return (vf)(mask & (vi)value); }
+
+// State in scratch, each of PIXELS floats: transmittance (negative: the pixel has ended), depth, features.
+template <int FIXED>
+static int64_t blend_channels(const Inputs& in, const Splat* splats, const Tile& tile, const View& view,
+                              const Images& out, float* scratch) {
+  const int channels = FIXED ? FIXED : in.channels;
+  Lattice at;
+  make_lattice(at);
+  float* const passing = scratch;
+  float* const depth = scratch + PIXELS;
+  float* const color = scratch + 2 * PIXELS;
+  uint64_t alive = 0;
+  for (int block = 0; block < BLOCKS; ++block) {
+    const vi inside = (load(at.x + block * LANES) < (float)tile.width) &
+                      (load(at.y + block * LANES) < (float)tile.height);
+    store(passing + block * LANES, inside ? set(1.0f) : set(-1.0f));
+    if (signs(inside)) alive |= (uint64_t)1 << block;
+  }
+  for (int64_t i = PIXELS; i < (2 + channels) * (int64_t)PIXELS; i += LANES) store(scratch + i, vf{});
+
+  int64_t evaluations = 0;
+  int64_t e = 0;
+  for (; e < tile.count && alive; ++e) {
+    if (e + 6 < tile.count) {
+      __builtin_prefetch(splats + tile.entries[e + 6].splat);
+      __builtin_prefetch(in.features + (int64_t)tile.entries[e + 6].splat * channels);
+    }
+    const Splat& s = splats[tile.entries[e].splat];
+    const float* const feature = in.features + (int64_t)tile.entries[e].splat * channels;
+    const float u = (float)(s.u - tile.x), v = (float)(s.v - tile.y);
+    uint64_t mask = touched(s, u, v, at) & alive;
+    evaluations += __builtin_popcountll(mask);
+    uint64_t blended = 0;
+    for (; mask; mask &= mask - 1) {
+      const int block = __builtin_ctzll(mask);
+      float* const p = passing + block * LANES;
+      const vf transmittance = load(p);
+      const Sample r = evaluate(s, u, v, at, block, transmittance);
+      const vf weight = where(r.ok, r.alpha * transmittance);
+      // A pixel that would fall under the limit ends: its transmittance turns negative and stays.
+      const vf ended = (vf)((vi)transmittance | (r.valid & INT32_MIN));
+      const vf next = r.ok ? r.after : ended;
+      store(p, next);
+      float* const z = depth + block * LANES;
+      store(z, fma(weight, s.depth, load(z)));
+      for (int k = 0; k < channels; ++k) {
+        float* const c = color + k * PIXELS + block * LANES;
+        store(c, fma(weight, feature[k], load(c)));
+      }
+      blended |= (uint64_t)(signs(r.ok) != 0) << block;
+      alive &= ~((uint64_t)(signs((vi)next) == ALL_LANES) << block);
+    }
+    if (tile.blocks) tile.blocks[e] = blended;
+  }
+  if (tile.blocks)
+    for (; e < tile.count; ++e) tile.blocks[e] = 0;
+
+  for (int i = 0; i < PIXELS; ++i) {
+    const int block = i / LANES, lane = i % LANES;
+    const int x = block % 4 * 4 + lane % 4, y = block / 4 * BLOCK_ROWS + lane / 4;
+    if (x >= tile.width || y >= tile.height) continue;
+    const int64_t pixel = (int64_t)(tile.y + y) * view.width + tile.x + x;
+    const float left = passing[i] < 0 ? -passing[i] : passing[i];
+    out.alpha[pixel] = 1.0f - left;
+    out.depth[pixel] = depth[i];
+    for (int k = 0; k < channels; ++k) out.features[pixel * channels + k] = color[k * PIXELS + i];
+  }
+  return evaluations * LANES;
+}
+
+// State: transmittance, rest (what lies behind, as dL), gradients of alpha, depth and features.
+template <int FIXED, bool DEPTH>
+static void blend_backward_channels(const Inputs& in, const Splat* splats, const Tile& tile, const View& view,
+                                    const ConstImages& out, const ConstImages& grad, float* slots,
+                                    float* scratch) {
+  const int channels = FIXED ? FIXED : in.channels;
+  const int size = slot_size(channels);
+  Lattice at;
+  make_lattice(at);
+  float* const passing = scratch;
+  float* const rest = scratch + PIXELS;
+  float* const grad_alpha = scratch + 2 * PIXELS;
+  float* const grad_depth = scratch + 3 * PIXELS;
+  float* const grad_color = scratch + 4 * PIXELS;
+  vf* const sum_color = (vf*)(scratch + (4 + channels) * (int64_t)PIXELS);
+  for (int i = 0; i < PIXELS; ++i) {
+    const int block = i / LANES, lane = i % LANES;
+    const int x = block % 4 * 4 + lane % 4, y = block / 4 * BLOCK_ROWS + lane / 4;
+    const bool inside = x < tile.width && y < tile.height;
+    const int64_t pixel = inside ? (int64_t)(tile.y + y) * view.width + tile.x + x : 0;
+    passing[i] = inside ? 1.0f : -1.0f;
+    grad_alpha[i] = inside && grad.alpha ? grad.alpha[pixel] : 0.0f;
+    grad_depth[i] = inside && DEPTH ? grad.depth[pixel] : 0.0f;
+    double total = inside ? (double)grad_alpha[i] * out.alpha[pixel] : 0.0;
+    if (DEPTH && inside) total += (double)grad_depth[i] * out.depth[pixel];
+    for (int k = 0; k < channels; ++k) {
+      const float g = inside && grad.features ? grad.features[pixel * channels + k] : 0.0f;
+      grad_color[k * PIXELS + i] = g;
+      if (inside) total += (double)g * out.features[pixel * channels + k];
+    }
+    rest[i] = (float)total;
+  }
+
+  for (int64_t e = 0; e < tile.count; ++e) {
+    if (e + 6 < tile.count) {
+      __builtin_prefetch(splats + tile.entries[e + 6].splat);
+      __builtin_prefetch(in.features + (int64_t)tile.entries[e + 6].splat * channels);
+      __builtin_prefetch(slots + (int64_t)tile.entries[e + 6].slot * size, 1);
+    }
+    float* const slot = slots + (int64_t)tile.entries[e].slot * size;
+    uint64_t mask = tile.blocks[e];
+    if (!mask) {
+      for (int q = 0; q < size; q += 4) *(v4_unaligned*)(slot + q) = v4{};
+      continue;
+    }
+    const Splat& s = splats[tile.entries[e].splat];
+    const float* const feature = in.features + (int64_t)tile.entries[e].splat * channels;
+    const float u = (float)(s.u - tile.x), v = (float)(s.v - tile.y);
+    vf m0 = {}, mx = {}, my = {}, mxx = {}, mxy = {}, myy = {}, mz = {};
+    vf fixed_color[FIXED ? FIXED : 1];
+    vf* const mc = FIXED ? fixed_color : sum_color;
+    for (int k = 0; k < channels; ++k) mc[k] = vf{};
+    for (; mask; mask &= mask - 1) {
+      const int block = __builtin_ctzll(mask);
+      float* const p = passing + block * LANES;
+      const vf transmittance = load(p);
+      const Sample r = evaluate(s, u, v, at, block, transmittance);
+      const vf weight = where(r.ok, r.alpha * transmittance);
+      const vf ended = (vf)((vi)transmittance | (r.valid & INT32_MIN));
+      store(p, r.ok ? r.after : ended);
+      // dL/dweight, by what the Gaussian shows in this pixel
+      vf shown = load(grad_alpha + block * LANES);
+      if (DEPTH) {
+        const vf g = load(grad_depth + block * LANES);
+        shown = fma(g, s.depth, shown);
+        mz = fma(weight, g, mz);
+      }
+      for (int k = 0; k < channels; ++k) {
+        const vf g = load(grad_color + k * PIXELS + block * LANES);
+        shown = fma(g, feature[k], shown);
+        mc[k] = fma(weight, g, mc[k]);
+      }
+      float* const behind = rest + block * LANES;
+      const vf remaining = fma(-weight, shown, load(behind));
+      store(behind, remaining);
+      const vf clear = 1.0f - r.alpha;
+      // alpha dL/dalpha; an alpha held at 0.99 passes no gradient on
+      const vf slope = fma(shown, transmittance, -remaining / clear);
+      const vf h = where(r.ok & (r.raised <= MAX_ALPHA), slope * r.alpha);
+      const vf hx = h * r.dx, hy = h * r.dy;
+      m0 += h;
+      mx += hx;
+      my += hy;
+      mxx = fma(hx, r.dx, mxx);
+      mxy = fma(hx, r.dy, mxy);
+      myy = fma(hy, r.dy, myy);
+    }
+    *(v4_unaligned*)slot = sums(m0, mx, my, mxx);
+    if (FIXED == 1 || FIXED == 2 || FIXED == 3 || FIXED == 4) {
+      const vf none = {};
+      *(v4_unaligned*)(slot + 4) = sums(mxy, myy, mz, mc[0]);
+      if (FIXED > 1)
+        *(v4_unaligned*)(slot + 8) = sums(mc[FIXED > 1 ? 1 : 0], FIXED > 2 ? mc[FIXED > 2 ? 2 : 0] : none,
+                                          FIXED > 3 ? mc[FIXED > 3 ? 3 : 0] : none, none);
+    } else {
+      *(v4_unaligned*)(slot + 4) = sums(mxy, myy, mz, mc[0]);
+      for (int k = 1; k < channels; ++k) slot[SLOT_FEATURES + k] = sum(mc[k]);
+    }
+  }
+}
+
+static int64_t blend_scratch(int channels) { return (4 + channels) * (int64_t)PIXELS + channels * LANES; }
+
+static int64_t blend(const Inputs& in, const Splat* splats, const Tile& tile, const View& view,
+                     const Images& out, float* scratch) {
+  switch (in.channels) {
+    case 1: return blend_channels<1>(in, splats, tile, view, out, scratch);
+    case 3: return blend_channels<3>(in, splats, tile, view, out, scratch);
+    case 4: return blend_channels<4>(in, splats, tile, view, out, scratch);
+    default: return blend_channels<0>(in, splats, tile, view, out, scratch);
+  }
+}
+
+template <bool DEPTH>
+static void blend_backward_depth(const Inputs& in, const Splat* splats, const Tile& tile, const View& view,
+                                 const ConstImages& out, const ConstImages& grad, float* slots,
+                                 float* scratch) {
+  switch (in.channels) {
+    case 1: return blend_backward_channels<1, DEPTH>(in, splats, tile, view, out, grad, slots, scratch);
+    case 3: return blend_backward_channels<3, DEPTH>(in, splats, tile, view, out, grad, slots, scratch);
+    case 4: return blend_backward_channels<4, DEPTH>(in, splats, tile, view, out, grad, slots, scratch);
+    default: return blend_backward_channels<0, DEPTH>(in, splats, tile, view, out, grad, slots, scratch);
+  }
+}
+
+static void blend_backward(const Inputs& in, const Splat* splats, const Tile& tile, const View& view,
+                           const ConstImages& out, const ConstImages& grad, float* slots, float* scratch) {
+  if (grad.depth) blend_backward_depth<true>(in, splats, tile, view, out, grad, slots, scratch);
+  else blend_backward_depth<false>(in, splats, tile, view, out, grad, slots, scratch);
+}
+
+}  // namespace ECONGS_ISA

@@ -1,0 +1,108 @@
+// What the per-ISA kernels and the code that drives them share: plain structs and one table of functions.
+// No std:: here (see simd.h).
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+namespace econgs {
+
+// Constants of the 3DGS lineage.
+constexpr int TILE = 16;                     // pixels
+constexpr double BLUR = 0.3;                 // px^2, added to the diagonal of the projected covariance
+constexpr float MAX_ALPHA = 0.99f;
+constexpr float MIN_ALPHA = 1.0f / 255.0f;
+constexpr float MIN_TRANSMITTANCE = 1e-4f;
+constexpr double CLAMP = 1.3;                // of half a field of view, for the Jacobian
+
+struct View {
+  double rotation[9], translation[3];  // world to camera
+  double fx, fy, cx, cy, near;
+  int width, height;
+};
+
+struct Inputs {
+  const float *means, *quats, *scales, *opacities, *features, *offset;  // offset may be null
+  int64_t count;
+  int channels;
+};
+
+// A projected Gaussian: one cache line. log2(alpha) = lift + a dx^2 + b dx dy + c dy^2.
+struct Splat {
+  double u, v;         // centre, pixels
+  float a, b, c, lift;
+  float depth;
+  // The ellipse on which alpha falls to 1/255, a little widened: at height dy its middle lies at slope * dy and
+  // its half width is sqrt((bound - dy^2 * inverse) * width2); it is furthest right at dy = tip.
+  float slope, inverse, width2, bound, tip, top;
+  float opacity;       // 0: not visible
+};
+static_assert(sizeof(Splat) <= 64, "a splat must fit in a cache line");
+
+// One Gaussian in one tile.
+struct Entry {
+  uint32_t splat;  // index into splats
+  uint32_t slot;   // where its gradients go: all of a Gaussian's tiles side by side
+};
+
+struct Tile {
+  int x, y;                  // of its first pixel
+  int width, height;         // less than TILE at the image's border
+  const Entry* entries;
+  uint64_t* blocks;          // per entry: the blocks of the tile in which it was blended (one bit each)
+  int64_t count;
+};
+
+struct Images {
+  float *features, *alpha, *depth;
+};
+struct ConstImages {
+  const float *features, *alpha, *depth;  // a gradient may be null: zero
+};
+
+// Gradients of one slot: moments of h = dL/dlog(alpha) about the centre, then depth, then features.
+enum { SLOT_SUM, SLOT_DX, SLOT_DY, SLOT_DXX, SLOT_DXY, SLOT_DYY, SLOT_DEPTH, SLOT_FEATURES };
+__attribute__((always_inline)) static inline int slot_size(int channels) { return (SLOT_FEATURES + channels + 3) / 4 * 4; }
+
+struct Gradients {
+  float *means, *quats, *scales, *opacities, *features, *offset;  // offset may be null
+};
+
+struct AdamRates {
+  float rate, beta1, beta2, eps, root2;  // rate / (1 - beta1^t); root2 = 1 / sqrt(1 - beta2^t)
+};
+
+constexpr int SSIM_RADIUS = 5;
+
+struct Kernels {
+  const char* name;
+  int lanes;
+  // Projects Gaussians [begin, end); returns false if any input among them is unusable.
+  bool (*project)(const Inputs&, const View&, Splat*, int32_t* radii, int64_t begin, int64_t end);
+  // Sums the slots of Gaussians [begin, end) and carries the gradients back to the inputs.
+  void (*project_backward)(const Inputs&, const View&, const Splat*, const uint32_t* first_slot,
+                           const float* slots, const Gradients&, int64_t begin, int64_t end);
+  // Scratch floats that the two blend functions need.
+  int64_t (*scratch)(int channels);
+  // Blends one tile; returns the number of lane evaluations.
+  int64_t (*blend)(const Inputs&, const Splat*, const Tile&, const View&, const Images&, float* scratch);
+  void (*blend_backward)(const Inputs&, const Splat*, const Tile&, const View&, const ConstImages& out,
+                         const ConstImages& grad, float* slots, float* scratch);
+  void (*sh)(int degree, int bands, const float* means, const float* position, const float* coefficients,
+             float* colors, int64_t begin, int64_t end);
+  void (*sh_backward)(int degree, int bands, const float* means, const float* position,
+                      const float* coefficients, const float* colors, const float* grad, float* grad_means,
+                      float* grad_coefficients, int64_t begin, int64_t end);
+  // SSIM over rows of n = width * channels floats, in three sweeps (see ssim.h). `margin` = 5 * channels.
+  void (*ssim_rows)(const float* x, const float* y, float* moments, int64_t n, int64_t height, int channels,
+                    int64_t row, float* scratch);
+  void (*ssim_map)(const float* moments, float* partials, int64_t n, int64_t height, int channels,
+                   int64_t row, double* value, float* scratch);
+  void (*ssim_gradient)(const float* x, const float* y, const float* partials, float* grad, int64_t n,
+                        int64_t height, int64_t row, float absolute, float structural);
+  double (*absolute)(const float* x, const float* y, int64_t n);
+  void (*adam)(float* p, const float* g, float* m, float* v, int64_t n, const AdamRates&);
+  void (*reference)(float* data, int64_t n, int rounds);
+};
+
+}  // namespace econgs

@@ -1,0 +1,19 @@
+// The kernels for one instruction set: CMakeLists.txt compiles this file once per ISA, with
+// -DECONGS_ISA=<name> -DECONGS_LANES=<floats per vector> and that ISA's flags.
+#include "blend.h"
+#include "optimise.h"
+#include "project.h"
+#include "sh.h"
+#include "ssim.h"
+
+#define STRING_OF(x) #x
+#define STRING(x) STRING_OF(x)
+
+namespace ECONGS_ISA {
+
+extern const econgs::Kernels kernels;
+const econgs::Kernels kernels = {
+    STRING(ECONGS_ISA), LANES, project, project_backward, blend_scratch, blend, blend_backward, sh, sh_backward,
+    ssim_rows, ssim_map, ssim_gradient, absolute, adam, reference};
+
+}  // namespace ECONGS_ISA

@@ -1,0 +1,293 @@
+// The Python module econgs._native: arrays come and go through DLPack, the GIL is released during work.
+// econgs/splat/native.py is its only caller and documents what the functions mean.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "raster.h"
+#include "threads.h"
+
+namespace nb = nanobind;
+using namespace econgs;
+
+namespace {
+
+using Array = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
+using In = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
+using Doubles = nb::ndarray<const double, nb::shape<16>, nb::c_contig, nb::device::cpu>;
+using Counts = nb::ndarray<int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+void expect(bool fine, const char* what) {
+  if (!fine) throw std::invalid_argument(what);
+}
+
+template <class A>
+bool is(const A& array, std::initializer_list<int64_t> shape) {
+  if (array.ndim() != shape.size()) return false;
+  size_t axis = 0;
+  for (const int64_t size : shape)
+    if (static_cast<int64_t>(array.shape(axis++)) != size) return false;
+  return true;
+}
+
+template <class A>
+const float* data_or_null(const std::optional<A>& array) {
+  return array ? array->data() : nullptr;
+}
+
+Inputs inputs(const In& means, const In& quats, const In& scales, const In& opacities, const In& features,
+              const std::optional<In>& offset) {
+  const int64_t n = means.ndim() == 2 ? static_cast<int64_t>(means.shape(0)) : -1;
+  expect(n >= 0 && is(means, {n, 3}), "means must have shape (N, 3)");
+  expect(n < (int64_t{1} << 31), "at most 2^31 Gaussians");
+  expect(is(quats, {n, 4}), "quats must have shape (N, 4)");
+  expect(is(scales, {n, 3}), "scales must have shape (N, 3)");
+  expect(is(opacities, {n}), "opacities must have shape (N,)");
+  expect(features.ndim() == 2 && static_cast<int64_t>(features.shape(0)) == n && features.shape(1) >= 1,
+         "features must have shape (N, C) with C >= 1");
+  expect(!offset || is(*offset, {n, 2}), "screen_offset must have shape (N, 2)");
+  return {means.data(), quats.data(),         scales.data(), opacities.data(), features.data(),
+          data_or_null(offset), n, static_cast<int>(features.shape(1))};
+}
+
+View view_of(const Doubles& numbers, double near, const Array& alpha) {
+  View view;
+  const double* const p = numbers.data();
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) view.rotation[3 * i + j] = p[4 * i + j];
+    view.translation[i] = p[4 * i + 3];
+  }
+  view.fx = p[12];
+  view.fy = p[13];
+  view.cx = p[14];
+  view.cy = p[15];
+  view.near = near;
+  expect(alpha.ndim() == 2 && alpha.shape(0) >= 1 && alpha.shape(1) >= 1, "the image must have pixels");
+  expect(alpha.shape(0) < (1 << 20) && alpha.shape(1) < (1 << 20), "the image is too large");
+  view.height = static_cast<int>(alpha.shape(0));
+  view.width = static_cast<int>(alpha.shape(1));
+  for (int i = 0; i < 16; ++i) expect(std::isfinite(p[i]), "camera: pose and intrinsics must be finite");
+  expect(view.fx > 0 && view.fy > 0, "camera: focal lengths must be positive");
+  return view;
+}
+
+// The message for what `project` refused: names the tensor and the first Gaussian at fault.
+[[noreturn]] void refuse(const Inputs& in) {
+  const struct { const char* name; const float* data; int width; } tensors[] = {
+      {"means", in.means, 3},         {"quats", in.quats, 4},
+      {"scales", in.scales, 3},       {"opacities", in.opacities, 1},
+      {"features", in.features, in.channels}, {"screen_offset", in.offset, 2}};
+  const auto fail = [](const char* name, int64_t n, const char* rule) {
+    throw std::invalid_argument(std::string(name) + "[" + std::to_string(n) + "]: " + rule);
+  };
+  for (const auto& tensor : tensors)
+    for (int64_t i = 0; tensor.data && i < in.count * tensor.width; ++i)
+      if (!std::isfinite(tensor.data[i])) fail(tensor.name, i / tensor.width, "every value must be finite");
+  for (int64_t n = 0; n < in.count; ++n) {
+    if (!(in.opacities[n] >= 0 && in.opacities[n] <= 1)) fail("opacities", n, "opacities lie in [0, 1]");
+    for (int k = 0; k < 3; ++k)
+      if (in.scales[3 * n + k] < 0) fail("scales", n, "scales are standard deviations, >= 0");
+    const float* const q = in.quats + 4 * n;
+    if (q[0] == 0 && q[1] == 0 && q[2] == 0 && q[3] == 0) fail("quats", n, "a zero quaternion is no rotation");
+  }
+  throw std::invalid_argument("the Gaussians hold a value that cannot be used");
+}
+
+std::unique_ptr<Frame> forward_checked(const In& means, const In& quats, const In& scales, const In& opacities,
+                                       const In& features, std::optional<In> offset, const Doubles& numbers,
+                                       double near, const Array& image, const Array& alpha, const Array& depth,
+                                       const Counts& radii, bool keep) {
+  const Inputs in = inputs(means, quats, scales, opacities, features, offset);
+  const View view = view_of(numbers, near, alpha);
+  expect(is(depth, {view.height, view.width}) && is(image, {view.height, view.width, in.channels}) &&
+             static_cast<int64_t>(radii.shape(0)) == in.count,
+         "the outputs have other sizes than the inputs ask for");
+  const Images out = {image.data(), alpha.data(), depth.data()};
+  std::unique_ptr<Frame> frame;
+  int32_t* const radius = radii.data();
+  {
+    nb::gil_scoped_release release;
+    frame = forward(in, view, out, radius, keep);
+  }
+  if (!frame) refuse(in);
+  return frame;
+}
+
+void backward_checked(const Frame& frame, const In& means, const In& quats, const In& scales, const In& opacities,
+                      const In& features, const In& image, const In& alpha, const In& depth,
+                      std::optional<In> grad_image, std::optional<In> grad_alpha, std::optional<In> grad_depth,
+                      const Array& to_means, const Array& to_quats, const Array& to_scales,
+                      const Array& to_opacities, const Array& to_features, std::optional<Array> to_offset,
+                      std::optional<In> offset) {
+  const Inputs in = inputs(means, quats, scales, opacities, features, offset);
+  const int64_t h = frame.view.height, w = frame.view.width, n = in.count;
+  expect(n == frame.count, "another number of Gaussians than in the forward pass");
+  expect(is(image, {h, w, in.channels}) && is(alpha, {h, w}) && is(depth, {h, w}), "outputs of another size");
+  expect((!grad_image || is(*grad_image, {h, w, in.channels})) && (!grad_alpha || is(*grad_alpha, {h, w})) &&
+             (!grad_depth || is(*grad_depth, {h, w})),
+         "a gradient of another size than its image");
+  expect(is(to_means, {n, 3}) && is(to_quats, {n, 4}) && is(to_scales, {n, 3}) && is(to_opacities, {n}) &&
+             is(to_features, {n, in.channels}) && (!to_offset || is(*to_offset, {n, 2})),
+         "a gradient of another size than its tensor");
+  const ConstImages out = {image.data(), alpha.data(), depth.data()};
+  const ConstImages grad = {data_or_null(grad_image), data_or_null(grad_alpha), data_or_null(grad_depth)};
+  const Gradients to = {to_means.data(),    to_quats.data(),    to_scales.data(),
+                        to_opacities.data(), to_features.data(), to_offset ? to_offset->data() : nullptr};
+  nb::gil_scoped_release release;
+  backward(frame, in, out, grad, to);
+}
+
+void check_sh(int degree, const In& means, const In& position, const In& coefficients) {
+  const int64_t n = means.ndim() == 2 ? static_cast<int64_t>(means.shape(0)) : -1;
+  expect(degree >= 0 && degree <= 3, "the degree of the spherical harmonics must be 0 to 3");
+  expect(n >= 0 && is(means, {n, 3}) && is(position, {3}), "means must have shape (N, 3) and the position (3,)");
+  expect(coefficients.ndim() == 3 && static_cast<int64_t>(coefficients.shape(0)) == n &&
+             coefficients.shape(2) == 3 && static_cast<int>(coefficients.shape(1)) >= (degree + 1) * (degree + 1),
+         "coefficients must have shape (N, K, 3) with K >= (degree + 1)^2");
+}
+
+void sh_forward(int degree, const In& means, const In& position, const In& coefficients, const Array& colors) {
+  check_sh(degree, means, position, coefficients);
+  const int64_t n = means.shape(0);
+  expect(is(colors, {n, 3}), "colors must have shape (N, 3)");
+  const int bands = static_cast<int>(coefficients.shape(1));
+  const float *const m = means.data(), *const p = position.data(), *const c = coefficients.data();
+  float* const out = colors.data();
+  nb::gil_scoped_release release;
+  parallel_ranges(n, 2048, [&](int64_t begin, int64_t end, int) {
+    kernels().sh(degree, bands, m, p, c, out, begin, end);
+  });
+}
+
+void sh_backward(int degree, const In& means, const In& position, const In& coefficients, const In& colors,
+                 const In& grad, const Array& grad_means, const Array& grad_coefficients) {
+  check_sh(degree, means, position, coefficients);
+  const int64_t n = means.shape(0), bands = coefficients.shape(1);
+  expect(is(colors, {n, 3}) && is(grad, {n, 3}) && is(grad_means, {n, 3}) && is(grad_coefficients, {n, bands, 3}),
+         "a gradient of another size than its tensor");
+  const float *const m = means.data(), *const p = position.data(), *const c = coefficients.data(),
+              *const made = colors.data(), *const outer = grad.data();
+  float *const to_means = grad_means.data(), *const to_coefficients = grad_coefficients.data();
+  nb::gil_scoped_release release;
+  parallel_ranges(n, 1024, [&](int64_t begin, int64_t end, int) {
+    kernels().sh_backward(degree, static_cast<int>(bands), m, p, c, made, outer, to_means, to_coefficients, begin,
+                          end);
+  });
+}
+
+nb::tuple photometric_checked(const In& x, const In& y, float absolute, float structural,
+                              std::optional<Array> grad) {
+  expect(x.ndim() == 3 && x.size() > 0, "images must have shape (H, W, C)");
+  const int64_t h = x.shape(0), w = x.shape(1), c = x.shape(2);
+  expect(is(y, {h, w, c}) && (!grad || is(*grad, {h, w, c})), "the images have different shapes");
+  double ssim = 0, mean = 0;
+  const float *const a = x.data(), *const b = y.data();
+  float* const to = grad ? grad->data() : nullptr;
+  {
+    nb::gil_scoped_release release;
+    mean = photometric(a, b, h, w, static_cast<int>(c), absolute, structural, to, &ssim);
+  }
+  return nb::make_tuple(mean, ssim);
+}
+
+void adam(const std::vector<Array>& params, const std::vector<In>& grads, const std::vector<Array>& first,
+          const std::vector<Array>& second, const std::vector<double>& rates, double beta1, double beta2, double eps,
+          int64_t step) {
+  expect(step >= 1, "the first step of Adam is step 1");
+  const size_t count = params.size();
+  expect(grads.size() == count && first.size() == count && second.size() == count && rates.size() == count,
+         "adam_step: as many gradients, moments and rates as parameters are needed");
+  struct Piece {
+    float* p;
+    const float* g;
+    float *m, *v;
+    int64_t n;
+    AdamRates rates;
+  };
+  constexpr int64_t GRAIN = 16384;
+  std::vector<Piece> pieces;
+  const double t = static_cast<double>(step);
+  const double left1 = 1.0 - std::pow(beta1, t), left2 = 1.0 - std::pow(beta2, t);
+  for (size_t i = 0; i < count; ++i) {
+    const int64_t n = static_cast<int64_t>(params[i].size());
+    expect(static_cast<int64_t>(grads[i].size()) == n && static_cast<int64_t>(first[i].size()) == n &&
+               static_cast<int64_t>(second[i].size()) == n,
+           "adam_step: a gradient or moment has another size than its parameter");
+    const AdamRates r = {static_cast<float>(rates[i] / left1), static_cast<float>(beta1), static_cast<float>(beta2),
+                         static_cast<float>(eps), static_cast<float>(1.0 / std::sqrt(left2))};
+    for (int64_t at = 0; at < n; at += GRAIN)
+      pieces.push_back({params[i].data() + at, grads[i].data() + at, first[i].data() + at, second[i].data() + at,
+                        std::min(GRAIN, n - at), r});
+  }
+  nb::gil_scoped_release release;
+  parallel(static_cast<int64_t>(pieces.size()), [&](int64_t item, int) {
+    const Piece& one = pieces[item];
+    kernels().adam(one.p, one.g, one.m, one.v, one.n, one.rates);
+  });
+}
+
+}  // namespace
+
+NB_MODULE(_native, m) {
+  m.doc() = "Compiled kernels of the splatting core; call them through econgs.splat.native.";
+  nb::class_<Frame>(m, "Frame");
+
+  m.def("built_isas", [] {
+    std::vector<std::string> names;
+    for (const Kernels* one : built_kernels()) names.push_back(one->name);
+    return names;
+  });
+  m.def("available_isas", [](bool testing) {
+    std::vector<std::string> names;
+    for (const Kernels* one : built_kernels())
+      if (supported(*one) && (testing || std::string(one->name) != "avx2x16")) names.push_back(one->name);
+    return names;
+  });
+  m.def("isa", [] { return std::string(kernels().name); });
+  m.def("set_isa", [](const std::string& name) {
+    for (const Kernels* one : built_kernels())
+      if (name == one->name && supported(*one)) return use_kernels(*one);
+    throw std::invalid_argument("this processor or build lacks " + name);
+  });
+  m.def("threads", threads);
+  m.def("set_threads", set_threads);
+
+  m.def("forward", forward_checked, nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"),
+        nb::arg("features"), nb::arg("offset").none(), nb::arg("view"), nb::arg("near"), nb::arg("image"),
+        nb::arg("alpha"), nb::arg("depth"), nb::arg("radii"), nb::arg("keep"));
+  m.def("backward", backward_checked, nb::arg("frame"), nb::arg("means"), nb::arg("quats"), nb::arg("scales"),
+        nb::arg("opacities"), nb::arg("features"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"), nb::arg("grad_image").none(), nb::arg("grad_alpha").none(),
+        nb::arg("grad_depth").none(), nb::arg("to_means"), nb::arg("to_quats"), nb::arg("to_scales"),
+        nb::arg("to_opacities"), nb::arg("to_features"), nb::arg("to_offset").none(), nb::arg("offset").none());
+  m.def("sh_forward", sh_forward);
+  m.def("sh_backward", sh_backward);
+  m.def("photometric", photometric_checked, nb::arg("x"), nb::arg("y"), nb::arg("absolute"),
+        nb::arg("structural"), nb::arg("grad").none());
+  m.def("adam", adam);
+
+  m.def("reference_kernel", reference_kernel, nb::call_guard<nb::gil_scoped_release>());
+  m.def("bench_blend", bench_blend, nb::call_guard<nb::gil_scoped_release>());
+  m.def("last_frame", [] {
+    const FrameStatistics s = last_frame();
+    nb::dict d;
+    d["project"] = s.project;
+    d["sort"] = s.sort;
+    d["bin"] = s.bin;
+    d["blend"] = s.blend;
+    d["blend_backward"] = s.blend_backward;
+    d["project_backward"] = s.project_backward;
+    d["visible"] = s.visible;
+    d["intersections"] = s.intersections;
+    d["evaluations"] = s.evaluations;
+    return d;
+  });
+}

@@ -1,0 +1,75 @@
+// Adam (Kingma and Ba 2015), and the fixed piece of work that speeds of different moments are compared by.
+#pragma once
+
+#include "kernels.h"
+#include "simd.h"
+
+namespace ECONGS_ISA {
+
+using namespace econgs;
+
+// Flush denormals while moments of Gaussians long unseen fade away: they would cost a hundred cycles each.
+struct Flush {
+#if defined(__SSE2__)
+  unsigned int before = _mm_getcsr();
+  Flush() { _mm_setcsr(before | 0x8040u); }
+  ~Flush() { _mm_setcsr(before); }
+#else
+  Flush() {}
+  ~Flush() {}
+#endif
+};
+
+static void adam(float* p, const float* g, float* m, float* v, int64_t n, const AdamRates& r) {
+  const Flush flush;
+  const float keep1 = 1.0f - r.beta1, keep2 = 1.0f - r.beta2;
+  const auto update = [&](vf grad, vf& first, vf& second) __attribute__((always_inline)) {
+    first = fma(grad - first, set(keep1), first);
+    second = fma(second, set(r.beta2), keep2 * (grad * grad));
+    return r.rate * first / (sqrt(second) * r.root2 + r.eps);
+  };
+  int64_t i = 0;
+  for (; i + LANES <= n; i += LANES) {
+    const vf grad = load(g + i);
+    vf first = load(m + i), second = load(v + i);
+    // Never touched (inactive spherical harmonics): the update is exactly zero, so nothing is written.
+    if (signs(((vi)grad | (vi)first | (vi)second) != 0) == 0) continue;
+    const vf change = update(grad, first, second);
+    store(m + i, first);
+    store(v + i, second);
+    store(p + i, load(p + i) - change);
+  }
+  if (i < n) {
+    vf grad = {}, first = {}, second = {};
+    for (int l = 0; i + l < n; ++l) {
+      grad[l] = g[i + l];
+      first[l] = m[i + l];
+      second[l] = v[i + l];
+    }
+    const vf change = update(grad, first, second);
+    for (int l = 0; i + l < n; ++l) {
+      m[i + l] = first[l];
+      v[i + l] = second[l];
+      p[i + l] -= grad[l] == 0.0f && first[l] == 0.0f ? 0.0f : change[l];
+    }
+  }
+}
+
+// Half arithmetic on registers, half a pass over memory. Values stay near 1.
+static void reference(float* data, int64_t n, int rounds) {
+  for (int64_t i = 0; i + 4 * LANES <= n; i += 4 * LANES) {
+    vf a = load(data + i), b = load(data + i + LANES), c = load(data + i + 2 * LANES), d = load(data + i + 3 * LANES);
+    for (int k = 0; k < rounds; ++k) {
+      a = fma(a, set(0.5f), set(0.5f));
+      b = fma(b, set(0.5f), set(0.5f));
+      c = fma(c, set(0.5f), set(0.5f));
+      d = fma(d, set(0.5f), set(0.5f));
+    }
+    store(data + i, a);
+    store(data + i + LANES, b);
+    store(data + i + 2 * LANES, c);
+    store(data + i + 3 * LANES, d);
+  }
+}
+
+}  // namespace ECONGS_ISA

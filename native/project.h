@@ -1,0 +1,257 @@
+// From Gaussians in the scene to ellipses on the image and back (EWA splatting, Zwicker et al. 2001).
+//
+// In double: the cost is small beside blending, and centres in pixels keep their accuracy in large images.
+#pragma once
+
+#include "kernels.h"
+#include "simd.h"
+
+extern "C" double log2(double) noexcept;  // libm's, declared here to keep <cmath> and its templates out
+
+namespace ECONGS_ISA {
+
+using namespace econgs;
+
+struct Vec3 {
+  vd x, y, z;
+};
+INLINE Vec3 operator+(Vec3 a, Vec3 b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+INLINE Vec3 operator*(vd s, Vec3 a) { return {s * a.x, s * a.y, s * a.z}; }
+INLINE Vec3 operator*(Vec3 a, Vec3 b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
+INLINE vd dot(Vec3 a, Vec3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+INLINE Vec3 row(const double* m) { return {setd(m[0]), setd(m[1]), setd(m[2])}; }
+
+// DLANES Gaussians; lanes past the end repeat the last one.
+struct Batch {
+  Vec3 mean, scale;
+  vd w, x, y, z, norm;         // unit quaternion, and its length before
+  vd opacity, off_u, off_v;
+};
+
+// All the intermediate values that the gradients need again.
+struct Geometry {
+  Vec3 local;                  // camera space
+  vd slope_x, slope_y;         // clamped
+  Vec3 k1, k2;                 // rows of Jacobian * view
+  Vec3 c1, c2, c3;             // columns of the Gaussian's rotation
+  Vec3 r1, r2, m1, m2;         // k * rotation, and that times the scales
+  vd a, b, c, det, u, v;
+};
+
+INLINE Batch gather(const Inputs& in, int64_t begin, int64_t end) {
+  Batch g;
+  vd* const m[3] = {&g.mean.x, &g.mean.y, &g.mean.z};
+  vd* const s[3] = {&g.scale.x, &g.scale.y, &g.scale.z};
+  vd* const q[4] = {&g.w, &g.x, &g.y, &g.z};
+  for (int l = 0; l < DLANES; ++l) {
+    const int64_t n = begin + l < end ? begin + l : end - 1;
+    for (int k = 0; k < 3; ++k) (*m[k])[l] = in.means[3 * n + k];
+    for (int k = 0; k < 3; ++k) (*s[k])[l] = in.scales[3 * n + k];
+    for (int k = 0; k < 4; ++k) (*q[k])[l] = in.quats[4 * n + k];
+    g.opacity[l] = in.opacities[n];
+    g.off_u[l] = in.offset ? in.offset[2 * n] : 0.0f;
+    g.off_v[l] = in.offset ? in.offset[2 * n + 1] : 0.0f;
+  }
+  g.norm = sqrtd(g.w * g.w + g.x * g.x + g.y * g.y + g.z * g.z);
+  const vd inverse = 1.0 / g.norm;
+  g.w *= inverse;
+  g.x *= inverse;
+  g.y *= inverse;
+  g.z *= inverse;
+  return g;
+}
+
+INLINE Geometry geometry(const Batch& g, const View& view) {
+  Geometry o;
+  const Vec3 v0 = row(view.rotation), v1 = row(view.rotation + 3), v2 = row(view.rotation + 6);
+  o.local = {dot(v0, g.mean) + view.translation[0], dot(v1, g.mean) + view.translation[1],
+             dot(v2, g.mean) + view.translation[2]};
+  const vd inverse = 1.0 / o.local.z;
+  const vd limit_x = setd(CLAMP * 0.5 * view.width / view.fx), limit_y = setd(CLAMP * 0.5 * view.height / view.fy);
+  const vd tx = o.local.x * inverse, ty = o.local.y * inverse;
+  o.slope_x = maxd(mind(tx, limit_x), -limit_x);
+  o.slope_y = maxd(mind(ty, limit_y), -limit_y);
+  o.k1 = (view.fx * inverse) * (v0 + (-o.slope_x) * v2);
+  o.k2 = (view.fy * inverse) * (v1 + (-o.slope_y) * v2);
+  o.c1 = {1.0 - 2.0 * (g.y * g.y + g.z * g.z), 2.0 * (g.x * g.y + g.w * g.z), 2.0 * (g.x * g.z - g.w * g.y)};
+  o.c2 = {2.0 * (g.x * g.y - g.w * g.z), 1.0 - 2.0 * (g.x * g.x + g.z * g.z), 2.0 * (g.y * g.z + g.w * g.x)};
+  o.c3 = {2.0 * (g.x * g.z + g.w * g.y), 2.0 * (g.y * g.z - g.w * g.x), 1.0 - 2.0 * (g.x * g.x + g.y * g.y)};
+  o.r1 = {dot(o.k1, o.c1), dot(o.k1, o.c2), dot(o.k1, o.c3)};
+  o.r2 = {dot(o.k2, o.c1), dot(o.k2, o.c2), dot(o.k2, o.c3)};
+  o.m1 = o.r1 * g.scale;
+  o.m2 = o.r2 * g.scale;
+  const vd aa = dot(o.m1, o.m1), cc = dot(o.m2, o.m2);
+  o.b = dot(o.m1, o.m2);
+  // Determinant by the cross product of the rows (Cauchy-Binet): a c - b^2 would cancel for needles.
+  const vd x = o.m1.y * o.m2.z - o.m1.z * o.m2.y, y = o.m1.z * o.m2.x - o.m1.x * o.m2.z,
+           z = o.m1.x * o.m2.y - o.m1.y * o.m2.x;
+  o.det = x * x + y * y + z * z + BLUR * (aa + cc) + BLUR * BLUR;
+  o.a = aa + BLUR;
+  o.c = cc + BLUR;
+  o.u = view.fx * tx + view.cx + g.off_u;
+  o.v = view.fy * ty + view.cy + g.off_v;
+  return o;
+}
+
+INLINE float narrow(double x) { return (float)(x > 1e30 ? 1e30 : x < -1e30 ? -1e30 : x); }
+
+static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* radii, int64_t begin,
+                    int64_t end) {
+  bool fine = true;
+  for (int64_t n = begin; n < end; ++n) {  // 0 * x is NaN where x is NaN or infinite
+    float finite = 0.0f;
+    for (int k = 0; k < in.channels; ++k) finite += 0.0f * in.features[n * in.channels + k];
+    fine &= finite == 0.0f;
+  }
+  for (int64_t start = begin; start < end; start += DLANES) {
+    const Batch g = gather(in, start, end);
+    const vd finite = 0.0 * (g.mean.x + g.mean.y + g.mean.z + g.norm + g.scale.x + g.scale.y + g.scale.z +
+                             g.opacity + g.off_u + g.off_v);
+    const vl sound = (finite == 0.0) & (g.opacity >= 0.0) & (g.opacity <= 1.0) & (g.scale.x >= 0.0) &
+                     (g.scale.y >= 0.0) & (g.scale.z >= 0.0) & (g.norm > 0.0);
+    const Geometry o = geometry(g, view);
+    const vd inverse = 1.0 / o.det;
+    vd bound;
+    for (int l = 0; l < DLANES; ++l) bound[l] = g.opacity[l] * 255.0f >= 1.0 ? ::log2(g.opacity[l]) : -100.0;
+    const vd lift = bound;
+    bound = maxd((bound + 7.994353436858858) * (2.0 * 0.6931471805599453), vd{});  // 2 ln(255 opacity)
+    const vd half_u = sqrtd(bound * o.a), half_v = sqrtd(bound * o.c);
+    const vd middle = 0.5 * (o.a + o.c), apart = 0.5 * (o.a - o.c);
+    const vd radius = 3.0 * sqrtd(middle + sqrtd(apart * apart + o.b * o.b));
+    // Visible: nearer than `near` is culled, and the ellipse's box must hold the centre of a pixel.
+    const vd left = maxd(o.u - half_u, setd(0.5)), right = mind(o.u + half_u, setd(view.width - 0.5));
+    const vd low = maxd(o.v - half_v, setd(0.5)), high = mind(o.v + half_v, setd(view.height - 0.5));
+    const vl seen = sound & (o.local.z > view.near) & (o.local.z < 1e30) & (g.opacity >= 1.0 / 255.0) &
+                    (left <= right) & (low <= high);
+    // Rounding in float must not cut a pixel off whose alpha is 1/255 in float: widened by a hair.
+    const vd wide = bound * (1.0 + 1e-4) + 1e-4;
+    const vd tip = o.b * sqrtd(wide / o.a), top = sqrtd(wide * o.c);
+    const vd log2e = setd(1.4426950408889634);
+    const vd a = -0.5 * log2e * o.c * inverse, b = log2e * o.b * inverse, c = -0.5 * log2e * o.a * inverse;
+    const vd slope = o.b / o.c, width2 = o.det / o.c, inverse_c = 1.0 / o.c;
+    for (int l = 0; l < DLANES && start + l < end; ++l) {
+      const int64_t n = start + l;
+      fine &= sound[l] != 0;
+      int across = 0;
+      if (seen[l]) {  // ... and of a pixel, not only lie between two
+        const double first_x = __builtin_ceil(left[l] - 0.5), last_x = __builtin_floor(right[l] - 0.5);
+        const double first_y = __builtin_ceil(low[l] - 0.5), last_y = __builtin_floor(high[l] - 0.5);
+        if (first_x <= last_x && first_y <= last_y)
+          across = radius[l] < 1073741824.0 ? (int)__builtin_ceil(radius[l]) : 1073741824;
+      }
+      radii[n] = across;
+      Splat& s = splats[n];
+      s.opacity = across ? (float)g.opacity[l] : 0.0f;
+      s.depth = across ? (float)o.local.z[l] : 0.0f;
+      if (!across) continue;
+      s.u = o.u[l];
+      s.v = o.v[l];
+      s.a = (float)a[l];
+      s.b = (float)b[l];
+      s.c = (float)c[l];
+      s.lift = (float)lift[l];
+      s.slope = narrow(slope[l]);
+      s.inverse = (float)inverse_c[l];
+      s.width2 = narrow(width2[l]);
+      s.bound = (float)wide[l];
+      s.tip = narrow(tip[l]);
+      s.top = narrow(top[l]);
+    }
+  }
+  return fine;
+}
+
+static void project_backward(const Inputs& in, const View& view, const Splat* splats, const uint32_t* first_slot,
+                             const float* slots, const Gradients& out, int64_t begin, int64_t end) {
+  const int channels = in.channels, size = slot_size(channels);
+  const Vec3 v0 = row(view.rotation), v1 = row(view.rotation + 3), v2 = row(view.rotation + 6);
+  for (int64_t start = begin; start < end; start += DLANES) {
+    const int count = end - start < DLANES ? (int)(end - start) : DLANES;
+    bool any = false;
+    vd sum[SLOT_FEATURES] = {};
+    for (int l = 0; l < count; ++l) {
+      const int64_t n = start + l;
+      float* const features = out.features + n * channels;
+      for (int k = 0; k < channels; ++k) features[k] = 0.0f;
+      // Always in the order of the tiles, so the sum is the same for any number of threads.
+      v4 first = {}, second = {};
+      for (uint32_t i = first_slot[n]; i < first_slot[n + 1]; ++i) {
+        const float* const slot = slots + (int64_t)i * size;
+        first += *(const v4_unaligned*)slot;
+        second += *(const v4_unaligned*)(slot + 4);
+        for (int k = 0; k < channels; ++k) features[k] += slot[SLOT_FEATURES + k];
+        any = true;
+      }
+      for (int q = 0; q < 4; ++q) sum[q][l] = first[q];
+      for (int q = 4; q < SLOT_FEATURES; ++q) sum[q][l] = second[q - 4];
+    }
+    if (!any) {
+      for (int64_t n = start; n < start + count; ++n) {
+        for (int k = 0; k < 3; ++k) out.means[3 * n + k] = out.scales[3 * n + k] = 0.0f;
+        for (int k = 0; k < 4; ++k) out.quats[4 * n + k] = 0.0f;
+        out.opacities[n] = 0.0f;
+        if (out.offset) out.offset[2 * n] = out.offset[2 * n + 1] = 0.0f;
+      }
+      continue;
+    }
+    const Batch g = gather(in, start, end);
+    const Geometry o = geometry(g, view);
+    const vd inverse = 1.0 / o.det;
+    const vd A = o.c * inverse, B = -o.b * inverse, C = o.a * inverse;  // alpha = opacity exp(-1/2 d' [A B; B C] d)
+    const vd du = A * sum[SLOT_DX] + B * sum[SLOT_DY], dv = B * sum[SLOT_DX] + C * sum[SLOT_DY];
+    // dL/dcov = -K G K with K the conic and G = dL/dK
+    const vd g11 = -0.5 * sum[SLOT_DXX], g12 = -0.5 * sum[SLOT_DXY], g22 = -0.5 * sum[SLOT_DYY];
+    const vd p11 = A * g11 + B * g12, p12 = A * g12 + B * g22, p21 = B * g11 + C * g12, p22 = B * g12 + C * g22;
+    const vd h11 = -(p11 * A + p12 * B), h12 = -(p11 * B + p12 * C), h22 = -(p21 * B + p22 * C);
+    const Vec3 dm1 = (2.0 * h11) * o.m1 + (2.0 * h12) * o.m2, dm2 = (2.0 * h12) * o.m1 + (2.0 * h22) * o.m2;
+    const Vec3 ds = o.r1 * dm1 + o.r2 * dm2;
+    const Vec3 dr1 = g.scale * dm1, dr2 = g.scale * dm2;
+    const Vec3 dc1 = dr1.x * o.k1 + dr2.x * o.k2, dc2 = dr1.y * o.k1 + dr2.y * o.k2,
+               dc3 = dr1.z * o.k1 + dr2.z * o.k2;
+    const Vec3 dk1 = dr1.x * o.c1 + dr1.y * o.c2 + dr1.z * o.c3, dk2 = dr2.x * o.c1 + dr2.y * o.c2 + dr2.z * o.c3;
+
+    const vd near = 1.0 / o.local.z, fx = view.fx * near, fy = view.fy * near;
+    const vd tx = o.local.x * near, ty = o.local.y * near;
+    // A clamped slope is constant.
+    const vd dsx = tx == o.slope_x ? -fx * dot(dk1, v2) : vd{}, dsy = ty == o.slope_y ? -fy * dot(dk2, v2) : vd{};
+    Vec3 local;
+    local.x = du * fx + dsx * near;
+    local.y = dv * fy + dsy * near;
+    local.z = sum[SLOT_DEPTH] - near * (dot(dk1, o.k1) + dot(dk2, o.k2) + dsx * tx + dsy * ty) - du * fx * tx -
+              dv * fy * ty;
+    const Vec3 mean = local.x * v0 + local.y * v1 + local.z * v2;
+
+    // Columns c1, c2, c3 hold R00 R10 R20, R01 R11 R21, R02 R12 R22.
+    const vd w = g.w, x = g.x, y = g.y, z = g.z;
+    vd dw = 2.0 * (z * (dc1.y - dc2.x) + y * (dc3.x - dc1.z) + x * (dc2.z - dc3.y));
+    vd dx = 2.0 * (y * (dc2.x + dc1.y) + z * (dc3.x + dc1.z) - 2.0 * x * (dc2.y + dc3.z) + w * (dc2.z - dc3.y));
+    vd dy = 2.0 * (x * (dc2.x + dc1.y) + z * (dc3.y + dc2.z) - 2.0 * y * (dc1.x + dc3.z) + w * (dc3.x - dc1.z));
+    vd dz = 2.0 * (x * (dc3.x + dc1.z) + y * (dc3.y + dc2.z) - 2.0 * z * (dc1.x + dc2.y) + w * (dc1.y - dc2.x));
+    const vd along = dw * w + dx * x + dy * y + dz * z;
+    dw = (dw - along * w) / g.norm;
+    dx = (dx - along * x) / g.norm;
+    dy = (dy - along * y) / g.norm;
+    dz = (dz - along * z) / g.norm;
+    for (int l = 0; l < count; ++l) {
+      const int64_t n = start + l;
+      const bool seen = splats[n].opacity > 0.0f;
+      out.means[3 * n] = seen ? narrow(mean.x[l]) : 0.0f;
+      out.means[3 * n + 1] = seen ? narrow(mean.y[l]) : 0.0f;
+      out.means[3 * n + 2] = seen ? narrow(mean.z[l]) : 0.0f;
+      out.scales[3 * n] = seen ? narrow(ds.x[l]) : 0.0f;
+      out.scales[3 * n + 1] = seen ? narrow(ds.y[l]) : 0.0f;
+      out.scales[3 * n + 2] = seen ? narrow(ds.z[l]) : 0.0f;
+      out.quats[4 * n] = seen ? narrow(dw[l]) : 0.0f;
+      out.quats[4 * n + 1] = seen ? narrow(dx[l]) : 0.0f;
+      out.quats[4 * n + 2] = seen ? narrow(dy[l]) : 0.0f;
+      out.quats[4 * n + 3] = seen ? narrow(dz[l]) : 0.0f;
+      out.opacities[n] = seen ? (float)(sum[SLOT_SUM][l] / g.opacity[l]) : 0.0f;
+      if (out.offset) {
+        out.offset[2 * n] = seen ? narrow(du[l]) : 0.0f;
+        out.offset[2 * n + 1] = seen ? narrow(dv[l]) : 0.0f;
+      }
+    }
+  }
+}
+
+}  // namespace ECONGS_ISA

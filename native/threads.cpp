@@ -1,0 +1,152 @@
+#include "threads.h"
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <exception>
+#include <mutex>
+#include <thread>
+#if defined(__unix__) || defined(__APPLE__)
+#include <pthread.h>
+#define ECONGS_FORKS 1
+#endif
+
+namespace econgs {
+namespace {
+
+constexpr auto SPIN = std::chrono::microseconds(30);
+
+class Pool {
+ public:
+  explicit Pool(int count) : count_(count) {
+    for (int thread = 1; thread < count; ++thread) std::thread([this, thread] { serve(thread); }).detach();
+  }
+
+  int count() const { return count_; }
+
+  void run(int64_t items, const std::function<void(int64_t, int)>& work) {
+    std::lock_guard<std::mutex> turn(turn_);
+    items_ = items;
+    work_ = &work;
+    error_ = nullptr;
+    next_.store(0, std::memory_order_relaxed);
+    busy_.store(count_ - 1, std::memory_order_relaxed);
+    {
+      std::lock_guard<std::mutex> lock(mutex_);
+      round_.fetch_add(1, std::memory_order_release);
+    }
+    wake_.notify_all();
+    take(0);
+    if (!spin([this] { return busy_.load(std::memory_order_acquire) == 0; })) {
+      std::unique_lock<std::mutex> lock(mutex_);
+      done_.wait(lock, [this] { return busy_.load(std::memory_order_acquire) == 0; });
+    }
+    if (error_) std::rethrow_exception(error_);
+  }
+
+ private:
+  template <class Condition>
+  static bool spin(Condition ready) {
+    const auto until = std::chrono::steady_clock::now() + SPIN;
+    do {
+      for (int i = 0; i < 64; ++i)
+        if (ready()) return true;
+    } while (std::chrono::steady_clock::now() < until);
+    return false;
+  }
+
+  void take(int thread) {
+    try {
+      for (int64_t item; (item = next_.fetch_add(1, std::memory_order_relaxed)) < items_;) (*work_)(item, thread);
+    } catch (...) {
+      std::lock_guard<std::mutex> lock(mutex_);
+      if (!error_) error_ = std::current_exception();
+    }
+  }
+
+  void serve(int thread) {
+    for (uint64_t seen = 0;;) {
+      const auto news = [&] { return round_.load(std::memory_order_acquire) != seen; };
+      if (!spin(news)) {
+        std::unique_lock<std::mutex> lock(mutex_);
+        wake_.wait(lock, [&] { return news() || retired_; });
+      }
+      if (!news()) return;  // retired
+      seen = round_.load(std::memory_order_acquire);
+      take(thread);
+      if (busy_.fetch_sub(1, std::memory_order_acq_rel) == 1) {
+        std::lock_guard<std::mutex> lock(mutex_);
+        done_.notify_one();
+      }
+    }
+  }
+
+ public:
+  // Lets the threads go; the object itself is left behind (they may still be looking at it).
+  void retire() {
+    std::lock_guard<std::mutex> turn(turn_);
+    std::lock_guard<std::mutex> lock(mutex_);
+    retired_ = true;
+    wake_.notify_all();
+  }
+
+ private:
+  const int count_;
+  std::mutex turn_, mutex_;
+  std::condition_variable wake_, done_;
+  std::atomic<uint64_t> round_{0};
+  std::atomic<int64_t> next_{0};
+  std::atomic<int> busy_{0};
+  int64_t items_ = 0;
+  const std::function<void(int64_t, int)>* work_ = nullptr;
+  std::exception_ptr error_;
+  bool retired_ = false;
+};
+
+// Pools are never freed: threads may wait on them until the process ends.
+std::atomic<Pool*> current{nullptr};
+std::atomic<int> wanted{1};
+
+Pool& pool() {
+  Pool* now = current.load(std::memory_order_acquire);
+  if (now && now->count() == wanted.load()) return *now;
+  static std::mutex* making = new std::mutex;
+  std::lock_guard<std::mutex> lock(*making);
+  now = current.load(std::memory_order_acquire);
+  if (now && now->count() == wanted.load()) return *now;
+#ifdef ECONGS_FORKS
+  // A forked child has none of the threads and perhaps a locked mutex: it starts a pool of its own.
+  static const int registered =
+      pthread_atfork(nullptr, nullptr, [] { current.store(nullptr, std::memory_order_release); });
+  (void)registered;
+#endif
+  Pool* const fresh = new Pool(wanted.load());
+  current.store(fresh, std::memory_order_release);
+  if (now) now->retire();
+  return *fresh;
+}
+
+}  // namespace
+
+int threads() { return wanted.load(); }
+
+void set_threads(int count) { wanted.store(count); }
+
+void parallel(int64_t items, const std::function<void(int64_t, int)>& work) {
+  if (items <= 0) return;
+  if (items == 1 || threads() == 1) {
+    for (int64_t item = 0; item < items; ++item) work(item, 0);
+    return;
+  }
+  pool().run(items, work);
+}
+
+void parallel_ranges(int64_t count, int64_t grain,
+                     const std::function<void(int64_t, int64_t, int)>& work) {
+  parallel((count + grain - 1) / grain, [&](int64_t item, int thread) {
+    work(item * grain, std::min(count, (item + 1) * grain), thread);
+  });
+}
+
+}  // namespace econgs
