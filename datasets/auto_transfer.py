@@ -99,28 +99,43 @@ def _bin(values: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def _background(values: NDArray[np.float32], stats: Statistics) -> NDArray[np.bool_]:
-    """Bins around the commonest value of the volume's border, as far as its noise reaches.
+    """Bins around the commonest value of the volume's border.
 
-    It is background only if it is common inside as well, and homogeneous: its gradients are weak.
+    Where it is common inside as well and homogeneous (its gradients are weak), they reach as far as its
+    noise does. Where less than half of the volume would be left out, they are widened towards the commoner
+    neighbours: what fills the box hides itself.
     """
     number = stats.count
-    inside = np.zeros(_BINS, dtype=bool)
+    total = int(number.sum())
     faces = np.concatenate([np.take(values, k, axis).reshape(-1) for axis in range(3) for k in (0, -1)])
-    mode = int(np.bincount(_bin(faces), minlength=_BINS).argmax())
-    low, high = max(mode - 2, 0), min(mode + 3, _BINS)
-    common = number[low:high].sum() / number.sum()
-    slope = stats.area[low:high].sum() / max(number[low:high].sum(), 1)
-    if common < 0.1 or slope > 0.5 * stats.area.sum() / number.sum():
-        return inside
-    low = high = mode
-    while low > 0 and number[low - 1] > 0.02 * number[mode]:
-        low -= 1
-    while high < _BINS - 1 and number[high + 1] > 0.02 * number[mode]:
-        high += 1
-    if high - low > _BINS // 4:  # a smooth decay is structure, not noise
-        low, high = max(mode - 2, 0), min(mode + 2, _BINS - 1)
+    low = high = int(np.bincount(_bin(faces), minlength=_BINS).argmax())
+    near = slice(max(low - 2, 0), low + 3)
+    common = number[near].sum()
+    slope = stats.area[near].sum() / max(common, 1)
+    if common >= 0.1 * total and slope <= 0.5 * stats.area.sum() / total:
+        smooth = np.convolve(number, np.ones(3), mode="same")  # integers leave bins empty
+        low, high = _grow(smooth, low, -1, 0.02), _grow(smooth, high, 1, 0.02)
+        if high - low > _BINS // 4:  # a smooth decay is structure, not noise
+            low, high = max(near.start, 0), min(near.stop, _BINS) - 1
+    rest = total - int(number[low : high + 1].sum())
+    while rest > 0.5 * total and (low > 0 or high < _BINS - 1):
+        below = number[low - 1] if low > 0 else -1
+        above = number[high + 1] if high < _BINS - 1 else -1
+        if rest - max(below, above) < 0.2 * total:
+            break
+        rest -= int(max(below, above))
+        low, high = (low - 1, high) if below > above else (low, high + 1)
+    inside = np.zeros(_BINS, dtype=bool)
     inside[low : high + 1] = True
     return inside
+
+
+def _grow(number: NDArray[np.floating], start: int, step: int, share: float) -> int:
+    """The last bin from ``start`` on with more than that share of its count."""
+    at = start
+    while 0 <= at + step < _BINS and number[at + step] > share * number[start]:
+        at += step
+    return at
 
 
 def _cuts(stats: Statistics, count: int) -> list[float]:
@@ -140,7 +155,7 @@ def _cuts(stats: Statistics, count: int) -> list[float]:
     edges = [first, *(int(i) + 1 for i in np.searchsorted(share, targets)), last + 1]
     for i in range(1, wanted):
         reach = max(min(edges[i] - edges[i - 1], edges[i + 1] - edges[i]) // 4, 0)
-        window = np.arange(edges[i] - reach, edges[i] + reach + 1)
+        window = np.arange(edges[i] - reach, min(edges[i] + reach, _BINS - 1) + 1)
         weak = np.where(stats.count[window] > 0, stats.gradient[window], np.inf)
         if np.isfinite(weak).any():
             edges[i] = int(window[weak.argmin()])
@@ -157,8 +172,9 @@ def _two_valued(stats: Statistics) -> list[float]:
 
     Interpolation between the samples passes all values between theirs.
     """
-    if stats.background.any():
-        low, high = np.flatnonzero(stats.background)[[0, -1]]
+    background = np.flatnonzero(stats.background & (stats.count > 0))
+    if len(background):
+        low, high = background[[0, -1]]
         return [0.5 * (high + 1) / _BINS + 0.5, 1.0] if low < _BINS - 1 - high else [0.0, 0.5 * low / _BINS]
     return [0.5, 1.0]
 

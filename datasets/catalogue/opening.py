@@ -184,4 +184,4 @@ def _views_folder(path: Path) -> Dataset:
 
 def safe_name(text: str) -> str:
     """A name for folders, tables and command lines: letters, digits, ``_``, ``-`` and ``.``."""
-    return re.sub(r"[^A-Za-z0-9_.-]+", "_", text).strip("_.-") or "volume"
+    return re.sub(r"[^A-Za-z0-9.-]+", "_", text).strip("_.-") or "volume"

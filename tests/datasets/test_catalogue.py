@@ -1,0 +1,178 @@
+"""The catalogue: names, paths, what is missing, and pictures' worth of every scene."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.catalogue import entries, list_datasets, open_dataset
+from datasets.catalogue.opening import safe_name
+from datasets.errors import DataError, UnknownName
+
+ALL = {"vortices", "shells", "vis_male", "fuel", "nucleon", "hydrogen_atom", "boston_teapot", "csafe_heptane",
+       "stent_ct", "stroke_mri", "vortex_views", "vortex_views_400"}  # fmt: skip
+
+
+@pytest.fixture
+def data() -> Path:
+    folder = os.environ.get("BENCH_DATA", "").split(os.pathsep)[0]
+    if not folder or not Path(folder).is_dir():
+        if os.environ.get("CI"):
+            pytest.fail("CI needs BENCH_DATA")
+        pytest.skip("BENCH_DATA is not set")
+    return Path(folder)
+
+
+def test_every_set_is_listed_without_numpy() -> None:
+    code = (
+        "import sys; from datasets.catalogue import list_datasets; print(*[d.name for d in list_datasets()]);"
+        "print([m for m in ('numpy', 'torch', 'mitsuba', 'nibabel') if m in sys.modules])"
+    )
+    names, heavy = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    assert set(names.split()) >= ALL
+    assert heavy == "[]"
+
+
+def test_what_is_missing_is_said(tmp_path: Path) -> None:
+    infos = {info.name: info for info in list_datasets([tmp_path])}
+    assert infos["vortices"].available
+    assert not infos["fuel"].available
+    for part in (
+        "BENCH_DATA",
+        str(tmp_path),
+        "http://klacansky.com",
+        entries.entry("fuel")["files"][0]["sha512"],
+    ):
+        assert part in infos["fuel"].where
+    with pytest.raises(DataError) as caught:
+        open_dataset("fuel", data_dirs=[tmp_path])
+    assert "BENCH_DATA" in str(caught.value)
+    assert "fuel_64x64x64_uint8.raw" in str(caught.value)
+
+
+def test_unknown_names() -> None:
+    with pytest.raises(UnknownName, match="vis_male"):
+        open_dataset("vis_mal")
+    with pytest.raises(DataError, match="no number"):
+        open_dataset("vortices@big")
+    with pytest.raises(DataError, match="out of range"):
+        open_dataset("vortices", resolution=100_000)
+    with pytest.raises(DataError, match="only procedural"):
+        open_dataset("fuel@32")
+
+
+def test_default_dataset_has_two_scenes_that_show_different_voxels() -> None:
+    dataset = open_dataset("vortices")
+    assert dataset.name == "vortices"
+    assert len(dataset.scenes) == 2
+    assert dataset.compositions["all"] == tuple(scene.name for scene in dataset.scenes)
+    values = dataset.volume("vortices").normalised()
+    assert values.shape == (64, 64, 64)
+    first, second = (scene.transfer.classify(values)[..., 3] > 0 for scene in dataset.scenes)
+    assert not (first & second).any()
+
+
+def test_resolution() -> None:
+    assert open_dataset("shells@24").volume("shells").dims == (24, 24, 24)
+    assert open_dataset("shells@24").name == "shells@24"
+    assert open_dataset("shells", resolution=24).volume("shells").dims == (24, 24, 24)
+
+
+@pytest.mark.parametrize("name", sorted(ALL))
+def test_entries_are_sound(name: str) -> None:
+    said = entries.entry(name)
+    scenes = [scene["name"] for scene in said["scenes"]]
+    assert len(set(scenes)) == len(scenes) >= 2
+    for parts in entries.compositions_of(said).values():
+        assert set(parts) <= set(scenes)
+        assert len(parts) >= 2
+    for scene in said["scenes"]:
+        for bump in scene.get("bumps", []):
+            assert bump["range"] == sorted(bump["range"])
+            assert 0 <= bump["range"][0] < bump["range"][3] <= 1
+            assert 0 < bump["opacity"] < 1
+            assert all(0 <= c <= 1 for c in bump["color"])
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", sorted(ALL - {"vortices", "shells"}))
+def test_real_sets(data: Path, name: str) -> None:
+    dataset = open_dataset(name)
+    info = next(i for i in list_datasets() if i.name == name)
+    assert info.available
+    if dataset.kind == "views":
+        assert all((scene.views_folder / "points3d.ply").is_file() for scene in dataset.scenes)
+        return
+    seen = []
+    for scene in dataset.scenes:
+        volume = dataset.volume(scene.variable)
+        assert volume.dims == info.dims
+        visible = scene.transfer.classify(volume.normalised()[::2, ::2, ::2])[..., 3] > 0
+        assert 1e-4 < visible.mean() < 0.3, scene.name
+        seen.append((scene.variable, visible))
+    for i, (variable, a) in enumerate(seen):
+        for other, b in seen[:i]:
+            assert variable != other or (a & b).sum() < 0.1 * min(a.sum(), b.sum())
+
+
+@pytest.mark.data
+def test_views_folder_by_path(data: Path) -> None:
+    dataset = open_dataset(data / "vortex_views")
+    assert [scene.name for scene in dataset.scenes] == ["TF01", "TF02", "TF03", "TF04"]
+    assert dataset.kind == "views"
+    assert not dataset.compositions
+    assert [s.name for s in open_dataset(data / "vortex_views" / "TF02").scenes] == ["TF02"]
+
+
+def test_a_file_nobody_knows(tmp_path: Path) -> None:
+    values = (np.arange(24**3) % 251).astype(np.uint8).reshape(24, 24, 24)
+    path = tmp_path / "my scan (1)_24x24x24_uint8.raw"
+    path.write_bytes(values.tobytes())
+    dataset = open_dataset(path)
+    assert dataset.name == "my_scan_1_24x24x24_uint8"
+    assert dataset.kind == "volume"
+    np.testing.assert_array_equal(dataset.volume(dataset.scenes[0].variable).values, values)
+    with pytest.raises(DataError, match="no such file"):
+        open_dataset(tmp_path / "none_2x2x2_uint8.raw")
+    with pytest.raises(DataError, match=r"transforms_train\.json"):
+        open_dataset(tmp_path)
+
+
+def test_safe_names() -> None:
+    assert safe_name("../ä b") == "b"
+    assert safe_name("§") == "volume"
+
+
+def test_download_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    served, user = tmp_path / "served", tmp_path / "user"
+    served.mkdir()
+    content = bytes(range(256)) * 1024
+    (served / "f.raw").write_bytes(content)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=served))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    said = dict(entries.entry("fuel"))
+    file = {**said["files"][0], "url": f"http://127.0.0.1:{server.server_port}/f.raw"}
+    monkeypatch.setattr(entries, "user_folder", lambda: user)
+    real = entries.entry
+    monkeypatch.setattr(entries, "entry", lambda name: said if name == "fuel" else real(name))
+    try:
+        said["files"] = [{**file, "sha512": "0" * 128}]
+        with pytest.raises(DataError, match="could not be fetched"):
+            open_dataset("fuel", data_dirs=[user], download=True)
+        said["files"] = [{**file, "sha512": hashlib.sha512(content).hexdigest()}]
+        dataset = open_dataset("fuel", data_dirs=[user], download=True)
+        assert dataset.volume("value").values.tobytes() == content
+    finally:
+        server.shutdown()
+        server.server_close()

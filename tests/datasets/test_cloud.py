@@ -1,0 +1,125 @@
+"""Point clouds: where opacity is, in the colors of the transfer function; PLY both ways."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import RegularGridInterpolator
+
+from datasets.cloud import PointCloud, initial_cloud, random_cloud, read_ply, write_ply
+from datasets.errors import DataError
+from datasets.scene import BasicScene, Dataset
+from datasets.transfer import Bump, TransferFunction
+from datasets.volume import Volume
+
+COLOR = (0.2, 0.4, 0.9)
+
+
+def _dataset(shape: tuple[int, int, int], bump: tuple[float, float, float, float]) -> Dataset:
+    nz, ny, nx = shape
+    z, y, x = np.meshgrid(np.linspace(0, 1, nz), np.linspace(0, 1, ny), np.linspace(0, 1, nx), indexing="ij")
+    values = (0.5 * x + 0.3 * y + 0.2 * z).astype(np.float32)
+    volume = Volume("v", values, (1.0, 2.0, 0.5), (0.0, 1.0), "test")
+    transfer = TransferFunction("t", (Bump("b", *bump, COLOR, 0.5),))
+    return Dataset("d", "test", "volume", (BasicScene("t", "v", transfer),), volumes={"v": lambda: volume})
+
+
+@pytest.mark.parametrize("shape", [(20, 30, 40), (8, 10, 600)])
+def test_points_lie_where_opacity_is(shape: tuple[int, int, int]) -> None:
+    dataset = _dataset(shape, (0.4, 0.45, 0.5, 0.55))
+    cloud = initial_cloud(dataset, "t", max_points=500)
+    assert 0 < len(cloud) <= 500
+    volume = dataset.volume("v")
+    low, high = volume.box
+    axes = [np.linspace(low[a], high[a], n) for a, n in ((2, shape[0]), (1, shape[1]), (0, shape[2]))]
+    at = np.clip(cloud.points[:, ::-1], [a[0] for a in axes], [a[-1] for a in axes])
+    values = RegularGridInterpolator(axes, volume.values.astype(float))(at)
+    assert values.min() > 0.4 - 1e-4
+    assert values.max() < 0.55 + 1e-4
+    np.testing.assert_allclose(cloud.colors, np.tile(COLOR, (len(cloud), 1)), atol=1e-6)
+    assert len(np.unique(cloud.points, axis=0)) == len(cloud)
+    assert len(np.unique(cloud.points[:, 0])) < 256
+
+
+def test_same_seed_same_cloud() -> None:
+    dataset = _dataset((20, 30, 40), (0.2, 0.3, 0.5, 0.6))
+    first, again, other = (initial_cloud(dataset, dataset.scenes[0], 100, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.points, again.points)
+    assert (first.points != other.points).any()
+
+
+def test_all_visible_voxels_if_they_are_few() -> None:
+    dataset = _dataset((5, 6, 7), (0.4, 0.45, 0.5, 0.55))
+    values = dataset.volume("v").values.astype(np.float64)
+    assert len(initial_cloud(dataset, "t")) == np.count_nonzero((values > 0.4) & (values < 0.55))
+
+
+def test_nothing_visible() -> None:
+    dataset = _dataset((2, 2, 2), (0.51, 0.52, 0.53, 0.54))
+    volume = dataset.volume("v")
+    volume.values[volume.values > 0.45] = 1.0
+    with pytest.raises(DataError, match="no voxel has opacity"):
+        initial_cloud(dataset, "t")
+
+
+def test_ply_round_trip(tmp_path: Path) -> None:
+    cloud = random_cloud(1000, 1.3, seed=4)
+    assert np.abs(cloud.points).max() <= 1.3
+    write_ply(tmp_path / "points3d.ply", cloud)
+    again = read_ply(tmp_path / "points3d.ply")
+    np.testing.assert_array_equal(again.points, cloud.points)
+    np.testing.assert_allclose(again.colors, cloud.colors, atol=0.5 / 255 + 1e-6)
+    scene = BasicScene("s", views_folder=tmp_path)
+    dataset = Dataset("d", "", "views", (scene,))
+    np.testing.assert_array_equal(initial_cloud(dataset, scene).points, cloud.points)
+    assert len(initial_cloud(dataset, scene, max_points=10)) == 10
+
+
+HEADER = (
+    "ply\nformat {} 1.0\ncomment made by hand\nelement vertex 2\nproperty double x\nproperty float y\n"
+    "property float z\nproperty float nx\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
+    "element face 0\nproperty list uchar int vertex_indices\nend_header\n"
+)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply_of_others(tmp_path: Path, encoding: str) -> None:
+    rows = [(1.5, -2.0, 3.0, 0.0, 255, 0, 51), (0.0, 0.25, 1.0, 1.0, 0, 102, 255)]
+    if encoding == "ascii":
+        body = "\n".join(" ".join(map(str, row)) for row in rows).encode() + b"\n"
+    else:
+        order = "<" if "little" in encoding else ">"
+        body = np.array(rows, dtype=[("x", order + "f8"), *[(n, order + "f4") for n in ("y", "z", "n")],
+                                     *[(n, "u1") for n in "rgb"]]).tobytes()  # fmt: skip
+    (tmp_path / "c.ply").write_bytes(HEADER.format(encoding).encode() + body)
+    cloud = read_ply(tmp_path / "c.ply")
+    np.testing.assert_allclose(cloud.points, [row[:3] for row in rows])
+    np.testing.assert_allclose(cloud.colors, np.array([row[4:] for row in rows]) / 255)
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(at=st.floats(0, 0.999), value=st.integers(0, 255), cut=st.booleans())
+def test_damaged_ply(tmp_path: Path, at: float, value: int, cut: bool) -> None:
+    path = tmp_path / "c.ply"
+    write_ply(path, random_cloud(6, 1.0))
+    data = bytearray(path.read_bytes())
+    where = int(at * len(data))
+    data[where:] = b"" if cut else bytes([value]) + data[where + 1 :]
+    path.write_bytes(data)
+    try:
+        cloud = read_ply(path)
+    except DataError as error:
+        assert str(path) in str(error)  # noqa: PT017
+    else:
+        assert isinstance(cloud, PointCloud)
+        assert np.isfinite(cloud.points).all()
+        assert not cut or len(cloud) < 7
+
+
+def test_missing_ply(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="no such point cloud"):
+        read_ply(tmp_path / "points3d.ply")

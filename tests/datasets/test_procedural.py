@@ -1,0 +1,61 @@
+"""Procedural volumes: the same field at any resolution, and with the structure they promise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from datasets import procedural
+from datasets.errors import DataError
+
+
+@pytest.mark.parametrize("name", procedural.FIELDS)
+def test_same_field_at_any_resolution(name: str) -> None:
+    coarse, fine = procedural.make_volume(name, 17), procedural.make_volume(name, 33)
+    difference = coarse.values.astype(int) - fine.values[::2, ::2, ::2].astype(int)
+    assert np.abs(difference).max() <= 1
+
+
+@pytest.mark.parametrize("name", procedural.FIELDS)
+def test_deterministic_by_seed(name: str) -> None:
+    first, again, other = (procedural.make_volume(name, 24, seed) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(first.values, again.values)
+    assert np.corrcoef(first.values.reshape(-1), other.values.reshape(-1))[0, 1] < 0.99
+
+
+def test_vortex_values_peak_on_the_zeros_of_the_wave_field() -> None:
+    # Independent of the separable sums: the waves added one by one at a few points.
+    k = np.arange(-8, 9)
+    kz, ky, kx = np.meshgrid(k, k, k, indexing="ij")
+    length = np.sqrt(kx**2 + ky**2 + kz**2)
+    amplitude = np.where((length > 0) & (length <= 8), np.maximum(length, 1) ** (-11 / 6), 0)
+    generator = np.random.default_rng(3)
+    modes = amplitude * (
+        generator.standard_normal(length.shape) + 1j * generator.standard_normal(length.shape)
+    )
+    vectors = np.stack([kx, ky, kz], axis=-1)
+    volume = procedural.make_volume("vortices", 21, seed=3)
+    for z, y, x in [(0, 0, 0), (3, 11, 20), (17, 5, 8)]:
+        at = np.array([x, y, z]) / 20
+        waves = modes * np.exp(2j * np.pi * vectors @ at)
+        psi = waves.sum()
+        slope = np.linalg.norm((2j * np.pi * vectors * waves[..., None]).sum(axis=(0, 1, 2)))
+        expected = 1 / (1 + 2 * abs(psi) ** 2 / slope**2 / 0.02**2)
+        assert volume.normalised()[z, y, x] == pytest.approx(expected, abs=2e-5)
+
+
+def test_vortices_are_thin_and_shells_are_nested() -> None:
+    vortices = procedural.make_volume("vortices", 64).normalised()
+    assert 0.01 < (vortices > 0.5).mean() < 0.15
+    shells = procedural.make_volume("shells", 48).normalised()
+    for level in (0.12, 0.3, 0.6):
+        _, parts = ndimage.label(shells > level)
+        assert parts == 1
+    assert shells[0, 0, 0] == 0.0
+
+
+@pytest.mark.parametrize("resolution", [0, -1, 7, 4096])
+def test_absurd_resolutions(resolution: int) -> None:
+    with pytest.raises(DataError, match="out of range"):
+        procedural.make_volume("vortices", resolution)
