@@ -15,10 +15,11 @@ MARKERS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "star"
 # For parts of a whole (the size ledger): muted, so that they are not taken for methods.
 PARTS = ("#4C6A92", "#A7BBD1", "#B5838D", "#E5C1BD", "#6D8B74", "#C9D7B8", "#8D7B68", "#D9CBB3", "#999999")
 MIB = float(2**20)
-MISSING = "–"
+MISSING = "\N{EN DASH}"
 TITLES = {
     "3dgs": "3DGS", "econgs": "ECoNGS", "scaffold-gs": "Scaffold-GS", "hac": "HAC", "ivr-gs": "iVR-GS",
-    "vq-3dgs": "VQ-3DGS", "plenoxels": "Plenoxels", "ccnerf": "CCNeRF", "veg": "VEG", "triangle-mesh": "Triangle mesh",
+    "vq-3dgs": "VQ-3DGS", "plenoxels": "Plenoxels", "ccnerf": "CCNeRF", "veg": "VEG",
+    "triangle-mesh": "Triangle mesh",
 }  # fmt: skip
 
 

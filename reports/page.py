@@ -1,0 +1,423 @@
+"""The report: one HTML file that needs no network, with the same charts and tables beside it as files."""
+
+from __future__ import annotations
+
+import json
+import os
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from reports import charts, plots
+from reports.panels import DELTA_E_MAX, Panel, panels, scale
+from reports.style import MISSING, absent, color, label, mib, seconds, series
+from reports.tables import (
+    COLUMNS,
+    cell,
+    quality,
+    ranks,
+    summary,
+    title,
+    to_csv,
+    to_latex,
+    to_markdown,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+PICTURE_BYTES = 4_500_000
+"""Room for example pictures; with the chart library (4.8 MB) the page stays under 10 MB."""
+_TRADEOFFS = (
+    ("PSNR and size", "size_bytes"),
+    ("PSNR and speed", "fps"),
+    ("PSNR and training time", "train_seconds"),
+)
+_HERE = Path(__file__).parent
+
+
+def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path:
+    """Write the report.
+
+    Beside it go ``charts/`` (PDF and PNG), ``results.csv``, ``results.md`` and ``results.tex``.
+
+    Args:
+        tables: results, views, curve, ledger, timing and features as documented in docs/architecture.md.
+        root: run store that the picture paths in ``views`` are relative to.
+        out: the HTML file.
+
+    Returns:
+        ``out``.
+    """
+    results = tables["results"]
+    body = [
+        _head(results),
+        _results(results),
+        _scenes(tables, root),
+        _tradeoffs(results),
+        _ledger(tables["ledger"]),
+        _provenance(results),
+    ]
+    if not results.empty:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        charts.write(tables, out.parent / "charts")
+        for ending, write in (("csv", to_csv), ("md", to_markdown), ("tex", to_latex)):
+            _write(out.parent / f"results.{ending}", write(results))
+    _write(out, _document(_name(results), "\n".join(body)))
+    return out
+
+
+def _write(path: Path, text: str) -> None:
+    """A file is whole or as it was."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    aside.write_text(text, encoding="utf-8")
+    os.replace(aside, path)
+
+
+def _document(name: str, body: str) -> str:
+    from plotly.offline import get_plotlyjs
+
+    css, js = ((_HERE / file).read_text(encoding="utf-8") for file in ("page.css", "page.js"))
+    plotly = f"<script>{get_plotlyjs()}</script>\n<script>{js}</script>" if "data-figure" in body else ""
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(name)}</title>\n<style>\n{css}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n"
+        f"{plotly}\n</body>\n</html>\n"
+    )
+
+
+def _name(results: pd.DataFrame) -> str:
+    datasets = _listed(results, "dataset")
+    return f"Benchmark report: {datasets}" if datasets else "Benchmark report"
+
+
+def _listed(results: pd.DataFrame, column: str) -> str:
+    """The different values of a column, in order."""
+    return ", ".join(str(value) for value in results[column].dropna().unique() if str(value))
+
+
+# --------------------------------------------------------------------------- summary
+
+
+def _head(results: pd.DataFrame) -> str:
+    if results.empty:
+        return (
+            "<h1>Benchmark report</h1><p>The run store holds no results yet. "
+            "<code>bench run quick</code> makes some.</p>"
+        )
+    sizes = {f"{w} × {h}" for w, h in zip(results["width"], results["height"], strict=True) if not absent(w)}
+    facts = [
+        ("Methods", ", ".join(series(results))),
+        ("Datasets", _listed(results, "dataset")),
+        ("Scenes", str(len(results[["dataset", "scene"]].drop_duplicates()))),
+        ("Preset, split", f"{_listed(results, 'preset')}, {_listed(results, 'split')}"),
+        ("Image size", ", ".join(sorted(sizes)) or MISSING),
+        ("Training views", _listed(results, "train_views") or MISSING),
+        ("Seeds", _listed(results, "seed")),
+        ("Machine", f"{_listed(results, 'machine')} ({_listed(results, 'device')})"),
+    ]
+    cards = "".join(f'<div class="fact"><span>{escape(k)}</span><b>{escape(v)}</b></div>' for k, v in facts)
+    counts = results["status"].value_counts()
+    tags = " ".join(
+        f'<span class="tag {"ok" if status == "ok" else "bad"}">{count} {escape(str(status))}</span>'
+        for status, count in counts.items()
+    )
+    stale = int(results["stale"].fillna(False).astype(bool).sum())
+    if stale:
+        tags += f' <span class="tag stale">{stale} stale</span>'
+    links = "".join(
+        f'<a href="#{anchor}">{text}</a>'
+        for anchor, text in (
+            ("results", "Results"),
+            ("scenes", "Scenes"),
+            ("tradeoffs", "Trade-offs"),
+            ("ledger", "Size ledger"),
+            ("provenance", "Provenance"),
+        )
+    )
+    return f'<h1>{escape(_name(results))}</h1><p>{tags}</p><nav>{links}</nav><div class="facts">{cards}</div>'
+
+
+# --------------------------------------------------------------------------- results
+
+
+def _results(results: pd.DataFrame) -> str:
+    if results.empty:
+        return ""
+    metrics = quality(results)
+    columns = [
+        *metrics,
+        "size_bytes",
+        "primitives",
+        "train_seconds",
+        "load_seconds",
+        "fps",
+        "peak_host_bytes",
+    ]
+    if results["peak_device_bytes"].notna().any():
+        columns.append("peak_device_bytes")
+    axes = [a for a in ("kind", "preset", "split", "seed", "device") if results[a].nunique(dropna=False) > 1]
+    means, names = summary(results), series(results)
+    marks, mean_marks = ranks(results), ranks(means)
+    head = "".join(
+        f'<th class="{"r" if name in columns else ""}" title="{escape(COLUMNS[name].doc if name in COLUMNS else "")}">'
+        f"{escape(title(name))}</th>"
+        for name in ("scene", "method", *axes, "status", *columns)
+    )
+    lines = []
+    for dataset, rows in results.groupby("dataset", sort=False):
+        span = len(columns) + len(axes) + 3
+        lines.append(f'<tr class="group"><td colspan="{span}">{escape(str(dataset))}</td></tr>')
+        for index, row in rows.iterrows():
+            first = f"<td>{escape(str(row['scene']))}</td><td>{_method(row, names)}</td>"
+            first += "".join(f"<td>{escape(cell(axis, row[axis]))}</td>" for axis in axes)
+            first += f"<td>{_status(row)}</td>"
+            lines.append(f"<tr>{first}{_cells(row, columns, marks, index, _reasons(row))}</tr>")
+        for index, row in means[means["dataset"] == dataset].iterrows():
+            first = f"<td>{'all' if row['complete'] else 'incomplete'} ({escape(row['scenes'])} scenes)</td>"
+            first += f"<td>{_method(row, names)}</td>"
+            first += "".join(f"<td>{escape(cell(axis, row.get(axis)))}</td>" for axis in axes)
+            state = "mean, sum" if row["complete"] else _abbr("no average", row["note"])
+            if row["stale"]:
+                state += ' <span class="tag stale">stale</span>'
+            missing = {name: row["note"] or "missing in some scene" for name in columns}
+            cells = _cells(row, columns, mean_marks, index, missing, spread=row["psnr_std"])
+            lines.append(f'<tr class="mean">{first}<td>{state}</td>{cells}</tr>')
+    note = (
+        "Quality and FPS of the rows “all” are means over scenes, size and time are sums, memory is the "
+        "maximum. Sizes are MiB (2<sup>20</sup> bytes). "
+    )
+    if marks or mean_marks:
+        note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
+    if metrics[0] == "ssim":
+        note += "LPIPS could not be computed (the reason stands in its cells), so SSIM and FLIP lead. "
+    note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '
+    note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
+    return (
+        f'<h2 id="results">Results</h2><div class="wide"><table><thead><tr>{head}</tr></thead>'
+        f'<tbody>{"".join(lines)}</tbody></table></div><p class="note">{note}</p>{_failures(results)}'
+    )
+
+
+def _cells(
+    row: Any,
+    columns: list[str],
+    marks: dict[tuple[Any, str], int],
+    index: Any,
+    reasons: dict[str, str],
+    spread: Any = None,
+) -> str:
+    cells = []
+    for name in columns:
+        text = escape(cell(name, row[name]))
+        if absent(row[name]):
+            text = _abbr(MISSING, reasons.get(name) or reasons.get("", "not measured"))
+        elif name == "psnr" and not absent(spread):
+            text += f" ± {spread:.2f}"
+        place = {1: " first", 2: " second"}.get(marks.get((index, name), 0), "")
+        cells.append(f'<td class="r{place}">{text}</td>')
+    return "".join(cells)
+
+
+def _reasons(row: Any) -> dict[str, str]:
+    """Column -> why it is missing; "" for all others. `reason` lists "metric: why" joined by "; "."""
+    text = "" if absent(row["reason"]) else str(row["reason"])
+    if row["status"] != "ok":
+        return {"": f"{row['status']}: {text}" if text else str(row["status"])}
+    parts = (part.partition(": ") for part in text.split("; "))
+    return {name: why for name, _, why in parts if name in COLUMNS}
+
+
+def _abbr(text: str, why: str) -> str:
+    return f'<abbr title="{escape(str(why))}">{escape(text)}</abbr>'
+
+
+def _method(row: Any, names: list[str]) -> str:
+    shade = color(label(row["method"], row["variant"]), names)
+    return f'<span class="dot" style="background:{shade}"></span>{escape(label(row["method"], row["variant"], row["rate"]))}'
+
+
+def _status(row: Any) -> str:
+    status = str(row["status"])
+    why = "" if absent(row["reason"]) else str(row["reason"])
+    tag = (
+        f'<span class="tag {"ok" if status == "ok" else "bad"}" title="{escape(why)}">{escape(status)}</span>'
+    )
+    if not absent(row["stale"]) and row["stale"]:
+        tag += ' <span class="tag stale" title="the method\'s source has changed since">stale</span>'
+    return tag
+
+
+def _failures(results: pd.DataFrame) -> str:
+    bad = results[results["status"] != "ok"]
+    if bad.empty:
+        return ""
+    names = series(results)
+    lines = "".join(
+        f"<tr><td>{escape(str(row['dataset']))}</td><td>{escape(str(row['scene']))}</td><td>{_method(row, names)}</td>"
+        f"<td>{_status(row)}</td><td>{escape(cell('stage', row['stage']))}</td>"
+        f'<td class="wrap">{escape(cell("reason", row["reason"]))}</td></tr>'
+        for _, row in bad.iterrows()
+    )
+    return (
+        "<h3>What did not finish</h3>"
+        '<div class="wide"><table><thead><tr><th>Dataset</th><th>Scene</th><th>Method</th><th>Status</th>'
+        f"<th>Stage</th><th>Reason</th></tr></thead><tbody>{lines}</tbody></table></div>"
+    )
+
+
+# --------------------------------------------------------------------------- scenes
+
+
+def _scenes(tables: dict[str, pd.DataFrame], root: Path) -> str:
+    results, curve, views = tables["results"], tables["curve"], tables["views"]
+    if results.empty:
+        return ""
+    examples, left_out = panels(views, root, PICTURE_BYTES)
+    names, order = series(results), series(curve)
+    parts = ['<h2 id="scenes">Scenes</h2>', _scalebar()]
+    for (dataset, scene), rows in results.groupby(["dataset", "scene"], sort=False):
+        parts.append(f'<section class="scene"><h3>{escape(str(dataset))} / {escape(str(scene))}</h3>')
+        for _, row in rows.iterrows():
+            shown = examples.get(str(row["job"]), [])
+            told = f"<p>{_method(row, names)} "
+            if row["seed"] and results["seed"].nunique() > 1:
+                told += f'<span class="soft">seed {row["seed"]}</span> '
+            parts.append(told + ("" if row["status"] == "ok" else _status(row)) + "</p>")
+            if shown:
+                parts.append(f'<div class="triptychs">{"".join(_triptych(panel) for panel in shown)}</div>')
+        parts.append("</section>")
+    if left_out:
+        parts.append(
+            f'<p class="note">{left_out} further example views were left out to keep this file small.</p>'
+        )
+    pairs = [plots.convergence(curve, against) for against in ("train_seconds", "iteration")]
+    if pairs[0] or pairs[1]:
+        parts.append(
+            "<h2>Convergence</h2><p>PSNR on the validation views while training; the clock stands still "
+        )
+        parts.append("during these evaluations.</p>" + _legend(order, order))
+        for dataset in dict.fromkeys([*pairs[0], *pairs[1]]):
+            drawn = [_chart(figures[dataset], "") for figures in pairs if dataset in figures]
+            parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(drawn)}</div>')
+    return "\n".join(parts)
+
+
+def _triptych(panel: Panel) -> str:
+    values = f"PSNR <b>{cell('psnr', panel.psnr)}</b> dB · SSIM <b>{cell('ssim', panel.ssim)}</b>"
+    values += f" · ΔE*uv <b>{cell('delta_e_uv', panel.delta_e)}</b>"
+    foot = f'<div class="values"><span>{values}</span><span class="soft">{panel.which}, view {escape(panel.view)}</span></div>'
+    if panel.problem:
+        return f'<figure class="card"><p class="note">{escape(panel.problem)}</p>{foot}</figure>'
+    images = (("ground truth", panel.truth), ("render", panel.render), ("ΔE*uv", panel.difference))
+    cells = "".join(
+        f'<img src="{source}" alt="{what}"{" class=pixels" if source.startswith("data:image/png") else ""}>'
+        for what, source in images
+    )
+    cells += "".join(f"<span>{what}</span>" for what, _ in images)
+    return f'<figure class="card"><div class="triptych">{cells}</div>{foot}</figure>'
+
+
+def _scalebar() -> str:
+    stops = ", ".join("rgb({},{},{})".format(*scale()[i]) for i in range(0, 256, 15))
+    return (
+        "<p>Worst, median and best view of each model by PSNR. Difference is CIELUV ΔE*<sub>uv</sub>; "
+        "about 1 is just noticeable.</p>"
+        f'<div class="scalebar"><span>ΔE*uv&nbsp; 0</span><span class="bar" style="background:linear-gradient('
+        f'to right,{stops})"></span><span>{DELTA_E_MAX:.0f} and more</span></div>'
+    )
+
+
+# --------------------------------------------------------------------------- charts
+
+
+_figures = 0
+
+
+def _chart(figure: plots.Figure, caption: str) -> str:
+    """A chart: its JSON, and the element that the page's script draws it into."""
+    global _figures
+    _figures += 1
+    name = f"figure-{_figures}"
+    text = json.dumps(figure, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    head = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+    height = figure["layout"]["height"]
+    return (
+        f'<figure class="card">{head}<div data-figure="{name}" style="height:{height}px"></div>'
+        f'<script type="application/json" id="{name}">{text}</script></figure>'
+    )
+
+
+def _legend(shown: list[str], names: list[str]) -> str:
+    """Which color is which method, where charts have too many lines to name each."""
+    if len(shown) < 2:
+        return ""
+    entries = " &nbsp; ".join(
+        f'<span class="dot" style="background:{color(name, names)}"></span>{escape(name)}' for name in shown
+    )
+    return f'<p class="note">{entries}</p>'
+
+
+def _tradeoffs(results: pd.DataFrame) -> str:
+    drawn = {against: plots.tradeoffs(results, against) for _, against in _TRADEOFFS}
+    datasets = list(dict.fromkeys(name for figures in drawn.values() for name in figures))
+    if not datasets:
+        return ""
+    parts = ['<h2 id="tradeoffs">Trade-offs</h2>']
+    parts.append(
+        "<p>Large marks: mean over the dataset's scenes; small marks: single scenes. Horizontal axes are "
+    )
+    parts.append("logarithmic.</p>")
+    for dataset in datasets:
+        cards = [_chart(drawn[a][dataset], caption) for caption, a in _TRADEOFFS if dataset in drawn[a]]
+        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(cards)}</div>')
+    return "\n".join(parts)
+
+
+def _ledger(table: pd.DataFrame) -> str:
+    figure = plots.ledger(table)
+    if figure is None:
+        return ""
+    words = "Bytes of the files that a model is loaded from, by part, over all scenes of a dataset."
+    return f'<h2 id="ledger">Size ledger</h2><p>{words}</p>{_chart(figure, "")}'
+
+
+# --------------------------------------------------------------------------- provenance
+
+
+def _provenance(results: pd.DataFrame) -> str:
+    if results.empty:
+        return ""
+    columns = ("commit", "machine", "device", "threads", "preset", "iterations", "variant")
+    keys = ["method", "dataset", *columns]
+    lines = []
+    names = series(results)
+    for _, rows in results.groupby(keys, dropna=False, sort=False):
+        row = rows.iloc[0]
+        kernel = rows["reference_seconds"].dropna()
+        times = f"{kernel.min() * 1e3:.1f} to {kernel.max() * 1e3:.1f} ms" if len(kernel) else MISSING
+        cells = [_method(row, names), escape(str(row["dataset"])), _code(row["commit"], 12)]
+        cells += [
+            escape(cell(name, row[name])) for name in ("machine", "device", "threads", "preset", "iterations")
+        ]
+        cells += [escape(str(row["variant"])) if row["variant"] else "preset’s own", times]
+        cells += [f"{len(rows)}", seconds(float(rows["group_seconds"].drop_duplicates().fillna(0).sum()))]
+        memory = rows["group_peak_host_bytes"].dropna()
+        cells.append(f"{mib(float(memory.max()))} MiB" if len(memory) else MISSING)
+        lines.append("<tr>" + "".join(f"<td>{text}</td>" for text in cells) + "</tr>")
+    heads = ("Method", "Dataset", "Commit", "Machine", "Device", "Threads", "Preset", "Iterations", "Options")
+    heads += ("Reference kernel", "Rows", "Fit time", "Fit memory")
+    head = "".join(f"<th>{text}</th>" for text in heads)
+    return (
+        f'<h2 id="provenance">Provenance</h2><div class="wide"><table><thead><tr>{head}</tr></thead>'
+        f"<tbody>{''.join(lines)}</tbody></table></div>"
+        '<p class="note">The reference kernel is a fixed piece of work timed before and after each measurement: '
+        "speeds from different moments or machines can be normalised by it. All resolved options, software versions "
+        "and job identifiers stand in the run store's records and in <code>results.csv</code>.</p>"
+    )
+
+
+def _code(value: Any, digits: int) -> str:
+    return MISSING if absent(value) else f"<code>{escape(str(value)[:digits])}</code>"

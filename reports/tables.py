@@ -1,0 +1,282 @@
+"""Tables for people: the columns of `results` they read, in their units; CSV, Markdown, LaTeX, terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from reports.style import MISSING, absent, label, mib, seconds
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_KEYS = ["dataset", "method", "variant", "rate", "preset", "split"]
+_MEAN = ("psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv", "fps")
+_SUM = ("size_bytes", "train_seconds", "load_seconds", "primitives")
+_MAX = ("peak_host_bytes", "peak_device_bytes")
+
+
+class Column(NamedTuple):
+    """How a column is shown.
+
+    Attributes:
+        title: header with unit.
+        write: value -> text; called on values that are present.
+        better: 1 if higher is better, -1 if lower is, 0 if it is not ranked.
+        doc: tooltip of the header.
+    """
+
+    title: str
+    write: Callable[[Any], str]
+    better: int = 0
+    doc: str = ""
+
+
+def _fixed(digits: int) -> Callable[[Any], str]:
+    return lambda value: f"{value:.{digits}f}"
+
+
+def _fps(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 else f"{value:.1f}" if value >= 1 else f"{value:.3f}"
+
+
+COLUMNS: dict[str, Column] = {
+    "dataset": Column("Dataset", str),
+    "scene": Column("Scene", str),
+    "method": Column("Method", str),
+    "scenes": Column("Scenes", str),
+    "seeds": Column("Seeds", str),
+    "psnr": Column("PSNR [dB]", _fixed(2), 1, "mean over views; per image on 8-bit composited RGB"),
+    "psnr_std": Column("± [dB]", _fixed(2), 0, "standard deviation of PSNR over seeds"),
+    "psnr_fg": Column("PSNR fg [dB]", _fixed(2), 1, "over pixels where truth or model has alpha >= 1/255"),
+    "ssim": Column("SSIM", _fixed(4), 1, "Gaussian 11x11, sigma 1.5, interior"),
+    "lpips_vgg": Column("LPIPS", _fixed(4), -1, "VGG, input in [-1, 1]"),
+    "lpips_vgg01": Column("LPIPS [0,1]", _fixed(4), -1, "VGG, unscaled input in [0, 1]"),
+    "lpips_alex": Column("LPIPS Alex", _fixed(4), -1, "AlexNet, input in [-1, 1]"),
+    "flip": Column("FLIP", _fixed(4), -1, "mean, 67 pixels per degree"),
+    "delta_e_uv": Column("ΔE*uv", _fixed(2), -1, "mean CIELUV color difference, D65"),
+    "size_bytes": Column("Size [MiB]", mib, -1,
+                         "bytes of the files that load opens; the scene's share of its group"),
+    "primitives": Column("Primitives", lambda value: f"{int(value):,}"),
+    "train_seconds": Column("Training", seconds, -1, "partition + fit + encode; the scene's share"),
+    "load_seconds": Column("Load", seconds, -1, "from files to a model ready to render"),
+    "fps": Column("FPS", _fps, 1, "1 / median frame time, camera to image, of the loaded model"),
+    "peak_host_bytes": Column("Host mem. [MiB]", mib, -1, "peak of fit and measurement"),
+    "peak_device_bytes": Column("Device mem. [MiB]", mib, -1, "peak device memory"),
+    "status": Column("Status", str),
+    "reason": Column("Reason", str),
+    "file": Column("Image", str),
+    "identical": Column("Identical", lambda value: "yes" if value else "no"),
+}  # fmt: skip
+
+
+def quality(table: pd.DataFrame) -> list[str]:
+    """The quality metrics in the order they are shown: where LPIPS is missing, SSIM and FLIP lead."""
+    if "lpips_vgg" in table and table["lpips_vgg"].notna().any():
+        return ["psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv"]
+    return ["ssim", "flip", "psnr", "psnr_fg", "delta_e_uv", "lpips_vgg"]
+
+
+def is_results(table: pd.DataFrame) -> bool:
+    """Whether a table is `results` as documented, not one made for people."""
+    return {"job", "status", "variant"} <= set(table.columns)
+
+
+def shown(results: pd.DataFrame) -> pd.DataFrame:
+    """What people read of `results`: method with variant and rate in one name, no columns of bookkeeping.
+
+    Columns that say the same for all rows (seed, device memory where there is none) are left out.
+    """
+    import pandas as pd
+
+    names = ["dataset", "scene", "method", *quality(results), "size_bytes", "primitives", "train_seconds"]
+    names += ["load_seconds", "fps", "peak_host_bytes"]
+    if results["peak_device_bytes"].notna().any():
+        names.append("peak_device_bytes")
+    out = pd.DataFrame({name: results[name] for name in names}, index=results.index)
+    out["method"] = [label(*row) for row in results[["method", "variant", "rate"]].itertuples(index=False)]
+    for axis in ("kind", "preset", "split", "seed", "device"):
+        if results[axis].nunique(dropna=False) > 1:
+            out.insert(3, axis, results[axis])
+    out["status"] = [_status(row) for row in results[["status", "stale"]].itertuples(index=False)]
+    out["reason"] = results["reason"]
+    return out
+
+
+def _status(row: Any) -> str:
+    status, stale = row
+    return f"{status} (stale)" if not absent(stale) and stale else str(status)
+
+
+def summary(results: pd.DataFrame) -> pd.DataFrame:
+    """Per dataset and method: means over scenes of quality and FPS, sums of size and time, maximum of memory.
+
+    Several seeds are averaged after that, and ``psnr_std`` is their spread. Composed rows do not take part.
+    A set is complete if every scene that `results` knows of this dataset (at this preset and split) is "ok"
+    for every seed of the method; all numbers of an incomplete set are missing, and ``note`` says why.
+    """
+    import pandas as pd
+
+    basic = results[results["kind"] == "basic"]
+    rows: list[dict[str, Any]] = []
+    for keys, group in basic.groupby(_KEYS, dropna=False, sort=False):
+        row: dict[str, Any] = dict(zip(_KEYS, keys, strict=True))
+        same = (basic["dataset"] == row["dataset"]) & (basic["preset"] == row["preset"])
+        wanted = set(basic.loc[same & (basic["split"] == row["split"]), "scene"])
+        good = group[group["status"] == "ok"]
+        seeds = sorted(set(group["seed"].dropna()))
+        lacking = [
+            (s, seed) for seed in seeds for s in sorted(wanted - set(good.loc[good["seed"] == seed, "scene"]))
+        ]
+        row["scenes"] = f"{len(wanted) - len({s for s, _ in lacking})} of {len(wanted)}"
+        row["seeds"], row["complete"] = len(seeds), not lacking
+        row["stale"] = bool(group["stale"].fillna(False).any())
+        row["note"] = _note(group, lacking)
+        per_seed = [good[good["seed"] == seed] for seed in seeds] if not lacking else []
+        for names, how in ((_MEAN, "mean"), (_SUM, "sum"), (_MAX, "max")):
+            for name in names:
+                values = [_reduce(part[name], how) for part in per_seed]
+                known = values and all(value is not None for value in values)
+                row[name] = (
+                    sum(value for value in values if value is not None) / len(values) if known else None
+                )
+        psnr = [_reduce(part["psnr"], "mean") for part in per_seed]
+        row["psnr_std"] = float(pd.Series(psnr).std()) if len(psnr) > 1 and None not in psnr else None
+        rows.append(row)
+    columns = [*_KEYS, "scenes", "seeds", "complete", *_MEAN, "psnr_std", *_SUM, *_MAX, "stale", "note"]
+    table = pd.DataFrame(rows, columns=columns)
+    numbers = [*_MEAN, "psnr_std", *_SUM, *_MAX]
+    table[numbers] = table[numbers].astype("Float64")
+    return table
+
+
+def _reduce(values: pd.Series, how: str) -> float | None:
+    """Of one set; None if any is missing."""
+    if values.empty or values.isna().any():
+        return None
+    return float(values.astype(float).agg(how))
+
+
+def _note(group: pd.DataFrame, lacking: list[tuple[Any, Any]]) -> str:
+    told = []
+    for scene in dict.fromkeys(scene for scene, _ in lacking):
+        status = group.loc[(group["scene"] == scene) & (group["status"] != "ok"), "status"]
+        told.append(f"{scene}: {status.iloc[0] if len(status) else 'not run'}")
+    return "incomplete, no average: " + "; ".join(told) if told else ""
+
+
+def ranks(results: pd.DataFrame) -> dict[tuple[Any, str], int]:
+    """(row label, column) -> 1 for the best and 2 for the second best, where several methods share a scene.
+
+    Only finished rows compete; equal values as shown share a rank.
+    """
+    places: dict[tuple[Any, str], int] = {}
+    by = [c for c in ("dataset", "scene", "kind", "preset", "split", "seed") if c in results]
+    if results.empty:
+        return places
+    for _, group in results.groupby(by, dropna=False, sort=False):
+        rivals = group[group["complete"]] if "complete" in group else group[group["status"] == "ok"]
+        for name, column in COLUMNS.items():
+            if not column.better or name not in rivals:
+                continue
+            values = rivals[name].dropna()
+            texts = {index: column.write(value) for index, value in values.items()}
+            order = sorted(values.items(), key=lambda item: -column.better * float(item[1]))
+            distinct = list(dict.fromkeys(texts[index] for index, _ in order))
+            if len(values) < 2 or len(distinct) < 2:
+                continue
+            for index, text in texts.items():
+                if distinct.index(text) < 2:
+                    places[index, name] = distinct.index(text) + 1
+    return places
+
+
+def cell(name: str, value: Any) -> str:
+    """One value as text in the column's unit; an en dash if it is missing."""
+    if absent(value):
+        return MISSING
+    column = COLUMNS.get(name)
+    if column is not None:
+        return column.write(value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def title(name: str) -> str:
+    """A column's header."""
+    return COLUMNS[name].title if name in COLUMNS else name.replace("_", " ").capitalize()
+
+
+def to_csv(table: pd.DataFrame) -> str:
+    """All columns with raw values; missing is empty."""
+    return table.to_csv(index=False, lineterminator="\n")
+
+
+def to_markdown(table: pd.DataFrame) -> str:
+    """A pipe table; the best value in bold, the second in italics. `results` is cut to what people read."""
+    marks = ranks(table)
+    if is_results(table):
+        table = shown(table)
+    lines = ["| " + " | ".join(_md(title(name)) for name in table.columns) + " |"]
+    lines.append("|" + "|".join("---:" if _right(name) else "---" for name in table.columns) + "|")
+    for index, row in table.iterrows():
+        texts = []
+        for name in table.columns:
+            sign = {1: "**", 2: "*"}.get(marks.get((index, name), 0), "")
+            texts.append(f"{sign}{_md(cell(name, row[name]))}{sign}")
+        lines.append("| " + " | ".join(texts) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def to_latex(table: pd.DataFrame) -> str:
+    """A booktabs tabular; the best value bold, the second underlined. `results` is cut to what is read."""
+    marks = ranks(table)
+    if is_results(table):
+        table = shown(table).drop(columns="reason")
+    spec = "".join("r" if _right(name) else "l" for name in table.columns)
+    lines = ["% needs \\usepackage{booktabs}", f"\\begin{{tabular}}{{{spec}}}", "\\toprule"]
+    lines += [" & ".join(_tex(title(name)) for name in table.columns) + r" \\", r"\midrule"]
+    for index, row in table.iterrows():
+        texts = []
+        for name in table.columns:
+            text = _tex(cell(name, row[name]))
+            macro = {1: "textbf", 2: "underline"}.get(marks.get((index, name), 0))
+            texts.append(f"\\{macro}{{{text}}}" if macro else text)
+        lines.append(" & ".join(texts) + r" \\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
+
+
+def terminal_rows(results: pd.DataFrame) -> list[list[str]]:
+    """Header and lines of the table that ends a run; reasons only where something failed."""
+    table = shown(results)
+    if table["lpips_vgg"].isna().all():
+        table = table.drop(columns="lpips_vgg")
+    failed = results["status"] != "ok"
+    table["reason"] = table["reason"].where(failed, None)
+    if not failed.any():
+        table = table.drop(columns="reason")
+    header = [title(name) for name in table.columns]
+    body = [
+        ["" if name == "reason" and absent(row[name]) else cell(name, row[name]) for name in table.columns]
+        for _, row in table.iterrows()
+    ]
+    return [header, *body]
+
+
+def _right(name: str) -> bool:
+    return name in COLUMNS and COLUMNS[name].write is not str
+
+
+def _md(text: str) -> str:
+    return text.replace("\\", "\\\\").replace("|", "\\|").replace("*", "\\*").replace("\n", " ")
+
+
+_TEX = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{",
+    "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\n": " ", "Δ": r"$\Delta$",
+    "±": r"$\pm$", MISSING: "--",
+    "*": r"$^{*}$",
+}  # fmt: skip
+
+
+def _tex(text: str) -> str:
+    return "".join(_TEX.get(sign, sign) for sign in text)
