@@ -39,7 +39,7 @@ class Volume:
     def extent(self) -> NDArray[np.float64]:
         """(3,) side lengths x, y, z of the box in scene space; the longest is 1."""
         sides = (np.array(self.dims) - 1) * np.array(self.spacing)
-        return sides / sides.max()
+        return np.asarray(sides / sides.max(), dtype=np.float64)
 
     @property
     def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
