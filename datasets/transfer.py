@@ -92,5 +92,5 @@ def _trapezoid(x: NDArray[np.float64], bump: Bump) -> NDArray[np.float64]:
 
 def _ramp(x: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
     if high <= low:
-        return (x >= high) * 1.0
+        return (x >= high).astype(np.float64)
     return np.clip((x - low) / (high - low), 0.0, 1.0)
