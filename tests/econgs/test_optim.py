@@ -57,14 +57,15 @@ def run(dtype: torch.dtype, device: str, steps: int) -> tuple[Adam, dict[str, to
     return ours, {name: one.detach() for name, one in exact.items()}
 
 
-def test_float32_follows_torch(splat: Any, backend: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_float32_follows_torch(backend: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ECONGS_BACKEND", backend.name)
     start = draw(torch.float64, "cpu")
     ours, exact = run(torch.float32, backend.device, 25)
     for name in SHAPES:
         moved = ours[name].detach().double().cpu() - start[name]
-        # Rounding of the values themselves (6e-8 of about 1, 25 times) is all that may differ.
-        assert (moved - (exact[name] - start[name])).abs().max() < 3e-6
+        expected = exact[name] - start[name]
+        # Each step rounds the value (of up to 4) by 1.2e-7 at most, and its own length by a few 1e-7.
+        assert (moved - expected).abs().max() < 25 * 1.2e-7 + 1e-5 * expected.abs().max()
         assert moved.abs().max() > 5 * RATES[name] * 0.3
 
 
