@@ -1,5 +1,5 @@
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from methods.gaussian_splatting.schedule import Schedule
@@ -25,6 +25,7 @@ def test_the_published_schedule_at_the_published_budget():
     assert schedule.decayed(30_000, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-6)
 
 
+@settings(deadline=None, max_examples=20)
 @given(st.integers(100, 40_000))
 def test_growth_happens_at_least_ten_times_in_its_own_half(iterations):
     schedule = Schedule(iterations)
@@ -35,6 +36,7 @@ def test_growth_happens_at_least_ten_times_in_its_own_half(iterations):
     assert growth[-1] < iterations / 2 + 1
 
 
+@settings(deadline=None, max_examples=20)
 @given(st.integers(1, 40_000), st.integers(0, 3))
 def test_boundaries_scale_with_the_budget_and_no_budget_is_too_small(iterations, degree):
     schedule = Schedule(iterations, sh_degree=degree)

@@ -1,5 +1,5 @@
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from datasets.errors import DataError, UnknownName
@@ -65,6 +65,7 @@ def test_texts_of_truth(text, value):
     assert resolve(SPEC, "quick", {"opacity_reset": text}).options["opacity_reset"] is value
 
 
+@settings(deadline=None)
 @given(st.integers(-(10**6), 10**6))
 def test_whole_numbers_survive_as_text(number):
     value = check("m", "o", Option(5, "a number"), str(number))
@@ -72,6 +73,7 @@ def test_whole_numbers_survive_as_text(number):
     assert isinstance(value, int)
 
 
+@settings(deadline=None)
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_numbers_survive_as_text(number):
     value = check("m", "o", Option(0.5, "a number"), repr(number))
