@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from reports import data
-from reports.style import MIB, PARTS, color, linear_range, log_range, place_labels, series
+from reports.style import PARTS, color, linear_range, log_range, log_ticks, mib, place_labels, series
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,13 +67,9 @@ def tradeoff(results: pd.DataFrame, against: str) -> Figure:
             low, high = log_range(panel.all_x)
             axis.set_xlim(10**low, 10**high)
             axis.set_ylim(*linear_range(panel.all_y, 2.0))
-            axis.xaxis.set_major_formatter(ticker.FuncFormatter(lambda v, _: f"{v:g}"))
-            if high - low < 1.5:
-                axis.xaxis.set_minor_formatter(
-                    ticker.FuncFormatter(lambda v, _: f"{v:g}" if f"{v:e}"[0] in "25" else "")
-                )
-            else:
-                axis.xaxis.set_minor_formatter(ticker.NullFormatter())
+            ticks = log_ticks(low, high)
+            axis.set_xticks([value for value, _ in ticks], [text for _, text in ticks])
+            axis.xaxis.set_minor_formatter(ticker.NullFormatter())
             for line in panel.lines:
                 shade = color(line.name, names)
                 axis.scatter(line.scene_x, line.scene_y, s=14, color=shade, alpha=0.35, linewidths=0)
@@ -127,7 +123,7 @@ def convergence(curve: pd.DataFrame, against: str = "train_seconds") -> Figure:
             left, right = axis.get_xlim()
             axis.set_xlim(left, right + 0.3 * (right - left))  # room for the labels at the ends
             axis.set_title(dataset, loc="left", fontweight="bold")
-            axis.set_xlabel(data.AXIS[against].title)
+            axis.set_xlabel(data.CURVE_AXIS[against])
             axis.set_ylabel("validation PSNR [dB]")
         figure.canvas.draw()
         for axis, lines in zip(axes, panels.values(), strict=False):
@@ -137,21 +133,25 @@ def convergence(curve: pd.DataFrame, against: str = "train_seconds") -> Figure:
 
 
 def ledger(table: pd.DataFrame) -> Figure:
-    """Bytes by part, a stacked bar per dataset and method."""
+    """Share of the bytes by part, a stacked bar per dataset and method with its total."""
     bars, parts = data.ledger(table)
     with _style():
         figure, (axis,) = _figure(1, 7.2, 1.1 + 0.34 * max(1, len(bars)))
         left = [0.0] * len(bars)
         for i, part in enumerate(parts):
-            widths = [bar.bytes.get(part, 0) / MIB for bar in bars]
+            widths = [bar.percent(part) for bar in bars]
             axis.barh(
                 [bar.title for bar in bars], widths, left=left, color=PARTS[i % len(PARTS)], label=part,
                 height=0.62,
             )  # fmt: skip
             left = [a + b for a, b in zip(left, widths, strict=True)]
-        axis.invert_yaxis()
+        for i, bar in enumerate(bars):
+            axis.text(101, i, f"{mib(bar.total)} MiB", va="center", fontsize=8)
+        axis.set_xlim(0, 118)
+        axis.set_xticks(range(0, 101, 20))
+        axis.set_ylim(len(bars) - 0.4, -0.6)
         axis.grid(axis="y", visible=False)
-        axis.set_xlabel("size [MiB]")
+        axis.set_xlabel("share of size [%]")
         if parts:
             axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure

@@ -22,8 +22,8 @@ AXIS = {
     "size_bytes": AxisSpec("size per scene [MiB]", MIB),
     "fps": AxisSpec("frames per second", 1.0),
     "train_seconds": AxisSpec("training time per scene [s]", 1.0),
-    "iteration": AxisSpec("iteration", 1.0),
 }
+CURVE_AXIS = {"train_seconds": "training time of the fit [s]", "iteration": "iteration"}
 
 
 @dataclass
@@ -149,6 +149,10 @@ class Bar:
     @property
     def total(self) -> int:
         return sum(self.bytes.values())
+
+    def percent(self, part: str) -> float:
+        """Share of a part; models differ in size by orders, so bars of bytes would hide the small ones."""
+        return 100.0 * self.bytes.get(part, 0) / max(1, self.total)
 
 
 def ledger(table: pd.DataFrame) -> tuple[list[Bar], list[str]]:

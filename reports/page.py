@@ -170,7 +170,9 @@ def _results(results: pd.DataFrame) -> str:
     for dataset, rows in results.groupby("dataset", sort=False):
         span = len(columns) + len(axes) + 3
         lines.append(f'<tr class="group"><td colspan="{span}">{escape(str(dataset))}</td></tr>')
-        for index, row in rows.iterrows():
+        order = {scene: i for i, scene in enumerate(rows["scene"].unique())}
+        # The methods of a scene stand together, to be compared.
+        for index, row in rows.sort_values("scene", key=lambda s: s.map(order), kind="stable").iterrows():
             first = f"<td>{escape(str(row['scene']))}</td><td>{_method(row, names)}</td>"
             first += "".join(f"<td>{escape(cell(axis, row[axis]))}</td>" for axis in axes)
             first += f"<td>{_status(row)}</td>"

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 from reports import data
 from reports.style import (
-    MIB,
     PARTS,
     color,
     linear_range,
     log_range,
+    log_ticks,
     marker,
     mib,
     place_labels,
@@ -81,10 +81,11 @@ def _tradeoff(panel: data.Panel, against: str, names: list[str]) -> Figure:
         [place(x, y) for x, y in zip(panel.all_x, panel.all_y, strict=True)],
         names,
     )
-    x_axis = {"type": "log", "range": [low, high], "title": {"text": data.AXIS[against].title}}
-    if high - low < 2:
-        x_axis["dtick"] = "D2"  # 1, 2, 5, 10, ...
-        x_axis["tickformat"] = ".3~g"
+    ticks = log_ticks(low, high)
+    x_axis = {
+        "type": "log", "range": [low, high], "title": {"text": data.AXIS[against].title},
+        "tickvals": [value for value, _ in ticks], "ticktext": [text for _, text in ticks],
+    }  # fmt: skip
     y_axis = {"range": [bottom, top], "title": {"text": "PSNR [dB]"}}
     return _figure(traces, x_axis, y_axis, annotations=notes)
 
@@ -116,7 +117,7 @@ def convergence(curve: pd.DataFrame, against: str) -> dict[str, Figure]:
         low, high = linear_range([y for line in lines for y in line.y], 2.0)
         longest = max(len(line.title) for line in lines)
         wide = end / max(0.4, 1.0 - (7.0 * longest + 16.0) / _WIDTH)  # room for the labels at the ends
-        title = "training time [s]" if against == "train_seconds" else "iteration"
+        title = data.CURVE_AXIS[against]
         hover = f"{title} %{{x:.5~g}}<br>%{{y:.2f}} dB"
         traces = [
             {
@@ -138,30 +139,29 @@ def convergence(curve: pd.DataFrame, against: str) -> dict[str, Figure]:
 
 
 def ledger(table: pd.DataFrame) -> Figure | None:
-    """Bytes by part, a stacked bar per dataset and method; None without data."""
+    """Share of the bytes by part, a stacked bar per dataset and method with its total; None without data."""
     bars, parts = data.ledger(table)
     if not bars:
         return None
     traces = [
         {
             "type": "bar", "orientation": "h", "name": part, "marker": {"color": PARTS[i % len(PARTS)]},
-            "y": [bar.title for bar in bars], "x": [bar.bytes.get(part, 0) / MIB for bar in bars],
+            "y": [bar.title for bar in bars], "x": [bar.percent(part) for bar in bars],
             "customdata": [f"{mib(bar.bytes.get(part, 0))} MiB ({bar.bytes.get(part, 0):,} B)" for bar in bars],
             "hovertemplate": f"{part}: %{{customdata}}<extra>%{{y}}</extra>",
         }
         for i, part in enumerate(parts)
     ]  # fmt: skip
-    widest = max(bar.total for bar in bars) / MIB
     totals = [
         {
-            "x": bar.total / MIB, "y": bar.title, "text": f"{mib(bar.total)} MiB", "showarrow": False,
+            "x": 100, "y": bar.title, "text": f"{mib(bar.total)} MiB", "showarrow": False,
             "xanchor": "left", "xshift": 6, "font": {"size": 12},
         }
         for bar in bars
     ]  # fmt: skip
     return _figure(
         traces,
-        {"title": {"text": "size [MiB]"}, "range": [0, widest * 1.15]},
+        {"title": {"text": "share of size [%]"}, "range": [0, 115], "tickvals": [0, 20, 40, 60, 80, 100]},
         {"autorange": "reversed", "automargin": True, "showline": False, "ticklen": 8},
         barmode="stack",
         bargap=0.35,

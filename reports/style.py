@@ -122,8 +122,21 @@ def log_range(values: Iterable[float]) -> tuple[float, float]:
     if not logs:
         return -1.0, 1.0
     low, high = min(logs), max(logs)
-    room = max(0.25, 0.22 * (high - low))
+    room = max(0.4, 0.22 * (high - low))
     return low - room, high + room
+
+
+def log_ticks(low: float, high: float) -> list[tuple[float, str]]:
+    """Ticks (value, text) of a logarithmic axis from 10**low to 10**high: 1, 2, 5, 10; or decades if it is long."""
+    digits = (1, 2, 5) if high - low < 1.8 else (1,)
+    step = max(1, round((high - low) / 6))
+    ticks = []
+    for power in range(math.floor(low), math.ceil(high) + 1):
+        for digit in digits:
+            value = digit * 10.0**power
+            if low <= math.log10(value) <= high and (len(digits) > 1 or power % step == 0):
+                ticks.append((value, f"{value:,.{max(0, -power)}f}"))
+    return ticks
 
 
 def linear_range(values: Iterable[float], least: float) -> tuple[float, float]:

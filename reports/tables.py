@@ -172,7 +172,7 @@ def ranks(results: pd.DataFrame) -> dict[tuple[Any, str], int]:
     """
     places: dict[tuple[Any, str], int] = {}
     by = [c for c in ("dataset", "scene", "kind", "preset", "split", "seed") if c in results]
-    if results.empty:
+    if results.empty or not by:
         return places
     for _, group in results.groupby(by, dropna=False, sort=False):
         rivals = group[group["complete"]] if "complete" in group else group[group["status"] == "ok"]

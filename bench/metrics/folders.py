@@ -14,6 +14,7 @@ from bench.metrics import METRICS
 from bench.metrics.image import Pair, compute, to_8bit
 from datasets.errors import DataError
 from datasets.png import read_png
+from datasets.views import over
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -98,8 +99,7 @@ def _pair(render: Path, truth: Path, background: Sequence[float]) -> Pair:
             f"is {a.shape[1]}x{a.shape[0]} pixels, but {truth} is {b.shape[1]}x{b.shape[0]}",
             "Render at the size of the ground truth: resizing would change the result",
         )
-    back = np.asarray(background, dtype=np.float64)
-    shown = [to_8bit(image[..., :3] + (1.0 - image[..., 3:].astype(np.float64)) * back) for image in (b, a)]
+    shown = [to_8bit(over(image, (background[0], background[1], background[2]))) for image in (b, a)]
     # Alpha says where there is something; an image without it must not make everything foreground.
     covers = [image[..., 3] >= 1.0 / 255.0 for image, has in ((a, a_has), (b, b_has)) if has]
     foreground = np.logical_or.reduce(covers) if covers else None

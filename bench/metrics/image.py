@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.views import over
+
 IDENTICAL_DB = 100.0
 """PSNR of identical images, and its cap: one 8-bit step in one pixel of a large image would exceed it."""
 _FOREGROUND = 1.0 / 255.0
@@ -47,8 +49,8 @@ class Pair:
         for what, values in (("truth", truth), ("render", rgb), ("alpha", alpha)):
             if not np.isfinite(values).all():
                 raise ValueError(f"{what} holds values that are not finite")
-        back = np.asarray(background, dtype=np.float64)
-        shown = truth[..., :3] + (1.0 - truth[..., 3:4].astype(np.float64)) * back
+        # By the same arithmetic as models and the harness: a perfect render must come out identical.
+        shown = over(truth, (background[0], background[1], background[2]))
         foreground = (truth[..., 3] >= _FOREGROUND) | (alpha >= _FOREGROUND)
         return Pair(to_8bit(shown), to_8bit(rgb), foreground)
 

@@ -1,0 +1,194 @@
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from PIL import Image
+from reports import charts, plots
+from reports.panels import choose, colored, panels, read, scale
+from reports.page import write_report
+from reports.style import place_labels
+
+from .conftest import fill, frame
+
+
+class Checker(HTMLParser):
+    """Collects what the page loads, and whether its elements are closed."""
+
+    VOID = {"meta", "img", "br", "link"}
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        self.sources += [value for name, value in attrs if name == "src"]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "script" not in self.open and "style" not in self.open:
+            self.text.append(data)
+
+
+def page(maker, out=None) -> tuple[str, str]:
+    """The page's source and its text."""
+    path = write_report(maker.tables(), maker.root, out or maker.root / "report.html")
+    source = path.read_text(encoding="utf-8")
+    checker = Checker()
+    checker.feed(source)
+    assert checker.open == []
+    assert all(value.startswith("data:image/") for value in checker.sources)
+    assert path.stat().st_size < 10e6
+    return source, " ".join(" ".join(checker.text).split())
+
+
+def test_a_normal_report_is_whole_and_works_offline(maker):
+    fill(maker, "normal")
+    source, text = page(maker)
+    assert source.count("Plotly.react(") == 1
+    assert "<link" not in source
+    assert source.count('class="triptych"') == 6
+    for words in ("34.20", "31.70", "all (2 of 2 scenes)", "32.95", "68a71d8fe012", "12.3 to 12.3 ms"):
+        assert words in text
+    assert {p.name for p in (maker.root / "charts").iterdir()} == {
+        f"{name}.{ending}"
+        for name in ("psnr-size", "psnr-fps", "psnr-time", "convergence-seconds", "convergence-iterations", "ledger")
+        for ending in ("pdf", "png")
+    }
+    assert all((maker.root / f"results.{ending}").stat().st_size for ending in ("csv", "md", "tex"))
+
+
+def test_a_missing_metric_is_a_dash_with_its_reason(maker):
+    maker.run()
+    source, text = page(maker)
+    assert "backbone weights missing: put vgg16-397923af.pth" in source
+    assert "SSIM and FLIP lead" in text
+    assert text.index("SSIM") < text.index("PSNR [dB]")
+
+
+def test_failures_are_shown_escaped_with_reasons(maker):
+    fill(maker, "failures")
+    source, text = page(maker)
+    assert "<b>cannot</b>" not in source
+    for words in ("1 oom", "1 refused", "1 timeout", "1 stale", "no average", "the fit passed its limit of 8 GiB"):
+        assert words in text
+    assert 'class="r first">36.00' in source
+    assert 'class="r second">33.98' in source
+
+
+def test_an_empty_store_says_so(maker):
+    _, text = page(maker)
+    assert "no results yet" in text
+
+
+def test_nothing_but_failures(maker):
+    maker.run(status="failed", reason="boom")
+    _, text = page(maker)
+    assert "boom" in text
+
+
+def test_missing_pictures_do_not_stop_the_report(maker):
+    maker.run()
+    (maker.root / maker.rows["views"][0]["truth_file"]).unlink()
+    assert "no pictures" in page(maker)[1]
+
+
+def test_paths_out_of_the_store_are_not_read(maker, tmp_path):
+    maker.run(views=1)
+    Image.new("RGB", (96, 96)).save(tmp_path.parent / "secret.png")
+    maker.rows["views"][0]["truth_file"] = "../secret.png"
+    assert "outside the run store" in page(maker)[1]
+
+
+def test_worst_median_and_best_without_repeats(maker):
+    maker.run(views=5)
+    views = maker.tables()["views"]
+    picked = choose(views)
+    assert [views["psnr"][picked[w]] for w in ("worst", "median", "best")] == [
+        views["psnr"].min(), views["psnr"].median(), views["psnr"].max()
+    ]  # fmt: skip
+    assert len(choose(views.head(1))) == 1
+    assert len(set(choose(views.head(2)).values())) == len(choose(views.head(2))) == 2
+
+
+def test_pictures_stay_within_their_budget(maker):
+    for scene in "abcd":
+        maker.run(scene=scene)
+    views = maker.tables()["views"]
+    everything, none_left = panels(views, maker.root, 10**9)
+    assert none_left == 0
+    whole = sum(p.bytes for row in everything.values() for p in row)
+    some, left_out = panels(views, maker.root, whole // 3)
+    kept = [p for row in some.values() for p in row]
+    assert len(kept) + left_out == 12
+    assert {p.which for row in some.values() for p in row} >= {"median"}
+    assert len(some) == 4  # every job shows something before any shows more
+
+
+def test_pictures_are_composited(tmp_path):
+    Image.fromarray(np.array([[[200, 100, 0, 128]]], np.uint8)).save(tmp_path / "a.png")
+    expected = np.rint(np.array([200, 100, 0]) * 128 / 255 + 255 * (1 - 128 / 255))
+    assert np.array_equal(read(tmp_path / "a.png", (1, 1, 1))[0, 0], expected)
+
+
+def test_difference_maps_have_one_fixed_scale():
+    assert np.array_equal(colored(np.array([[0.0, 20.0, 99.0, 10.0]]))[0], scale()[[0, 255, 255, 128]])
+
+
+def test_charts_hold_the_numbers(maker):
+    maker.run(scene="a", psnr=30.0, size=2 << 20, fps=10)
+    maker.run(scene="b", psnr=34.0, size=4 << 20, fps=10)
+    trace = plots.tradeoffs(maker.tables()["results"], "size_bytes")["vortex"]["data"]
+    assert (trace[0]["x"], trace[0]["y"]) == ([2.0, 4.0], [30.0, 34.0])
+    assert (trace[1]["x"], trace[1]["y"]) == ([3.0], [32.0])
+
+
+def test_no_mean_is_drawn_where_scenes_are_missing(maker):
+    fill(maker, "failures")
+    figure = plots.tradeoffs(maker.tables()["results"], "size_bytes")["vortex"]
+    by_color = {t["marker"]["color"]: t for t in figure["data"] if t["mode"] == "lines+markers"}
+    assert sorted(len(t["x"]) for t in by_color.values()) == [0, 1]
+    assert any("3DGS (incomplete)" == note["text"] for note in figure["layout"]["annotations"])
+
+
+def test_ledger_sums_to_the_bytes(maker):
+    fill(maker, "normal")
+    ledger = maker.tables()["ledger"]
+    figure = plots.ledger(ledger)
+    assert sum(t["x"][0] for t in figure["data"]) == pytest.approx(100.0)
+    assert "8.68 MiB" in [note["text"] for note in figure["layout"]["annotations"]]
+    counted = [int(re.search(r"\(([\d,]+) B\)", t["customdata"][0])[1].replace(",", "")) for t in figure["data"]]
+    assert sum(counted) == ledger["bytes"].sum()
+
+
+def test_labels_do_not_overlap():
+    points = [(100 + i % 3, 100 + i) for i in range(6)]
+    texts = ["method number"] * 6
+    boxes = []
+    for (x, y), spot in zip(points, place_labels(points, texts, 330, 250), strict=True):
+        left = x + spot.dx - {"left": 0, "right": 1, "center": 0.5}[spot.anchor] * 6.4 * 13
+        boxes.append((left, y + spot.dy - 7, left + 6.4 * 13, y + spot.dy + 7))
+    for i, a in enumerate(boxes):
+        assert a[0] >= 0
+        assert a[2] <= 330
+        assert not any(a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3] for b in boxes[:i])
+
+
+def test_figures_can_be_drawn_for_many_methods(maker):
+    for method in ("3dgs", "econgs", "hac"):
+        for dataset in ("x", "y"):
+            maker.run(dataset, method=method, views=0, psnr=30 + len(method))
+    tables = maker.tables()
+    figure = charts.tradeoff(tables["results"], "fps")
+    assert [axis.get_title(loc="left") for axis in figure.axes] == ["x", "y"]
+    assert {text.get_text() for text in figure.axes[0].texts} == {"3DGS", "ECoNGS", "HAC"}
+    for axis in figure.axes:
+        assert axis.get_xscale() == "log"
+    assert len(charts.convergence(tables["curve"]).axes) == 2
+    assert frame(["psnr"], []).empty
