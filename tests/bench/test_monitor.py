@@ -1,0 +1,147 @@
+"""Training clock, anytime evaluations and checkpoints."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from bench.checkpoints import read_checkpoint, write_checkpoint
+from bench.monitor import FitMonitor, Stop, Stopped
+from bench.timing import time_frames
+from methods.interface import Checkpoint, Diverged
+
+
+class _Model:
+    def primitives(self, scene=None) -> int:
+        return 5
+
+
+def _monitor(tmp_path, iterations=100, every=1e9, **changes) -> FitMonitor:
+    return FitMonitor(tmp_path / "checkpoint", iterations, {}, lambda **state: None, Stop(), every, **changes)
+
+
+def _drive(
+    monitor: FitMonitor, first: int, last: int, pace: float = 0.0, slow_evaluation: float = 0.0
+) -> None:
+    def model() -> _Model:
+        time.sleep(slow_evaluation)
+        return _Model()
+
+    for i in range(first, last + 1):
+        time.sleep(pace)
+        monitor.progress(i, {"loss": 1.0 / i}, 3)
+        if monitor.due(i):
+            monitor.pause(i, model, lambda i=i: Checkpoint(i, {}, {"i": i}))
+
+
+def test_evaluations_are_log_spaced_and_the_last_iteration_is_stored(tmp_path) -> None:
+    monitor = _monitor(tmp_path)
+    monitor.start()
+    _drive(monitor, 1, 100)
+    monitor.stop()
+    at = [point.iteration for point in monitor.curve]
+    assert 6 <= len(at) <= 10
+    assert at[0] == 2
+    assert at[-1] == 100
+    ratios = np.diff(np.log(at))
+    assert ratios.max() < 2.0 * ratios.mean()
+    assert monitor.final
+    checkpoint, _ = read_checkpoint(tmp_path / "checkpoint")
+    assert (checkpoint.iteration, checkpoint.scalars) == (100, {"i": 100})
+
+
+def test_the_clock_stands_still_while_it_evaluates(tmp_path) -> None:
+    monitor = _monitor(tmp_path, iterations=20)
+    start = time.perf_counter()
+    monitor.start()
+    _drive(monitor, 1, 20, slow_evaluation=0.05)
+    monitor.stop()
+    wall = time.perf_counter() - start
+    assert len(monitor.curve) >= 6
+    assert monitor.seconds <= wall - 0.05 * len(monitor.curve)
+
+
+def test_a_resumed_fit_continues_clock_and_curve(tmp_path) -> None:
+    first = _monitor(tmp_path)
+    first.start()
+    stop = first._stop
+    _drive(first, 1, 49)
+    stop.requested.set()
+    with pytest.raises(Stopped):
+        _drive(first, 50, 60)
+    first.stop()
+    second = _monitor(tmp_path)
+    checkpoint = second.resume()
+    assert checkpoint.iteration == 50
+    assert second.resumed == 1
+    assert [p.iteration for p in second.curve] == [p.iteration for p in first.curve]
+    assert 0.0 < second.seconds <= first.seconds
+    second.start()
+    _drive(second, 51, 100)
+    whole = _monitor(tmp_path / "whole")
+    whole.start()
+    _drive(whole, 1, 100)
+    assert [p.iteration for p in second.curve] == [p.iteration for p in whole.curve]
+
+
+def test_a_stop_at_the_last_iteration_is_too_late(tmp_path) -> None:
+    monitor = _monitor(tmp_path, iterations=5)
+    monitor.start()
+    _drive(monitor, 1, 4)
+    monitor._stop.requested.set()
+    _drive(monitor, 5, 5)
+    assert monitor.final
+
+
+def test_a_loss_that_is_not_finite_diverges(tmp_path) -> None:
+    with pytest.raises(Diverged, match="iteration 3: loss = nan"):
+        _monitor(tmp_path).progress(3, {"loss": float("nan")}, 1)
+
+
+def test_checkpoints_keep_every_bit_and_only_the_newest(tmp_path) -> None:
+    import torch
+
+    generator = torch.Generator().manual_seed(3)
+    arrays = {
+        "x": torch.randn(5, 3, generator=generator),
+        "half": torch.randn(4, generator=generator).half()[::2],
+        "state": generator.get_state(),
+        "empty": torch.zeros(0, 3),
+        "count": torch.tensor([2**60]),
+    }
+    for iteration in (1, 2):
+        write_checkpoint(tmp_path, Checkpoint(iteration, arrays, {"f": 0.1}), {"seconds": 1.5})
+    assert [p.name for p in tmp_path.iterdir()] == ["000000002"]
+    checkpoint, harness = read_checkpoint(tmp_path)
+    assert checkpoint.scalars == {"f": 0.1}
+    assert harness == {"seconds": 1.5}
+    for name, array in arrays.items():
+        assert checkpoint.arrays[name].dtype == array.dtype
+        assert torch.equal(checkpoint.arrays[name], array)
+
+
+def test_a_half_written_checkpoint_is_not_read(tmp_path) -> None:
+    write_checkpoint(tmp_path, Checkpoint(7, {}, {"good": True}), {})
+    (tmp_path / ".000000009").mkdir()
+    (tmp_path / ".000000009" / "checkpoint.json").write_text("{")
+    checkpoint, _ = read_checkpoint(tmp_path)
+    assert checkpoint.iteration == 7
+    write_checkpoint(tmp_path, Checkpoint(9, {}, {"good": True}), {})
+    assert read_checkpoint(tmp_path)[0].iteration == 9
+
+
+def test_frame_times_cover_the_whole_path_alike() -> None:
+    calls: list[int] = []
+
+    def render(camera: int) -> None:
+        calls.append(camera)
+        time.sleep(0.004 if camera == 2 else 0.001)
+
+    times = time_frames(render, [0, 1, 2], "cpu")
+    timed = calls[times.warmup :]
+    assert len(timed) == times.frames
+    assert [timed.count(c) for c in (0, 1, 2)] == [times.frames // 3] * 3
+    assert 0.001 <= times.median < times.p95
+    assert times.p95 >= 0.004

@@ -1,0 +1,171 @@
+"""The store and its tables, without running anything."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pandas as pd
+import pytest
+
+from bench.commands.stores import paired
+from bench.records import EncodeResult, Job, Record, Request, derived_seed, hash_of
+from bench.stages import check_ledger
+from bench.store import Store
+from bench.tables import COLUMNS, frame, rows, share
+from datasets.errors import DataError
+
+
+def _record(status: str = "ok", key: str = "0123", **changes) -> Record:
+    job = Job(
+        kind="encode", key=key, identity={}, dataset="d", dataset_name="d", scenes=("a", "b", "c"),
+        preset="quick", request=Request(train_views=1, test_views=1, width=1, height=1), group="a+b+c", method="m",
+    )  # fmt: skip
+    result = EncodeResult(seconds=1.0, total_bytes=30, ledger={"": {"net": 8}, "a": {"p": 22}})
+    base = {
+        "job": job,
+        "status": status,
+        "started": "",
+        "finished": "",
+        "wall_seconds": 1.0,
+        "encode": result,
+    }
+    return Record.model_validate({**base, **changes})
+
+
+@pytest.mark.parametrize(("total", "n"), [(0, 1), (7, 3), (10, 3), (11, 4), (2**53 + 1, 7)])
+def test_shares_sum(total: int, n: int) -> None:
+    names = [str(i) for i in range(n)]
+    parts = [share(total, names, name) for name in names]
+    assert sum(parts) == total
+    assert max(parts) - min(parts) <= 1
+
+
+def test_a_record_survives_its_file(tmp_path) -> None:
+    store = Store(tmp_path / "s", create=True)
+    record = _record()
+    store.finish(record)
+    assert Store(tmp_path / "s").record(record.job.id) == record
+    assert not list(store.partial.iterdir())
+
+
+def test_a_torn_record_is_named(tmp_path) -> None:
+    store = Store(tmp_path / "s", create=True)
+    store.finish(_record())
+    path = store.jobs / "encode-0123" / "record.json"
+    path.write_text(path.read_text()[:-40])
+    with pytest.raises(DataError, match="not a whole record"):
+        list(Store(tmp_path / "s").records())
+
+
+def test_a_store_of_another_schema_is_refused(tmp_path) -> None:
+    Store(tmp_path / "s", create=True)
+    (tmp_path / "s" / "store.json").write_text(json.dumps({"schema_version": 99}))
+    with pytest.raises(DataError, match="schema version 99"):
+        Store(tmp_path / "s")
+
+
+def test_a_record_is_replaced_whole(tmp_path) -> None:
+    store = Store(tmp_path / "s", create=True)
+    store.finish(_record("failed"))
+    store.finish(_record("ok"))
+    assert store.record("encode-0123").ok
+    assert not list(store.partial.iterdir())
+
+
+def test_keys_do_not_depend_on_order_and_refuse_nan() -> None:
+    assert hash_of({"a": 1, "b": [1.5]}) == hash_of({"b": [1.5], "a": 1})
+    assert hash_of({"a": 1}) != hash_of({"a": 1.5})
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        hash_of({"a": float("nan")})
+
+
+def test_seeds_depend_on_each_axis() -> None:
+    seeds = {
+        derived_seed(*axes) for axes in [("fit", "m", 0), ("fit", "m", 1), ("fit", "n", 0), ("cloud", "m", 0)]
+    }
+    assert len(seeds) == 4
+    assert all(0 <= seed < 2**31 for seed in seeds)
+    assert derived_seed("fit", "m", 0) == derived_seed("fit", "m", 0)
+
+
+@pytest.mark.parametrize(
+    ("ledger", "words"),
+    [
+        ({"": {"x": 9}}, "sums to 9 bytes, the saved files have 10"),
+        ({"z": {"x": 10}}, "not in the group: z"),
+        ({"a": {"x": 11, "y": -1}}, "negative entries: a/y"),
+    ],
+)
+def test_wrong_ledgers(ledger, words: str) -> None:
+    with pytest.raises(RuntimeError, match=words):
+        check_ledger(ledger, 10, ("a",))
+
+
+def test_empty_tables_have_their_columns() -> None:
+    for name, table in rows([]).items():
+        assert list(frame(name, table).columns) == list(COLUMNS[name])
+
+
+def test_documented_columns_are_those_written() -> None:
+    """Against the contract in the architecture page."""
+    import re
+    from pathlib import Path
+
+    text = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text(encoding="utf-8")
+    said = re.search(r"`results`: `([^`]*)`[^`]*`([^`]*)`", text)
+    names = [n.strip() for part in said.groups() for n in part.replace("\n", " ").split(",")]
+    assert names == list(COLUMNS["results"])
+    for table in ("views", "curve", "ledger", "timing", "features"):
+        said = re.search(rf"^`{table}`: `([^`]*)`", text, re.MULTILINE)
+        assert [n.strip() for n in said[1].split(",")] == list(COLUMNS[table])
+
+
+def _views(psnr: list[float], rate=None) -> pd.DataFrame:
+    return frame(
+        "views",
+        [
+            {"dataset": "d", "scene": "a", "method": "m", "variant": "", "rate": rate, "preset": "quick",
+             "split": "test", "seed": 0, "view": str(i), "psnr": p, "job": "j"}
+            for i, p in enumerate(psnr)
+        ],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("rate", [None, 0.5])
+def test_views_are_paired(rate) -> None:
+    table = paired(_views([30.0, 31.0, 32.0], rate), _views([31.0, 31.0], rate))
+    (row,) = table.to_dict("records")
+    assert (row["metric"], row["views"], row["first"], row["second"]) == ("psnr", 2, 30.5, 31.0)
+    assert (row["difference"], row["least"], row["greatest"]) == (0.5, 0.0, 1.0)
+    assert paired(_views([30.0], 1.0), _views([30.0], 2.0)).empty
+
+
+def test_merge_joins_and_prefers_success(bench, make_bench, tmp_path) -> None:
+    other = make_bench(tmp_path / "other", bench.dataset)
+    other.store.parent.mkdir()
+    assert bench.run(scenes=("a",)).returncode == 0
+    assert other.run("--seed", "1", scenes=("a",)).returncode == 0
+    failed = other.store / "failed"
+    shutil.copytree(bench.store, failed)
+    store = Store(failed)
+    (fit,) = [r for r in store.records() if r.job.kind == "fit"]
+    store.finish(fit.model_copy(update={"status": "failed", "reason": "elsewhere", "fit": None}))
+
+    merged = tmp_path / "all"
+    done = bench("merge", failed, bench.store, other.store, "--out", merged)
+    assert done.returncode == 0, done.stderr
+    records = list(Store(merged).records())
+    assert all(r.ok for r in records)
+    assert len(records) == 4 + 3  # the views job is common
+    table = pd.read_parquet(merged / "tables" / "results.parquet")
+    assert list(table["seed"]) == [0, 1]
+    views = pd.read_parquet(merged / "tables" / "views.parquet")
+    assert all((merged / file).is_file() for file in [*views["truth_file"], *views["render_file"]])
+
+    same = bench("compare", merged, merged)
+    assert same.returncode == 0
+    assert "psnr" in same.stdout
+    apart = bench("compare", bench.store, other.store)
+    assert apart.returncode == 2
+    assert "no view in common" in apart.stderr
