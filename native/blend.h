@@ -68,8 +68,8 @@ INLINE Sample evaluate(const Splat& s, float u, float v, const Lattice& at, int 
   Sample r;
   r.dx = load(at.x + block * LANES) - u;
   r.dy = load(at.y + block * LANES) - v;
-  const vf across = fma(r.dx, s.a, r.dy * s.b);
-  vf power = fma(r.dx, across, fma(r.dy * s.c, r.dy, set(s.lift)));
+  const vf across = fma(-r.dy, s.slope, r.dx);
+  vf power = fma(across * s.a, across, fma(r.dy * s.c, r.dy, set(s.lift)));
   power = max(power, set(-40.0f));
   r.raised = exp2(power);
   r.alpha = min(r.raised, set(MAX_ALPHA));

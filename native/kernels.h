@@ -27,10 +27,11 @@ struct Inputs {
   int channels;
 };
 
-// A projected Gaussian: one cache line. log2(alpha) = lift + a dx^2 + b dx dy + c dy^2.
+// A projected Gaussian: one cache line. log2(alpha) = lift + a (dx - slope dy)^2 + c dy^2, a sum of terms of one
+// sign: the usual three-term form cancels for needles.
 struct Splat {
   double u, v;         // centre, pixels
-  float a, b, c, lift;
+  float a, c, lift;
   float depth;
   // The ellipse on which alpha falls to 1/255, a little widened: at height dy its middle lies at slope * dy and
   // its half width is sqrt((bound - dy^2 * inverse) * width2); it is furthest right at dy = tip.

@@ -102,7 +102,8 @@ View view_of(const Doubles& numbers, double near, const Array& alpha) {
   throw std::invalid_argument("the Gaussians hold a value that cannot be used");
 }
 
-std::unique_ptr<Frame> forward_checked(const In& means, const In& quats, const In& scales, const In& opacities,
+// The caller (Python) owns the frame.
+Frame* forward_checked(const In& means, const In& quats, const In& scales, const In& opacities,
                                        const In& features, std::optional<In> offset, const Doubles& numbers,
                                        double near, const Array& image, const Array& alpha, const Array& depth,
                                        const Counts& radii, bool keep) {
@@ -119,7 +120,7 @@ std::unique_ptr<Frame> forward_checked(const In& means, const In& quats, const I
     frame = forward(in, view, out, radius, keep);
   }
   if (!frame) refuse(in);
-  return frame;
+  return frame.release();
 }
 
 void backward_checked(const Frame& frame, const In& means, const In& quats, const In& scales, const In& opacities,
@@ -263,7 +264,7 @@ NB_MODULE(_native, m) {
 
   m.def("forward", forward_checked, nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"),
         nb::arg("features"), nb::arg("offset").none(), nb::arg("view"), nb::arg("near"), nb::arg("image"),
-        nb::arg("alpha"), nb::arg("depth"), nb::arg("radii"), nb::arg("keep"));
+        nb::arg("alpha"), nb::arg("depth"), nb::arg("radii"), nb::arg("keep"), nb::rv_policy::take_ownership);
   m.def("backward", backward_checked, nb::arg("frame"), nb::arg("means"), nb::arg("quats"), nb::arg("scales"),
         nb::arg("opacities"), nb::arg("features"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"), nb::arg("grad_image").none(), nb::arg("grad_alpha").none(),
         nb::arg("grad_depth").none(), nb::arg("to_means"), nb::arg("to_quats"), nb::arg("to_scales"),

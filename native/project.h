@@ -127,8 +127,8 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
     const vd wide = bound * (1.0 + 1e-4) + 1e-4;
     const vd tip = o.b * sqrtd(wide / o.a), top = sqrtd(wide * o.c);
     const vd log2e = setd(1.4426950408889634);
-    const vd a = -0.5 * log2e * o.c * inverse, b = log2e * o.b * inverse, c = -0.5 * log2e * o.a * inverse;
-    const vd slope = o.b / o.c, width2 = o.det / o.c, inverse_c = 1.0 / o.c;
+    const vd inverse_c = 1.0 / o.c, slope = o.b * inverse_c, width2 = o.det * inverse_c;
+    const vd a = -0.5 * log2e * o.c * inverse, c = -0.5 * log2e * inverse_c;
     for (int l = 0; l < DLANES && start + l < end; ++l) {
       const int64_t n = start + l;
       fine &= sound[l] != 0;
@@ -147,7 +147,6 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
       s.u = o.u[l];
       s.v = o.v[l];
       s.a = (float)a[l];
-      s.b = (float)b[l];
       s.c = (float)c[l];
       s.lift = (float)lift[l];
       s.slope = narrow(slope[l]);

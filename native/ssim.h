@@ -2,7 +2,8 @@
 //
 // The window is separable and channels lie side by side, so a row is one array of n = W * C floats and the
 // horizontal filter has a stride of C. Filtering s = x + y and d = x - y and their squares gives all that SSIM
-// needs of x and y from four sums instead of five. Three sweeps over rows, each row on its own:
+// needs of x and y from four sums instead of five. Images are shifted by -1/2 (padding included), which changes no
+// variance but spares float most of the cancellation in flat bright regions. Three sweeps over rows, each row on its own:
 //   1 filter along the row: s, d, s^2, d^2
 //   2 filter down, SSIM and its partial derivatives by mean, square and product, filter these along the row
 //   3 filter these down and put the gradient together
@@ -26,11 +27,15 @@ INLINE vf along(const float* p, int stride) {
   return r;
 }
 
-// Rows outside the image are zero: their pointers are null.
-INLINE vf down(const float* const* rows, int64_t i) {
+// The padding of s, d, s^2 and d^2 after the shift.
+constexpr float PADDING[4] = {-1.0f, 0.0f, 1.0f, 0.0f};
+
+// Rows outside the image have null pointers and hold `outside` throughout.
+INLINE vf down(const float* const* rows, int64_t i, float outside) {
   vf r = {};
   for (int k = 0; k < TAPS; ++k)
-    if (rows[k]) r = fma(load(rows[k] + i), set(TAP[k < SSIM_RADIUS ? SSIM_RADIUS - k : k - SSIM_RADIUS]), r);
+    r = fma(rows[k] ? load(rows[k] + i) : set(outside),
+            set(TAP[k < SSIM_RADIUS ? SSIM_RADIUS - k : k - SSIM_RADIUS]), r);
   return r;
 }
 
@@ -58,22 +63,22 @@ static void ssim_rows(const float* x, const float* y, float* moments, int64_t n,
   const int64_t step = pitch(n), margin = SSIM_RADIUS * channels, wide = step + 2 * margin + LANES;
   for (int plane = 0; plane < 4; ++plane) {
     float* const p = scratch + plane * wide;
-    for (int64_t i = 0; i < margin; ++i) p[i] = 0.0f;
-    for (int64_t i = margin + n; i < wide; ++i) p[i] = 0.0f;
+    for (int64_t i = 0; i < margin; ++i) p[i] = PADDING[plane];
+    for (int64_t i = margin + n; i < wide; ++i) p[i] = PADDING[plane];
   }
   float* const s = scratch + margin;
   x += row * n;
   y += row * n;
   int64_t i = 0;
   for (; i + LANES <= n; i += LANES) {
-    const vf a = load(x + i) + load(y + i), b = load(x + i) - load(y + i);
+    const vf a = (load(x + i) - 0.5f) + (load(y + i) - 0.5f), b = load(x + i) - load(y + i);
     store(s + i, a);
     store(s + wide + i, b);
     store(s + 2 * wide + i, a * a);
     store(s + 3 * wide + i, b * b);
   }
   for (; i < n; ++i) {
-    const float a = x[i] + y[i], b = x[i] - y[i];
+    const float a = (x[i] - 0.5f) + (y[i] - 0.5f), b = x[i] - y[i];
     s[i] = a;
     s[wide + i] = b;
     s[2 * wide + i] = a * a;
@@ -91,12 +96,14 @@ INLINE vf ssim_row(const float* const (*rows)[TAPS], int64_t n, float* s, int64_
   vf total = {};
   for (int64_t i = 0; i < n; i += LANES) {
     vf f[4];
-    for (int plane = 0; plane < 4; ++plane) f[plane] = INSIDE ? down_inside(rows[plane], i) : down(rows[plane], i);
-    const vf mx = 0.5f * (f[0] + f[1]), my = 0.5f * (f[0] - f[1]);
-    const vf squares = 0.5f * (f[2] + f[3]), product = 0.25f * (f[2] - f[3]);
-    const vf mm = mx * my, m2 = mx * mx + my * my;
-    const vf a1 = 2.0f * mm + 1e-4f, b1 = m2 + 1e-4f;
-    const vf a2 = 2.0f * (product - mm) + 9e-4f, b2 = (squares - m2) + 9e-4f;
+    for (int plane = 0; plane < 4; ++plane)
+      f[plane] = INSIDE ? down_inside(rows[plane], i) : down(rows[plane], i, PADDING[plane]);
+    const vf shifted_x = 0.5f * (f[0] + f[1]), shifted_y = 0.5f * (f[0] - f[1]);
+    const vf variances = 0.5f * (f[2] + f[3]) - (shifted_x * shifted_x + shifted_y * shifted_y);
+    const vf covariance = 0.25f * (f[2] - f[3]) - shifted_x * shifted_y;
+    const vf mx = shifted_x + 0.5f, my = shifted_y + 0.5f;
+    const vf a1 = 2.0f * mx * my + 1e-4f, b1 = mx * mx + my * my + 1e-4f;
+    const vf a2 = 2.0f * covariance + 9e-4f, b2 = variances + 9e-4f;
     const vf inverse = 1.0f / (b1 * b2);
     vf value = a1 * a2 * inverse;
     // Partial derivatives by the window's mean of x, of x^2 and of x y.
@@ -166,7 +173,7 @@ static void ssim_gradient(const float* x, const float* y, const float* partials,
     if (partials) {
       vf f[3];
       for (int plane = 0; plane < 3; ++plane)
-        f[plane] = inside ? down_inside(rows[plane], i) : down(rows[plane], i);
+        f[plane] = inside ? down_inside(rows[plane], i) : down(rows[plane], i, 0.0f);
       g += structural * (f[0] + 2.0f * a * f[1] + b * f[2]);
     }
     if (whole) store(grad + i, g);
