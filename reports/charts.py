@@ -16,15 +16,31 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MARKERS = {
-    "circle": "o", "square": "s", "diamond": "D", "triangle-up": "^", "triangle-down": "v", "star": "*",
-    "x": "X", "cross": "P",
-}  # fmt: skip
+    "circle": "o",
+    "square": "s",
+    "diamond": "D",
+    "triangle-up": "^",
+    "triangle-down": "v",
+    "star": "*",
+    "x": "X",
+    "cross": "P",
+}
 _RC: Any = {
-    "font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9, "axes.spines.top": False,
-    "axes.spines.right": False, "axes.grid": True, "grid.color": "#dddddd", "grid.linewidth": 0.6, "axes.axisbelow": True,
-    "axes.edgecolor": "#666666", "pdf.fonttype": 42, "savefig.dpi": 200,
-    "figure.dpi": 100, "legend.frameon": False,
-}  # fmt: skip
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.labelsize": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.edgecolor": "#666666",
+    "pdf.fonttype": 42,
+    "savefig.dpi": 200,
+    "figure.dpi": 100,
+    "legend.frameon": False,
+}
 
 
 @contextmanager
@@ -43,6 +59,12 @@ def _figure(columns: int, width: float = 4.6, height: float = 3.6) -> tuple[Figu
     figure = Figure(figsize=(width * columns, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, [figure.add_subplot(1, columns, i + 1) for i in range(columns)]
+
+
+def _settle(figure: Figure) -> None:
+    """Lay the axes out once; saving would otherwise do it again for each format."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
 
 
 def tradeoff(results: pd.DataFrame, against: str) -> Figure:
@@ -69,7 +91,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> Figure:
             axis.set_ylim(*linear_range(panel.all_y, 2.0))
             ticks = log_ticks(low, high)
             axis.set_xticks([value for value, _ in ticks], [text for _, text in ticks])
-            axis.xaxis.set_minor_formatter(ticker.NullFormatter())
+            axis.xaxis.set_minor_locator(ticker.NullLocator())
             for line in panel.lines:
                 shade = color(line.name, names)
                 axis.scatter(line.scene_x, line.scene_y, s=14, color=shade, alpha=0.35, linewidths=0)
@@ -78,7 +100,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> Figure:
             axis.set_title(panel.dataset, loc="left", fontweight="bold")
             axis.set_xlabel(data.AXIS[against].title)
             axis.set_ylabel("PSNR [dB]")
-        figure.canvas.draw()
+        _settle(figure)
         for axis, panel in zip(axes, panels, strict=False):
             _annotate(axis, panel.labels(), list(zip(panel.all_x, panel.all_y, strict=True)), names)
     return figure
@@ -105,14 +127,22 @@ def _annotate(
     places = place_labels(spots, texts, *size, avoid=around, char=4.9, line=11.0)
     for (x, y, text, name), spot in zip(labels, places, strict=True):
         axis.annotate(
-            text, (x, y), (spot.dx * 0.8, spot.dy), textcoords="offset points", ha=spot.anchor, va="center",
-            color=color(name, names), fontsize=8,
-        )  # fmt: skip
+            text,
+            (x, y),
+            (spot.dx * 0.8, spot.dy),
+            textcoords="offset points",
+            ha=spot.anchor,
+            va="center",
+            color=color(name, names),
+            fontsize=8,
+        )
 
 
-def convergence(curve: pd.DataFrame, against: str = "train_seconds") -> Figure:
-    """Validation PSNR over training seconds or iterations; a panel per dataset, a line per method and scene."""
-    names = series(curve)
+def convergence(
+    curve: pd.DataFrame, against: str = "train_seconds", names: list[str] | None = None
+) -> Figure:
+    """Validation PSNR over training seconds or iterations; a panel per dataset, a line per fitted scene."""
+    names = names or series(curve)  # the colors of the whole report, if it is part of one
     panels = data.convergence(curve, against)
     with _style():
         figure, axes = _figure(max(1, len(panels)))
@@ -125,7 +155,7 @@ def convergence(curve: pd.DataFrame, against: str = "train_seconds") -> Figure:
             axis.set_title(dataset, loc="left", fontweight="bold")
             axis.set_xlabel(data.CURVE_AXIS[against])
             axis.set_ylabel("validation PSNR [dB]")
-        figure.canvas.draw()
+        _settle(figure)
         for axis, lines in zip(axes, panels.values(), strict=False):
             ends = [(line.x[-1], line.y[-1], line.title, line.name) for line in lines]
             _annotate(axis, ends, [], names)
@@ -141,9 +171,13 @@ def ledger(table: pd.DataFrame) -> Figure:
         for i, part in enumerate(parts):
             widths = [bar.percent(part) for bar in bars]
             axis.barh(
-                [bar.title for bar in bars], widths, left=left, color=PARTS[i % len(PARTS)], label=part,
+                [bar.title for bar in bars],
+                widths,
+                left=left,
+                color=PARTS[i % len(PARTS)],
+                label=part,
                 height=0.62,
-            )  # fmt: skip
+            )
             left = [a + b for a, b in zip(left, widths, strict=True)]
         for i, bar in enumerate(bars):
             axis.text(101, i, f"{mib(bar.total)} MiB", va="center", fontsize=8)
@@ -154,12 +188,14 @@ def ledger(table: pd.DataFrame) -> Figure:
         axis.set_xlabel("share of size [%]")
         if parts:
             axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        _settle(figure)
     return figure
 
 
 def write(tables: dict[str, pd.DataFrame], folder: Path) -> list[Path]:
     """Write all charts that have data as PDF and PNG; returns the PNG paths."""
     results, curve, parts = tables["results"], tables["curve"], tables["ledger"]
+    names = series(results, curve)
     wanted: dict[str, Callable[[], Figure]] = {
         f"psnr-{short}": lambda against=against: tradeoff(results, against)  # type: ignore[misc]
         for short, against in (("size", "size_bytes"), ("fps", "fps"), ("time", "train_seconds"))
@@ -167,7 +203,7 @@ def write(tables: dict[str, pd.DataFrame], folder: Path) -> list[Path]:
     }
     for short, against in (("seconds", "train_seconds"), ("iterations", "iteration")):
         if data.convergence(curve, against):
-            wanted[f"convergence-{short}"] = lambda against=against: convergence(curve, against)  # type: ignore[misc]
+            wanted[f"convergence-{short}"] = lambda against=against: convergence(curve, against, names)  # type: ignore[misc]
     if data.ledger(parts)[0]:
         wanted["ledger"] = lambda: ledger(parts)
     folder.mkdir(parents=True, exist_ok=True)

@@ -107,7 +107,11 @@ def _head(results: pd.DataFrame) -> str:
             "<h1>Benchmark report</h1><p>The run store holds no results yet. "
             "<code>bench run quick</code> makes some.</p>"
         )
-    sizes = {f"{w} × {h}" for w, h in zip(results["width"], results["height"], strict=True) if not absent(w)}
+    sizes = {
+        f"{w} \N{MULTIPLICATION SIGN} {h}"
+        for w, h in zip(results["width"], results["height"], strict=True)
+        if not absent(w)
+    }
     facts = [
         ("Methods", ", ".join(series(results))),
         ("Datasets", _listed(results, "dataset")),
@@ -162,7 +166,7 @@ def _results(results: pd.DataFrame) -> str:
     means, names = summary(results), series(results)
     marks, mean_marks = ranks(results), ranks(means)
     head = "".join(
-        f'<th class="{"r" if name in columns else ""}" title="{escape(COLUMNS[name].doc if name in COLUMNS else "")}">'
+        f'<th class="{"r" if name in columns else ""}" title="{escape(_doc(name))}">'
         f"{escape(title(name))}</th>"
         for name in ("scene", "method", *axes, "status", *columns)
     )
@@ -184,7 +188,7 @@ def _results(results: pd.DataFrame) -> str:
             state = "mean, sum" if row["complete"] else _abbr("no average", row["note"])
             if row["stale"]:
                 state += ' <span class="tag stale">stale</span>'
-            missing = {name: row["note"] or "missing in some scene" for name in columns}
+            missing = dict.fromkeys(columns, row["note"] or "missing in some scene")
             cells = _cells(row, columns, mean_marks, index, missing, spread=row["psnr_std"])
             lines.append(f'<tr class="mean">{first}<td>{state}</td>{cells}</tr>')
     note = (
@@ -232,13 +236,18 @@ def _reasons(row: Any) -> dict[str, str]:
     return {name: why for name, _, why in parts if name in COLUMNS}
 
 
+def _doc(name: str) -> str:
+    return COLUMNS[name].doc if name in COLUMNS else ""
+
+
 def _abbr(text: str, why: str) -> str:
     return f'<abbr title="{escape(str(why))}">{escape(text)}</abbr>'
 
 
 def _method(row: Any, names: list[str]) -> str:
     shade = color(label(row["method"], row["variant"]), names)
-    return f'<span class="dot" style="background:{shade}"></span>{escape(label(row["method"], row["variant"], row["rate"]))}'
+    name = escape(label(row["method"], row["variant"], row["rate"]))
+    return f'<span class="dot" style="background:{shade}"></span>{name}'
 
 
 def _status(row: Any) -> str:
@@ -258,8 +267,8 @@ def _failures(results: pd.DataFrame) -> str:
         return ""
     names = series(results)
     lines = "".join(
-        f"<tr><td>{escape(str(row['dataset']))}</td><td>{escape(str(row['scene']))}</td><td>{_method(row, names)}</td>"
-        f"<td>{_status(row)}</td><td>{escape(cell('stage', row['stage']))}</td>"
+        f"<tr><td>{escape(str(row['dataset']))}</td><td>{escape(str(row['scene']))}</td>"
+        f"<td>{_method(row, names)}</td><td>{_status(row)}</td><td>{escape(cell('stage', row['stage']))}</td>"
         f'<td class="wrap">{escape(cell("reason", row["reason"]))}</td></tr>'
         for _, row in bad.iterrows()
     )
@@ -278,7 +287,7 @@ def _scenes(tables: dict[str, pd.DataFrame], root: Path) -> str:
     if results.empty:
         return ""
     examples, left_out = panels(views, root, PICTURE_BYTES)
-    names, order = series(results), series(curve)
+    names, order = series(results), series(results, curve)
     parts = ['<h2 id="scenes">Scenes</h2>', _scalebar()]
     for (dataset, scene), rows in results.groupby(["dataset", "scene"], sort=False):
         parts.append(f'<section class="scene"><h3>{escape(str(dataset))} / {escape(str(scene))}</h3>')
@@ -295,12 +304,12 @@ def _scenes(tables: dict[str, pd.DataFrame], root: Path) -> str:
         parts.append(
             f'<p class="note">{left_out} further example views were left out to keep this file small.</p>'
         )
-    pairs = [plots.convergence(curve, against) for against in ("train_seconds", "iteration")]
+    pairs = [plots.convergence(curve, against, order) for against in ("train_seconds", "iteration")]
     if pairs[0] or pairs[1]:
         parts.append(
             "<h2>Convergence</h2><p>PSNR on the validation views while training; the clock stands still "
         )
-        parts.append("during these evaluations.</p>" + _legend(order, order))
+        parts.append("during these evaluations.</p>" + _legend(series(curve), order))
         for dataset in dict.fromkeys([*pairs[0], *pairs[1]]):
             drawn = [_chart(figures[dataset], "") for figures in pairs if dataset in figures]
             parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(drawn)}</div>')
@@ -310,7 +319,8 @@ def _scenes(tables: dict[str, pd.DataFrame], root: Path) -> str:
 def _triptych(panel: Panel) -> str:
     values = f"PSNR <b>{cell('psnr', panel.psnr)}</b> dB · SSIM <b>{cell('ssim', panel.ssim)}</b>"
     values += f" · ΔE*uv <b>{cell('delta_e_uv', panel.delta_e)}</b>"
-    foot = f'<div class="values"><span>{values}</span><span class="soft">{panel.which}, view {escape(panel.view)}</span></div>'
+    which = f'<span class="soft">{panel.which}, view {escape(panel.view)}</span>'
+    foot = f'<div class="values"><span>{values}</span>{which}</div>'
     if panel.problem:
         return f'<figure class="card"><p class="note">{escape(panel.problem)}</p>{foot}</figure>'
     images = (("ground truth", panel.truth), ("render", panel.render), ("ΔE*uv", panel.difference))
@@ -327,8 +337,9 @@ def _scalebar() -> str:
     return (
         "<p>Worst, median and best view of each model by PSNR. Difference is CIELUV ΔE*<sub>uv</sub>; "
         "about 1 is just noticeable.</p>"
-        f'<div class="scalebar"><span>ΔE*uv&nbsp; 0</span><span class="bar" style="background:linear-gradient('
-        f'to right,{stops})"></span><span>{DELTA_E_MAX:.0f} and more</span></div>'
+        f'<div class="scalebar"><span>ΔE*uv&nbsp; 0</span><span class="bar" '
+        f'style="background:linear-gradient(to right,{stops})"></span>'
+        f"<span>{DELTA_E_MAX:.0f} and more</span></div>"
     )
 
 
@@ -404,20 +415,20 @@ def _provenance(results: pd.DataFrame) -> str:
         cells += [
             escape(cell(name, row[name])) for name in ("machine", "device", "threads", "preset", "iterations")
         ]
-        cells += [escape(str(row["variant"])) if row["variant"] else "preset’s own", times]
+        cells += [escape(str(row["variant"])) if row["variant"] else "the preset", times]
         cells += [f"{len(rows)}", seconds(float(rows["group_seconds"].drop_duplicates().fillna(0).sum()))]
         memory = rows["group_peak_host_bytes"].dropna()
         cells.append(f"{mib(float(memory.max()))} MiB" if len(memory) else MISSING)
         lines.append("<tr>" + "".join(f"<td>{text}</td>" for text in cells) + "</tr>")
     heads = ("Method", "Dataset", "Commit", "Machine", "Device", "Threads", "Preset", "Iterations", "Options")
-    heads += ("Reference kernel", "Rows", "Fit time", "Fit memory")
-    head = "".join(f"<th>{text}</th>" for text in heads)
+    more = ("Reference kernel", "Rows", "Fit time", "Fit memory")
+    head = "".join(f"<th>{text}</th>" for text in (*heads, *more))
     return (
         f'<h2 id="provenance">Provenance</h2><div class="wide"><table><thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(lines)}</tbody></table></div>"
-        '<p class="note">The reference kernel is a fixed piece of work timed before and after each measurement: '
-        "speeds from different moments or machines can be normalised by it. All resolved options, software versions "
-        "and job identifiers stand in the run store's records and in <code>results.csv</code>.</p>"
+        '<p class="note">The reference kernel is a fixed piece of work timed before and after each '
+        "measurement: speeds from different moments or machines can be normalised by it. "
+        "All resolved options, software versions and job identifiers stand in the run store's records and in <code>results.csv</code>.</p>"
     )
 
 

@@ -53,7 +53,7 @@ class Panel:
 
 
 def choose(views: pd.DataFrame) -> dict[str, Any]:
-    """ "median", "worst", "best" -> row label of a job's view by PSNR; views are never repeated."""
+    """Which ("median", "worst", "best") -> row label of a job's view by PSNR; views are never repeated."""
     ranked = views.dropna(subset=["psnr"]).sort_values("psnr", kind="stable")
     if ranked.empty:
         ranked = views
@@ -101,7 +101,7 @@ def _panel(which: str, row: Any, root: Path) -> Panel:
     def value(name: str) -> float | None:
         return None if absent(row[name]) else float(row[name])
 
-    numbers = {"psnr": value("psnr"), "ssim": value("ssim"), "delta_e": value("delta_e_uv")}
+    numbers: dict[str, Any] = {"psnr": value("psnr"), "ssim": value("ssim"), "delta_e": value("delta_e_uv")}
     background = _background(row.get("background"))
     try:
         truth, render = (read(_inside(root, row[name]), background) for name in ("truth_file", "render_file"))
@@ -126,7 +126,7 @@ def _inside(root: Path, name: Any) -> Path:
 
 
 def _background(value: Any) -> tuple[float, float, float]:
-    """ "#rrggbb" of the optional column `background`; white, the harness's default, without it."""
+    """From "#rrggbb" of the optional column `background`; white, the harness's default, without it."""
     text = "#ffffff" if absent(value) or not value else str(value)
     return (int(text[1:3], 16) / 255.0, int(text[3:5], 16) / 255.0, int(text[5:7], 16) / 255.0)
 

@@ -58,17 +58,27 @@ def _tradeoff(panel: data.Panel, against: str, names: list[str]) -> Figure:
         hover = f"%{{text}}<br>%{{x:.4~g}} {short}<br>%{{y:.2f}} dB<extra>{line.title}</extra>"
         traces.append(
             {
-                "type": "scatter", "mode": "markers", "x": line.scene_x, "y": line.scene_y, "text": line.scenes,
-                "marker": {"color": shade, "size": 6, "opacity": 0.4}, "hovertemplate": hover,
+                "type": "scatter",
+                "mode": "markers",
+                "x": line.scene_x,
+                "y": line.scene_y,
+                "text": line.scenes,
+                "marker": {"color": shade, "size": 6, "opacity": 0.4},
+                "hovertemplate": hover,
             }
-        )  # fmt: skip
+        )
         traces.append(
             {
-                "type": "scatter", "mode": "lines+markers", "x": line.x, "y": line.y,
-                "text": ["mean over scenes"] * len(line.x), "marker": {"color": shade, "size": 10, "symbol": symbol},
-                "line": {"color": shade, "width": 1.5}, "hovertemplate": hover,
+                "type": "scatter",
+                "mode": "lines+markers",
+                "x": line.x,
+                "y": line.y,
+                "text": ["mean over scenes"] * len(line.x),
+                "marker": {"color": shade, "size": 10, "symbol": symbol},
+                "line": {"color": shade, "width": 1.5},
+                "hovertemplate": hover,
             }
-        )  # fmt: skip
+        )
     import math
 
     def place(x: float, y: float) -> tuple[float, float]:
@@ -83,9 +93,12 @@ def _tradeoff(panel: data.Panel, against: str, names: list[str]) -> Figure:
     )
     ticks = log_ticks(low, high)
     x_axis = {
-        "type": "log", "range": [low, high], "title": {"text": data.AXIS[against].title},
-        "tickvals": [value for value, _ in ticks], "ticktext": [text for _, text in ticks],
-    }  # fmt: skip
+        "type": "log",
+        "range": [low, high],
+        "title": {"text": data.AXIS[against].title},
+        "tickvals": [value for value, _ in ticks],
+        "ticktext": [text for _, text in ticks],
+    }
     y_axis = {"range": [bottom, top], "title": {"text": "PSNR [dB]"}}
     return _figure(traces, x_axis, y_axis, annotations=notes)
 
@@ -101,16 +114,22 @@ def _notes(
     places = place_labels(spots, texts, _WIDTH, _HEIGHT, avoid=avoid)
     return [
         {
-            "x": x, "y": y, "text": text, "showarrow": False, "xanchor": spot.anchor, "yanchor": "middle",
-            "xshift": spot.dx, "yshift": spot.dy, "font": {"size": 12, "color": color(name, names)},
+            "x": x,
+            "y": y,
+            "text": text,
+            "showarrow": False,
+            "xanchor": spot.anchor,
+            "yanchor": "middle",
+            "xshift": spot.dx,
+            "yshift": spot.dy,
+            "font": {"size": 12, "color": color(name, names)},
         }
         for (x, y, text, name), spot in zip(labels, places, strict=True)
-    ]  # fmt: skip
+    ]
 
 
-def convergence(curve: pd.DataFrame, against: str) -> dict[str, Figure]:
-    """Dataset -> validation PSNR over "train_seconds" or "iteration"."""
-    names = series(curve)
+def convergence(curve: pd.DataFrame, against: str, names: list[str]) -> dict[str, Figure]:
+    """Dataset -> validation PSNR over "train_seconds" or "iteration"; ``names``: the report's series."""
     figures = {}
     for dataset, lines in data.convergence(curve, against).items():
         end = max(max(line.x) for line in lines) or 1.0
@@ -121,12 +140,16 @@ def convergence(curve: pd.DataFrame, against: str) -> dict[str, Figure]:
         hover = f"{title} %{{x:.5~g}}<br>%{{y:.2f}} dB"
         traces = [
             {
-                "type": "scatter", "mode": "lines+markers", "x": line.x, "y": line.y,
-                "line": {"color": color(line.name, names), "width": 1.6}, "marker": {"size": 4},
+                "type": "scatter",
+                "mode": "lines+markers",
+                "x": line.x,
+                "y": line.y,
+                "line": {"color": color(line.name, names), "width": 1.6},
+                "marker": {"size": 4},
                 "hovertemplate": f"{hover}<extra>{line.title}</extra>",
             }
             for line in lines
-        ]  # fmt: skip
+        ]
         spots = [(line.x[-1] / wide * _WIDTH, (line.y[-1] - low) / (high - low) * _HEIGHT) for line in lines]
         notes = _notes([(line.x[-1], line.y[-1], line.title, line.name) for line in lines], spots, [], names)
         figures[dataset] = _figure(
@@ -145,20 +168,31 @@ def ledger(table: pd.DataFrame) -> Figure | None:
         return None
     traces = [
         {
-            "type": "bar", "orientation": "h", "name": part, "marker": {"color": PARTS[i % len(PARTS)]},
-            "y": [bar.title for bar in bars], "x": [bar.percent(part) for bar in bars],
-            "customdata": [f"{mib(bar.bytes.get(part, 0))} MiB ({bar.bytes.get(part, 0):,} B)" for bar in bars],
+            "type": "bar",
+            "orientation": "h",
+            "name": part,
+            "marker": {"color": PARTS[i % len(PARTS)]},
+            "y": [bar.title for bar in bars],
+            "x": [bar.percent(part) for bar in bars],
+            "customdata": [
+                f"{mib(bar.bytes.get(part, 0))} MiB ({bar.bytes.get(part, 0):,} B)" for bar in bars
+            ],
             "hovertemplate": f"{part}: %{{customdata}}<extra>%{{y}}</extra>",
         }
         for i, part in enumerate(parts)
-    ]  # fmt: skip
+    ]
     totals = [
         {
-            "x": 100, "y": bar.title, "text": f"{mib(bar.total)} MiB", "showarrow": False,
-            "xanchor": "left", "xshift": 6, "font": {"size": 12},
+            "x": 100,
+            "y": bar.title,
+            "text": f"{mib(bar.total)} MiB",
+            "showarrow": False,
+            "xanchor": "left",
+            "xshift": 6,
+            "font": {"size": 12},
         }
         for bar in bars
-    ]  # fmt: skip
+    ]
     return _figure(
         traces,
         {"title": {"text": "share of size [%]"}, "range": [0, 115], "tickvals": [0, 20, 40, 60, 80, 100]},

@@ -40,12 +40,13 @@ def label(method: Any, variant: Any = "", rate: Any = None) -> str:
     return " ".join(parts)
 
 
-def series(table: pd.DataFrame) -> list[str]:
-    """The names (method with variant) of a table, in order of appearance; their index picks the color."""
-    if table.empty:
-        return []
-    names = [label(m, v) for m, v in zip(table["method"], table["variant"], strict=True)]
-    return list(dict.fromkeys(names))
+def series(*tables: pd.DataFrame) -> list[str]:
+    """The names (method with variant) of tables, in order of appearance; their index picks the color."""
+    names: dict[str, None] = {}
+    for table in tables:
+        rows = zip(table["method"], table["variant"], strict=True)
+        names.update(dict.fromkeys(label(method, variant) for method, variant in rows))
+    return list(names)
 
 
 def color(name: str, names: Sequence[str]) -> str:
@@ -127,7 +128,7 @@ def log_range(values: Iterable[float]) -> tuple[float, float]:
 
 
 def log_ticks(low: float, high: float) -> list[tuple[float, str]]:
-    """Ticks (value, text) of a logarithmic axis from 10**low to 10**high: 1, 2, 5, 10; or decades if it is long."""
+    """Ticks (value, text) of a logarithmic axis from 10**low to 10**high: 1, 2, 5, or decades only."""
     digits = (1, 2, 5) if high - low < 1.8 else (1,)
     step = max(1, round((high - low) / 6))
     ticks = []

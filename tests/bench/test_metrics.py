@@ -3,11 +3,11 @@ import sys
 
 import numpy as np
 import pytest
-from bench.metrics import METRICS, evaluate
-from bench.metrics.image import _FUNCTIONS, Pair, to_8bit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.metrics import METRICS, evaluate
+from bench.metrics.image import _FUNCTIONS, Pair, to_8bit
 from datasets.errors import DataError
 
 CHEAP = ["psnr", "psnr_fg", "ssim", "flip", "delta_e_uv"]
@@ -23,7 +23,7 @@ def image(seed: int, size: int = 32) -> tuple[np.ndarray, np.ndarray]:
 
 
 def over(rgba: np.ndarray, background=(1.0, 1.0, 1.0)) -> np.ndarray:
-    return (rgba[..., :3] + (1 - rgba[..., 3:]) * np.array(background, np.float32))
+    return rgba[..., :3] + (1 - rgba[..., 3:]) * np.array(background, np.float32)
 
 
 def shown(rgba: np.ndarray) -> np.ndarray:
@@ -31,7 +31,8 @@ def shown(rgba: np.ndarray) -> np.ndarray:
 
 
 def test_the_registry_imports_nothing_heavy():
-    code = "import bench.metrics, sys; print([m for m in ('torch', 'numpy', 'skimage', 'PIL') if m in sys.modules])"
+    heavy = "('torch', 'numpy', 'skimage', 'PIL')"
+    code = f"import bench.metrics, sys; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+
 from bench.metrics import lpips as module
 from bench.metrics.lpips import BACKBONES, checkpoints, declare_torchvision_operators, distance, load
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from bench.metrics import METRICS, evaluate
-from bench.metrics.folders import score
 from PIL import Image
 
+from bench.metrics import METRICS, evaluate
+from bench.metrics.folders import score
 from datasets.errors import DataError
 
 

@@ -9,27 +9,116 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-RESULTS = (
-    "dataset scene kind method variant rate preset split seed status reason stale group psnr psnr_fg ssim lpips_vgg "
-    "flip delta_e_uv size_bytes group_bytes standalone_bytes primitives train_seconds group_seconds load_seconds fps "
-    "peak_host_bytes peak_device_bytes iterations train_views width height device machine threads job fps_p05 fps_p95 "
-    "encode_seconds reference_seconds identical_views stage commit group_peak_host_bytes"
-).split()
-VIEWS = (
-    "job dataset scene method variant rate preset split seed view psnr psnr_fg ssim lpips_vgg flip delta_e_uv identical "
-    "truth_file render_file alpha_file"
-).split()
-CURVE = "job dataset scene method variant preset seed iteration train_seconds loss psnr_val primitives bytes_estimate"
+RESULTS = [
+    "dataset",
+    "scene",
+    "kind",
+    "method",
+    "variant",
+    "rate",
+    "preset",
+    "split",
+    "seed",
+    "status",
+    "reason",
+    "stale",
+    "group",
+    "psnr",
+    "psnr_fg",
+    "ssim",
+    "lpips_vgg",
+    "flip",
+    "delta_e_uv",
+    "size_bytes",
+    "group_bytes",
+    "standalone_bytes",
+    "primitives",
+    "train_seconds",
+    "group_seconds",
+    "load_seconds",
+    "fps",
+    "peak_host_bytes",
+    "peak_device_bytes",
+    "iterations",
+    "train_views",
+    "width",
+    "height",
+    "device",
+    "machine",
+    "threads",
+    "job",
+    "fps_p05",
+    "fps_p95",
+    "encode_seconds",
+    "reference_seconds",
+    "identical_views",
+    "stage",
+    "commit",
+    "group_peak_host_bytes",
+]
+VIEWS = [
+    "job",
+    "dataset",
+    "scene",
+    "method",
+    "variant",
+    "rate",
+    "preset",
+    "split",
+    "seed",
+    "view",
+    "psnr",
+    "psnr_fg",
+    "ssim",
+    "lpips_vgg",
+    "flip",
+    "delta_e_uv",
+    "identical",
+    "truth_file",
+    "render_file",
+    "alpha_file",
+]
+CURVE = "job dataset scene method variant preset seed iteration train_seconds loss psnr_val primitives "
+CURVE += "bytes_estimate"
 LEDGER = "job dataset scene method variant rate preset seed part bytes"
 NUMBERS = {
-    "rate", "psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv", "train_seconds", "group_seconds", "fps",
-    "load_seconds", "fps_p05", "fps_p95", "encode_seconds", "reference_seconds", "loss", "psnr_val",
-}  # fmt: skip
+    "rate",
+    "psnr",
+    "psnr_fg",
+    "ssim",
+    "lpips_vgg",
+    "flip",
+    "delta_e_uv",
+    "train_seconds",
+    "group_seconds",
+    "fps",
+    "load_seconds",
+    "fps_p05",
+    "fps_p95",
+    "encode_seconds",
+    "reference_seconds",
+    "loss",
+    "psnr_val",
+}
 WHOLE = {
-    "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes", "peak_device_bytes",
-    "iterations", "train_views", "width", "height", "threads", "identical_views", "group_peak_host_bytes", "bytes",
-    "iteration", "bytes_estimate",
-}  # fmt: skip
+    "seed",
+    "size_bytes",
+    "group_bytes",
+    "standalone_bytes",
+    "primitives",
+    "peak_host_bytes",
+    "peak_device_bytes",
+    "iterations",
+    "train_views",
+    "width",
+    "height",
+    "threads",
+    "identical_views",
+    "group_peak_host_bytes",
+    "bytes",
+    "iteration",
+    "bytes_estimate",
+}
 NO_LPIPS = "lpips_vgg: backbone weights missing: put vgg16-397923af.pth into ~/.cache/torch/hub/checkpoints"
 
 
@@ -62,26 +151,79 @@ class Maker:
         self.rows: dict[str, list[dict]] = {name: [] for name in ("results", "views", "curve", "ledger")}
 
     def run(
-        self, dataset="vortex", scene="tf0", method="3dgs", variant="", rate=None, psnr=33.98, size=4_000_000,
-        fps=120.0, seconds=42.0, seed=0, status="ok", reason=NO_LPIPS, stale=False, lpips=None, side=96, views=5, **more,
-    ) -> None:  # fmt: skip
+        self,
+        dataset="vortex",
+        scene="tf0",
+        method="3dgs",
+        variant="",
+        rate=None,
+        psnr=33.98,
+        size=4_000_000,
+        fps=120.0,
+        seconds=42.0,
+        seed=0,
+        status="ok",
+        reason=NO_LPIPS,
+        stale=False,
+        lpips=None,
+        side=96,
+        views=5,
+        **more,
+    ) -> None:
         job = f"measure-{len(self.rows['results']):04d}"
         ok = status == "ok"
-        axes = {"dataset": dataset, "scene": scene, "method": method, "variant": variant, "rate": rate,
-                "preset": "quick", "split": "test", "seed": seed, "job": job}  # fmt: skip
+        axes = {
+            "dataset": dataset,
+            "scene": scene,
+            "method": method,
+            "variant": variant,
+            "rate": rate,
+            "preset": "quick",
+            "split": "test",
+            "seed": seed,
+            "job": job,
+        }
         row = {
-            **axes, "kind": "basic", "status": status, "reason": reason, "stale": stale, "group": scene,
-            "iterations": 700, "train_views": 38, "width": side, "height": side, "device": "cpu", "machine": "laptop",
-            "threads": 2, "commit": "68a71d8fe012", "stage": None if ok else "densify",
-        }  # fmt: skip
+            **axes,
+            "kind": "basic",
+            "status": status,
+            "reason": reason,
+            "stale": stale,
+            "group": scene,
+            "iterations": 700,
+            "train_views": 38,
+            "width": side,
+            "height": side,
+            "device": "cpu",
+            "machine": "laptop",
+            "threads": 2,
+            "commit": "68a71d8fe012",
+            "stage": None if ok else "densify",
+        }
         if ok:
             row |= {
-                "psnr": psnr, "psnr_fg": psnr - 4, "ssim": 1 - 2 / psnr, "lpips_vgg": lpips, "flip": 1.2 / psnr,
-                "delta_e_uv": 40 / psnr, "size_bytes": size, "group_bytes": size, "standalone_bytes": size,
-                "primitives": size // 236, "train_seconds": seconds, "group_seconds": seconds, "load_seconds": 0.04,
-                "fps": fps, "peak_host_bytes": 700 << 20, "group_peak_host_bytes": 650 << 20, "fps_p05": fps * 0.8,
-                "fps_p95": fps * 1.1, "encode_seconds": 0.1, "reference_seconds": 0.0123, "identical_views": 0,
-            }  # fmt: skip
+                "psnr": psnr,
+                "psnr_fg": psnr - 4,
+                "ssim": 1 - 2 / psnr,
+                "lpips_vgg": lpips,
+                "flip": 1.2 / psnr,
+                "delta_e_uv": 40 / psnr,
+                "size_bytes": size,
+                "group_bytes": size,
+                "standalone_bytes": size,
+                "primitives": size // 236,
+                "train_seconds": seconds,
+                "group_seconds": seconds,
+                "load_seconds": 0.04,
+                "fps": fps,
+                "peak_host_bytes": 700 << 20,
+                "group_peak_host_bytes": 650 << 20,
+                "fps_p05": fps * 0.8,
+                "fps_p95": fps * 1.1,
+                "encode_seconds": 0.1,
+                "reference_seconds": 0.0123,
+                "identical_views": 0,
+            }
         self.rows["results"].append(row | more)
         for i in range(views if ok else 0):
             truth, render = (
@@ -93,14 +235,28 @@ class Maker:
             picture(self.root / render, side, 0.1 * i - 0.2 + 0.01 * i, 0.02 + 0.02 * i, i)
             view = {k: row[k] for k in ("ssim", "flip", "delta_e_uv", "psnr_fg")}
             self.rows["views"].append(
-                {**axes, **view, "view": f"{i:04d}", "psnr": psnr + 2 - i, "identical": False, "truth_file": truth,
-                 "render_file": render}
-            )  # fmt: skip
+                {
+                    **axes,
+                    **view,
+                    "view": f"{i:04d}",
+                    "psnr": psnr + 2 - i,
+                    "identical": False,
+                    "truth_file": truth,
+                    "render_file": render,
+                }
+            )
         for step in range(0 if not ok else 8):
             self.rows["curve"].append(
-                {**axes, "job": f"fit-{job}", "iteration": step * 100, "train_seconds": seconds * step / 7, "loss": 0.1,
-                 "psnr_val": psnr - 12 * 0.5**step, "primitives": 1000}
-            )  # fmt: skip
+                {
+                    **axes,
+                    "job": f"fit-{job}",
+                    "iteration": step * 100,
+                    "train_seconds": seconds * step / 7,
+                    "loss": 0.1,
+                    "psnr_val": psnr - 12 * 0.5**step,
+                    "primitives": 1000,
+                }
+            )
         shares = {"positions": 0.05, "spherical harmonics": 0.76, "opacity, scale, rotation": 0.19}
         for part, portion in shares.items() if ok else ():
             self.rows["ledger"].append(
@@ -110,18 +266,22 @@ class Maker:
     def tables(self) -> dict[str, pd.DataFrame]:
         columns = {"results": RESULTS, "views": VIEWS, "curve": CURVE.split(), "ledger": LEDGER.split()}
         made = {name: frame(columns[name], rows) for name, rows in self.rows.items()}
-        axes = "job dataset scene method variant rate preset seed part seconds".split()
+        axes = ["job", "dataset", "scene", "method", "variant", "rate", "preset", "seed", "part", "seconds"]
         made["timing"] = frame(axes, [])
-        made["features"] = frame("job dataset scene method variant name values".split(), [])
+        made["features"] = frame(["job", "dataset", "scene", "method", "variant", "name", "values"], [])
         return made
 
 
 METHODS = {
-    "econgs": (36.74, 480_000, 95.0, 130.0), "3dgs": (33.98, 33_000_000, 140.0, 154.0),
-    "ivr-gs": (34.54, 2_900_000, 80.0, 690.0), "plenoxels": (31.37, 300_000_000, 12.0, 270.0),
-    "ccnerf": (31.21, 2_600_000, 0.4, 1100.0), "scaffold-gs": (27.14, 12_000_000, 60.0, 220.0),
-    "hac": (26.74, 1_270_000, 22.0, 540.0), "vq-3dgs": (33.1, 2_700_000, 150.0, 200.0),
-}  # fmt: skip
+    "econgs": (36.74, 480_000, 95.0, 130.0),
+    "3dgs": (33.98, 33_000_000, 140.0, 154.0),
+    "ivr-gs": (34.54, 2_900_000, 80.0, 690.0),
+    "plenoxels": (31.37, 300_000_000, 12.0, 270.0),
+    "ccnerf": (31.21, 2_600_000, 0.4, 1100.0),
+    "scaffold-gs": (27.14, 12_000_000, 60.0, 220.0),
+    "hac": (26.74, 1_270_000, 22.0, 540.0),
+    "vq-3dgs": (33.1, 2_700_000, 150.0, 200.0),
+}
 
 
 def fill(maker: Maker, case: str) -> None:
@@ -143,10 +303,17 @@ def fill(maker: Maker, case: str) -> None:
                     knob = [(None, 1.0)] if method != "econgs" else [(0.5, 0.6), (1.0, 1.0), (2.0, 1.8)]
                     for rate, factor in knob:
                         maker.run(
-                            dataset, f"tf{scene}", method, rate=rate, psnr=psnr + offset + scene + 2 * (factor - 1),
-                            size=int(size * factor * (1 + scene / 4)), fps=fps / (1 + scene / 3), seconds=seconds,
-                            lpips=3 / psnr, reason=None,
-                        )  # fmt: skip
+                            dataset,
+                            f"tf{scene}",
+                            method,
+                            rate=rate,
+                            psnr=psnr + offset + scene + 2 * (factor - 1),
+                            size=int(size * factor * (1 + scene / 4)),
+                            fps=fps / (1 + scene / 3),
+                            seconds=seconds,
+                            lpips=3 / psnr,
+                            reason=None,
+                        )
     elif case == "seeds":
         for seed, shift in enumerate((0.0, 0.3, -0.3)):
             for scene in ("tf0", "tf1"):

@@ -4,10 +4,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from PIL import Image
+
 from reports import charts, plots
-from reports.panels import choose, colored, panels, read, scale
 from reports.page import write_report
-from reports.style import place_labels
+from reports.panels import choose, colored, panels, read, scale
+from reports.style import color, place_labels, series
 
 from .conftest import fill, frame
 
@@ -15,7 +16,7 @@ from .conftest import fill, frame
 class Checker(HTMLParser):
     """Collects what the page loads, and whether its elements are closed."""
 
-    VOID = {"meta", "img", "br", "link"}
+    VOID = frozenset({"meta", "img", "br", "link"})
 
     def __init__(self) -> None:
         super().__init__()
@@ -58,7 +59,14 @@ def test_a_normal_report_is_whole_and_works_offline(maker):
         assert words in text
     assert {p.name for p in (maker.root / "charts").iterdir()} == {
         f"{name}.{ending}"
-        for name in ("psnr-size", "psnr-fps", "psnr-time", "convergence-seconds", "convergence-iterations", "ledger")
+        for name in (
+            "psnr-size",
+            "psnr-fps",
+            "psnr-time",
+            "convergence-seconds",
+            "convergence-iterations",
+            "ledger",
+        )
         for ending in ("pdf", "png")
     }
     assert all((maker.root / f"results.{ending}").stat().st_size for ending in ("csv", "md", "tex"))
@@ -76,7 +84,14 @@ def test_failures_are_shown_escaped_with_reasons(maker):
     fill(maker, "failures")
     source, text = page(maker)
     assert "<b>cannot</b>" not in source
-    for words in ("1 oom", "1 refused", "1 timeout", "1 stale", "no average", "the fit passed its limit of 8 GiB"):
+    for words in (
+        "1 oom",
+        "1 refused",
+        "1 timeout",
+        "1 stale",
+        "no average",
+        "the fit passed its limit of 8 GiB",
+    ):
         assert words in text
     assert 'class="r first">36.00' in source
     assert 'class="r second">33.98' in source
@@ -154,7 +169,7 @@ def test_no_mean_is_drawn_where_scenes_are_missing(maker):
     figure = plots.tradeoffs(maker.tables()["results"], "size_bytes")["vortex"]
     by_color = {t["marker"]["color"]: t for t in figure["data"] if t["mode"] == "lines+markers"}
     assert sorted(len(t["x"]) for t in by_color.values()) == [0, 1]
-    assert any("3DGS (incomplete)" == note["text"] for note in figure["layout"]["annotations"])
+    assert any(note["text"] == "3DGS (incomplete)" for note in figure["layout"]["annotations"])
 
 
 def test_ledger_sums_to_the_bytes(maker):
@@ -163,7 +178,9 @@ def test_ledger_sums_to_the_bytes(maker):
     figure = plots.ledger(ledger)
     assert sum(t["x"][0] for t in figure["data"]) == pytest.approx(100.0)
     assert "8.68 MiB" in [note["text"] for note in figure["layout"]["annotations"]]
-    counted = [int(re.search(r"\(([\d,]+) B\)", t["customdata"][0])[1].replace(",", "")) for t in figure["data"]]
+    counted = [
+        int(re.search(r"\(([\d,]+) B\)", t["customdata"][0])[1].replace(",", "")) for t in figure["data"]
+    ]
     assert sum(counted) == ledger["bytes"].sum()
 
 
@@ -192,3 +209,15 @@ def test_figures_can_be_drawn_for_many_methods(maker):
         assert axis.get_xscale() == "log"
     assert len(charts.convergence(tables["curve"]).axes) == 2
     assert frame(["psnr"], []).empty
+
+
+def test_a_method_keeps_its_color_where_others_are_missing(maker):
+    maker.run(method="hac", status="oom")
+    maker.run(method="3dgs")
+    tables = maker.tables()
+    names = series(tables["results"], tables["curve"])
+    drawn = plots.convergence(tables["curve"], "iteration", names)["vortex"]["data"]
+    dots = plots.tradeoffs(tables["results"], "fps")["vortex"]["data"]
+    assert (
+        drawn[0]["line"]["color"] == dots[0]["marker"]["color"] == color("3DGS", names) != color("HAC", names)
+    )

@@ -2,6 +2,7 @@ import io
 
 import pandas as pd
 import pytest
+
 from reports.style import mib, seconds
 from reports.tables import quality, ranks, shown, summary, terminal_rows, to_csv, to_latex, to_markdown
 
@@ -110,7 +111,9 @@ def test_latex_marks_and_escapes(maker):
 
 
 def test_other_tables_are_written_as_they_are():
-    table = pd.DataFrame({"file": ["a.png"], "psnr": [31.234], "lpips_vgg": pd.Series([None], dtype="Float64")})
+    table = pd.DataFrame(
+        {"file": ["a.png"], "psnr": [31.234], "lpips_vgg": pd.Series([None], dtype="Float64")}
+    )
     assert "| a.png | 31.23 | \N{EN DASH} |" in to_markdown(table)
     assert "a.png & 31.23 & -- " in to_latex(table)
 
@@ -137,7 +140,14 @@ def test_empty_tables(maker):
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.42, "0.42 s"), (12.34, "12.3 s"), (59.96, "1 min 00 s"), (200, "3 min 20 s"), (3599.7, "1 h 00 min"), (3900, "1 h 05 min")],
+    [
+        (0.42, "0.42 s"),
+        (12.34, "12.3 s"),
+        (59.96, "1 min 00 s"),
+        (200, "3 min 20 s"),
+        (3599.7, "1 h 00 min"),
+        (3900, "1 h 05 min"),
+    ],
 )
 def test_durations(value, text):
     assert seconds(value) == text
