@@ -428,7 +428,8 @@ def _provenance(results: pd.DataFrame) -> str:
         f"<tbody>{''.join(lines)}</tbody></table></div>"
         '<p class="note">The reference kernel is a fixed piece of work timed before and after each '
         "measurement: speeds from different moments or machines can be normalised by it. "
-        "All resolved options, software versions and job identifiers stand in the run store's records and in <code>results.csv</code>.</p>"
+        "All resolved options and software versions stand in the run store's records, the jobs' names in "
+        "<code>results.csv</code>.</p>"
     )
 
 
