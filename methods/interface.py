@@ -238,6 +238,9 @@ class Model(Protocol):
         """Render scenes (default: all) together, composited on ``background``.
 
         Args:
+            camera: the view.
+            scenes: names of those to render.
+            edit: scene -> changes; scenes without one are rendered as trained.
             background: default: the recorded background of the first scene.
 
         Raises:
@@ -269,8 +272,12 @@ class Method(Protocol):
         """Train one group.
 
         Args:
+            group: the scenes to train together.
             options: every option of the spec, resolved and validated.
+            budget: how long.
             seed: the only source of randomness.
+            device: "cpu" or "cuda".
+            monitor: takes reports at every iteration.
             resume: continue from here; from the checkpoint of a finished fit the model is
                 returned without training.
 

@@ -144,7 +144,7 @@ def rotate(quats: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
 
 
 def _prunable(parameters: dict[str, torch.Tensor], rules: GrowthRules, prune_large: bool) -> torch.Tensor:
-    prunable: torch.Tensor = parameters["logits"].sigmoid() < rules.prune_opacity
+    prunable = torch.lt(parameters["logits"].sigmoid(), rules.prune_opacity)
     if prune_large:
-        prunable |= parameters["log_scales"].amax(dim=1).exp() > LARGE_SCALE * rules.extent
+        prunable = prunable | (parameters["log_scales"].amax(dim=1).exp() > LARGE_SCALE * rules.extent)
     return prunable
