@@ -140,11 +140,12 @@ def rotate(quats: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
     unit = torch.nn.functional.normalize(quats, dim=1)
     w, axis = unit[:, :1], unit[:, 1:]
     across = 2.0 * torch.linalg.cross(axis, vectors)
-    return vectors + w * across + torch.linalg.cross(axis, across)
+    turned: torch.Tensor = vectors + w * across + torch.linalg.cross(axis, across)
+    return turned
 
 
 def _prunable(parameters: dict[str, torch.Tensor], rules: GrowthRules, prune_large: bool) -> torch.Tensor:
-    prunable = torch.lt(parameters["logits"].sigmoid(), rules.prune_opacity)
+    prunable = parameters["logits"].sigmoid() < rules.prune_opacity
     if prune_large:
         prunable = prunable | (parameters["log_scales"].amax(dim=1).exp() > LARGE_SCALE * rules.extent)
     return prunable
