@@ -210,7 +210,8 @@ def write(tables: dict[str, pd.DataFrame], folder: Path) -> list[Path]:
     written = []
     for name, draw in wanted.items():
         figure: Any = draw()
-        figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None})
-        figure.savefig(folder / f"{name}.png")
+        with _style():  # resolution and font embedding are decided when saving
+            figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None})
+            figure.savefig(folder / f"{name}.png")
         written.append(folder / f"{name}.png")
     return written
