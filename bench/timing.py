@@ -47,11 +47,11 @@ def reference_seconds() -> float | None:
     Taken from the kernels themselves: their calling layer would bring torch into every process.
     """
     try:
-        from econgs import _native
+        import econgs._native as native
     except ImportError:
         return None
-    _native.set_threads(int(os.environ.get("ECONGS_THREADS") or os.cpu_count() or 1))
-    return float(_native.reference_kernel())
+    native.set_threads(int(os.environ.get("ECONGS_THREADS") or os.cpu_count() or 1))
+    return float(native.reference_kernel())
 
 
 def mean_of(before: float | None, after: float | None) -> float | None:

@@ -101,7 +101,7 @@ def test_killing_a_worker_is_a_failure_that_retry_resumes(bench, undisturbed) ->
     assert _models(bench.store) == undisturbed
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.slow) for s in (2, 3, 4))])
 def test_kill_9_at_random_moments(bench, undisturbed, seed: int) -> None:
     """Executor or worker dies again and again; in the end all is as if nothing had happened."""
     rng = random.Random(seed)

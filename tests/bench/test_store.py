@@ -19,7 +19,8 @@ from datasets.errors import DataError
 def _record(status: str = "ok", key: str = "0123", **changes) -> Record:
     job = Job(
         kind="encode", key=key, identity={}, dataset="d", dataset_name="d", scenes=("a", "b", "c"),
-        preset="quick", request=Request(train_views=1, test_views=1, width=1, height=1), group="a+b+c", method="m",
+        preset="quick", request=Request(train_views=1, test_views=1, width=1, height=1),
+        group="a+b+c", method="m",
     )  # fmt: skip
     result = EncodeResult(seconds=1.0, total_bytes=30, ledger={"": {"net": 8}, "a": {"p": 22}})
     base = {
