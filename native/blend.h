@@ -33,6 +33,8 @@ INLINE void make_lattice(Lattice& at) {
     at.first[band] = (float)(band * BLOCK_ROWS) + 0.5f;
 }
 
+INLINE vf power_of_two(vi n) { return (vf)((n + 127) << 23); }
+
 // The blocks of a tile that a splat's ellipse meets; (u, v) is its centre within the tile.
 INLINE uint64_t touched(const Splat& s, float u, float v, const Lattice& at) {
   uint64_t mask = 0;
@@ -50,10 +52,14 @@ INLINE uint64_t touched(const Splat& s, float u, float v, const Lattice& at) {
     const vi from = __builtin_convertvector(min(max(left, vf{}), set(16.0f)), vi);
     const vi to = __builtin_convertvector(min(max(right, set(-1.0f)), set(15.0f)), vi);
     const vi some = (above <= below) & (right >= vf{}) & (from <= to);
-    const vi one = vi{} + 1;
-    const vi bits = some & (((one + one) << (to >> 2)) - (one << (from >> 2)));
-    for (int band = 0; band < BANDS - part * LANES && band < LANES; ++band)
-      mask |= (uint64_t)(uint32_t)bits[band] << (4 * (band + part * LANES));
+    // Bits from..to of the four blocks of each band, as floats (exact, and SSE2 cannot shift lane by lane); four
+    // bands make 16 bits.
+    const vf bits = (vf)(some & (vi)(power_of_two((to >> 2) + 1) - power_of_two(from >> 2)));
+    for (int i = 0; i < LANES / 4 && part * LANES + 4 * i < BANDS; ++i) {
+      const v4 four = quarter(bits, i) * v4{1.0f, 16.0f, 256.0f, 4096.0f};
+      const v4 two = four + shuffle(four, four, 2, 3, 0, 1);
+      mask |= (uint64_t)(uint32_t)(int32_t)(two[0] + two[1]) << (4 * (part * LANES + 4 * i));
+    }
   }
   return mask;
 }
@@ -64,12 +70,21 @@ struct Sample {
   vi valid, ok;
 };
 
-INLINE Sample evaluate(const Splat& s, float u, float v, const Lattice& at, int block, vf transmittance) {
+// A splat's numbers in every lane.
+struct Shape {
+  vf u, v, slope, a, c, lift, depth;
+};
+
+INLINE Shape shape_of(const Splat& s, float u, float v) {
+  return {set(u), set(v), set(s.slope), set(s.a), set(s.c), set(s.lift), set(s.depth)};
+}
+
+INLINE Sample evaluate(const Shape& s, const Lattice& at, int block, vf transmittance) {
   Sample r;
-  r.dx = load(at.x + block * LANES) - u;
-  r.dy = load(at.y + block * LANES) - v;
+  r.dx = load(at.x + block * LANES) - s.u;
+  r.dy = load(at.y + block * LANES) - s.v;
   const vf across = fma(-r.dy, s.slope, r.dx);
-  vf power = fma(across * s.a, across, fma(r.dy * s.c, r.dy, set(s.lift)));
+  vf power = fma(across * s.a, across, fma(r.dy * s.c, r.dy, s.lift));
   power = max(power, set(-40.0f));
   r.raised = exp2(power);
   r.alpha = min(r.raised, set(MAX_ALPHA));
@@ -113,21 +128,24 @@ static int64_t blend_channels(const Inputs& in, const Splat* splats, const Tile&
     uint64_t mask = touched(s, u, v, at) & alive;
     evaluations += __builtin_popcountll(mask);
     uint64_t blended = 0;
+    const Shape shape = shape_of(s, u, v);
+    vf fixed[FIXED ? FIXED : 1];
+    for (int k = 0; k < FIXED; ++k) fixed[k] = set(feature[k]);
     for (; mask; mask &= mask - 1) {
       const int block = __builtin_ctzll(mask);
       float* const p = passing + block * LANES;
       const vf transmittance = load(p);
-      const Sample r = evaluate(s, u, v, at, block, transmittance);
+      const Sample r = evaluate(shape, at, block, transmittance);
       const vf weight = where(r.ok, r.alpha * transmittance);
       // A pixel that would fall under the limit ends: its transmittance turns negative and stays.
       const vf ended = (vf)((vi)transmittance | (r.valid & INT32_MIN));
       const vf next = r.ok ? r.after : ended;
       store(p, next);
       float* const z = depth + block * LANES;
-      store(z, fma(weight, s.depth, load(z)));
+      store(z, fma(weight, shape.depth, load(z)));
       for (int k = 0; k < channels; ++k) {
         float* const c = color + k * PIXELS + block * LANES;
-        store(c, fma(weight, feature[k], load(c)));
+        store(c, fma(weight, FIXED ? fixed[FIXED ? k : 0] : set(feature[k]), load(c)));
       }
       blended |= (uint64_t)(signs(r.ok) != 0) << block;
       alive &= ~((uint64_t)(signs((vi)next) == ALL_LANES) << block);
@@ -198,6 +216,9 @@ static void blend_backward_channels(const Inputs& in, const Splat* splats, const
     const Splat& s = splats[tile.entries[e].splat];
     const float* const feature = in.features + (int64_t)tile.entries[e].splat * channels;
     const float u = (float)(s.u - tile.x), v = (float)(s.v - tile.y);
+    const Shape shape = shape_of(s, u, v);
+    vf fixed[FIXED ? FIXED : 1];
+    for (int k = 0; k < FIXED; ++k) fixed[k] = set(feature[k]);
     vf m0 = {}, mx = {}, my = {}, mxx = {}, mxy = {}, myy = {}, mz = {};
     vf fixed_color[FIXED ? FIXED : 1];
     vf* const mc = FIXED ? fixed_color : sum_color;
@@ -206,7 +227,7 @@ static void blend_backward_channels(const Inputs& in, const Splat* splats, const
       const int block = __builtin_ctzll(mask);
       float* const p = passing + block * LANES;
       const vf transmittance = load(p);
-      const Sample r = evaluate(s, u, v, at, block, transmittance);
+      const Sample r = evaluate(shape, at, block, transmittance);
       const vf weight = where(r.ok, r.alpha * transmittance);
       const vf ended = (vf)((vi)transmittance | (r.valid & INT32_MIN));
       store(p, r.ok ? r.after : ended);
@@ -214,12 +235,12 @@ static void blend_backward_channels(const Inputs& in, const Splat* splats, const
       vf shown = load(grad_alpha + block * LANES);
       if (DEPTH) {
         const vf g = load(grad_depth + block * LANES);
-        shown = fma(g, s.depth, shown);
+        shown = fma(g, shape.depth, shown);
         mz = fma(weight, g, mz);
       }
       for (int k = 0; k < channels; ++k) {
         const vf g = load(grad_color + k * PIXELS + block * LANES);
-        shown = fma(g, feature[k], shown);
+        shown = fma(g, FIXED ? fixed[FIXED ? k : 0] : set(feature[k]), shown);
         mc[k] = fma(weight, g, mc[k]);
       }
       float* const behind = rest + block * LANES;

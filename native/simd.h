@@ -32,10 +32,42 @@ typedef float v4_unaligned __attribute__((vector_size(16), aligned(4), may_alias
 
 INLINE vf load(const float* p) { return (vf) * (const vf_unaligned*)p; }
 INLINE void store(float* p, vf v) { *(vf_unaligned*)p = v; }
-INLINE vf set(float x) { return vf{} + x; }
+INLINE vf set(float x) {
+#if ECONGS_LANES == 16 && defined(__AVX512F__)
+  return (vf)_mm512_set1_ps(x);
+#elif ECONGS_LANES == 8 && defined(__AVX__)
+  return (vf)_mm256_set1_ps(x);
+#elif ECONGS_LANES == 4 && defined(__SSE2__)
+  return (vf)_mm_set1_ps(x);
+#else
+  vf v;
+  for (int l = 0; l < LANES; ++l) v[l] = x;
+  return v;
+#endif
+}
 INLINE vd setd(double x) { return vd{} + x; }
-INLINE vf min(vf a, vf b) { return a < b ? a : b; }
-INLINE vf max(vf a, vf b) { return a > b ? a : b; }
+INLINE vf min(vf a, vf b) {
+#if ECONGS_LANES == 16 && defined(__AVX512F__)
+  return (vf)_mm512_min_ps((__m512)a, (__m512)b);
+#elif ECONGS_LANES == 8 && defined(__AVX__)
+  return (vf)_mm256_min_ps((__m256)a, (__m256)b);
+#elif ECONGS_LANES == 4 && defined(__SSE2__)
+  return (vf)_mm_min_ps((__m128)a, (__m128)b);
+#else
+  return a < b ? a : b;
+#endif
+}
+INLINE vf max(vf a, vf b) {
+#if ECONGS_LANES == 16 && defined(__AVX512F__)
+  return (vf)_mm512_max_ps((__m512)a, (__m512)b);
+#elif ECONGS_LANES == 8 && defined(__AVX__)
+  return (vf)_mm256_max_ps((__m256)a, (__m256)b);
+#elif ECONGS_LANES == 4 && defined(__SSE2__)
+  return (vf)_mm_max_ps((__m128)a, (__m128)b);
+#else
+  return a > b ? a : b;
+#endif
+}
 INLINE vd mind(vd a, vd b) { return a < b ? a : b; }
 INLINE vd maxd(vd a, vd b) { return a > b ? a : b; }
 INLINE vf abs(vf a) { return (vf)((vi)a & 0x7fffffff); }
@@ -102,6 +134,17 @@ INLINE uint32_t signs(vi a) {
 #endif
 }
 constexpr uint32_t ALL_LANES = (1u << LANES) - 1u;
+
+// Lanes 4 i to 4 i + 3.
+INLINE v4 quarter(vf a, int i) {
+#if ECONGS_LANES == 8 && defined(__AVX__)
+  return i ? (v4)_mm256_extractf128_ps((__m256)a, 1) : (v4)_mm256_castps256_ps128((__m256)a);
+#elif ECONGS_LANES == 16 && defined(__AVX512F__)
+  if (i == 0) return (v4)_mm512_castps512_ps128((__m512)a);
+#endif
+  union { vf v; v4 q[LANES / 4]; } x = {a};
+  return x.q[i];
+}
 
 // Sums of groups of four lanes, folded to one 4-vector.
 INLINE v4 fold(vf a) {
