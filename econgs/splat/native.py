@@ -1,8 +1,8 @@
 """Calling layer of the compiled CPU kernels (``econgs._native``): torch tensors in, autograd works.
 
 All tensors are float32 on the CPU. The kernels exist once per instruction set; the best one that the
-processor has is taken, or the one named by the environment variable ``ECONGS_ISA``. ``ECONGS_THREADS`` sets the
-number of threads (default: ``torch.get_num_threads()``). Results do not depend on that number.
+processor has is taken, or the one named by the environment variable ``ECONGS_ISA``. ``ECONGS_THREADS`` sets
+the number of threads (default: ``torch.get_num_threads()``). Results do not depend on that number.
 """
 
 from __future__ import annotations
