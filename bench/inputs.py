@@ -17,6 +17,7 @@ from datasets.camera import Camera
 from datasets.catalogue import list_datasets, open_dataset
 from datasets.cloud import initial_cloud
 from datasets.errors import DataError
+from datasets.ground_truth.model import MODEL_VERSION
 from datasets.render_views import views_of, volume_digest
 from datasets.scene import Dataset
 from datasets.views import Split, ViewRequest, ViewSet, split_indices
@@ -48,6 +49,7 @@ def fingerprint(dataset: Dataset, scene_name: str) -> str:
         identity["files"] = _folder_hash(scene.views_folder)
     else:
         identity["volume"] = volume_digest(dataset.volume(scene.variable))
+        identity["optical model"] = MODEL_VERSION
     return hash_of(identity)
 
 

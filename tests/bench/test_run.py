@@ -171,3 +171,34 @@ def test_rows_of_changed_source_are_stale(bench, tmp_path) -> None:
     stale = bench("results", "--runs", bench.store, "--format", "json", "--plugins", plugins)
     assert json.loads(stale.stdout)[0]["stale"] is True
     assert "nothing to run" in bench.run().stderr
+
+
+def test_pictures_of_truth_and_model_can_be_scored(bench) -> None:
+    assert bench.run().returncode == 0
+    (measure,) = bench.of_kind("measure")
+    out = bench.store.parent
+    common = (
+        "render",
+        bench.dataset,
+        "--scene",
+        "a",
+        "--size",
+        "8",
+        "--views",
+        "4",
+        "--plugins",
+        bench.plugins,
+    )
+    assert bench(*common, "--out", out / "truth").returncode == 0
+    done = bench(*common, "--runs", bench.store, "--model", measure.job.id, "--out", out / "model")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip().endswith("tiny/a")
+    scored = bench("score", out / "model" / "tiny" / "a", out / "truth" / "tiny" / "a", "--format", "json")
+    assert scored.returncode == 0, scored.stderr
+    (*images, mean) = json.loads(scored.stdout)
+    assert [row["file"] for row in images] == [f"{i:04d}.png" for i in range(4)]
+    # What the folders say is what the measure job said, but for one rounding more of the pictures.
+    assert mean["psnr"] == pytest.approx(measure.measure.metrics["psnr"], abs=0.1)
+    unknown = bench(*common, "--runs", bench.store, "--model", "fit-nowhere", "--out", out / "x")
+    assert unknown.returncode == 2
+    assert "is no finished encode or measure job" in unknown.stderr
