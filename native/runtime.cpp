@@ -6,6 +6,10 @@
 #include <new>
 #include <utility>
 
+#if defined(__unix__) || defined(__APPLE__)
+#include <pthread.h>
+#endif
+
 #include "raster.h"
 
 // Defined once per ISA by kernels_isa.cpp.
@@ -28,12 +32,23 @@ std::atomic<const Kernels*> chosen{nullptr};
 struct Shelf {
   static constexpr size_t PLACES = 24;
   std::mutex mutex;
-  struct { void* data; size_t bytes; } free[PLACES];
+  struct { void* data; size_t bytes; } free[PLACES];  // oldest first
   size_t count = 0;
+
+  void remove(size_t place) { std::move(free + place + 1, free + count--, free + place); }
 };
 
 Shelf& shelf() {
-  static Shelf* one = new Shelf;  // never freed: frames may outlive the module
+  static Shelf*& one = *new Shelf*(new Shelf);  // never freed: frames may outlive the module
+  static const int registered = [] {
+#if defined(__unix__) || defined(__APPLE__)
+    // A forked child may find the mutex locked by a thread that it does not have.
+    return pthread_atfork(nullptr, nullptr, [] { one = new Shelf; });
+#else
+    return 0;
+#endif
+  }();
+  (void)registered;
   return *one;
 }
 
@@ -88,7 +103,7 @@ Buffer::Buffer(size_t bytes) {
     if (best < all.count) {
       data_ = all.free[best].data;
       bytes_ = all.free[best].bytes;
-      all.free[best] = all.free[--all.count];
+      all.remove(best);
       return;
     }
   }
@@ -100,20 +115,14 @@ Buffer::Buffer(size_t bytes) {
 Buffer::~Buffer() {
   if (!data_) return;
   Shelf& all = shelf();
-  void* drop = data_;
+  void* drop = nullptr;
   {
     std::lock_guard<std::mutex> lock(all.mutex);
-    if (all.count < Shelf::PLACES) {
-      all.free[all.count++] = {data_, bytes_};
-      drop = nullptr;
-    } else {  // the smallest goes
-      auto* const small = std::min_element(all.free, all.free + all.count,
-                                           [](const auto& a, const auto& b) { return a.bytes < b.bytes; });
-      if (small->bytes < bytes_) {
-        drop = small->data;
-        *small = {data_, bytes_};
-      }
+    if (all.count == Shelf::PLACES) {  // what nobody has asked for longest goes
+      drop = all.free[0].data;
+      all.remove(0);
     }
+    all.free[all.count++] = {data_, bytes_};
   }
   std::free(drop);
 }

@@ -167,12 +167,12 @@ INLINE v4 fold(vf a) {
 }
 
 INLINE v4 shuffle(v4 a, v4 b, int i, int j, int k, int l) {
-  typedef int32_t i4 __attribute__((vector_size(16)));
 #if defined(__clang__)
   const v4 all[2] = {a, b};
   const float* p = (const float*)all;
   return v4{p[i], p[j], p[k], p[l]};
 #else
+  typedef int32_t i4 __attribute__((vector_size(16)));
   return __builtin_shuffle(a, b, i4{i, j, k, l});
 #endif
 }

@@ -27,21 +27,27 @@ class Pool {
 
   void run(int64_t items, const std::function<void(int64_t, int)>& work) {
     std::lock_guard<std::mutex> turn(turn_);
-    items_ = items;
-    work_ = &work;
-    error_ = nullptr;
-    next_.store(0, std::memory_order_relaxed);
-    busy_.store(count_ - 1, std::memory_order_relaxed);
     {
       std::lock_guard<std::mutex> lock(mutex_);
+      items_ = items;
+      work_ = &work;
+      error_ = nullptr;
+      next_.store(0, std::memory_order_relaxed);
+      open_ = true;
       round_.fetch_add(1, std::memory_order_release);
     }
     wake_.notify_all();
     take(0);
-    if (!spin([this] { return busy_.load(std::memory_order_acquire) == 0; })) {
-      std::unique_lock<std::mutex> lock(mutex_);
-      done_.wait(lock, [this] { return busy_.load(std::memory_order_acquire) == 0; });
+    // Only those who came are waited for: on a busy machine a thread may wake long after the work is done.
+    std::unique_lock<std::mutex> lock(mutex_);
+    open_ = false;
+    if (helping_.load(std::memory_order_acquire) > 0) {
+      lock.unlock();
+      spin([this] { return helping_.load(std::memory_order_acquire) == 0; });
+      lock.lock();
+      done_.wait(lock, [this] { return helping_.load(std::memory_order_acquire) == 0; });
     }
+    work_ = nullptr;
     if (error_) std::rethrow_exception(error_);
   }
 
@@ -67,18 +73,17 @@ class Pool {
 
   void serve(int thread) {
     for (uint64_t seen = 0;;) {
-      const auto news = [&] { return round_.load(std::memory_order_acquire) != seen; };
-      if (!spin(news)) {
-        std::unique_lock<std::mutex> lock(mutex_);
-        wake_.wait(lock, [&] { return news() || retired_; });
-      }
-      if (!news()) return;  // retired
+      spin([&] { return round_.load(std::memory_order_acquire) != seen; });
+      std::unique_lock<std::mutex> lock(mutex_);
+      wake_.wait(lock, [&] { return round_.load(std::memory_order_acquire) != seen || retired_; });
+      if (retired_) return;
       seen = round_.load(std::memory_order_acquire);
+      if (!open_) continue;
+      helping_.fetch_add(1, std::memory_order_relaxed);
+      lock.unlock();
       take(thread);
-      if (busy_.fetch_sub(1, std::memory_order_acq_rel) == 1) {
-        std::lock_guard<std::mutex> lock(mutex_);
-        done_.notify_one();
-      }
+      lock.lock();
+      if (helping_.fetch_sub(1, std::memory_order_release) == 1) done_.notify_one();
     }
   }
 
@@ -97,11 +102,11 @@ class Pool {
   std::condition_variable wake_, done_;
   std::atomic<uint64_t> round_{0};
   std::atomic<int64_t> next_{0};
-  std::atomic<int> busy_{0};
+  std::atomic<int> helping_{0};
   int64_t items_ = 0;
   const std::function<void(int64_t, int)>* work_ = nullptr;
   std::exception_ptr error_;
-  bool retired_ = false;
+  bool open_ = false, retired_ = false;
 };
 
 // Pools are never freed: threads may wait on them until the process ends.
