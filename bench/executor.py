@@ -313,6 +313,9 @@ class LocalExecutor:
         """The worker's: pinned threads, and this very package before any other of its name."""
         environment = dict(os.environ)
         environment.update(dict.fromkeys(THREAD_VARIABLES, str(self._threads)))
+        # Spinning OpenMP threads take the cores from the native kernels' own threads: an iteration of
+        # 3DGS took 75 to 180 ms instead of 18 on a busy machine.
+        environment.setdefault("OMP_WAIT_POLICY", "passive")
         environment["PYTHONSAFEPATH"] = "1"
         root = str(Path(__file__).resolve().parent.parent)
         if root not in site.getsitepackages():
