@@ -41,7 +41,10 @@ def run(options: Namespace) -> int:
         from bench.commands.results import print_table, write_html
 
         print_table(shown)
-        print(f"report: {write_html(tables, store)}")
+        page = store.root / "report.html"
+        if outcome.ran or not page.is_file():
+            write_html(tables, store, page)
+        print(f"report: {page}")
     return _verdict(outcome, len(jobs))
 
 
