@@ -16,7 +16,7 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.names import unknown
-from econgs import _native
+import econgs._native as _native
 
 
 def available_isas(*, testing: bool = False) -> list[str]:
