@@ -14,9 +14,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+import econgs._native as _native
 from datasets.camera import Camera
 from datasets.names import unknown
-import econgs._native as _native
 
 
 def available_isas(*, testing: bool = False) -> list[str]:
