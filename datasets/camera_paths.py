@@ -31,7 +31,8 @@ def training_cameras(n: int, bounding_radius: float, width: int, height: int) ->
     Args:
         n: 6 (octahedron) or 10 f^2 + 2 (an icosahedron whose edges are cut in f parts: 12, 42, 92, ...).
         bounding_radius: radius of a sphere around the object, centred at the origin.
-        width, height: image size in pixels; the sphere fits the shorter side.
+        width: image width in pixels.
+        height: image height in pixels; the sphere fits the shorter side.
 
     Raises:
         DataError: no such icosphere exists; the remedy names the nearest numbers.
