@@ -19,7 +19,7 @@ from methods.interface import MethodSpec
 
 PACKAGES = (
     "econgs-bench", "numpy", "scipy", "torch", "gsplat", "mitsuba", "drjit", "scikit-image", "lpips",
-    "flip-evaluator", "colour-science", "safetensors",
+    "flip-evaluator", "safetensors",
 )  # fmt: skip
 
 
