@@ -85,7 +85,8 @@ def is_results(table: pd.DataFrame) -> bool:
 def shown(results: pd.DataFrame) -> pd.DataFrame:
     """What people read of `results`: method with variant and rate in one name, no columns of bookkeeping.
 
-    Columns that say the same for all rows (seed, device memory where there is none) are left out.
+    Columns that say the same for all rows (seed, device memory where there is none, a metric that nobody
+    has) are left out; reasons are those of rows that did not finish.
     """
     import pandas as pd
 
@@ -99,8 +100,18 @@ def shown(results: pd.DataFrame) -> pd.DataFrame:
         if results[axis].nunique(dropna=False) > 1:
             out.insert(3, axis, results[axis])
     out["status"] = [_status(row) for row in results[["status", "stale"]].itertuples(index=False)]
-    out["reason"] = results["reason"]
+    if out["lpips_vgg"].isna().all():
+        out = out.drop(columns="lpips_vgg")
+    unfinished = results["status"] != "ok"
+    if unfinished.any():
+        out["reason"] = results["reason"].where(unfinished, None)
     return out
+
+
+def notes(results: pd.DataFrame) -> list[str]:
+    """Why finished rows lack a metric, each reason once."""
+    finished = results[results["status"] == "ok"]
+    return list(dict.fromkeys(str(reason) for reason in finished["reason"] if not absent(reason) and reason))
 
 
 def _status(row: Any) -> str:
@@ -214,7 +225,9 @@ def to_csv(table: pd.DataFrame) -> str:
 def to_markdown(table: pd.DataFrame) -> str:
     """A pipe table; the best value in bold, the second in italics. `results` is cut to what people read."""
     marks = ranks(table)
+    remarks: list[str] = []
     if is_results(table):
+        remarks = notes(table)
         table = shown(table)
     lines = ["| " + " | ".join(_md(title(name)) for name in table.columns) + " |"]
     lines.append("|" + "|".join("---:" if _right(name) else "---" for name in table.columns) + "|")
@@ -224,6 +237,7 @@ def to_markdown(table: pd.DataFrame) -> str:
             sign = {1: "**", 2: "*"}.get(marks.get((index, name), 0), "")
             texts.append(f"{sign}{_md(cell(name, row[name]))}{sign}")
         lines.append("| " + " | ".join(texts) + " |")
+    lines += [f"\n{_md(remark)}" for remark in remarks]
     return "\n".join(lines) + "\n"
 
 
@@ -231,7 +245,7 @@ def to_latex(table: pd.DataFrame) -> str:
     """A booktabs tabular; the best value bold, the second underlined. `results` is cut to what is read."""
     marks = ranks(table)
     if is_results(table):
-        table = shown(table).drop(columns="reason")
+        table = shown(table).drop(columns="reason", errors="ignore")
     spec = "".join("r" if _right(name) else "l" for name in table.columns)
     lines = ["% needs \\usepackage{booktabs}", f"\\begin{{tabular}}{{{spec}}}", "\\toprule"]
     lines += [" & ".join(_tex(title(name)) for name in table.columns) + r" \\", r"\midrule"]
@@ -246,14 +260,8 @@ def to_latex(table: pd.DataFrame) -> str:
 
 
 def terminal_rows(results: pd.DataFrame) -> list[list[str]]:
-    """Header and lines of the table that ends a run; reasons only where something failed."""
+    """Header and lines of the table that ends a run."""
     table = shown(results)
-    if table["lpips_vgg"].isna().all():
-        table = table.drop(columns="lpips_vgg")
-    failed = results["status"] != "ok"
-    table["reason"] = table["reason"].where(failed, None)
-    if not failed.any():
-        table = table.drop(columns="reason")
     header = [title(name) for name in table.columns]
     body = [
         ["" if name == "reason" and absent(row[name]) else cell(name, row[name]) for name in table.columns]

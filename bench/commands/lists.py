@@ -26,7 +26,16 @@ def _methods(options: Namespace) -> Iterable[tuple[str, ...]]:
 def _datasets(options: Namespace) -> Iterable[tuple[str, ...]]:
     from datasets.catalogue import list_datasets
 
-    return [(entry.name, entry.title) for entry in list_datasets()]
+    return [
+        (
+            entry.name,
+            "×".join(map(str, entry.dims)) if entry.dims else "views",
+            "1 scene" if len(entry.scenes) == 1 else f"{len(entry.scenes)} scenes",
+            entry.title,
+            "" if entry.available else "(no data: set BENCH_DATA)",
+        )
+        for entry in list_datasets()
+    ]
 
 
 def _suites(options: Namespace) -> Iterable[tuple[str, ...]]:

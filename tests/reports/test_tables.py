@@ -90,8 +90,10 @@ def test_csv_keeps_every_column_and_value(maker):
 def test_markdown_marks_and_escapes(maker):
     maker.run(method="a|b", psnr=30.0)
     maker.run(method="c", psnr=32.0)
-    lines = to_markdown(maker.tables()["results"]).splitlines()
+    *lines, blank, note = to_markdown(maker.tables()["results"]).splitlines()
     assert len(lines) == 4
+    assert blank == ""
+    assert note.startswith("lpips_vgg: ")  # once, though both rows lack it
     assert "**32.00**" in lines[3]
     assert "*30.00*" in lines[2]
     assert "a\\|b" in lines[2]
