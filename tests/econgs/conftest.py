@@ -243,3 +243,12 @@ def splat() -> SimpleNamespace:
         "outputs": OUTPUTS,
     }
     return SimpleNamespace(**helpers)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_torch_thread() -> Iterator[None]:
+    """The tensors here are small: threads of torch only get in each other's way (the kernels keep theirs)."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
