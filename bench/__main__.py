@@ -11,8 +11,10 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import string
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 COMMANDS = {
     "run": "bench.commands.run:run",
@@ -48,17 +50,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader (head, less) had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if options.debug:
+            raise
+        what = error.filename or type(error).__name__
+        remedy = "Check that it exists, that you may use it and that the disk has room"
+        print(f"bench: {what}: {error.strerror or error}. {remedy}", file=sys.stderr)
+        return 2
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong with a command line in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"bench: {message}. See `{self.prog} --help`\n")
+
+
+def _parser() -> _Parser:
+    parser = _Parser(
         prog="bench",
         description="Benchmark of compressed scene representations of volume visualisation.",
         epilog="Exit codes: 0 done, 1 a job failed or is unfinished, 2 unusable input, 130 stopped (Ctrl-C).",
     )
-    common = argparse.ArgumentParser(add_help=False)
+    common = _Parser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show tracebacks of errors in the input")
-    plugins = argparse.ArgumentParser(add_help=False)
+    plugins = _Parser(add_help=False)
     plugins.add_argument(
         "--plugins",
         action="append",
@@ -66,11 +82,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="folder with methods of your own (repeatable)",
     )
-    runs = argparse.ArgumentParser(add_help=False)
+    runs = _Parser(add_help=False)
     runs.add_argument("--runs", default="runs", metavar="DIR", help="the run store (default: runs)")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    def command(name: str, help: str, *parents: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    def command(name: str, help: str, *parents: _Parser) -> _Parser:
         return commands.add_parser(name, help=help, description=help, parents=[common, *parents])
 
     run = command("run", "run a suite and report; what is finished is not run again", plugins)
@@ -101,7 +117,7 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument("--size", type=_size, default=(256, 256), metavar="WxH", help="pixels (default: 256)")
     render.add_argument("--out", default="pictures", metavar="DIR", help="default: pictures")
     render.add_argument("--model", metavar="JOB", help="an encode or measure job of --runs: render its model")
-    render.add_argument("--device", default="cpu")
+    _add_device(render)
     score = command("score", "apply the metrics to two folders of images")
     score.add_argument("renders", metavar="RENDERS")
     score.add_argument("truth", metavar="TRUTH")
@@ -133,7 +149,7 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", action="append", default=[], help="only this scene (repeatable)")
     parser.add_argument("--method", action="append", default=[], help="instead of the suite's (repeatable)")
     parser.add_argument(
-        "--seed", action="append", default=[], type=int, help="instead of the suite's (repeatable)"
+        "--seed", action="append", default=[], type=_seed, help="instead of the suite's (repeatable)"
     )
     parser.add_argument("--preset", choices=("quick", "standard", "paper"), help="default: the suite's")
     parser.add_argument(
@@ -143,24 +159,43 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="METHOD.OPTION=VALUE", help="(repeatable)"
     )
-    parser.add_argument("--device", default="cpu", help="cpu or cuda (default: cpu)")
+    _add_device(parser)
 
 
-def _seconds(text: str) -> float:
-    return _positive(text, {"s": 1.0, "m": 60.0, "h": 3600.0}, "a time such as 90, 30m or 2h")
-
-
-def _bytes(text: str) -> int:
-    units = {"K": 2.0**10, "M": 2.0**20, "G": 2.0**30, "T": 2.0**40}
-    return int(
-        _positive(text.upper().removesuffix("B").removesuffix("I"), units, "a size such as 500M or 8G")
+def _add_device(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--device", type=_device, default="cpu", help="cpu, cuda or cuda:<number> (default: cpu)"
     )
 
 
+def _device(text: str) -> str:
+    kind, _, number = text.partition(":")
+    if text != "cpu" and not (kind == "cuda" and (text == "cuda" or number.isdecimal())):
+        raise argparse.ArgumentTypeError(f"{text!r} is not cpu, cuda or cuda:<number>")
+    return text
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
+    return int(text)
+
+
+def _seconds(text: str) -> float:
+    return _positive(text, {"": 1.0, "S": 1.0, "M": 60.0, "H": 3600.0}, "a time such as 90, 30m or 2h")
+
+
+def _bytes(text: str) -> int:
+    units = {"": 1.0, "K": 2.0**10, "M": 2.0**20, "G": 2.0**30, "T": 2.0**40}
+    units.update({f"{unit}{byte}": units[unit] for unit in "KMGT" for byte in ("B", "IB")})
+    return int(_positive(text, units, "a size such as 500M or 8G"))
+
+
 def _positive(text: str, units: dict[str, float], example: str) -> float:
-    unit = units.get(text[-1:])
+    number = text.rstrip(string.ascii_letters)
+    unit = units.get(text[len(number) :].upper())
     try:
-        value = float(text[:-1] if unit else text) * (unit or 1.0)
+        value = float(number) * unit if unit else -1.0
     except ValueError:
         value = -1.0
     if not 0.0 < value < float("inf"):
@@ -169,7 +204,7 @@ def _positive(text: str, units: dict[str, float], example: str) -> float:
 
 
 def _count(text: str) -> int:
-    if not text.isdigit() or int(text) < 1:
+    if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of at least 1")
     return int(text)
 

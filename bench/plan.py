@@ -71,9 +71,6 @@ class Planner:
             jobs.setdefault(job.id, job)
         return list(jobs.values())
 
-    def spec(self, name: str) -> MethodSpec:
-        return self.registry.spec(name)
-
     # ------------------------------------------------------------------ choices
 
     def _chosen_methods(self) -> list[MethodSpec]:

@@ -8,6 +8,7 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -39,6 +40,11 @@ def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance
         commit=_commit(),
         source=source_hash(spec) if spec else None,
     )
+
+
+def current_sources(specs: Iterable[MethodSpec]) -> dict[str, str]:
+    """Method -> hash of its source as it is now: rows made with another are stale."""
+    return {spec.name: source_hash(spec) for spec in specs}
 
 
 def source_hash(spec: MethodSpec) -> str:
@@ -84,7 +90,7 @@ def _cpu() -> str:
 
 def _gpu(device: str) -> str | None:
     torch = sys.modules.get("torch")
-    if torch is None or not device.startswith("cuda"):
+    if torch is None or not device.startswith("cuda") or not torch.cuda.is_available():
         return None
     return str(torch.cuda.get_device_name(device))
 

@@ -139,6 +139,7 @@ def peak_host_bytes() -> int | None:
 
 def peak_device_bytes(device: str) -> int | None:
     """Most memory that torch held on a CUDA device; None on the CPU."""
-    if not device.startswith("cuda"):
+    torch = sys.modules.get("torch")
+    if torch is None or not device.startswith("cuda") or not torch.cuda.is_available():
         return None
-    return int(sys.modules["torch"].cuda.max_memory_allocated(device))
+    return int(torch.cuda.max_memory_allocated(device))

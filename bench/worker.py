@@ -79,7 +79,7 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
 
         spec = _spec(task)
         if spec is not None:
-            _prepare_device(job.device, spec)
+            prepare_device(job.device, spec)
         context = Context(job, folder, store, _loader(spec, task.threads), stop, report)
         fields = run_stage(context)
     except Refused as error:
@@ -177,7 +177,12 @@ def _loader(spec: MethodSpec | None, threads: int) -> Callable[[], Method]:
     return load
 
 
-def _prepare_device(device: str, spec: MethodSpec) -> None:
+def prepare_device(device: str, spec: MethodSpec) -> None:
+    """Make sure that a method can run on a device.
+
+    Raises:
+        Refused: the method does not know it, or this machine does not have it.
+    """
     if device.split(":")[0] not in spec.devices:
         raise Refused(f"{spec.name} runs on {', '.join(spec.devices)}, not on {device}")
     if device.startswith("cuda"):

@@ -29,7 +29,7 @@ def _datasets(options: Namespace) -> Iterable[tuple[str, ...]]:
     return [
         (
             entry.name,
-            "×".join(map(str, entry.dims)) if entry.dims else "views",
+            "\N{MULTIPLICATION SIGN}".join(map(str, entry.dims)) if entry.dims else "views",
             "1 scene" if len(entry.scenes) == 1 else f"{len(entry.scenes)} scenes",
             entry.title,
             "" if entry.available else "(no data: set BENCH_DATA)",

@@ -41,6 +41,8 @@ def render(options: Namespace) -> int:
 
 def _model(options: Namespace):  # type: ignore[no-untyped-def]
     """The model of a finished encode or measure job, and its scenes."""
+    from bench.worker import prepare_device
+    from methods.interface import Refused
     from methods.registry import Registry, load_method
 
     store = Store(Path(options.runs))
@@ -54,6 +56,10 @@ def _model(options: Namespace):  # type: ignore[no-untyped-def]
             "`bench results` names the jobs in its column `job`",
         )
     spec = Registry(options.plugins).spec(str(record.job.method))
+    try:
+        prepare_device(options.device, spec)
+    except Refused as error:
+        raise DataError(f"--device {options.device}", str(error), "Render on another device") from error
     model = load_method(spec).load(store.jobs / record.job.id / "model", options.device)
     return model, tuple(record.job.scenes)
 

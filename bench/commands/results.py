@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def results(options: Namespace) -> int:
     """Print the table ``results`` of a store."""
     store = Store(Path(options.runs))
-    tables = build_tables(store, _sources(options, store), write=False)
+    tables = build_tables(store, _sources(options), write=False)
     print_as(tables["results"], options.format)
     return 0
 
@@ -25,7 +25,7 @@ def results(options: Namespace) -> int:
 def report(options: Namespace) -> int:
     """Write the HTML report of a store."""
     store = Store(Path(options.runs))
-    tables = build_tables(store, _sources(options, store))
+    tables = build_tables(store, _sources(options))
     print(write_html(tables, store, Path(options.out) if options.out else None))
     return 0
 
@@ -68,11 +68,8 @@ def print_table(table: pd.DataFrame) -> None:
     Console(width=width).print(shown, markup=False, highlight=False)
 
 
-def _sources(options: Namespace, store: Store) -> dict[str, str]:
-    """Method -> hash of its source as it is now, for the methods at hand."""
-    from bench.provenance import source_hash
+def _sources(options: Namespace) -> dict[str, str]:
+    from bench.provenance import current_sources
     from methods.registry import Registry
 
-    known = {spec.name: spec for spec in Registry(options.plugins)}
-    used = {record.job.method for record in store.records()}
-    return {name: source_hash(spec) for name, spec in known.items() if name in used}
+    return current_sources(Registry(options.plugins))

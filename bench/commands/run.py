@@ -18,12 +18,13 @@ def run(options: Namespace) -> int:
     """Run what a suite and the selectors name, then show the table and write the report."""
     from bench.display import make_display
     from bench.executor import Limits, LocalExecutor
+    from bench.provenance import current_sources
     from bench.tables import build_tables
 
     planner = _planner(options)
     store = Store(Path(options.out), create=True)
-    jobs = planner.jobs(store)
-    sources = current_sources(planner, jobs)
+    planned = len(planner.jobs(store))
+    sources = current_sources(planner.registry)
     executor = LocalExecutor(
         store,
         planner,
@@ -45,7 +46,7 @@ def run(options: Namespace) -> int:
         if outcome.ran or not page.is_file():
             write_html(tables, store, page)
         print(f"report: {page}")
-    return _verdict(outcome, len(jobs))
+    return _verdict(outcome, planned)
 
 
 def _verdict(outcome: Any, planned: int) -> int:
@@ -114,13 +115,6 @@ def span(seconds: float) -> str:
     from bench.display import span as words
 
     return words(seconds)
-
-
-def current_sources(planner: Planner, jobs: list[Job]) -> dict[str, str]:
-    """Method -> hash of its source as it is now."""
-    from bench.provenance import source_hash
-
-    return {name: source_hash(planner.spec(name)) for name in {job.method for job in jobs if job.method}}
 
 
 def _planner(options: Namespace) -> Planner:
