@@ -66,7 +66,7 @@ INLINE uint64_t touched(const Splat& s, float u, float v, const Lattice& at) {
 
 // What both passes compute alike; `ok` says where the Gaussian is blended.
 struct Sample {
-  vf dx, dy, raised, alpha, after;
+  vf across, dy, raised, alpha, after;
   vi valid, ok;
 };
 
@@ -81,10 +81,9 @@ INLINE Shape shape_of(const Splat& s, float u, float v) {
 
 INLINE Sample evaluate(const Shape& s, const Lattice& at, int block, vf transmittance) {
   Sample r;
-  r.dx = load(at.x + block * LANES) - s.u;
   r.dy = load(at.y + block * LANES) - s.v;
-  const vf across = fma(-r.dy, s.slope, r.dx);
-  vf power = fma(across * s.a, across, fma(r.dy * s.c, r.dy, s.lift));
+  r.across = fma(-r.dy, s.slope, load(at.x + block * LANES) - s.u);
+  vf power = fma(r.across * s.a, r.across, fma(r.dy * s.c, r.dy, s.lift));
   power = max(power, set(-40.0f));
   r.raised = exp2(power);
   r.alpha = min(r.raised, set(MAX_ALPHA));
@@ -250,11 +249,11 @@ static void blend_backward_channels(const Inputs& in, const Splat* splats, const
       // alpha dL/dalpha; an alpha held at 0.99 passes no gradient on
       const vf slope = fma(shown, transmittance, -remaining / clear);
       const vf h = where(r.ok & (r.raised <= MAX_ALPHA), slope * r.alpha);
-      const vf hx = h * r.dx, hy = h * r.dy;
+      const vf hx = h * r.across, hy = h * r.dy;
       m0 += h;
       mx += hx;
       my += hy;
-      mxx = fma(hx, r.dx, mxx);
+      mxx = fma(hx, r.across, mxx);
       mxy = fma(hx, r.dy, mxy);
       myy = fma(hy, r.dy, myy);
     }

@@ -34,8 +34,9 @@ struct Splat {
   float a, c, lift;
   float depth;
   // The ellipse on which alpha falls to 1/255, a little widened: at height dy its middle lies at slope * dy and
-  // its half width is sqrt((bound - dy^2 * inverse) * width2); it is furthest right at dy = tip.
-  float slope, inverse, width2, bound, tip, top;
+  // its half width is sqrt((bound - dy^2 * inverse) * width2); it is furthest right at dy = tip,
+  // and lies within reach and top of the centre.
+  float slope, inverse, width2, bound, tip, top, reach;
   float opacity;       // 0: not visible
 };
 static_assert(sizeof(Splat) <= 64, "a splat must fit in a cache line");
@@ -61,16 +62,28 @@ struct ConstImages {
   const float *features, *alpha, *depth;  // a gradient may be null: zero
 };
 
-// Gradients of one slot: moments of h = dL/dlog(alpha) about the centre, then depth, then features.
-enum { SLOT_SUM, SLOT_DX, SLOT_DY, SLOT_DXX, SLOT_DXY, SLOT_DYY, SLOT_DEPTH, SLOT_FEATURES };
+// Gradients of one slot: moments of h = dL/dlog(alpha) in e = dx - slope dy and dy (in which the exponent is a sum
+// of squares: moments in dx and dy would cancel for needles), then depth, then features.
+enum { SLOT_SUM, SLOT_E, SLOT_Y, SLOT_EE, SLOT_EY, SLOT_YY, SLOT_DEPTH, SLOT_FEATURES };
 __attribute__((always_inline)) static inline int slot_size(int channels) { return (SLOT_FEATURES + channels + 3) / 4 * 4; }
 
 struct Gradients {
   float *means, *quats, *scales, *opacities, *features, *offset;  // offset may be null
 };
 
+// Spherical harmonics: three floats for the first coefficient, 3 * rest_bands for the others; strides in floats.
+struct Coefficients {
+  const float *first, *rest;
+  int64_t first_stride, rest_stride;
+  int rest_bands;
+};
+struct MutableCoefficients {  // with the strides of the coefficients; rest may be null
+  float *first, *rest;
+};
+
+// rate / (1 - beta1^t), beta2, 1 - beta1, 1 - beta2, eps, 1 / sqrt(1 - beta2^t): formed in double, then rounded.
 struct AdamRates {
-  float rate, beta1, beta2, eps, root2;  // rate / (1 - beta1^t); root2 = 1 / sqrt(1 - beta2^t)
+  float rate, beta2, new1, new2, eps, root2;
 };
 
 constexpr int SSIM_RADIUS = 5;
@@ -89,11 +102,11 @@ struct Kernels {
   int64_t (*blend)(const Inputs&, const Splat*, const Tile&, const View&, const Images&, float* scratch);
   void (*blend_backward)(const Inputs&, const Splat*, const Tile&, const View&, const ConstImages& out,
                          const ConstImages& grad, float* slots, float* scratch);
-  void (*sh)(int degree, int bands, const float* means, const float* position, const float* coefficients,
-             float* colors, int64_t begin, int64_t end);
-  void (*sh_backward)(int degree, int bands, const float* means, const float* position,
-                      const float* coefficients, const float* colors, const float* grad, float* grad_means,
-                      float* grad_coefficients, int64_t begin, int64_t end);
+  void (*sh)(int degree, const Coefficients&, const float* means, const float* position, float* colors,
+             int64_t begin, int64_t end);
+  void (*sh_backward)(int degree, const Coefficients&, const float* means, const float* position,
+                      const float* colors, const float* grad, float* grad_means, const MutableCoefficients&,
+                      int64_t begin, int64_t end);
   // SSIM over rows of n = width * channels floats, in three sweeps (see ssim.h). `margin` = 5 * channels.
   void (*ssim_rows)(const float* x, const float* y, float* moments, int64_t n, int64_t height, int channels,
                     int64_t row, float* scratch);

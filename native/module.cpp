@@ -1,4 +1,4 @@
-// The Python module econgs._native: arrays come and go through DLPack, the GIL is released during work.
+// The Python module econgs._native: takes NumPy arrays (quicker than DLPack from torch), releases the GIL at work.
 // econgs/splat/native.py is its only caller and documents what the functions mean.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -147,41 +147,54 @@ void backward_checked(const Frame& frame, const In& means, const In& quats, cons
   backward(frame, in, out, grad, to);
 }
 
-void check_sh(int degree, const In& means, const In& position, const In& coefficients) {
+// Coefficients come as one tensor (N, K, 3), or as the first (N, 1, 3) and the others (N, K - 1, 3).
+Coefficients coefficients_of(int degree, const In& means, const In& position, const In& first,
+                             const std::optional<In>& rest) {
   const int64_t n = means.ndim() == 2 ? static_cast<int64_t>(means.shape(0)) : -1;
   expect(degree >= 0 && degree <= 3, "the degree of the spherical harmonics must be 0 to 3");
   expect(n >= 0 && is(means, {n, 3}) && is(position, {3}), "means must have shape (N, 3) and the position (3,)");
-  expect(coefficients.ndim() == 3 && static_cast<int64_t>(coefficients.shape(0)) == n &&
-             coefficients.shape(2) == 3 && static_cast<int>(coefficients.shape(1)) >= (degree + 1) * (degree + 1),
-         "coefficients must have shape (N, K, 3) with K >= (degree + 1)^2");
+  const auto fits = [n](const In& one) {
+    return one.ndim() == 3 && static_cast<int64_t>(one.shape(0)) == n && one.shape(2) == 3;
+  };
+  expect(fits(first) && first.shape(1) >= 1 && (!rest || (fits(*rest) && first.shape(1) == 1)),
+         "coefficients must have shape (N, K, 3), or (N, 1, 3) and (N, K - 1, 3)");
+  const int64_t stride = 3 * first.shape(1);
+  const Coefficients all =
+      rest ? Coefficients{first.data(), rest->data(), 3, static_cast<int64_t>(3 * rest->shape(1)),
+                          static_cast<int>(rest->shape(1))}
+           : Coefficients{first.data(), n ? first.data() + 3 : nullptr, stride, n ? stride : 0,
+                          static_cast<int>(first.shape(1)) - 1};
+  expect(all.rest_bands + 1 >= (degree + 1) * (degree + 1), "fewer coefficients than the degree needs");
+  return all;
 }
 
-void sh_forward(int degree, const In& means, const In& position, const In& coefficients, const Array& colors) {
-  check_sh(degree, means, position, coefficients);
+void sh_forward(int degree, const In& means, const In& position, const In& first, std::optional<In> rest,
+                const Array& colors) {
+  const Coefficients in = coefficients_of(degree, means, position, first, rest);
   const int64_t n = means.shape(0);
   expect(is(colors, {n, 3}), "colors must have shape (N, 3)");
-  const int bands = static_cast<int>(coefficients.shape(1));
-  const float *const m = means.data(), *const p = position.data(), *const c = coefficients.data();
+  const float *const m = means.data(), *const p = position.data();
   float* const out = colors.data();
   nb::gil_scoped_release release;
-  parallel_ranges(n, 2048, [&](int64_t begin, int64_t end, int) {
-    kernels().sh(degree, bands, m, p, c, out, begin, end);
-  });
+  parallel_ranges(n, 2048, [&](int64_t begin, int64_t end, int) { kernels().sh(degree, in, m, p, out, begin, end); });
 }
 
-void sh_backward(int degree, const In& means, const In& position, const In& coefficients, const In& colors,
-                 const In& grad, const Array& grad_means, const Array& grad_coefficients) {
-  check_sh(degree, means, position, coefficients);
-  const int64_t n = means.shape(0), bands = coefficients.shape(1);
-  expect(is(colors, {n, 3}) && is(grad, {n, 3}) && is(grad_means, {n, 3}) && is(grad_coefficients, {n, bands, 3}),
+void sh_backward(int degree, const In& means, const In& position, const In& first, std::optional<In> rest,
+                 const In& colors, const In& grad, const Array& grad_means, const Array& grad_first,
+                 std::optional<Array> grad_rest) {
+  const Coefficients in = coefficients_of(degree, means, position, first, rest);
+  const int64_t n = means.shape(0);
+  expect(is(colors, {n, 3}) && is(grad, {n, 3}) && is(grad_means, {n, 3}) &&
+             is(grad_first, {n, static_cast<int64_t>(first.shape(1)), 3}) && !grad_rest == !rest &&
+             (!rest || is(*grad_rest, {n, in.rest_bands, 3})),
          "a gradient of another size than its tensor");
-  const float *const m = means.data(), *const p = position.data(), *const c = coefficients.data(),
-              *const made = colors.data(), *const outer = grad.data();
-  float *const to_means = grad_means.data(), *const to_coefficients = grad_coefficients.data();
+  const MutableCoefficients out = {grad_first.data(), rest ? grad_rest->data() : n ? grad_first.data() + 3 : nullptr};
+  const float *const m = means.data(), *const p = position.data(), *const made = colors.data(),
+              *const outer = grad.data();
+  float* const to_means = grad_means.data();
   nb::gil_scoped_release release;
   parallel_ranges(n, 1024, [&](int64_t begin, int64_t end, int) {
-    kernels().sh_backward(degree, static_cast<int>(bands), m, p, c, made, outer, to_means, to_coefficients, begin,
-                          end);
+    kernels().sh_backward(degree, in, m, p, made, outer, to_means, out, begin, end);
   });
 }
 
@@ -223,7 +236,8 @@ void adam(const std::vector<Array>& params, const std::vector<In>& grads, const 
     expect(static_cast<int64_t>(grads[i].size()) == n && static_cast<int64_t>(first[i].size()) == n &&
                static_cast<int64_t>(second[i].size()) == n,
            "adam_step: a gradient or moment has another size than its parameter");
-    const AdamRates r = {static_cast<float>(rates[i] / left1), static_cast<float>(beta1), static_cast<float>(beta2),
+    const AdamRates r = {static_cast<float>(rates[i] / left1), static_cast<float>(beta2),
+                         static_cast<float>(1.0 - beta1), static_cast<float>(1.0 - beta2),
                          static_cast<float>(eps), static_cast<float>(1.0 / std::sqrt(left2))};
     for (int64_t at = 0; at < n; at += GRAIN)
       pieces.push_back({params[i].data() + at, grads[i].data() + at, first[i].data() + at, second[i].data() + at,
@@ -266,11 +280,14 @@ NB_MODULE(_native, m) {
         nb::arg("features"), nb::arg("offset").none(), nb::arg("view"), nb::arg("near"), nb::arg("image"),
         nb::arg("alpha"), nb::arg("depth"), nb::arg("radii"), nb::arg("keep"), nb::rv_policy::take_ownership);
   m.def("backward", backward_checked, nb::arg("frame"), nb::arg("means"), nb::arg("quats"), nb::arg("scales"),
-        nb::arg("opacities"), nb::arg("features"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"), nb::arg("grad_image").none(), nb::arg("grad_alpha").none(),
-        nb::arg("grad_depth").none(), nb::arg("to_means"), nb::arg("to_quats"), nb::arg("to_scales"),
+        nb::arg("opacities"), nb::arg("features"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"),
+        nb::arg("grad_image").none(), nb::arg("grad_alpha").none(), nb::arg("grad_depth").none(), nb::arg("to_means"), nb::arg("to_quats"), nb::arg("to_scales"),
         nb::arg("to_opacities"), nb::arg("to_features"), nb::arg("to_offset").none(), nb::arg("offset").none());
-  m.def("sh_forward", sh_forward);
-  m.def("sh_backward", sh_backward);
+  m.def("sh_forward", sh_forward, nb::arg("degree"), nb::arg("means"), nb::arg("position"), nb::arg("first"),
+        nb::arg("rest").none(), nb::arg("colors"));
+  m.def("sh_backward", sh_backward, nb::arg("degree"), nb::arg("means"), nb::arg("position"), nb::arg("first"),
+        nb::arg("rest").none(), nb::arg("colors"), nb::arg("grad"), nb::arg("grad_means"), nb::arg("grad_first"),
+        nb::arg("grad_rest").none());
   m.def("photometric", photometric_checked, nb::arg("x"), nb::arg("y"), nb::arg("absolute"),
         nb::arg("structural"), nb::arg("grad").none());
   m.def("adam", adam);

@@ -22,10 +22,9 @@ struct Flush {
 
 static void adam(float* p, const float* g, float* m, float* v, int64_t n, const AdamRates& r) {
   const Flush flush;
-  const float keep1 = 1.0f - r.beta1, keep2 = 1.0f - r.beta2;
   const auto update = [&](vf grad, vf& first, vf& second) __attribute__((always_inline)) {
-    first = fma(grad - first, set(keep1), first);
-    second = fma(second, set(r.beta2), keep2 * (grad * grad));
+    first = fma(grad - first, set(r.new1), first);
+    second = fma(second, set(r.beta2), r.new2 * (grad * grad));
     return r.rate * first / (sqrt(second) * r.root2 + r.eps);
   };
   int64_t i = 0;

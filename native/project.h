@@ -125,7 +125,7 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
                     (left <= right) & (low <= high);
     // Rounding in float must not cut a pixel off whose alpha is 1/255 in float: widened by a hair.
     const vd wide = bound * (1.0 + 1e-4) + 1e-4;
-    const vd tip = o.b * sqrtd(wide / o.a), top = sqrtd(wide * o.c);
+    const vd tip = o.b * sqrtd(wide / o.a), top = sqrtd(wide * o.c), reach = sqrtd(wide * o.a);
     const vd log2e = setd(1.4426950408889634);
     const vd inverse_c = 1.0 / o.c, slope = o.b * inverse_c, width2 = o.det * inverse_c;
     const vd a = -0.5 * log2e * o.c * inverse, c = -0.5 * log2e * inverse_c;
@@ -155,6 +155,7 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
       s.bound = (float)wide[l];
       s.tip = narrow(tip[l]);
       s.top = narrow(top[l]);
+      s.reach = narrow(reach[l]);
     }
   }
   return fine;
@@ -195,13 +196,12 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
     }
     const Batch g = gather(in, start, end);
     const Geometry o = geometry(g, view);
-    const vd inverse = 1.0 / o.det;
-    const vd A = o.c * inverse, B = -o.b * inverse, C = o.a * inverse;  // alpha = opacity exp(-1/2 d' [A B; B C] d)
-    const vd du = A * sum[SLOT_DX] + B * sum[SLOT_DY], dv = B * sum[SLOT_DX] + C * sum[SLOT_DY];
-    // dL/dcov = -K G K with K the conic and G = dL/dK
-    const vd g11 = -0.5 * sum[SLOT_DXX], g12 = -0.5 * sum[SLOT_DXY], g22 = -0.5 * sum[SLOT_DYY];
-    const vd p11 = A * g11 + B * g12, p12 = A * g12 + B * g22, p21 = B * g11 + C * g12, p22 = B * g12 + C * g22;
-    const vd h11 = -(p11 * A + p12 * B), h12 = -(p11 * B + p12 * C), h22 = -(p21 * B + p22 * C);
+    // With K the conic, alpha = opacity exp(-1/2 d' K d) and K d = (p e, q dy - slope p e), p = c / det, q = 1 / c.
+    const vd q = 1.0 / o.c, p = o.c / o.det, slope = o.b * q;
+    const vd du = p * sum[SLOT_E], dv = q * sum[SLOT_Y] - slope * du;
+    // dL/dcov = 1/2 sum of h (K d) (K d)'
+    const vd ee = p * p * sum[SLOT_EE], ey = p * q * sum[SLOT_EY], yy = q * q * sum[SLOT_YY];
+    const vd h11 = 0.5 * ee, h12 = 0.5 * (ey - slope * ee), h22 = 0.5 * (yy - slope * (2.0 * ey - slope * ee));
     const Vec3 dm1 = (2.0 * h11) * o.m1 + (2.0 * h12) * o.m2, dm2 = (2.0 * h12) * o.m1 + (2.0 * h22) * o.m2;
     const Vec3 ds = o.r1 * dm1 + o.r2 * dm2;
     const Vec3 dr1 = g.scale * dm1, dr2 = g.scale * dm2;

@@ -29,91 +29,103 @@ class Clock {
   std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
 };
 
-struct Key {
-  uint32_t depth, index;
-};
-
-// Visible Gaussians from near to far; equal depths by index. Depths are positive, so their bits sort as integers.
-int64_t sort_by_depth(const Splat* splats, int64_t count, Key* keys, Key* spare) {
-  constexpr int BITS = 11, BINS = 1 << BITS;
-  std::vector<uint32_t> bins(3 * BINS, 0);
-  int64_t visible = 0;
-  for (int64_t n = 0; n < count; ++n) {
-    if (splats[n].opacity <= 0.0f) continue;
-    uint32_t bits;
-    std::memcpy(&bits, &splats[n].depth, 4);
-    keys[visible++] = {bits, static_cast<uint32_t>(n)};
-    for (int pass = 0; pass < 3; ++pass) ++bins[pass * BINS + (bits >> (BITS * pass) & (BINS - 1))];
-  }
-  for (int pass = 0; pass < 3; ++pass) {
-    uint32_t* const bin = bins.data() + pass * BINS;
-    if (std::any_of(bin, bin + BINS, [&](uint32_t size) { return size == visible; })) continue;  // all alike
-    uint32_t start = 0;
-    for (int i = 0; i < BINS; ++i) start += std::exchange(bin[i], start);
-    for (int64_t i = 0; i < visible; ++i) spare[bin[keys[i].depth >> (BITS * pass) & (BINS - 1)]++] = keys[i];
-    std::memcpy(static_cast<void*>(keys), spare, visible * sizeof(Key));
-  }
-  return visible;
-}
-
+// A run of tiles in one row of tiles that a Gaussian meets.
 struct Span {
-  uint32_t first;  // tile
-  uint32_t count;
+  uint32_t splat, first, count;
 };
+
+int floor_of(double x) { return static_cast<int>(x); }  // of what is not negative
+int ceil_of(double x) {
+  const int below = static_cast<int>(x);
+  return below + (below < x);
+}
 
 // The tiles that an ellipse meets, one span per row of tiles. Rows and columns are those of pixel centres.
 template <class Take>
 void spans(const Splat& s, const Frame& frame, Take take) {
   const double height = frame.view.height, width = frame.view.width;
   const double low = std::max(s.v - s.top, 0.5), high = std::min(s.v + s.top, height - 0.5);
-  const int from = static_cast<int>(std::ceil(low - 0.5)), to = static_cast<int>(std::floor(high - 0.5));
+  const int from = ceil_of(low - 0.5), to = floor_of(high - 0.5);
   if (from > to) return;
+  if (from / TILE == to / TILE) {  // most Gaussians of a trained scene lie in one tile
+    const int first = ceil_of(std::max(s.u - s.reach, 0.5) - 0.5);
+    const int last = floor_of(std::min(s.u + s.reach, width - 0.5) - 0.5);
+    if (first / TILE == last / TILE) return take(from / TILE * frame.across + first / TILE, 1);
+  }
   for (int row = from / TILE; row <= to / TILE; ++row) {
     const float above = static_cast<float>(std::max(row * TILE, from) + 0.5 - s.v);
     const float below = static_cast<float>(std::min(row * TILE + TILE - 1, to) + 0.5 - s.v);
     const float at_right = std::max(above, std::min(below, s.tip)), at_left = std::max(above, std::min(below, -s.tip));
     const float reach = std::sqrt(std::max(s.bound - at_right * at_right * s.inverse, 0.0f) * s.width2);
     const float back = std::sqrt(std::max(s.bound - at_left * at_left * s.inverse, 0.0f) * s.width2);
-    const double left = std::max(s.u + (s.slope * at_left - back), 0.5);
+    const double left = std::clamp(s.u + (s.slope * at_left - back), 0.5, width);
     const double right = std::min(s.u + (s.slope * at_right + reach), width - 0.5);
-    const int first = static_cast<int>(std::ceil(left - 0.5)), last = static_cast<int>(std::floor(right - 0.5));
+    if (right < left) continue;
+    const int first = ceil_of(left - 0.5), last = floor_of(right - 0.5);
     if (first > last) continue;
     take(row * frame.across + first / TILE, last / TILE - first / TILE + 1);
   }
 }
 
-// Sorts the tile-Gaussian pairs into tiles, near to far. Pieces of the sorted list are counted and filled in
-// parallel; the result does not depend on how many pieces there are.
-void bin(Frame& frame, const Key* order, int64_t visible) {
+// A Gaussian in a tile before the tile is sorted. Depths are positive, so their bits sort as integers.
+struct Loose {
+  uint32_t depth, splat, slot;
+};
+
+// Spans found in a piece of the Gaussians, in memory that is handed round.
+class Spans {
+ public:
+  void reserve(int64_t capacity) { memory_ = Buffer((capacity_ = capacity) * sizeof(Span)); }
+  void add(const Span& span) {
+    if (size == capacity_) {
+      Buffer larger(2 * capacity_ * sizeof(Span));
+      std::memcpy(larger.as<Span>(), data(), size * sizeof(Span));
+      memory_ = std::move(larger);
+      capacity_ *= 2;
+    }
+    data()[size++] = span;
+  }
+  Span* data() const { return memory_.as<Span>(); }
+  int64_t size = 0;
+
+ private:
+  Buffer memory_;
+  int64_t capacity_ = 0;
+};
+
+// Distributes the Gaussians over the tiles, each tile's by index. Pieces of the Gaussians are counted and filled in
+// parallel; the result does not depend on how many pieces there are. Returns the tiles' Gaussians, to be sorted.
+Buffer bin(Frame& frame, int64_t* visible) {
   const Splat* const splats = frame.splats.as<Splat>();
-  const int64_t tiles = static_cast<int64_t>(frame.across) * frame.down;
-  const int64_t pieces = std::clamp<int64_t>(visible / 1024, 1, 2 * threads());
-  const auto edge = [&](int64_t piece) { return visible * piece / pieces; };
+  const int64_t tiles = static_cast<int64_t>(frame.across) * frame.down, count = frame.count;
+  const int64_t pieces = std::clamp<int64_t>(count / 1024, 1, 2 * threads());
+  const auto edge = [&](int64_t piece) { return count * piece / pieces; };
   Buffer counts_memory(pieces * tiles * sizeof(uint32_t));
   uint32_t* const counts = counts_memory.as<uint32_t>();
-  std::vector<std::vector<Span>> found(pieces);
-  std::vector<std::vector<uint32_t>> rows(pieces);
-  frame.first_slot = Buffer((frame.count + 1) * sizeof(uint32_t));
+  struct Piece {
+    Spans found;
+    int64_t visible = 0, slots = 0;
+  };
+  std::vector<Piece> all(pieces);
+  frame.first_slot = Buffer((count + 1) * sizeof(uint32_t));
   uint32_t* const first_slot = frame.first_slot.as<uint32_t>();
-  std::fill(first_slot, first_slot + frame.count + 1, 0);
 
-  parallel(pieces, [&](int64_t piece, int) {
-    uint32_t* const count = counts + piece * tiles;
-    std::fill(count, count + tiles, 0);
-    found[piece].reserve((edge(piece + 1) - edge(piece)) * 3);
-    rows[piece].reserve(edge(piece + 1) - edge(piece));
-    for (int64_t i = edge(piece); i < edge(piece + 1); ++i) {
-      if (i + 8 < visible) __builtin_prefetch(splats + order[i + 8].index);
-      uint32_t sum = 0;
-      const size_t before = found[piece].size();
-      spans(splats[order[i].index], frame, [&](uint32_t first, uint32_t many) {
-        found[piece].push_back({first, many});
-        for (uint32_t t = first; t < first + many; ++t) ++count[t];
-        sum += many;
+  parallel(pieces, [&](int64_t at, int) {
+    uint32_t* const in_tile = counts + at * tiles;
+    std::fill(in_tile, in_tile + tiles, 0);
+    Piece piece;
+    piece.found.reserve((edge(at + 1) - edge(at)) * 3 / 2 + 64);
+    for (int64_t n = edge(at); n < edge(at + 1); ++n) {
+      first_slot[n] = static_cast<uint32_t>(piece.slots);
+      if (splats[n].opacity <= 0.0f) continue;
+      ++piece.visible;
+      spans(splats[n], frame, [&](uint32_t first, uint32_t many) {
+        piece.found.add({static_cast<uint32_t>(n), first, many});
+        for (uint32_t t = first; t < first + many; ++t) ++in_tile[t];
+        piece.slots += many;
       });
-      rows[piece].push_back(static_cast<uint32_t>(found[piece].size() - before));
-      first_slot[order[i].index + 1] = sum;
     }
+    all[at] = std::move(piece);
   });
 
   frame.starts = Buffer((tiles + 1) * sizeof(int64_t));
@@ -130,20 +142,60 @@ void bin(Frame& frame, const Key* order, int64_t visible) {
   starts[tiles] = total;
   if (total > INT32_MAX) throw std::length_error("more than 2^31 intersections of Gaussians with tiles");
   frame.intersections = total;
-  for (int64_t n = 0; n < frame.count; ++n) first_slot[n + 1] += first_slot[n];
+  first_slot[count] = static_cast<uint32_t>(total);
+  int64_t slots = 0;
+  *visible = 0;
+  for (Piece& piece : all) {
+    slots += std::exchange(piece.slots, slots);
+    *visible += piece.visible;
+  }
 
-  frame.entries = Buffer(std::max<int64_t>(total, 1) * sizeof(Entry));
-  Entry* const entries = frame.entries.as<Entry>();
-  parallel(pieces, [&](int64_t piece, int) {
-    uint32_t* const next = counts + piece * tiles;
-    const Span* span = found[piece].data();
-    for (int64_t i = edge(piece); i < edge(piece + 1); ++i) {
-      const uint32_t index = order[i].index;
-      uint32_t slot = first_slot[index];
-      for (uint32_t row = rows[piece][i - edge(piece)]; row > 0; --row, ++span)
-        for (uint32_t t = span->first; t < span->first + span->count; ++t) entries[next[t]++] = {index, slot++};
+  Buffer loose_memory(std::max<int64_t>(total, 1) * sizeof(Loose));
+  Loose* const loose = loose_memory.as<Loose>();
+  parallel(pieces, [&](int64_t at, int) {
+    uint32_t* const next = counts + at * tiles;
+    uint32_t slot = static_cast<uint32_t>(all[at].slots);
+    for (int64_t n = edge(at); n < edge(at + 1); ++n) first_slot[n] += slot;
+    const Span* span = all[at].found.data();
+    for (const Span* const end = span + all[at].found.size; span < end; ++span) {
+      uint32_t depth;
+      std::memcpy(&depth, &splats[span->splat].depth, 4);
+      for (uint32_t t = span->first; t < span->first + span->count; ++t)
+        loose[next[t]++] = {depth, span->splat, slot++};
     }
   });
+  return loose_memory;
+}
+
+struct Key {
+  uint32_t depth, place;
+};
+
+// Sorts one tile near to far; equal depths stay in the order of their indices.
+void sort_tile(const Loose* loose, int64_t count, Entry* entries, Key* keys, Key* spare) {
+  for (int64_t i = 0; i < count; ++i) keys[i] = {loose[i].depth, static_cast<uint32_t>(i)};
+  if (count <= 32) {
+    for (int64_t i = 1; i < count; ++i) {
+      const Key key = keys[i];
+      int64_t to = i;
+      for (; to > 0 && keys[to - 1].depth > key.depth; --to) keys[to] = keys[to - 1];
+      keys[to] = key;
+    }
+  } else {
+    constexpr int BITS = 8, BINS = 1 << BITS, PASSES = 4;
+    uint32_t bins[PASSES][BINS] = {};
+    for (int64_t i = 0; i < count; ++i)
+      for (int pass = 0; pass < PASSES; ++pass) ++bins[pass][keys[i].depth >> (BITS * pass) & (BINS - 1)];
+    for (int pass = 0; pass < PASSES; ++pass) {
+      uint32_t* const bin = bins[pass];
+      if (bin[keys[0].depth >> (BITS * pass) & (BINS - 1)] == count) continue;  // all alike
+      uint32_t start = 0;
+      for (int i = 0; i < BINS; ++i) start += std::exchange(bin[i], start);
+      for (int64_t i = 0; i < count; ++i) spare[bin[keys[i].depth >> (BITS * pass) & (BINS - 1)]++] = keys[i];
+      std::swap(keys, spare);
+    }
+  }
+  for (int64_t i = 0; i < count; ++i) entries[i] = {loose[keys[i].place].splat, loose[keys[i].place].slot};
 }
 
 Tile tile_of(const Frame& frame, int64_t at) {
@@ -196,16 +248,27 @@ std::unique_ptr<Frame> forward(const Inputs& in, const View& view, const Images&
   if (!fine) return nullptr;
   statistics.project = clock.lap();
 
-  Buffer keys(std::max<int64_t>(in.count, 1) * 2 * sizeof(Key));
-  const int64_t visible = sort_by_depth(splats, in.count, keys.as<Key>(), keys.as<Key>() + in.count);
-  statistics.sort = clock.lap();
-  bin(*frame, keys.as<Key>(), visible);
+  int64_t visible = 0;
+  const Buffer loose = bin(*frame, &visible);
   statistics.bin = clock.lap();
+
+  frame->order = longest_first(*frame);
+  frame->entries = Buffer(std::max<int64_t>(frame->intersections, 1) * sizeof(Entry));
+  const int64_t* const starts = frame->starts.as<int64_t>();
+  const int64_t longest = starts[frame->order[0] + 1] - starts[frame->order[0]];
+  Buffer keys(threads() * 2 * (longest + 1) * sizeof(Key));
+  parallel(static_cast<int64_t>(frame->order.size()), [&](int64_t item, int thread) {
+    const int64_t start = starts[frame->order[item]];
+    Key* const mine = keys.as<Key>() + thread * 2 * longest;
+    sort_tile(loose.as<Loose>() + start, starts[frame->order[item] + 1] - start, frame->entries.as<Entry>() + start,
+              mine, mine + longest);
+  });
+  statistics.sort = clock.lap();
 
   if (keep) frame->blocks = Buffer(std::max<int64_t>(frame->intersections, 1) * sizeof(uint64_t));
   const int64_t floats = use.scratch(in.channels);
   Buffer scratch(threads() * (floats + 16) * sizeof(float));
-  const auto order = longest_first(*frame);
+  const auto& order = frame->order;
   std::atomic<int64_t> evaluations{0};
   parallel(static_cast<int64_t>(order.size()), [&](int64_t item, int thread) {
     evaluations += use.blend(in, splats, tile_of(*frame, order[item]), view, out,
@@ -226,7 +289,7 @@ void backward(const Frame& frame, const Inputs& in, const ConstImages& out, cons
   const int64_t size = slot_size(in.channels), floats = (use.scratch(in.channels) + 15) / 16 * 16;
   Buffer slots(std::max<int64_t>(frame.intersections, 1) * size * sizeof(float));
   Buffer scratch(threads() * floats * sizeof(float));
-  const auto order = longest_first(frame);
+  const auto& order = frame.order;
   parallel(static_cast<int64_t>(order.size()), [&](int64_t item, int thread) {
     use.blend_backward(in, frame.splats.as<Splat>(), tile_of(frame, order[item]), frame.view, out, grad,
                        slots.as<float>(), scratch.as<float>() + thread * floats);

@@ -49,6 +49,7 @@ struct Frame {
   Buffer entries;            // Entry by tile, near to far
   Buffer starts;             // int64 by tile, tiles + 1
   Buffer blocks;             // uint64 by entry
+  std::vector<uint32_t> order;  // tiles, those with most entries first
 };
 
 FrameStatistics& last_frame();

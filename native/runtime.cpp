@@ -30,7 +30,7 @@ namespace {
 std::atomic<const Kernels*> chosen{nullptr};
 
 struct Shelf {
-  static constexpr size_t PLACES = 24;
+  static constexpr size_t PLACES = 48;
   std::mutex mutex;
   struct { void* data; size_t bytes; } free[PLACES];  // oldest first
   size_t count = 0;

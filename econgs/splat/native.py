@@ -11,7 +11,9 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 import econgs._native as _native
@@ -80,6 +82,11 @@ def _plain(tensor: Tensor) -> Tensor:
     return tensor.detach().contiguous()
 
 
+def _array(tensor: Tensor | None) -> Any:
+    """The memory of a plain tensor as a NumPy array, which nanobind takes in far less time than a tensor."""
+    return None if tensor is None else tensor.numpy()
+
+
 class _Rasterise(torch.autograd.Function):
     @staticmethod
     def forward(  # type: ignore[override]
@@ -90,7 +97,7 @@ class _Rasterise(torch.autograd.Function):
         opacities: Tensor,
         features: Tensor,
         screen_offset: Tensor | None,
-        view: Tensor,
+        view: NDArray[np.float64],
         size: tuple[int, int],
         near: float,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -103,7 +110,8 @@ class _Rasterise(torch.autograd.Function):
         depth = means.new_empty((height, width))
         radii = torch.empty(means.shape[0], dtype=torch.int32)
         keep = any(ctx.needs_input_grad[:6])
-        frame = _native.forward(*inputs, offset, view, near, image, alpha, depth, radii, keep)
+        outputs = map(_array, (image, alpha, depth, radii))
+        frame = _native.forward(*map(_array, (*inputs, offset)), view, near, *outputs, keep)
         ctx.frame = frame if keep else None
         ctx.inputs = inputs
         ctx.images = (image, alpha, depth)
@@ -125,7 +133,8 @@ class _Rasterise(torch.autograd.Function):
         if ctx.needs_input_grad[5]:
             grad_offset = torch.empty_like(ctx.offset)
         outer = [None if one is None else _plain(one) for one in (grad_image, grad_alpha, grad_depth)]
-        _native.backward(ctx.frame, *ctx.inputs, *ctx.images, *outer, *grads, grad_offset, ctx.offset)
+        arrays = map(_array, (*ctx.inputs, *ctx.images, *outer, *grads, grad_offset, ctx.offset))
+        _native.backward(ctx.frame, *arrays)
         needed = ctx.needs_input_grad
         kept = [grad if need else None for grad, need in zip(grads, needed[:5], strict=True)]
         return (*kept, grad_offset, None, None, None)
@@ -150,7 +159,7 @@ def rasterise(
     """
     pose = camera.world_to_camera
     numbers = [*pose[:3, :4].ravel().tolist(), camera.fx, camera.fy, camera.cx, camera.cy]
-    view = torch.tensor(numbers, dtype=torch.float64)
+    view = np.array(numbers)
     size = (camera.width, camera.height)
     images: tuple[Tensor, Tensor, Tensor, Tensor] = _Rasterise.apply(
         means, quats, scales, opacities, features, screen_offset, view, size, near
@@ -161,11 +170,11 @@ def rasterise(
 class _SphericalHarmonics(torch.autograd.Function):
     @staticmethod
     def forward(  # type: ignore[override]
-        ctx: Any, degree: int, means: Tensor, position: Tensor, coefficients: Tensor
+        ctx: Any, degree: int, means: Tensor, position: Tensor, coefficients: Tensor, rest: Tensor | None
     ) -> Tensor:
-        inputs = [_plain(one) for one in (means, position, coefficients)]
+        inputs = [None if one is None else _plain(one) for one in (means, position, coefficients, rest)]
         colors = means.new_empty((means.shape[0], 3))
-        _native.sh_forward(degree, *inputs, colors)
+        _native.sh_forward(degree, *map(_array, inputs), _array(colors))
         ctx.degree = degree
         ctx.save_for_backward(*inputs, colors)
         return colors
@@ -173,26 +182,21 @@ class _SphericalHarmonics(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
-        means, position, coefficients, colors = ctx.saved_tensors
-        grad_means = torch.empty_like(means)
-        grad_coefficients = torch.empty_like(coefficients)
-        _native.sh_backward(
-            ctx.degree,
-            means,
-            position,
-            coefficients,
-            colors.detach(),
-            _plain(grad),
-            grad_means,
-            grad_coefficients,
-        )
+        *inputs, colors = ctx.saved_tensors
+        means, _, coefficients, rest = inputs
+        grad_means, grad_coefficients = torch.empty_like(means), torch.empty_like(coefficients)
+        grad_rest = None if rest is None else torch.empty_like(rest)
+        arrays = (*inputs, colors.detach(), _plain(grad), grad_means, grad_coefficients, grad_rest)
+        _native.sh_backward(ctx.degree, *map(_array, arrays))
         grad_position = -grad_means.sum(0) if ctx.needs_input_grad[2] else None
-        return None, grad_means, grad_position, grad_coefficients
+        return None, grad_means, grad_position, grad_coefficients, grad_rest
 
 
-def spherical_harmonics(degree: int, means: Tensor, camera_position: Tensor, coefficients: Tensor) -> Tensor:
+def spherical_harmonics(
+    degree: int, means: Tensor, camera_position: Tensor, coefficients: Tensor, rest: Tensor | None = None
+) -> Tensor:
     """(N, 3) colors; arguments as in :func:`econgs.splat.spherical_harmonics`."""
-    colors: Tensor = _SphericalHarmonics.apply(degree, means, camera_position, coefficients)
+    colors: Tensor = _SphericalHarmonics.apply(degree, means, camera_position, coefficients, rest)
     return colors
 
 
@@ -202,9 +206,8 @@ class _Photometric(torch.autograd.Function):
         # The loss is a scalar, so its gradient is made at once and only scaled in the backward pass.
         grad = torch.empty_like(rendered) if ctx.needs_input_grad[0] else None
         grad = None if grad is None else grad.contiguous()
-        mean_absolute, ssim = _native.photometric(
-            _plain(rendered), _plain(target), absolute, structural, grad
-        )
+        images = _array(_plain(rendered)), _array(_plain(target))
+        mean_absolute, ssim = _native.photometric(*images, absolute, structural, _array(grad))
         ctx.grad = grad
         return rendered.new_tensor(absolute * mean_absolute + structural * ssim)
 
@@ -257,13 +260,14 @@ def adam_step(
         ValueError: lists or tensors of different sizes, or a parameter that is not contiguous.
     """
     columns = [[_in_place(one) for one in column] for column in (params, m, v)]
-    _native.adam(columns[0], [_plain(one) for one in grads], *columns[1:], list(lrs), beta1, beta2, eps, step)
+    plain = [_array(_plain(one)) for one in grads]
+    _native.adam(columns[0], plain, *columns[1:], list(lrs), beta1, beta2, eps, step)
 
 
-def _in_place(tensor: Tensor) -> Tensor:
+def _in_place(tensor: Tensor) -> Any:
     if not tensor.is_contiguous():
         raise ValueError("adam_step takes contiguous parameters and moments")
-    return tensor.detach()
+    return _array(tensor.detach())
 
 
 def fixed_reference_kernel() -> float:

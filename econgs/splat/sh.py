@@ -11,18 +11,25 @@ MAX_DEGREE = 3
 
 
 def spherical_harmonics(
-    degree: int, means: Tensor, camera_position: Tensor, coefficients: Tensor, *, backend: str | None = None
+    degree: int,
+    means: Tensor,
+    camera_position: Tensor,
+    coefficients: Tensor,
+    rest: Tensor | None = None,
+    *,
+    backend: str | None = None,
 ) -> Tensor:
     """Colors ``max(0, 0.5 + Σ cₖ Yₖ(d))`` with d the unit direction from the camera to each mean.
 
     Real spherical harmonics with the Condon-Shortley phase, ordered (0,0), (1,-1), (1,0), (1,1), (2,-2), …
-    Differentiable with respect to ``means`` and ``coefficients``.
+    Differentiable with respect to ``means``, ``coefficients`` and ``rest``.
 
     Args:
         degree: 0 to 3; coefficients of higher degrees present are not used (the schedule of 3DGS raises it).
         means: (N, 3).
         camera_position: (3,).
-        coefficients: (N, K, 3) with K ≥ (degree + 1)².
+        coefficients: (N, K, 3) with K ≥ (degree + 1)²; or only the first, (N, 1, 3), where ``rest`` is given.
+        rest: (N, K - 1, 3), the others: two tensors with learning rates of their own need not be joined.
         backend: as in :func:`econgs.splat.rasterise`.
 
     Returns:
@@ -34,14 +41,22 @@ def spherical_harmonics(
     used = (degree + 1) ** 2
     if not 0 <= degree <= MAX_DEGREE:
         raise ValueError(f"spherical harmonics of degree {degree}: 0 to {MAX_DEGREE} are possible")
-    if coefficients.ndim != 3 or coefficients.shape[0] != means.shape[0] or coefficients.shape[2] != 3:
-        raise ValueError(f"coefficients has shape {tuple(coefficients.shape)}, not ({len(means)}, K, 3)")
-    if coefficients.shape[1] < used:
-        raise ValueError(f"degree {degree} needs {used} coefficients, not {coefficients.shape[1]}")
+    for name, one in (("coefficients", coefficients), ("rest", rest)):
+        if one is not None and (one.ndim != 3 or one.shape[0] != means.shape[0] or one.shape[2] != 3):
+            raise ValueError(f"{name} has shape {tuple(one.shape)}, not ({len(means)}, K, 3)")
+    if rest is not None and coefficients.shape[1] != 1:
+        raise ValueError(f"coefficients has shape {tuple(coefficients.shape)}, not (N, 1, 3), beside rest")
+    given = coefficients.shape[1] + (0 if rest is None else rest.shape[1])
+    if given < used:
+        raise ValueError(f"degree {degree} needs {used} coefficients, not {given}")
+    if degree == 0:
+        rest = None  # no gradient either: an optimiser leaves it alone
     camera_position = torch.as_tensor(camera_position, dtype=means.dtype, device=means.device)
     if choose_backend(means, backend) == "native":
-        colors: Tensor = native().spherical_harmonics(degree, means, camera_position, coefficients)
+        colors: Tensor = native().spherical_harmonics(degree, means, camera_position, coefficients, rest)
         return colors
+    if rest is not None:
+        coefficients = torch.cat([coefficients, rest[:, : used - 1]], dim=1)
     return torch_spherical_harmonics(degree, means, camera_position, coefficients)
 
 

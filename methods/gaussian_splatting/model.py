@@ -86,7 +86,8 @@ class _Activated:
     quats: torch.Tensor
     scales: torch.Tensor
     opacities: torch.Tensor
-    sh: torch.Tensor
+    sh_dc: torch.Tensor
+    sh_rest: torch.Tensor
     sh_degree: int
 
     @classmethod
@@ -96,7 +97,8 @@ class _Activated:
             quats=torch.nn.functional.normalize(torch.cat([s.quats for s in scenes]), dim=1),
             scales=torch.cat([s.log_scales for s in scenes]).exp(),
             opacities=torch.cat([s.logits for s in scenes]).sigmoid(),
-            sh=torch.cat([torch.cat([s.sh_dc, s.sh_rest], dim=1) for s in scenes]),
+            sh_dc=torch.cat([s.sh_dc for s in scenes]),
+            sh_rest=torch.cat([s.sh_rest for s in scenes]),
             sh_degree=max(s.sh_degree for s in scenes),
         )
 
@@ -257,7 +259,7 @@ def _load_scene(file: Path, device: str) -> SceneGaussians:
 
 def _shade(ready: _Activated, camera: Camera) -> torch.Tensor:
     position = torch.as_tensor(camera.position, dtype=ready.means.dtype, device=ready.means.device)
-    return spherical_harmonics(ready.sh_degree, ready.means, position, ready.sh)
+    return spherical_harmonics(ready.sh_degree, ready.means, position, ready.sh_dc, ready.sh_rest)
 
 
 def _now(like: torch.Tensor) -> float:

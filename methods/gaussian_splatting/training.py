@@ -162,13 +162,9 @@ class Trainer:
         return loss, offset, splats.radii
 
     def _colors(self, camera: Camera) -> torch.Tensor:
-        degree = self.schedule.degree(self.iteration)
-        means, coefficients = self.optimiser["means"], self.optimiser["sh_dc"]
-        if degree > 0:
-            used = (degree + 1) ** 2 - 1
-            coefficients = torch.cat([coefficients, self.optimiser["sh_rest"][:, :used]], dim=1)
+        now, degree = self.optimiser, self.schedule.degree(self.iteration)
         position = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
-        return spherical_harmonics(degree, means, position, coefficients)
+        return spherical_harmonics(degree, now["means"], position, now["sh_dc"], now["sh_rest"])
 
     def _next_view(self) -> int:
         """Views come in random order, none twice before all were seen."""

@@ -194,13 +194,12 @@ def optimiser_share(repeats: int) -> list[dict[str, Any]]:
             start = time.perf_counter()
             optimiser.zero_grad()
             offset = torch.zeros(count, 2, requires_grad=True)
-            coefficients = torch.cat([optimiser["dc"], optimiser["rest"]], dim=1)
             out = rasterise(
                 optimiser["means"],
                 optimiser["quats"],
                 optimiser["scales"].exp(),
                 optimiser["opacities"].sigmoid(),
-                spherical_harmonics(3, optimiser["means"], position, coefficients),
+                spherical_harmonics(3, optimiser["means"], position, optimiser["dc"], optimiser["rest"]),
                 camera,
                 screen_offset=offset,
             )
