@@ -93,6 +93,7 @@ def _parser() -> _Parser:
     _add_selection(run)
     run.add_argument("--out", default="runs", metavar="DIR", help="the run store (default: runs)")
     run.add_argument("--retry", action="store_true", help="run failed jobs again")
+    run.add_argument("--no-report", action="store_true", help="leave the page to a later `bench report`")
     run.add_argument("--time-limit", type=_seconds, metavar="TIME", help="per job: 90, 90s, 30m, 2h")
     run.add_argument("--memory-limit", type=_bytes, metavar="SIZE", help="per job: 8G, 500M")
     plan = command("plan", "show the jobs of a suite, which are done, and an estimate", plugins)

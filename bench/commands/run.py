@@ -43,9 +43,10 @@ def run(options: Namespace) -> int:
 
         print_table(shown)
         page = store.root / "report.html"
-        if outcome.ran or not page.is_file():
-            write_html(tables, store, page)
-        print(f"report: {page}")
+        if not options.no_report:
+            if outcome.ran or not page.is_file():
+                write_html(tables, store, page)
+            print(f"report: {page}")
     return _verdict(outcome, planned)
 
 

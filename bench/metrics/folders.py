@@ -64,7 +64,7 @@ def score(renders: Path, truth: Path, background: Sequence[float] = (1.0, 1.0, 1
         )
     table = pd.DataFrame(rows)
     table[list(METRICS)] = table[list(METRICS)].astype("Float64")
-    reasons = sorted({part for row in rows for part in row["reason"].split("; ") if part})
+    reasons = dict.fromkeys(part for row in rows for part in row["reason"].split("; ") if part)
     means = {m: table[m].mean(skipna=False) for m in METRICS}
     total: dict[str, Any] = {
         "file": MEAN,

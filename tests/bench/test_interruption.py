@@ -14,7 +14,7 @@ import pytest
 
 from bench.store import Store, read_record
 
-SLOW = ("--set", "fake.pace=0.05", "--set", "fake.iterations=60")
+SLOW = ("--set", "fake.pace=0.05", "--set", "fake.iterations=40")
 
 
 def _records_are_whole(store: Path) -> int:
@@ -26,7 +26,7 @@ def _records_are_whole(store: Path) -> int:
     return len(files)
 
 
-def _wait_for(condition, seconds: float = 30.0) -> None:
+def _wait_for(condition, seconds: float = 120.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "did not happen in time"
@@ -42,63 +42,85 @@ def _workers(process: subprocess.Popen) -> list[psutil.Process]:
 
 
 def _models(store: Path) -> dict[str, bytes]:
-    return {f"{p.parent.parent.name}/{p.name}": p.read_bytes() for p in store.glob("jobs/encode-*/model/*")}
+    return {p.name: p.read_bytes() for p in store.glob("jobs/encode-*/model/*")}
 
 
-def _progress(store: Path) -> str:
-    return "".join(p.read_text() for p in store.glob("partial/fit-*/progress.jsonl"))
+def _held(store: Path) -> bool:
+    return any('"held"' in p.read_text() for p in store.glob("partial/fit-*/progress.jsonl"))
+
+
+class Hold:
+    """Options of a fit that stands still half-way until it is let go."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = folder / "go on"
+        self.options = ("--set", "fake.behaviour=hold", "--set", f"fake.file={self._file}")
+        self.options += ("--set", "fake.iterations=40")
+
+    def let_go(self) -> None:
+        self._file.touch()
+
+
+@pytest.fixture
+def hold(tmp_path) -> Hold:
+    return Hold(tmp_path)
 
 
 @pytest.fixture(scope="module")
 def undisturbed(dataset, tmp_path_factory, make_bench):
     """Models of a run that nobody touched."""
     bench = make_bench(tmp_path_factory.mktemp("undisturbed"), dataset)
-    assert bench.run(*SLOW).returncode == 0
+    assert bench.run("--set", "fake.iterations=40").returncode == 0
     return _models(bench.store)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_checkpoints_and_resumes(bench, undisturbed, number) -> None:
-    process = bench.start(*SLOW)
-    _wait_for(lambda: '"iteration": 2' in _progress(bench.store))
+def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> None:
+    process = bench.start(*hold.options)
+    _wait_for(lambda: _held(bench.store))
     process.send_signal(number)
-    output, _ = process.communicate(timeout=30)
+    output, _ = process.communicate(timeout=120)
     assert process.returncode == 130, output
     assert "run the same command again to resume" in output
     assert not bench.of_kind("fit")
     (checkpoint,) = bench.store.glob("partial/fit-*/checkpoint/0*")
-    assert int(checkpoint.name) >= 2
+    assert int(checkpoint.name) == 20
 
-    assert bench.run(*SLOW).returncode == 0
+    hold.let_go()
+    assert bench.run(*hold.options).returncode == 0
     (fit,) = bench.of_kind("fit")
     assert fit.fit.resumed == 1
     assert _models(bench.store) == undisturbed
+    assert not list((bench.store / "partial").iterdir())
 
 
-def test_killing_the_executor_stops_its_worker(bench, undisturbed) -> None:
-    process = bench.start(*SLOW)
-    _wait_for(lambda: '"iteration": 2' in _progress(bench.store))
+def test_killing_the_executor_stops_its_worker(bench, hold, undisturbed) -> None:
+    process = bench.start(*hold.options)
+    _wait_for(lambda: _held(bench.store))
     (worker,) = _workers(process)
     process.kill()
-    process.communicate(timeout=30)
+    process.communicate(timeout=120)
     _wait_for(lambda: not worker.is_running())
     _records_are_whole(bench.store)
-    assert bench.run(*SLOW).returncode == 0
+    hold.let_go()
+    assert bench.run(*hold.options).returncode == 0
     assert _models(bench.store) == undisturbed
 
 
-def test_killing_a_worker_is_a_failure_that_retry_resumes(bench, undisturbed) -> None:
-    process = bench.start(*SLOW)
-    _wait_for(lambda: '"iteration": 2' in _progress(bench.store))
+def test_killing_a_worker_is_a_failure_that_retry_resumes(bench, hold, undisturbed) -> None:
+    process = bench.start(*hold.options)
+    _wait_for(lambda: _held(bench.store))
     (worker,) = _workers(process)
     worker.kill()
-    process.communicate(timeout=30)
+    process.communicate(timeout=120)
     assert process.returncode == 1
     (fit,) = bench.of_kind("fit")
     assert (fit.status, fit.reason) == ("failed", "killed by signal 9 (SIGKILL)")
-    assert bench.run(*SLOW).returncode == 1
-    assert bench.run(*SLOW, "--retry").returncode == 0
+    hold.let_go()
+    assert bench.run(*hold.options).returncode == 1
+    assert bench.run(*hold.options, "--retry").returncode == 0
     assert _models(bench.store) == undisturbed
+    assert not list((bench.store / "partial").iterdir())
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.slow) for s in (2, 3, 4))])
@@ -107,7 +129,7 @@ def test_kill_9_at_random_moments(bench, undisturbed, seed: int) -> None:
     rng = random.Random(seed)
     for _ in range(4):
         process = bench.start(*SLOW, "--retry")
-        time.sleep(rng.uniform(0.5, 5.0))
+        time.sleep(rng.uniform(0.3, 4.0))
         victims = [process.pid, *(worker.pid for worker in _workers(process))]
         rng.shuffle(victims)
         for victim in victims[: rng.choice([1, 2])]:
@@ -117,7 +139,7 @@ def test_kill_9_at_random_moments(bench, undisturbed, seed: int) -> None:
                 continue
         if process.pid not in victims[:1]:
             process.send_signal(signal.SIGINT)
-        process.communicate(timeout=60)
+        process.communicate(timeout=120)
         _records_are_whole(bench.store)
     done = bench.run(*SLOW, "--retry")
     assert done.returncode == 0, done.stderr
@@ -129,7 +151,7 @@ def test_kill_9_at_random_moments(bench, undisturbed, seed: int) -> None:
 def test_two_runs_on_one_store_share_the_work(bench, undisturbed) -> None:
     first, second = bench.start(*SLOW), bench.start(*SLOW)
     for process in (first, second):
-        output, _ = process.communicate(timeout=60)
+        output, _ = process.communicate(timeout=120)
         assert process.returncode == 0, output
     assert _records_are_whole(bench.store) == 4
     assert _models(bench.store) == undisturbed

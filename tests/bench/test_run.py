@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pandas as pd
 import pytest
@@ -12,7 +13,7 @@ from bench.tables import COLUMNS, build_tables
 
 
 def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
-    first = bench.run(scenes=("a", "b"))
+    first = bench.run(scenes=("a", "b"), report=True)
     assert first.returncode == 0, first.stderr
     assert (bench.store / "report.html").stat().st_size > 0
     assert str(bench.store / "report.html") in first.stdout
@@ -22,7 +23,7 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     )
     stamps = {job: (bench.store / "jobs" / job / "record.json").stat().st_mtime_ns for job in records}
 
-    again = bench.run(scenes=("a", "b"))
+    again = bench.run(scenes=("a", "b"), report=True)
     assert again.returncode == 0
     assert "nothing to run, all 8 jobs are finished" in again.stderr
     after = {job: (bench.store / "jobs" / job / "record.json").stat().st_mtime_ns for job in bench.records()}
@@ -157,13 +158,10 @@ def test_a_joint_method_is_partitioned_and_its_shares_sum(bench) -> None:
     assert table["train_seconds"].sum() == pytest.approx(spent)
 
 
-def test_rows_of_changed_source_are_stale(bench, tmp_path) -> None:
-    import shutil
-
-    plugins = tmp_path / "own"
-    shutil.copytree(bench.plugins, plugins)
+def test_rows_of_changed_source_are_stale(finished, tmp_path) -> None:
+    bench, plugins = finished, tmp_path / "own"
+    shutil.copytree(bench.plugins, plugins, ignore=shutil.ignore_patterns("__pycache__"))
     bench.plugins = plugins
-    assert bench.run().returncode == 0
     fresh = bench("results", "--runs", bench.store, "--format", "json", "--plugins", plugins)
     assert json.loads(fresh.stdout)[0]["stale"] is False
     with (plugins / "fake.py").open("a") as file:
@@ -173,22 +171,12 @@ def test_rows_of_changed_source_are_stale(bench, tmp_path) -> None:
     assert "nothing to run" in bench.run().stderr
 
 
-def test_pictures_of_truth_and_model_can_be_scored(bench) -> None:
-    assert bench.run().returncode == 0
+def test_pictures_of_truth_and_model_can_be_scored(finished) -> None:
+    bench = finished
     (measure,) = bench.of_kind("measure")
     out = bench.store.parent
-    common = (
-        "render",
-        bench.dataset,
-        "--scene",
-        "a",
-        "--size",
-        "8",
-        "--views",
-        "4",
-        "--plugins",
-        bench.plugins,
-    )
+    common = ("render", bench.dataset, "--scene", "a", "--size", "8", "--views", "4")
+    common += ("--plugins", bench.plugins)
     assert bench(*common, "--out", out / "truth").returncode == 0
     done = bench(*common, "--runs", bench.store, "--model", measure.job.id, "--out", out / "model")
     assert done.returncode == 0, done.stderr
@@ -202,3 +190,6 @@ def test_pictures_of_truth_and_model_can_be_scored(bench) -> None:
     unknown = bench(*common, "--runs", bench.store, "--model", "fit-nowhere", "--out", out / "x")
     assert unknown.returncode == 2
     assert "is no finished encode or measure job" in unknown.stderr
+    missing = bench(*common, "--runs", bench.store, "--model", measure.job.id, "--device", "cuda")
+    assert missing.returncode == 2
+    assert "fake runs on cpu, not on cuda" in missing.stderr

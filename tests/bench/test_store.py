@@ -142,10 +142,10 @@ def test_views_are_paired(rate) -> None:
     assert paired(_views([30.0], 1.0), _views([30.0], 2.0)).empty
 
 
-def test_merge_joins_and_prefers_success(bench, make_bench, tmp_path) -> None:
+def test_merge_joins_and_prefers_success(finished, make_bench, tmp_path) -> None:
+    bench = finished
     other = make_bench(tmp_path / "other", bench.dataset)
     other.store.parent.mkdir()
-    assert bench.run(scenes=("a",)).returncode == 0
     assert other.run("--seed", "1", scenes=("a",)).returncode == 0
     failed = other.store / "failed"
     shutil.copytree(bench.store, failed)

@@ -15,6 +15,7 @@ from methods.interface import Checkpoint, Diverged, MethodSpec, Option, RateKnob
 
 BEHAVIOURS = (
     "good", "refuse", "diverge", "nan", "raise", "abort", "exit", "hog", "sleep", "ledger", "no-checkpoint",
+    "hold",
 )  # fmt: skip
 
 
@@ -104,11 +105,16 @@ class Single:
             if options["pace"]:
                 time.sleep(options["pace"])
             loss = float(sum(np.abs(np.subtract(colors[n], targets[n])).mean() for n in targets))
-            if iteration == max(2, budget.iterations // 2):
+            half = iteration == max(2, budget.iterations // 2)
+            if half:
                 loss = _misbehave(behaviour, loss)
             monitor.progress(iteration, {"loss": loss}, len(colors))
+            state = Checkpoint(iteration, {}, {"colors": {k: list(v) for k, v in colors.items()}})
+            if half and _behaviour(options, group) == "hold":
+                monitor.stage("held")
+                while _behaviour(options, group) == "hold" and not monitor.due(iteration):
+                    time.sleep(0.01)
             if behaviour != "no-checkpoint" and monitor.due(iteration):
-                state = Checkpoint(iteration, {}, {"colors": {k: list(v) for k, v in colors.items()}})
                 monitor.pause(iteration, lambda: Color(colors), partial(copy.copy, state))
         return Color(colors, wrong_ledger=behaviour == "ledger")
 
