@@ -166,7 +166,10 @@ def ledger(table: pd.DataFrame) -> Figure:
     """Share of the bytes by part, a stacked bar per dataset and method with its total."""
     bars, parts = data.ledger(table)
     with _style():
-        figure, (axis,) = _figure(1, 7.2, 1.1 + 0.34 * max(1, len(bars)))
+        columns = 4  # of the legend, which stands below the bars
+        height = 0.8 + 0.34 * max(1, len(bars)) + 0.22 * -(-len(parts) // columns)
+        longest = max((len(bar.title) for bar in bars), default=0)
+        figure, (axis,) = _figure(1, 7.2 + 0.07 * max(0, longest - 45), height)
         left = [0.0] * len(bars)
         for i, part in enumerate(parts):
             widths = [bar.percent(part) for bar in bars]
@@ -187,7 +190,7 @@ def ledger(table: pd.DataFrame) -> Figure:
         axis.grid(axis="y", visible=False)
         axis.set_xlabel("share of size [%]")
         if parts:
-            axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+            figure.legend(loc="outside lower center", ncols=columns)
         _settle(figure)
     return figure
 

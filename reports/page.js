@@ -3,7 +3,7 @@
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   function draw(element) {
-    const figure = JSON.parse(document.getElementById(element.dataset.figure).textContent);
+    const figure = JSON.parse(element.nextElementSibling.textContent);
     const layout = figure.layout;
     layout.paper_bgcolor = layout.plot_bgcolor = "rgba(0,0,0,0)";
     layout.font = { family: getComputedStyle(document.body).fontFamily, size: 12, color: css("--fg") };

@@ -51,7 +51,7 @@ def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path
     """
     results = tables["results"]
     body = [
-        _head(results),
+        _head(results, bool(tables["curve"]["psnr_val"].notna().any())),
         _results(results),
         _scenes(tables, root),
         _tradeoffs(results),
@@ -101,7 +101,7 @@ def _listed(results: pd.DataFrame, column: str) -> str:
 # --------------------------------------------------------------------------- summary
 
 
-def _head(results: pd.DataFrame) -> str:
+def _head(results: pd.DataFrame, converges: bool) -> str:
     if results.empty:
         return (
             "<h1>Benchmark report</h1><p>The run store holds no results yet. "
@@ -136,6 +136,7 @@ def _head(results: pd.DataFrame) -> str:
         for anchor, text in (
             ("results", "Results"),
             ("scenes", "Scenes"),
+            *([("convergence", "Convergence")] if converges else []),
             ("tradeoffs", "Trade-offs"),
             ("ledger", "Size ledger"),
             ("provenance", "Provenance"),
@@ -202,8 +203,9 @@ def _results(results: pd.DataFrame) -> str:
     note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '
     note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
     return (
-        f'<h2 id="results">Results</h2><div class="wide"><table><thead><tr>{head}</tr></thead>'
-        f'<tbody>{"".join(lines)}</tbody></table></div><p class="note">{note}</p>{_failures(results)}'
+        '<h2 id="results">Results</h2><div class="wide"><table class="results">'
+        f'<thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+        f'<p class="note">{note}</p>{_failures(results)}'
     )
 
 
@@ -246,7 +248,7 @@ def _abbr(text: str, why: str) -> str:
 
 def _method(row: Any, names: list[str]) -> str:
     shade = color(label(row["method"], row["variant"]), names)
-    name = escape(label(row["method"], row["variant"], row["rate"]))
+    name = escape(label(row["method"], row["variant"], row["rate"])).replace(",", ",<wbr>")
     return f'<span class="dot" style="background:{shade}"></span>{name}'
 
 
@@ -306,10 +308,13 @@ def _scenes(tables: dict[str, pd.DataFrame], root: Path) -> str:
         )
     pairs = [plots.convergence(curve, against, order) for against in ("train_seconds", "iteration")]
     if pairs[0] or pairs[1]:
-        parts.append(
-            "<h2>Convergence</h2><p>PSNR on the validation views while training; the clock stands still "
-        )
-        parts.append("during these evaluations.</p>" + _legend(series(curve), order))
+        told = "PSNR on a few validation views while training; the clock stands still meanwhile."
+        if (results["split"] == "test").any():
+            told += (
+                " With split “test” these views are trained on too: the curves then show how the fit "
+                "proceeds, not how good new views are."
+            )
+        parts.append(f'<h2 id="convergence">Convergence</h2><p>{told}</p>{_legend(series(curve), order)}')
         for dataset in dict.fromkeys([*pairs[0], *pairs[1]]):
             drawn = [_chart(figures[dataset], "") for figures in pairs if dataset in figures]
             parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(drawn)}</div>')
@@ -346,20 +351,14 @@ def _scalebar() -> str:
 # --------------------------------------------------------------------------- charts
 
 
-_figures = 0
-
-
 def _chart(figure: plots.Figure, caption: str) -> str:
-    """A chart: its JSON, and the element that the page's script draws it into."""
-    global _figures
-    _figures += 1
-    name = f"figure-{_figures}"
+    """A chart: the element that the page's script draws it into, and after it its JSON."""
     text = json.dumps(figure, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
     head = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
     height = figure["layout"]["height"]
     return (
-        f'<figure class="card">{head}<div data-figure="{name}" style="height:{height}px"></div>'
-        f'<script type="application/json" id="{name}">{text}</script></figure>'
+        f'<figure class="card">{head}<div data-figure style="height:{height}px"></div>'
+        f'<script type="application/json">{text}</script></figure>'
     )
 
 

@@ -149,7 +149,9 @@ def linear_range(values: Iterable[float], least: float) -> tuple[float, float]:
 
 
 def seconds(value: float) -> str:
-    """A duration for people: "0.42 s", "12.3 s", "3 min 20 s", "1 h 05 min"."""
+    """A duration for people: "4.2 ms", "0.42 s", "12.3 s", "3 min 20 s", "1 h 05 min"."""
+    if value < 0.0995:
+        return f"{value * 1e3:.1f} ms"
     if value < 9.995:
         return f"{value:.2f} s"
     if value < 60:

@@ -114,6 +114,19 @@ def notes(results: pd.DataFrame) -> list[str]:
     return list(dict.fromkeys(str(reason) for reason in finished["reason"] if not absent(reason) and reason))
 
 
+def _readable(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+    """A table as people read it, and remarks to stand under it."""
+    if is_results(table):
+        return shown(table), notes(table)
+    if "reason" not in table:
+        return table, []
+    # Why metrics are missing is told once instead of in every row.
+    told = (part for reason in table["reason"] if not absent(reason) for part in reason.split("; "))
+    ranked = [name for name in table.columns if name in COLUMNS and COLUMNS[name].better]
+    nowhere = [name for name in ranked if table[name].isna().all()]
+    return table.drop(columns=["reason", *nowhere]), list(dict.fromkeys(part for part in told if part))
+
+
 def _status(row: Any) -> str:
     status, stale = row
     return f"{status} (stale)" if not absent(stale) and stale else str(status)
@@ -225,10 +238,7 @@ def to_csv(table: pd.DataFrame) -> str:
 def to_markdown(table: pd.DataFrame) -> str:
     """A pipe table; the best value in bold, the second in italics. `results` is cut to what people read."""
     marks = ranks(table)
-    remarks: list[str] = []
-    if is_results(table):
-        remarks = notes(table)
-        table = shown(table)
+    table, remarks = _readable(table)
     lines = ["| " + " | ".join(_md(title(name)) for name in table.columns) + " |"]
     lines.append("|" + "|".join("---:" if _right(name) else "---" for name in table.columns) + "|")
     for index, row in table.iterrows():
@@ -244,8 +254,10 @@ def to_markdown(table: pd.DataFrame) -> str:
 def to_latex(table: pd.DataFrame) -> str:
     """A booktabs tabular; the best value bold, the second underlined. `results` is cut to what is read."""
     marks = ranks(table)
-    if is_results(table):
-        table = shown(table).drop(columns="reason", errors="ignore")
+    results = is_results(table)
+    table, remarks = _readable(table)
+    if results:
+        table = table.drop(columns="reason", errors="ignore")
     spec = "".join("r" if _right(name) else "l" for name in table.columns)
     lines = ["% needs \\usepackage{booktabs}", f"\\begin{{tabular}}{{{spec}}}", "\\toprule"]
     lines += [" & ".join(_tex(title(name)) for name in table.columns) + r" \\", r"\midrule"]
@@ -256,7 +268,8 @@ def to_latex(table: pd.DataFrame) -> str:
             macro = {1: "textbf", 2: "underline"}.get(marks.get((index, name), 0))
             texts.append(f"\\{macro}{{{text}}}" if macro else text)
         lines.append(" & ".join(texts) + r" \\")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
+    lines += [r"\bottomrule", r"\end{tabular}", *(f"% {' '.join(remark.split())}" for remark in remarks)]
+    return "\n".join(lines) + "\n"
 
 
 def terminal_rows(results: pd.DataFrame) -> list[list[str]]:

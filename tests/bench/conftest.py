@@ -102,8 +102,8 @@ class Bench:
 
     def _finish(self, command: list[str]) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            command, env=self.environment, cwd=self.store.parent, capture_output=True, text=True, timeout=PATIENCE,
-            check=False,
+            command, env=self.environment, cwd=self.store.parent, capture_output=True, text=True,
+            timeout=PATIENCE, check=False,
         )  # fmt: skip
 
     def records(self) -> dict[str, object]:

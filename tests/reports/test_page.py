@@ -1,7 +1,11 @@
+import contextlib
 import re
+import warnings
 from html.parser import HTMLParser
+from unittest.mock import patch
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 
@@ -37,9 +41,10 @@ class Checker(HTMLParser):
             self.text.append(data)
 
 
-def page(maker, out=None) -> tuple[str, str]:
-    """The page's source and its text."""
-    path = write_report(maker.tables(), maker.root, out or maker.root / "report.html")
+def page(maker, draw: bool = False) -> tuple[str, str]:
+    """The page's source and its text; the charts for papers take seconds and are drawn if asked for."""
+    with contextlib.nullcontext() if draw else patch.object(charts, "write"):
+        path = write_report(maker.tables(), maker.root, maker.root / "report.html")
     source = path.read_text(encoding="utf-8")
     checker = Checker()
     checker.feed(source)
@@ -51,7 +56,7 @@ def page(maker, out=None) -> tuple[str, str]:
 
 def test_a_normal_report_is_whole_and_works_offline(maker):
     fill(maker, "normal")
-    source, text = page(maker)
+    source, text = page(maker, draw=True)
     assert source.count("Plotly.react(") == 1
     assert "<link" not in source
     assert source.count('class="triptych"') == 6
@@ -70,6 +75,16 @@ def test_a_normal_report_is_whole_and_works_offline(maker):
         for ending in ("pdf", "png")
     }
     assert all((maker.root / f"results.{ending}").stat().st_size for ending in ("csv", "md", "tex"))
+
+
+def test_the_page_says_when_curves_are_of_views_that_are_trained_on(maker):
+    maker.run()
+    assert "With split “test” these views are trained on too" in page(maker)[1]
+    for row in maker.rows["results"]:
+        row["split"] = "val"
+    text = page(maker)[1]
+    assert "PSNR on a few validation views while training" in text
+    assert "trained on too" not in text
 
 
 def test_a_missing_metric_is_a_dash_with_its_reason(maker):
@@ -207,7 +222,14 @@ def test_figures_can_be_drawn_for_many_methods(maker):
     assert {text.get_text() for text in figure.axes[0].texts} == {"3DGS", "ECoNGS", "HAC"}
     for axis in figure.axes:
         assert axis.get_xscale() == "log"
-    assert len(charts.convergence(tables["curve"]).axes) == 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # matplotlib says so where a layout finds no room
+        assert len(charts.convergence(tables["curve"]).axes) == 2
+        bars = tables["ledger"]
+        for size in (bars.head(1), bars, bars.assign(variant="an_option=with a very long value," * 4)):
+            charts.ledger(size)
+            parts = [size.assign(part=f"part {i}", job=f"{i}") for i in range(9)]
+            charts.ledger(pd.concat(parts))
     assert frame(["psnr"], []).empty
 
 

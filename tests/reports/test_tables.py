@@ -140,9 +140,27 @@ def test_empty_tables(maker):
     assert to_markdown(results).count("\n") == 2
 
 
+def test_scores_without_a_metric_say_so_once():
+    scores = pd.DataFrame(
+        {
+            "file": ["a.png", "b.png"],
+            "psnr": [30.0, 31.0],
+            "lpips_vgg": [None, None],
+            "reason": ["lpips_vgg: no weights; flip: x", "lpips_vgg: no weights"],
+        }
+    )
+    for text in (to_markdown(scores), to_latex(scores)):
+        assert "LPIPS" not in text
+        assert text.count("no weights") == 1
+        assert "31.00" in text
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [
+        (0.0042, "4.2 ms"),
+        (0.0994, "99.4 ms"),
+        (0.0996, "0.10 s"),
         (0.42, "0.42 s"),
         (12.34, "12.3 s"),
         (59.96, "1 min 00 s"),
