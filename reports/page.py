@@ -204,7 +204,7 @@ def _results(results: pd.DataFrame) -> str:
     note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
     return (
         '<h2 id="results">Results</h2><div class="wide"><table class="results">'
-        f'<thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+        f"<thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
         f'<p class="note">{note}</p>{_failures(results)}'
     )
 
