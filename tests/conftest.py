@@ -1,0 +1,45 @@
+"""In CI nothing may be skipped that CI is there to test."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator
+from typing import Any
+
+import pytest
+
+MAY_BE_MISSING = (
+    "no CUDA device with gsplat here",
+    "root may read everything",
+    "no fork here",
+    "neither libLLVM 15 nor 16 is installed here",
+    # Combinations that do not exist.
+    "the format has no half precision",
+    "a promise of the native backend",
+    "gsplat clamps the Jacobian otherwise",
+)
+"""Reasons to skip that stand in CI too: what its machine does not have, or nobody has."""
+
+
+def _refuse(report: Any) -> None:
+    """Turn a skip for want of data, of the native core or of a package into a failure."""
+    if not os.environ.get("CI") or not report.skipped or hasattr(report, "wasxfail"):
+        return
+    reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+    if not any(words in reason for words in MAY_BE_MISSING):
+        report.outcome = "failed"
+        report.longrepr = f"{report.nodeid} may not be skipped in CI. {reason}"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, Any, Any]:
+    report = yield
+    _refuse(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, Any, Any]:
+    report = yield
+    _refuse(report)
+    return report

@@ -1,0 +1,42 @@
+"""CI=true makes a skip a failure, unless it is for something that CI's machine may lack."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TESTS = """
+import pytest
+
+def test_data():
+    pytest.skip("BENCH_DATA is not set")
+
+def test_device():
+    pytest.skip("no CUDA device with gsplat here")
+
+@pytest.mark.xfail
+def test_known():
+    assert False
+"""
+
+
+@pytest.mark.parametrize(
+    ("ci", "ends"), [("", "2 skipped, 1 xfailed"), ("true", "1 failed, 1 skipped, 1 xfailed")]
+)
+def test_skips_in_ci(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ci: str, ends: str) -> None:
+    monkeypatch.setenv("CI", ci)
+    (tmp_path / "conftest.py").write_bytes((Path(__file__).parent / "conftest.py").read_bytes())
+    (tmp_path / "test_some.py").write_text(TESTS)
+    (tmp_path / "test_module.py").write_text('import pytest\npytest.importorskip("no_such_package")\n')
+    some, module = (
+        subprocess.run(
+            [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", name],
+            cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+        )
+        for name in ("test_some.py", "test_module.py")
+    )  # fmt: skip
+    assert ends in some.stdout
+    assert ("could not import 'no_such_package'" in module.stdout) == bool(ci)
