@@ -160,8 +160,9 @@ def read_record(path: Path) -> Record:
     """
     try:
         return Record.model_validate_json(path.read_bytes())
-    except (ValidationError, OSError) as error:
-        first = str(error).splitlines()[0]
+    except ValidationError as error:
+        wrong = error.errors()[0]
+        first = ": ".join(map(str, [*wrong["loc"], wrong["msg"]]))
         raise DataError(
             path, f"not a whole record ({first})", "Delete its folder; the job then runs again"
         ) from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import uuid
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -266,7 +267,15 @@ def _needed(by_id: Mapping[str, Record], record: Record | None, kind: str) -> Re
     return None
 
 
-def _order(row: dict[str, Any]) -> tuple[str, ...]:
+def _order(row: dict[str, Any]) -> list[tuple[Any, ...]]:
     """Rows of one experiment together, whatever their jobs' hashes; the sort keeps the order within a job."""
     keys = ("dataset", "scene", "method", "variant", "preset", "seed", "rate", "split")
-    return tuple("" if row.get(key) is None else f"{row[key]:>12}" for key in keys)
+    return [_natural(row.get(key)) for key in keys]
+
+
+def _natural(value: Any) -> tuple[Any, ...]:
+    """Sorts missing values first, numbers by size, and names as people do: tf2 before tf10."""
+    if value is None or isinstance(value, int | float):
+        return (value is not None, value or 0)
+    parts = re.split(r"(\d+)", value)
+    return tuple((int(part), "") if part.isdecimal() else (-1, part) for part in parts)

@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.errors import DataError
+
 DEFAULT_MAX_BYTES = 20 * 2**30
 _LEVELS = 65535
 _SCHEMA = 1
@@ -87,14 +89,21 @@ class ViewCache:
 
         Returns:
             The images exactly as :meth:`get` will give them.
+
+        Raises:
+            DataError: the folder cannot be written.
         """
         import pyarrow
 
         codec = pyarrow.Codec("zstd", compression_level=1)
         stored = np.empty_like(images)
-        self.folder.mkdir(parents=True, exist_ok=True)
         aside = self.folder / f".partial-{os.getpid()}-{uuid.uuid4().hex[:8]}"
-        aside.mkdir()
+        try:
+            aside.mkdir(parents=True)
+        except OSError as error:
+            raise DataError(
+                self.folder, f"cannot be written ({error.strerror})", "Set BENCH_CACHE to another folder"
+            ) from error
         try:
             checksum, frames = hashlib.sha256(), []
             with (aside / "images.zst").open("wb") as file:
@@ -151,7 +160,11 @@ class ViewCache:
 
     def size(self) -> int:
         """Bytes of all entries."""
-        return sum(file.stat().st_size for folder in self._folders() for file in folder.iterdir())
+        total = 0
+        for folder in self._folders():
+            with suppress(OSError):  # another process removed it meanwhile
+                total += sum(file.stat().st_size for file in folder.iterdir())
+        return total
 
     def _folders(self) -> list[Path]:
         return [f for f in self.folder.iterdir() if f.is_dir()] if self.folder.is_dir() else []

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import gzip
+import io
 import subprocess
 import sys
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from bench.__main__ import main
+from datasets.errors import DataError
 
 LISTS = ("methods", "datasets", "suites", "metrics")
 
@@ -54,22 +59,131 @@ def test_lists_start_without_heavy_imports(bench, what: str) -> None:
 )
 def test_unusable_requests_are_one_line(tmp_path, monkeypatch, capsys, arguments, words) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
+    assert _refusal(arguments, capsys, words)
+
+
+def _refusal(arguments: list[str], capsys, words: str) -> str:
+    """The one line that a request ends with, and nothing else."""
+    try:
+        code = main(arguments)
+    except SystemExit as exit:  # argparse
+        code = exit.code
+    assert code == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.startswith("bench: ")
     assert captured.err.count("\n") == 1
     assert words in captured.err
+    return captured.err
 
 
-def test_bad_data_ends_the_run_before_any_job(tmp_path, monkeypatch, capsys) -> None:
+def _samples(kind: str = "u1", **changes) -> bytes:
+    values = np.arange(512).reshape(8, 8, 8).astype(kind)
+    for value in changes.values():
+        values[1, 2, 3] = value
+    return values.tobytes()
+
+
+def _npy(array: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+BAD_FILES = {
+    "short_8x8x8_uint8.raw": (b"\0" * 100, "holds 100 bytes where 8 x 8 x 8 values of uint8 need 512"),
+    "long_8x8x8_uint8.raw": (b"\0" * 600, "holds 600 bytes"),
+    "nan_8x8x8_float32.raw": (_samples("f4", at=np.nan), "1 of 512 values are NaN or infinite"),
+    "inf_8x8x8_float32.raw": (_samples("f4", at=np.inf), "1 of 512 values are NaN or infinite"),
+    "same_8x8x8_uint8.raw": (b"\7" * 512, "all values are 7"),
+    "none_0x8x8_uint8.raw": (b"\7", "has no samples (size 0 x 8 x 8)"),
+    "empty_8x8x8_uint8.raw": (b"", "is empty"),
+    "what_8x8x8_uint9.raw": (_samples(), "unknown type 'uint9'. Known types: uint8"),
+    "nameless.raw": (_samples(), "its name does not say the dims and type"),
+    "cut_8x8x8_uint8.raw.gz": (gzip.compress(_samples())[:-40], "its gzip stream is damaged"),
+    "plain_8x8x8_uint8.raw.gz": (_samples(), "its gzip stream is damaged"),
+    "flat.npy": (_npy(np.eye(8)), "is 2-D data (8 x 8)"),
+    "text.npy": (b"hello", "is not a readable .npy file"),
+    "cut.nrrd": (b"NRRD0004\ntype: foo\n", "has no readable NRRD header"),
+    "cut.nii.gz": (b"\1" * 300, "is not a readable NIfTI image"),
+    "other.xyz": (b"1", "unknown volume format. Known suffixes: .raw"),
+    "folder/notes.txt": (b"1", "is a folder without pre-rendered views"),
+    "views/transforms_train.json": (b'{"frames": 3', "is not readable JSON"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_unusable_files_are_one_line(tmp_path, monkeypatch, capsys, name: str) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "short_8x8x8_uint8.raw").write_bytes(b"\0" * 100)
-    assert main(["run", "quick", "--dataset", "./short_8x8x8_uint8.raw"]) == 2
-    error = capsys.readouterr().err
-    assert "short_8x8x8_uint8.raw" in error
-    assert error.count("\n") == 1
+    content, words = BAD_FILES[name]
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(content)
+    given = path if path.parent == tmp_path else path.parent
+    said = _refusal(["run", "quick", "--dataset", str(given)], capsys, words)
+    assert str(given) in said
     assert not (tmp_path / "runs").exists()
+    with pytest.raises(DataError):
+        main(["run", "quick", "--dataset", str(given), "--debug"])
+
+
+def test_a_file_that_is_not_there(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    _refusal(["plan", "quick", "--dataset", "gone_8x8x8_uint8.raw"], capsys, "no such file. Check the path")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["resutls"], "invalid choice: 'resutls'"),
+        (["run"], "required: suite. See `bench run --help`"),
+        (["plan", "quick", "--preset", "ultra"], "invalid choice: 'ultra'"),
+        (["plan", "quick", "--seed=-1"], "'-1' is not a whole number of at least 0"),
+        (["plan", "quick", "--seed", "x"], "'x' is not a whole number of at least 0"),
+        (["plan", "quick", "--device", "gpu"], "'gpu' is not cpu, cuda or cuda:<number>"),
+        (["run", "quick", "--time-limit", "90 parsecs"], "'90 parsecs' is not a time such as"),
+        (["cache", "prune", "--max-size", "much"], "'much' is not a size such as"),
+        (["render", "fuel", "--views", "0"], "'0' is not a number of at least 1"),
+    ],
+)
+def test_wrong_arguments_are_one_line(capsys, arguments, words: str) -> None:
+    _refusal(arguments, capsys, words)
+
+
+def test_folders_that_cannot_be_written_are_one_line(tmp_path, monkeypatch, capsys) -> None:
+    (tmp_path / "file").touch()
+    inside = str(tmp_path / "file" / "inside")
+    monkeypatch.setenv("BENCH_CACHE", inside)
+    render = ["render", "shells@16", "--scene", "core", "--views", "1", "--size", "8"]
+    _refusal(render, capsys, "cannot be written (Not a directory). Set BENCH_CACHE to another folder")
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
+    _refusal([*render, "--out", inside], capsys, f"{inside}/shells@16/core: Not a directory. Check that")
+    with pytest.raises(NotADirectoryError):
+        main([*render, "--out", inside, "--debug"])
+    _refusal(["run", "quick", "--out", inside], capsys, "cannot be written (Not a directory)")
+
+
+def test_a_torn_record_is_one_line_wherever_it_is_met(finished, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    store = str(finished.store)
+    (path,) = (finished.store / "jobs").glob("measure-*/record.json")
+    path.write_text("{")
+    for arguments in (
+        ["results", "--runs", store],
+        ["report", "--runs", store],
+        ["merge", store, "--out", "all"],
+        ["compare", store, store],
+    ):
+        assert str(path) in _refusal(arguments, capsys, "Delete its folder; the job then runs again")
+
+
+def test_a_torn_table_is_made_again(finished, capsys) -> None:
+    table = finished.store / "tables" / "results.parquet"
+    whole = pd.read_parquet(table)
+    table.write_bytes(b"no table")
+    assert main(["report", "--runs", str(finished.store), "--plugins", str(finished.plugins)]) == 0
+    assert len(pd.read_parquet(table)) == len(whole) == 1
+    assert str(finished.store / "report.html") in capsys.readouterr().out
 
 
 def test_debug_shows_where_it_failed(tmp_path, monkeypatch) -> None:

@@ -108,6 +108,20 @@ def test_empty_tables_have_their_columns() -> None:
         assert list(frame(name, table).columns) == list(COLUMNS[name])
 
 
+def test_rows_stand_in_the_order_people_expect() -> None:
+    def measured(scene: str, seed: int, rate: float | None) -> Record:
+        job = _record().job.model_copy(
+            update={"kind": "measure", "key": f"{scene}{seed}{rate}", "scenes": (scene,), "seed": seed,
+                    "rate": rate}
+        )  # fmt: skip
+        return _record("failed", encode=None, job=job)
+
+    wanted = [("core", 0, None), ("jet", 2, None), ("jet", 10, None), ("tf2", 0, None), ("tf2", 0, 0.5),
+              ("tf2", 0, 10.0), ("tf10", 0, None)]  # fmt: skip
+    made = rows(measured(*axes) for axes in reversed(wanted))["results"]
+    assert [(row["scene"], row["seed"], row["rate"]) for row in made] == wanted
+
+
 def test_documented_columns_are_those_written() -> None:
     """Against the contract in the architecture page."""
     import re
