@@ -86,7 +86,7 @@ struct AdamRates {
   float rate, beta2, new1, new2, eps, root2;
 };
 
-constexpr int SSIM_RADIUS = 5;
+constexpr int SSIM_RADIUS = 5, SSIM_BAND = 8;
 
 struct Kernels {
   const char* name;
@@ -107,13 +107,15 @@ struct Kernels {
   void (*sh_backward)(int degree, const Coefficients&, const float* means, const float* position,
                       const float* colors, const float* grad, float* grad_means, const MutableCoefficients&,
                       int64_t begin, int64_t end);
-  // SSIM over rows of n = width * channels floats, in three sweeps (see ssim.h). `margin` = 5 * channels.
+  // SSIM over rows of n = width * channels floats, in three sweeps over rows [begin, end), at most SSIM_BAND of them
+  // (see ssim.h). The first two also take the SSIM_RADIUS rows above and below the image.
+  int64_t (*ssim_scratch)(int64_t n, int channels);
   void (*ssim_rows)(const float* x, const float* y, float* moments, int64_t n, int64_t height, int channels,
-                    int64_t row, float* scratch);
-  void (*ssim_map)(const float* moments, float* partials, int64_t n, int64_t height, int channels,
-                   int64_t row, double* value, float* scratch);
+                    int64_t begin, int64_t end, float* scratch);
+  void (*ssim_map)(const float* moments, float* partials, int64_t n, int64_t height, int channels, int64_t begin,
+                   int64_t end, double* values, float* scratch);
   void (*ssim_gradient)(const float* x, const float* y, const float* partials, float* grad, int64_t n,
-                        int64_t height, int64_t row, float absolute, float structural);
+                        int64_t height, int64_t begin, int64_t end, float absolute, float structural);
   double (*absolute)(const float* x, const float* y, int64_t n);
   void (*adam)(float* p, const float* g, float* m, float* v, int64_t n, const AdamRates&);
   void (*reference)(float* data, int64_t n, int rounds);

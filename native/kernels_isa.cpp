@@ -14,6 +14,6 @@ namespace ECONGS_ISA {
 extern const econgs::Kernels kernels;
 const econgs::Kernels kernels = {
     STRING(ECONGS_ISA), LANES, project, project_backward, blend_scratch, blend, blend_backward, sh, sh_backward,
-    ssim_rows, ssim_map, ssim_gradient, absolute, adam, reference};
+    ssim_scratch, ssim_rows, ssim_map, ssim_gradient, absolute, adam, reference};
 
 }  // namespace ECONGS_ISA

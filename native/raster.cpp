@@ -305,33 +305,34 @@ void backward(const Frame& frame, const Inputs& in, const ConstImages& out, cons
 double photometric(const float* x, const float* y, int64_t height, int64_t width, int channels, float absolute,
                    float structural, float* grad, double* ssim) {
   const Kernels& use = kernels();
-  const int64_t n = width * channels, step = (n + 15) / 16 * 16, rows = 8;
-  const int64_t floats = (4 * (step + 2 * SSIM_RADIUS * channels + 16) + 15) / 16 * 16;
+  const int64_t n = width * channels, plane = (height + 2 * SSIM_RADIUS) * ((n + 15) / 16 * 16);
+  const int64_t floats = (use.ssim_scratch(n, channels) + 15) / 16 * 16;
   std::vector<double> apart(height, 0.0), alike(height, 0.0);
   Buffer partials_memory;
   float* partials = nullptr;
   if (structural != 0.0f) {
-    Buffer moments(4 * height * step * sizeof(float)), scratch(threads() * floats * sizeof(float));
+    Buffer moments(4 * plane * sizeof(float)), scratch(threads() * floats * sizeof(float));
     if (grad) {
-      partials_memory = Buffer(3 * height * step * sizeof(float));
+      partials_memory = Buffer(3 * plane * sizeof(float));
       partials = partials_memory.as<float>();
     }
-    parallel_ranges(height, rows, [&](int64_t begin, int64_t end, int thread) {
-      for (int64_t row = begin; row < end; ++row)
-        use.ssim_rows(x, y, moments.as<float>(), n, height, channels, row, scratch.as<float>() + thread * floats);
+    const auto padded_rows = [&](auto work) {
+      parallel_ranges(height + 2 * SSIM_RADIUS, SSIM_BAND, [&](int64_t begin, int64_t end, int thread) {
+        work(begin - SSIM_RADIUS, end - SSIM_RADIUS, scratch.as<float>() + thread * floats);
+      });
+    };
+    padded_rows([&](int64_t begin, int64_t end, float* mine) {
+      use.ssim_rows(x, y, moments.as<float>(), n, height, channels, begin, end, mine);
     });
-    parallel_ranges(height, rows, [&](int64_t begin, int64_t end, int thread) {
-      for (int64_t row = begin; row < end; ++row)
-        use.ssim_map(moments.as<float>(), partials, n, height, channels, row, alike.data(),
-                     scratch.as<float>() + thread * floats);
+    padded_rows([&](int64_t begin, int64_t end, float* mine) {
+      use.ssim_map(moments.as<float>(), partials, n, height, channels, begin, end, alike.data(), mine);
     });
   }
   const float scale = 1.0f / static_cast<float>(height * n);
-  parallel_ranges(height, rows, [&](int64_t begin, int64_t end, int) {
-    for (int64_t row = begin; row < end; ++row) {
-      if (absolute != 0.0f) apart[row] = use.absolute(x + row * n, y + row * n, n);
-      if (grad) use.ssim_gradient(x, y, partials, grad, n, height, row, absolute * scale, structural * scale);
-    }
+  parallel_ranges(height, SSIM_BAND, [&](int64_t begin, int64_t end, int) {
+    if (absolute != 0.0f)
+      for (int64_t row = begin; row < end; ++row) apart[row] = use.absolute(x + row * n, y + row * n, n);
+    if (grad) use.ssim_gradient(x, y, partials, grad, n, height, begin, end, absolute * scale, structural * scale);
   });
   double sum = 0.0, total = 0.0;
   for (int64_t row = 0; row < height; ++row) {

@@ -204,8 +204,7 @@ class _Photometric(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rendered: Tensor, target: Tensor, absolute: float, structural: float) -> Tensor:  # type: ignore[override]
         # The loss is a scalar, so its gradient is made at once and only scaled in the backward pass.
-        grad = torch.empty_like(rendered) if ctx.needs_input_grad[0] else None
-        grad = None if grad is None else grad.contiguous()
+        grad = rendered.new_empty(rendered.shape) if ctx.needs_input_grad[0] else None
         images = _array(_plain(rendered)), _array(_plain(target))
         mean_absolute, ssim = _native.photometric(*images, absolute, structural, _array(grad))
         ctx.grad = grad
@@ -214,7 +213,8 @@ class _Photometric(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
-        return ctx.grad * grad, None, None, None
+        factor = grad.item()  # 1 where the loss is what is minimised: one pass over the image less
+        return ctx.grad if factor == 1.0 else ctx.grad * factor, None, None, None
 
 
 def photometric_loss(rendered: Tensor, target: Tensor, ssim_weight: float) -> Tensor:

@@ -68,15 +68,18 @@ def test_outputs_and_gradients_match_the_oracle(splat: Any, oracle: Any, backend
     assert max(errors.values()) < backend.tolerance, errors
 
 
-def test_extreme_needles_lose_no_more_than_a_digit(splat: Any, backend: Any) -> None:
-    """Axis ratios of 1:100: in float32 the exponent itself cancels, so the bound is ten times wider."""
-    scene = splat.make_scene(150, seed=736, stretch=1.2, offset=1e-3)
+@pytest.mark.parametrize("seed", [736, 1, 2])
+def test_extreme_needles(splat: Any, backend: Any, seed: int) -> None:
+    """Axis ratios of 1:100, whose moments in pixels would cancel."""
+    scene = splat.make_scene(150, seed=seed, stretch=1.2, offset=1e-3)
     reference = splat.brute_force(scene)
     seeds = splat.random_seeds(scene, ~(reference.doubtful | reference.held))
     _, expected = scene.gradients(torch.float64, "torch", seeds)
     _, actual = scene.gradients(torch.float32, backend.name, seeds, backend.device)
     errors = {one: splat.relative(actual[one], expected[one]) for one in splat.names}
-    assert max(errors.values()) < 10 * backend.tolerance, errors
+    # torch in float32 keeps the cancelling form of the exponent; the kernels keep well inside the bound.
+    bound = {"native": 0.3, "torch": 2.0}.get(backend.name, 10.0) * backend.tolerance
+    assert max(errors.values()) < bound, errors
 
 
 def test_no_gradient_array_is_trivially_zero(splat: Any, oracle: Any) -> None:

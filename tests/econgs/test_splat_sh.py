@@ -79,6 +79,31 @@ def test_gradients_match_float64(splat: Any, backend: Any, degree: int) -> None:
         assert splat.relative(actual_means, expected_means) < backend.tolerance
 
 
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_two_tensors_are_one(backend: Any, degree: int) -> None:
+    """The first coefficient apart from the others: the same numbers, and exact zeros above the degree."""
+    means, eye, coefficients = (one.float().to(backend.device) for one in inputs(77, 3))
+    seed = torch.randn(77, 3, generator=torch.Generator().manual_seed(2)).to(backend.device)
+    seed[::5] = 0  # not visible
+    results = []
+    for parts in ([coefficients], [coefficients[:, :1], coefficients[:, 1:]]):
+        leaves = [one.clone().contiguous().requires_grad_(True) for one in (means, *parts)]
+        colors = spherical_harmonics(degree, leaves[0], eye, *leaves[1:], backend=backend.name)
+        (colors * seed).sum().backward()
+        results.append([colors.detach(), *(one.grad for one in leaves)])
+    (colors, to_means, joined), (same, same_means, first, rest) = results
+    assert torch.equal(colors, same)
+    assert torch.equal(joined[:, :1], first)
+    if degree == 0:
+        assert rest is None  # so that an optimiser leaves it alone
+    else:
+        assert torch.equal(to_means, same_means)
+        assert torch.equal(joined[:, 1:], rest)
+        used = (degree + 1) ** 2 - 1
+        assert (rest[:, used:] == 0).all()
+        assert (rest[:, :used] != 0).any()
+
+
 def test_gradients_are_those_of_finite_differences() -> None:
     means, eye, coefficients = inputs(5, 3)
     coefficients = 0.2 * coefficients
@@ -109,3 +134,7 @@ def test_what_does_not_fit_is_refused() -> None:
         spherical_harmonics(3, means, eye, coefficients)
     with pytest.raises(ValueError, match="coefficients has shape"):
         spherical_harmonics(1, means, eye, coefficients[:3])
+    with pytest.raises(ValueError, match=r"not \(N, 1, 3\), beside rest"):
+        spherical_harmonics(1, means, eye, coefficients, coefficients[:, 1:])
+    with pytest.raises(ValueError, match="needs 9 coefficients, not 4"):
+        spherical_harmonics(2, means, eye, coefficients[:, :1], coefficients[:, 1:4])
