@@ -36,6 +36,10 @@ def _fixed(digits: int) -> Callable[[Any], str]:
     return lambda value: f"{value:.{digits}f}"
 
 
+def _significant(value: float) -> str:
+    return f"{value:.5g}"
+
+
 def _fps(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.1f}" if value >= 1 else f"{value:.3f}"
 
@@ -66,6 +70,13 @@ COLUMNS: dict[str, Column] = {
     "status": Column("Status", str),
     "reason": Column("Reason", str),
     "file": Column("Image", str),
+    # Of the comparison of two runs.
+    "views": Column("Views", _significant),
+    "first": Column("First", _significant),
+    "second": Column("Second", _significant),
+    "difference": Column("Difference", _significant, 0, "second - first, mean over the paired views"),
+    "least": Column("Least", _significant, 0, "difference of any view"),
+    "greatest": Column("Greatest", _significant, 0, "difference of any view"),
     "identical": Column("Identical", lambda value: "yes" if value else "no"),
 }  # fmt: skip
 
@@ -196,7 +207,7 @@ def ranks(results: pd.DataFrame) -> dict[tuple[Any, str], int]:
     """
     places: dict[tuple[Any, str], int] = {}
     by = [c for c in ("dataset", "scene", "kind", "preset", "split", "seed") if c in results]
-    if results.empty or not by:
+    if results.empty or not by or not {"status", "complete"} & set(results.columns):
         return places
     for _, group in results.groupby(by, dropna=False, sort=False):
         rivals = group[group["complete"]] if "complete" in group else group[group["status"] == "ok"]
@@ -222,7 +233,7 @@ def cell(name: str, value: Any) -> str:
     column = COLUMNS.get(name)
     if column is not None:
         return column.write(value)
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return _significant(value) if isinstance(value, float) else str(value)
 
 
 def title(name: str) -> str:

@@ -45,7 +45,7 @@ def print_as(table: pd.DataFrame, form: str) -> None:
     if form == "csv":
         sys.stdout.write(table.to_csv(index=False, lineterminator="\n"))
     elif form == "json":
-        print(table.to_json(orient="records", indent=1))
+        print(table.to_json(orient="records", indent=1, double_precision=15))
     else:
         from reports import tables as convert
 

@@ -72,13 +72,14 @@ def plan(options: Namespace) -> int:
     jobs = planner.jobs(store)
     records = {record.job.id: record for record in store.records()} if store else {}
     total, unknown = 0.0, 0
+    width = max((len(job.id) for job in jobs), default=0)
     for job in jobs:
         record = records.get(job.id)
         state, expected = _state(job, record, records, store)
         if record is None:
             total += expected or 0.0
             unknown += expected is None
-        print(f"{job.id}  {state:<32} {job.title}")
+        print(f"{job.id:<{width}}  {state:<24}  {job.title}")
     todo = sum(job.id not in records for job in jobs)
     print(f"{len(jobs)} jobs, {len(jobs) - todo} finished, {todo} to do", end="")
     if todo:

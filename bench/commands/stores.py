@@ -61,7 +61,10 @@ def compare(options: Namespace) -> int:
 
         print_as(table, options.format)
     else:
-        print(table.to_string(index=False, float_format=lambda x: f"{x:.5g}", na_rep="-"))
+        empty = [name for name in ("variant", "rate") if table[name].replace("", None).isna().all()]
+        told = table.drop(columns=empty)
+        print(told.to_string(index=False, float_format=lambda x: f"{x:.5g}", na_rep="-"))
+        print("difference: second - first, mean over the paired views; least and greatest of any view")
     alone = (len(first) - table.attrs["views"], len(second) - table.attrs["views"])
     if any(alone):
         print(

@@ -181,6 +181,10 @@ def test_merge_joins_and_prefers_success(finished, make_bench, tmp_path) -> None
     same = bench("compare", merged, merged)
     assert same.returncode == 0
     assert "psnr" in same.stdout
+    assert "rate" not in same.stdout  # nobody has one
+    written = bench("compare", merged, merged, "--format", "md")
+    assert written.returncode == 0, written.stderr
+    assert "| Metric | Views | First | Second | Difference |" in written.stdout
     apart = bench("compare", bench.store, other.store)
     assert apart.returncode == 2
     assert "no view in common" in apart.stderr
