@@ -59,6 +59,7 @@ def measure(context: Context) -> MeasureResult:
     context.report(stage="metrics")
     from bench.inputs import open_dataset, views
     from bench.metrics import evaluate
+    from bench.metrics.image import to_8bit
     from datasets.png import write_png
 
     truth = views(open_dataset(job.dataset), scene, job.request, job.split)
@@ -85,7 +86,7 @@ def measure(context: Context) -> MeasureResult:
             ViewResult(
                 view=camera.name or f"{index:04d}",
                 metrics=values,
-                identical=identical(rgb, truth.composited(index)),
+                identical=bool(np.array_equal(to_8bit(rgb), to_8bit(truth.composited(index)))),
                 truth_file=f"jobs/{shown.job.id}/truth/{shown.views.truth[job.split][index]}",
                 render_file=f"jobs/{job.id}/renders/{file}",
             )
@@ -106,12 +107,6 @@ def measure(context: Context) -> MeasureResult:
         views=rows,
         reference_seconds=mean_of(before, after),
     )
-
-
-def identical(rgb: np.ndarray, truth: np.ndarray) -> bool:
-    """Whether two composited images are the same once rounded to 8 bit."""
-    a, b = (np.round(np.clip(x, 0.0, 1.0) * 255.0) for x in (rgb, truth))
-    return bool(np.array_equal(a, b))
 
 
 def _mean(values: list[float | None]) -> float | None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from bench.checkpoints import read_checkpoint, write_checkpoint
+from bench.metrics.image import Pair, psnr, to_8bit
 from bench.records import CurvePoint
 from datasets.views import ViewSet
 from methods.interface import Checkpoint, Diverged, Model
@@ -252,8 +253,5 @@ def _some_views(validation: Mapping[str, ViewSet]) -> list[tuple[str, int, ViewS
 
 
 def _psnr(rgb: Any, truth: Any) -> float:
-    """As the metric ``psnr`` (8-bit-rounded, identical images count 100 dB), for the curve only."""
-    a = np.round(np.clip(rgb, 0.0, 1.0) * 255.0)
-    b = np.round(np.clip(truth, 0.0, 1.0) * 255.0)
-    error = float(np.mean((a - b) ** 2))
-    return 100.0 if error == 0.0 else 10.0 * math.log10(255.0**2 / error)
+    """The metric ``psnr``; NaN where the model renders values that are not finite."""
+    return psnr(Pair(to_8bit(truth), to_8bit(rgb), None)) if np.isfinite(rgb).all() else math.nan

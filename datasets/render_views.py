@@ -74,20 +74,6 @@ def views_of(
     return ViewSet(cameras, views.images[work.chosen], scene.background, f"{work.key}-{request.split}")
 
 
-def views_are_cached(
-    dataset: Dataset,
-    scene_name: str,
-    request: ViewRequest,
-    *,
-    renderer: Renderer = "auto",
-    cache: ViewCache | None = None,
-) -> bool:
-    """Whether :func:`views_of` would render nothing."""
-    return dataset.kind == "views" or (
-        render_cost(dataset, scene_name, request, renderer=renderer, cache=cache) is not None
-    )
-
-
 def render_cost(
     dataset: Dataset,
     scene_name: str,

@@ -57,13 +57,17 @@ def _python() -> Finding:
 def _torch() -> Finding:
     import torch
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return Finding("torch", "ok", f"{torch.__version__}, {cores} cores")
+    from bench.executor import available_cores
+
+    return Finding("torch", "ok", f"{torch.__version__}, {available_cores()} cores")
 
 
 def _native() -> Finding:
+    from bench.provenance import native_isa
+    from bench.timing import reference_seconds
+
     try:
-        from econgs.splat import native
+        import econgs._native  # noqa: F401
     except ImportError as error:
         return Finding(
             "native core",
@@ -71,9 +75,8 @@ def _native() -> Finding:
             f"not built ({error}); the slow torch backend is used",
             "Install a C++17 compiler and install the project again: pip install .",
         )
-    seconds = float(native.fixed_reference_kernel())
-    isa = native.isa() if hasattr(native, "isa") else "?"
-    return Finding("native core", "ok", f"{isa}, reference kernel {seconds * 1e3:.1f} ms")
+    seconds = reference_seconds() or 0.0
+    return Finding("native core", "ok", f"{native_isa()}, reference kernel {seconds * 1e3:.1f} ms")
 
 
 def _ground_truth() -> Finding:

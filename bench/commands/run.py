@@ -8,6 +8,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from bench.display import make_display, span
 from bench.plan import Planner, Selection
 from bench.records import Job, Record
 from bench.store import Store
@@ -16,7 +17,6 @@ from bench.suites import load_suite
 
 def run(options: Namespace) -> int:
     """Run what a suite and the selectors name, then show the table and write the report."""
-    from bench.display import make_display
     from bench.executor import Limits, LocalExecutor
     from bench.provenance import current_sources
     from bench.tables import build_tables
@@ -110,13 +110,6 @@ def estimate(job: Job, records: dict[str, Record]) -> float | None:
         if r.ok and (r.job.kind, r.job.method, r.job.preset) == (job.kind, job.method, job.preset)
     ]
     return median(alike) if alike else None
-
-
-def span(seconds: float) -> str:
-    """See :func:`bench.display.span`."""
-    from bench.display import span as words
-
-    return words(seconds)
 
 
 def _planner(options: Namespace) -> Planner:

@@ -145,3 +145,29 @@ def test_frame_times_cover_the_whole_path_alike() -> None:
     assert [timed.count(c) for c in (0, 1, 2)] == [times.frames // 3] * 3
     assert 0.001 <= times.median < times.p95
     assert times.p95 >= 0.004
+
+
+class _Picture(_Model):
+    def __init__(self, rgb) -> None:
+        self.rgb = rgb
+
+    def render(self, camera, scenes=None, edit=None, background=None):
+        return self.rgb, np.ones(self.rgb.shape[:2], dtype=np.float32)
+
+
+@pytest.mark.parametrize(("shift", "psnr"), [(0.0, 100.0), (0.1, 20 * np.log10(255 / 25)), (np.nan, None)])
+def test_the_curve_holds_the_psnr_of_the_validation_views(tmp_path, shift: float, psnr: float | None) -> None:
+    from datasets.camera import Camera
+    from datasets.views import ViewSet
+
+    camera = Camera.with_fov(np.eye(4), 0.6, 4, 4, "v")
+    image = np.full((4, 4, 4), 0.5, dtype=np.float32)
+    image[..., 3] = 1.0
+    views = ViewSet((camera,), image[None], (1.0, 1.0, 1.0), "k")
+    monitor = FitMonitor(tmp_path, 1, {"s": views}, lambda **state: None, Stop())
+    monitor.progress(1, {"loss": 1.0}, 5)
+    model = _Picture(image[..., :3] + np.float32(shift))
+    monitor.pause(1, lambda: model, lambda: Checkpoint(1, {}, {}))
+    (point,) = monitor.curve
+    stored = point.model_validate_json(point.model_dump_json())
+    assert stored.psnr_val == (None if psnr is None else pytest.approx(psnr))

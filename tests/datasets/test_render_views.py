@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 from datasets import render_views
 from datasets.errors import DataError
 from datasets.ground_truth import probe
-from datasets.render_views import render_cost, views_are_cached, views_of
+from datasets.render_views import render_cost, views_of
 from datasets.scene import BasicScene, Dataset, Light
 from datasets.transfer import Bump, TransferFunction
 from datasets.view_cache import ViewCache
@@ -55,7 +55,7 @@ def no_backend(monkeypatch):
 
 def test_splits_share_one_rendering(cache, monkeypatch):
     data = dataset()
-    assert not views_are_cached(data, "s", TRAIN, cache=cache)
+    assert render_cost(data, "s", TRAIN, cache=cache) is None
     train = views_of(data, "s", TRAIN, cache=cache)
     monkeypatch.setattr(render_views._Work, "render", None)  # all else comes from the cache
     val = views_of(data, "s", replace(TRAIN, split="val"), cache=cache)
@@ -76,7 +76,7 @@ def test_a_hit_equals_the_rendering_and_a_damaged_entry_is_made_again(cache):
     np.testing.assert_array_equal(first.images, second.images)
     (entry,) = cache.folder.iterdir()
     (entry / "images.zst").write_bytes(b"rubbish")
-    assert not views_are_cached(dataset(), "s", TRAIN, cache=cache)
+    assert render_cost(dataset(), "s", TRAIN, cache=cache) is None
     np.testing.assert_array_equal(views_of(dataset(), "s", TRAIN, cache=cache).images, first.images)
 
 
