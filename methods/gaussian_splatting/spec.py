@@ -9,7 +9,7 @@ SPEC = MethodSpec(
         "B. Kerbl, G. Kopanas, T. Leimkühler, G. Drettakis: 3D Gaussian Splatting for Real-Time Radiance "
         "Field Rendering. ACM Transactions on Graphics 42(4), 2023"
     ),
-    version="1",
+    version="2",
     implementation="methods.gaussian_splatting.method:GaussianSplatting",
     source=("methods.gaussian_splatting", "econgs.splat", "econgs.losses", "econgs.optim"),
     joint=False,
@@ -33,6 +33,12 @@ SPEC = MethodSpec(
         "ssim_weight": Option(0.2, "weight of 1 - SSIM against L1 in the loss", minimum=0.0, maximum=1.0),
         "position_lr": Option(1.6e-4, "first learning rate of positions, x extent", minimum=0.0, maximum=1.0),
         "opacity_lr": Option(5e-2, "learning rate of opacity logits", minimum=0.0, maximum=1.0),
+        "sh_rest_lr": Option(
+            1.25e-4,
+            "learning rate of SH coefficients above DC; the published one is too slow for short schedules",
+            minimum=0.0,
+            maximum=1.0,
+        ),
         "growth_gradient": Option(
             2e-4, "mean screen-space gradient (NDC) from which a Gaussian is cloned or split", minimum=0.0
         ),
@@ -46,8 +52,8 @@ SPEC = MethodSpec(
         ),
     },
     presets={
-        "quick": {},
-        "standard": {},
+        "quick": {"sh_rest_lr": 1e-3},
+        "standard": {"sh_rest_lr": 5e-4},
         "paper": {"start": "random"},
     },
     iterations={"quick": 1_200, "standard": 7_000, "paper": 30_000},

@@ -20,7 +20,7 @@ from methods.gaussian_splatting.schedule import Schedule
 from methods.interface import Checkpoint, Diverged, Monitor, OptionValue, Refused, SceneInput
 
 PARAMETERS = ("means", "log_scales", "quats", "logits", "sh_dc", "sh_rest")
-LEARNING_RATES = {"log_scales": 5e-3, "quats": 1e-3, "sh_dc": 2.5e-3, "sh_rest": 1.25e-4}
+LEARNING_RATES = {"log_scales": 5e-3, "quats": 1e-3, "sh_dc": 2.5e-3}
 """Published rates of what no option sets."""
 POSITION_DECAY = 0.01
 """Positions end at this fraction of their first rate."""
@@ -70,7 +70,11 @@ class Trainer:
         self.pending: list[int] = []  # views not yet drawn in this round
         self.limited = False
         parameters = initial_parameters(scene, options, self.generator)
-        rates = LEARNING_RATES | {"means": 0.0, "logits": float(options["opacity_lr"])}
+        rates = LEARNING_RATES | {
+            "means": 0.0,
+            "logits": float(options["opacity_lr"]),
+            "sh_rest": float(options["sh_rest_lr"]),
+        }
         self.optimiser = Adam({name: parameters[name].to(device) for name in PARAMETERS}, rates)
         self.statistics = GrowthStatistics.zeros(self.count, device)
 
