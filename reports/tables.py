@@ -283,15 +283,33 @@ def to_latex(table: pd.DataFrame) -> str:
     return "\n".join(lines) + "\n"
 
 
-def terminal_rows(results: pd.DataFrame) -> list[list[str]]:
-    """Header and lines of the table that ends a run."""
+_FIRST_TO_GO = (
+    "reason", "load_seconds", "peak_device_bytes", "peak_host_bytes", "primitives", "delta_e_uv", "psnr_fg",
+)  # fmt: skip
+_GAP = 2
+
+
+def terminal_rows(results: pd.DataFrame, width: int) -> list[list[str]]:
+    """Header and lines of the table that ends a run.
+
+    Where the columns do not fit ``width`` characters, those that people miss least are left out (the
+    reasons are told below the table anyway): a number cut short is worse than none.
+    """
     table = shown(results)
-    header = [title(name) for name in table.columns]
-    body = [
-        ["" if name == "reason" and absent(row[name]) else cell(name, row[name]) for name in table.columns]
-        for _, row in table.iterrows()
-    ]
-    return [header, *body]
+    texts = {
+        name: ["" if name == "reason" and absent(value) else cell(name, value) for value in table[name]]
+        for name in table.columns
+    }
+    for name in _FIRST_TO_GO:
+        if sum(least_width(title(n), cells) + _GAP for n, cells in texts.items()) - _GAP <= width:
+            break
+        texts.pop(name, None)
+    return [[title(name) for name in texts], *map(list, zip(*texts.values(), strict=True))]
+
+
+def least_width(header: str, cells: list[str]) -> int:
+    """Characters that a column needs: a header can be broken between words, cells cannot."""
+    return max(map(len, [*header.split(), *cells]))
 
 
 def _right(name: str) -> bool:

@@ -60,12 +60,20 @@ def print_table(table: pd.DataFrame) -> None:
 
     from reports.tables import terminal_rows
 
-    header, *lines = terminal_rows(table)
-    shown = Table(*(str(cell) for cell in header), box=None, pad_edge=False)
+    console = Console(width=None if sys.stdout.isatty() else 200)
+    header, *lines = terminal_rows(table, console.width)
+    whole = sum(max(map(len, column)) + 2 for column in zip(header, *lines, strict=True)) - 2
+    shown = Table(box=None, pad_edge=False)
+    for i, head in enumerate(header):
+        number = i > 2 and any(line[i][:1].isdigit() for line in lines)  # names come first
+        shown.add_column(
+            head if whole <= console.width else head.replace(" ", "\n"),
+            justify="right" if number else "left",
+            no_wrap=True,
+        )
     for line in lines:
-        shown.add_row(*(str(cell) for cell in line))
-    width = None if sys.stdout.isatty() else 200
-    Console(width=width).print(shown, markup=False, highlight=False)
+        shown.add_row(*line)
+    console.print(shown, markup=False, highlight=False)
 
 
 def _sources(options: Namespace) -> dict[str, str]:

@@ -4,7 +4,17 @@ import pandas as pd
 import pytest
 
 from reports.style import mib, seconds
-from reports.tables import quality, ranks, shown, summary, terminal_rows, to_csv, to_latex, to_markdown
+from reports.tables import (
+    least_width,
+    quality,
+    ranks,
+    shown,
+    summary,
+    terminal_rows,
+    to_csv,
+    to_latex,
+    to_markdown,
+)
 
 from .conftest import NO_LPIPS, fill
 
@@ -122,21 +132,31 @@ def test_other_tables_are_written_as_they_are():
 
 def test_terminal_rows_show_reasons_only_for_failures(maker):
     maker.run(reason=NO_LPIPS)
-    header, line = terminal_rows(maker.tables()["results"])
+    header, line = terminal_rows(maker.tables()["results"], 200)
     assert "Reason" not in header
     assert "LPIPS" not in header
     assert line[header.index("Training")] == "42.0 s"
     maker.run(scene="b", status="oom", reason="limit")
-    header, first, second = terminal_rows(maker.tables()["results"])
+    header, first, second = terminal_rows(maker.tables()["results"], 200)
     assert (first[-1], second[-1]) == ("", "limit")
     assert len(first) == len(header)
+
+
+def test_a_narrow_terminal_has_fewer_columns_but_whole_numbers(maker):
+    maker.run()
+    results = maker.tables()["results"]
+    everything = terminal_rows(results, 200)[0]
+    header, line = terminal_rows(results, 80)
+    assert {"PSNR [dB]", "SSIM", "Size [MiB]", "Training", "FPS", "Status"} <= set(header) < set(everything)
+    assert sum(least_width(*column) + 2 for column in zip(header, [[c] for c in line], strict=True)) <= 82
+    assert line[header.index("Training")] == "42.0 s"
 
 
 def test_empty_tables(maker):
     results = maker.tables()["results"]
     assert summary(results).empty
     assert shown(results).empty
-    assert len(terminal_rows(results)) == 1
+    assert len(terminal_rows(results, 200)) == 1
     assert to_markdown(results).count("\n") == 2
 
 
