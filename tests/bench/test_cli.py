@@ -43,7 +43,7 @@ def test_lists_start_without_heavy_imports(bench, what: str) -> None:
             "dataset 'vortice': unknown name. Did you mean vortices, ",
         ),
         (["plan", "quick", "--method", "4dgs"], "Did you mean 3dgs?"),
-        (["plan", "quick", "--set", "3dgs.sh_degre=2"], "Did you mean sh_degree?"),
+        (["plan", "quick", "--set", "3dgs.sh_degre=2"], "Did you mean sh_degree"),
         (["plan", "quick", "--set", "3dgs.sh_degree=9"], "above the maximum 3"),
         (["plan", "quick", "--set", "sh_degree=2"], "not of the form method.option=value"),
         (["plan", "quick", "--set", "fake.pace=2"], "method 'fake' of this run (--set)"),
