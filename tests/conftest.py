@@ -1,4 +1,4 @@
-"""In CI nothing may be skipped that CI is there to test."""
+"""For all tests: processes they start see the installed packages, and in CI nothing is skipped that it is there for."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from collections.abc import Generator
 from typing import Any
 
 import pytest
+
+# A child's working directory would come first on its path: the source tree, which has no compiled module.
+os.environ["PYTHONSAFEPATH"] = "1"
 
 MAY_BE_MISSING = (
     "no CUDA device with gsplat here",
