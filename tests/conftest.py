@@ -1,4 +1,4 @@
-"""For all tests: processes they start see the installed packages, and in CI nothing is skipped that it is there for."""
+"""For all tests: children see what is installed; in CI nothing is skipped that it is there to test."""
 
 from __future__ import annotations
 
