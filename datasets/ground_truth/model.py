@@ -50,7 +50,7 @@ class MarchSettings:
     Attributes:
         step_voxels: ray step in units of ``Volume.voxel``; positive. On real volumes with opaque surfaces a
             step of 1 is 40-44 dB from the converged picture, with visible wood grain that differs from view
-            to view (so no method could learn it); 0.5 is at 46-55 dB for 1.6 times the time.
+            to view (so no method could learn it); 0.5 is at 46-55 dB for 1.6 to 2 times the time.
         table_size: entries of the transfer function's table (linear in between). 16384 leaves an error
             of about 1.5e-5, 1024 one of 8e-4.
     """

@@ -1,6 +1,6 @@
 """Speed of the splatting core as ratios within one run.
 
-    python -m tests.benchmarks.bench_splatting [--repeats N] [--threads N] [--json FILE]
+    python tests/benchmarks/bench_splatting.py [--repeats N] [--threads N] [--json FILE]
 
 What is compared runs in turns (A B A B …) and medians are divided, so that a busy machine slows both alike.
 Beside them stand the ratios of the shortest times: other work on the machine hurts the many small steps of
