@@ -17,13 +17,14 @@ WHITE: RGB = (1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Light:
-    """Blinn-Phong light and material of one basic scene.
+    """Light and material of one basic scene.
 
     Attributes:
         direction: unit vector from the object to a directional light in world space, or None for
             a headlight at the camera.
         ambient, diffuse, specular: coefficients >= 0; specular light is white.
         shininess: exponent > 0.
+        model: "blinn-phong" (highlight from n.h) or "phong" (from r.v, as VTK does).
     """
 
     direction: tuple[float, float, float] | None = None
@@ -31,17 +32,38 @@ class Light:
     diffuse: float = 0.7
     specular: float = 0.2
     shininess: float = 20.0
+    model: Literal["blinn-phong", "phong"] = "blinn-phong"
+
+
+@dataclass(frozen=True)
+class Isosurface:
+    """A level set drawn as a surface.
+
+    Attributes:
+        name: what it shows.
+        value: normalised value of the level set, in (0, 1).
+        color: displayed sRGB color, three values in [0, 1].
+        opacity: of one crossing, in (0, 1]; does not depend on the ray step.
+    """
+
+    name: str
+    value: float
+    color: RGB
+    opacity: float = 1.0
 
 
 @dataclass(frozen=True)
 class BasicScene:
-    """One transfer function on one variable with one light and one background.
+    """One transfer function (or set of isosurfaces) on one variable with one light and one background.
 
     Attributes:
         name: identifier within the dataset.
         variable: name of the volume it shows ("" for pre-rendered scenes).
-        transfer: None for pre-rendered scenes.
+        transfer: None for pre-rendered scenes and for isosurfaces.
         light: None renders unshaded (emission-absorption).
+        isosurfaces: level sets drawn instead of a transfer function; empty otherwise.
+        depth_enhancement: strength in [0, 1] of the darkening of what lies deep inside or behind
+            (:mod:`datasets.ground_truth.model`); 0 is off.
         views_folder: folder with ``transforms_{train,test}.json`` for pre-rendered scenes.
     """
 
@@ -51,6 +73,8 @@ class BasicScene:
     light: Light | None = field(default_factory=Light)
     background: RGB = WHITE
     views_folder: Path | None = None
+    isosurfaces: tuple[Isosurface, ...] = ()
+    depth_enhancement: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +108,19 @@ class Dataset:
             if scene.name == name:
                 return scene
         raise unknown("scene", name, [s.name for s in self.scenes], of=self.name)
+
+    def parts(self, name: str) -> tuple[BasicScene, ...]:
+        """The basic scenes that a name shows: one, or those of a composition.
+
+        Raises:
+            UnknownName: neither a basic scene nor a composition has it; near matches are listed.
+        """
+        if name in self.compositions:
+            return tuple(self.scene(part) for part in self.compositions[name])
+        for scene in self.scenes:
+            if scene.name == name:
+                return (scene,)
+        raise unknown("scene", name, [*(s.name for s in self.scenes), *self.compositions], of=self.name)
 
     def volume(self, variable: str) -> Volume:
         """The volume of a variable, read once.

@@ -21,6 +21,12 @@ class Volume:
         spacing: physical distance between samples along x, y, z; positive.
         value_range: (low, high) data values mapped to 0 and 1 before the transfer function.
         source: file or generator that the values came from, for error messages and records.
+        mask: (nz, ny, nx) bool, False where the data say nothing (outside a mesh): never visible there,
+            whatever ``values`` hold. None: everywhere valid. ``values`` just outside are extrapolated from
+            inside, so that interpolation and gradients at the border see no jump.
+        vertices: (n, 3) float32 scene-space positions of a mesh's own vertices, from which initial
+            clouds are drawn; None for grids.
+        vertex_values: (n,) data values there, in the units of ``values``; with ``vertices``.
     """
 
     name: str
@@ -28,6 +34,9 @@ class Volume:
     spacing: tuple[float, float, float]
     value_range: tuple[float, float]
     source: str
+    mask: NDArray[np.bool_] | None = None
+    vertices: NDArray[np.float32] | None = None
+    vertex_values: NDArray[np.generic] | None = None
 
     @property
     def dims(self) -> tuple[int, int, int]:
