@@ -13,11 +13,11 @@ from bench.records import MeasureResult, ViewResult
 from bench.timing import (
     mean_of,
     median_timings,
-    peak_host_bytes,
     reference_seconds,
     synchronise,
     time_frames,
 )
+from datasets.memory import peak_host_bytes
 
 if TYPE_CHECKING:
     from bench.stages import Context

@@ -123,20 +123,6 @@ def median_timings(
     return {part: float(np.median([s[part] for s in samples])) for part in samples[0]}
 
 
-def peak_host_bytes() -> int | None:
-    """High-water mark of this process's resident memory (VmHWM).
-
-    ``ru_maxrss`` would be inherited across exec from a larger parent.
-    """
-    try:
-        for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024
-    except OSError:
-        pass
-    return None
-
-
 def peak_device_bytes(device: str) -> int | None:
     """Most memory that torch held on a CUDA device; None on the CPU."""
     torch = sys.modules.get("torch")

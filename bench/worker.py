@@ -23,8 +23,9 @@ from filelock import Timeout
 from bench.monitor import Progress, Stop, Stopped
 from bench.records import Record, Status, Task
 from bench.store import Store
-from bench.timing import machine_lock, peak_device_bytes, peak_host_bytes
+from bench.timing import machine_lock, peak_device_bytes
 from datasets.errors import DataError
+from datasets.memory import peak_host_bytes
 from methods.interface import Diverged, Method, Refused
 
 if TYPE_CHECKING:

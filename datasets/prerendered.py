@@ -34,25 +34,12 @@ def load_views(scene: BasicScene, request: ViewRequest) -> ViewSet:
         DataError: the folder, a camera or a picture cannot be used; the size does not divide; or the split
             is empty.
     """
-    if scene.views_folder is None:
-        raise DataError(f"scene {scene.name}", "it has no pre-rendered views", "Render it from its volume")
-    test = request.split == "test"
-    path = scene.views_folder / f"transforms_{'test' if test else 'train'}.json"
-    views = read_transforms(path)
-    picked = evenly_spaced(len(views), request.test_views if test else request.train_views)
-    chosen = [picked[i] for i in split_indices(len(picked), request.split)]
-    if not chosen:
-        raise DataError(
-            f"{request.split} split of {len(picked)} views of {path}",
-            "it is empty (every tenth training view is validation)",
-            "Use 12 or more training views",
-        )
+    path, chosen = _chosen(scene, request)
     digest = hashlib.sha256(repr((request.width, request.height, scene.background)).encode())
     cameras: list[Camera] = []
     images = np.empty((len(chosen), request.height, request.width, 4), dtype=np.float32)
     opaque = 0
-    for row, index in enumerate(chosen):
-        camera, file = views[index]
+    for row, (camera, file) in enumerate(chosen):
         image = read_png(file)
         height, width = image.shape[:2]
         if (camera.width, camera.height) != (width, height):
@@ -67,6 +54,33 @@ def load_views(scene: BasicScene, request: ViewRequest) -> ViewSet:
     if opaque == len(chosen):
         _log.warning("%s: no picture has transparency; its background is taken as part of the scene", path)
     return ViewSet(tuple(cameras), images, scene.background, digest.hexdigest()[:40])
+
+
+def view_cameras(scene: BasicScene, request: ViewRequest) -> tuple[Camera, ...]:
+    """The cameras of :func:`load_views`, without reading pictures.
+
+    Raises:
+        DataError: the folder or a camera cannot be used, or the split is empty.
+    """
+    return tuple(camera.resized(request.width, request.height) for camera, _ in _chosen(scene, request)[1])
+
+
+def _chosen(scene: BasicScene, request: ViewRequest) -> tuple[Path, list[tuple[Camera, Path]]]:
+    """The file that lists the views, and the cameras with their pictures that a request names."""
+    if scene.views_folder is None:
+        raise DataError(f"scene {scene.name}", "it has no pre-rendered views", "Render it from its volume")
+    test = request.split == "test"
+    path = scene.views_folder / f"transforms_{'test' if test else 'train'}.json"
+    views = read_transforms(path)
+    picked = evenly_spaced(len(views), request.test_views if test else request.train_views)
+    chosen = [views[picked[i]] for i in split_indices(len(picked), request.split)]
+    if not chosen:
+        raise DataError(
+            f"{request.split} split of {len(picked)} views of {path}",
+            "it is empty (every tenth training view is validation)",
+            "Use 12 or more training views",
+        )
+    return path, chosen
 
 
 def evenly_spaced(available: int, wanted: int) -> list[int]:

@@ -6,7 +6,8 @@ import hashlib
 import json
 import logging
 import time
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from functools import cache as once
 from importlib.metadata import version
 from typing import Any, Literal
@@ -20,6 +21,7 @@ from datasets.camera_paths import test_cameras, training_cameras
 from datasets.errors import DataError
 from datasets.ground_truth import probe
 from datasets.ground_truth.model import MODEL_VERSION, Marcher, MarchSettings, Progress
+from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
 from datasets.scene import BasicScene, Dataset
 from datasets.view_cache import CachedViews, ViewCache
 from datasets.views import ViewRequest, ViewSet, split_indices
@@ -82,11 +84,59 @@ def render_cost(
     renderer: Renderer = "auto",
     cache: ViewCache | None = None,
 ) -> dict[str, Any] | None:
-    """What rendering the cached views cost (``ms_per_view``, renderer, ...); None if none are cached."""
+    """What rendering the cached views cost; None if none are cached.
+
+    ``ms_per_view`` of launches that hold several small views, ``setup_seconds``, renderer and backend, and
+    ``peak_host_bytes``, ``peak_device_bytes`` of the process that rendered them, up to then.
+    """
     if dataset.kind == "views":
         return None
     cache = ViewCache() if cache is None else cache
     return cache.record(_Work(dataset, dataset.scene(scene_name), request, renderer).key)
+
+
+def cameras_of(dataset: Dataset, scene_name: str, request: ViewRequest) -> tuple[Camera, ...]:
+    """The cameras of the views that a request names, without rendering or reading any picture of size."""
+    parts = dataset.parts(scene_name)
+    if dataset.kind == "views":
+        from datasets.prerendered import view_cameras
+
+        return view_cameras(parts[0], request)
+    cameras = _cameras(dataset.volume(parts[0].variable), request)
+    return tuple(cameras[i] for i in split_indices(len(cameras), request.split))
+
+
+@dataclass(frozen=True)
+class LiveRenderer:
+    """A renderer of one scene that is set up and warm, as a viewer would hold it; nothing is cached.
+
+    Attributes:
+        render: draws one view, (height, width, 4) float32 premultiplied RGBA.
+        cameras: of the request.
+        setup_seconds: from volumes in memory to the first picture.
+        about: renderer, version and backend.
+    """
+
+    render: Callable[[Camera], NDArray[np.float32]]
+    cameras: tuple[Camera, ...]
+    setup_seconds: float
+    about: dict[str, Any]
+
+
+def live_renderer(
+    dataset: Dataset, scene_name: str, request: ViewRequest, *, renderer: Renderer = "auto"
+) -> LiveRenderer:
+    """Set up the renderer of a scene to draw views one by one.
+
+    Raises:
+        UnknownName: no such scene.
+        DataError: the dataset has no volume, or the request cannot be met.
+    """
+    if dataset.kind == "views":
+        raise DataError(dataset.name, "was rendered elsewhere", "Name a dataset with a volume")
+    work = _Work(dataset, dataset.scene(scene_name), request, renderer)
+    draw, seconds = work.set_up()
+    return LiveRenderer(lambda camera: draw((camera,), None)[0], work.cameras, seconds, work._renderer())
 
 
 def volume_digest(volume: Volume) -> str:
@@ -117,11 +167,7 @@ class _Work:
             )
         self.transfer, self.light = scene.transfer, scene.light
         self.volume = dataset.volume(scene.variable)
-        radius = 0.5 * float(np.linalg.norm(self.volume.extent))
-        if request.split == "test":
-            self.cameras = test_cameras(request.test_views, radius, request.width, request.height)
-        else:
-            self.cameras = training_cameras(request.train_views, radius, request.width, request.height)
+        self.cameras = _cameras(self.volume, request)
         self.chosen = split_indices(len(self.cameras), request.split)
         if not self.chosen:
             raise DataError(
@@ -133,19 +179,27 @@ class _Work:
         self.backend = _backend(renderer)
         self.key = self._key()
 
-    def render(self, progress: Progress | None) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """The images and the record of what they cost."""
+    def set_up(self) -> tuple[Callable[[tuple[Camera, ...], Progress | None], NDArray[np.float32]], float]:
+        """A function that draws views of this scene, and the seconds until it was ready."""
         started = time.perf_counter()
         marcher = self._marcher()
         if self.backend.name != "none":
             marcher.render(self.cameras[:1], self.transfer, self.light)  # compiles the kernel
+        seconds = time.perf_counter() - started
+        return lambda cameras, progress: marcher.render(cameras, self.transfer, self.light, progress), seconds
+
+    def render(self, progress: Progress | None) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """The images and the record of what they cost."""
+        draw, setup_seconds = self.set_up()
         ready = time.perf_counter()
-        images = marcher.render(self.cameras, self.transfer, self.light, progress)
+        images = draw(self.cameras, progress)
         seconds = time.perf_counter() - ready
         record = {
             **self._renderer(),
             "ms_per_view": 1e3 * seconds / len(images),
-            "setup_seconds": ready - started,
+            "setup_seconds": setup_seconds,
+            "peak_host_bytes": peak_host_bytes(),
+            "peak_device_bytes": peak_drjit_device_bytes(),
             "views": len(images),
             "width": images.shape[2],
             "height": images.shape[1],
@@ -191,6 +245,14 @@ class _Work:
             "renderer": self._renderer(),
         }
         return hashlib.sha256(json.dumps(ingredients, sort_keys=True).encode()).hexdigest()[:40]
+
+
+def _cameras(volume: Volume, request: ViewRequest) -> tuple[Camera, ...]:
+    """All training or all test cameras around a volume."""
+    radius = 0.5 * float(np.linalg.norm(volume.extent))
+    if request.split == "test":
+        return test_cameras(request.test_views, radius, request.width, request.height)
+    return training_cameras(request.train_views, radius, request.width, request.height)
 
 
 def _backend(renderer: Renderer) -> probe.Backend:

@@ -1,0 +1,28 @@
+"""How much memory this process has taken at most."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+
+def peak_host_bytes() -> int | None:
+    """High-water mark of this process's resident memory (VmHWM).
+
+    ``ru_maxrss`` would be inherited across exec from a larger parent.
+    """
+    try:
+        for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    except OSError:
+        pass
+    return None
+
+
+def peak_drjit_device_bytes() -> int | None:
+    """Most memory that Dr.Jit held on a CUDA device; None where it used none."""
+    drjit = sys.modules.get("drjit")
+    if drjit is None:
+        return None
+    return int(drjit.detail.malloc_watermark(drjit.JitBackend.CUDA)) or None
