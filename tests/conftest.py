@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -46,3 +47,12 @@ def pytest_make_collect_report() -> Generator[None, Any, Any]:
     report = yield
     _refuse(report)
     return report
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """The first folder of BENCH_DATA; skips without one (which CI does not allow)."""
+    folder = os.environ.get("BENCH_DATA", "").split(os.pathsep)[0]
+    if not folder:
+        pytest.skip("BENCH_DATA is not set")
+    return Path(folder)

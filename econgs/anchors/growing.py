@@ -1,0 +1,232 @@
+"""Growing and pruning of anchors (Lu et al. 2024, Scaffold-GS, section 4.3), shared by all anchor methods."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+LEVELS = 3
+HIERARCHY = 4
+SCALE_CAP = 0.05
+"""Where anchors are pruned, the logarithms of the scalings of Gaussians are capped here (as published)."""
+
+
+@dataclass(frozen=True)
+class AnchorRules:
+    """Thresholds of growing and pruning.
+
+    Attributes:
+        voxel: side of the finest cell, scene units.
+        init_factor: the coarsest cell is ``voxel * init_factor``, then a quarter of it, then a sixteenth.
+        gradient: mean screen-space gradient (normalised device coordinates) from which an offset grows an
+            anchor at level 0; doubled at each further level.
+        offset_visits: an offset is judged once it was drawn in more views than this.
+        anchor_visits: an anchor is judged once it was visible in more views than this.
+        prune_opacity: mean summed opacity per visit under which an anchor is pruned.
+        limit: number of anchors at which growing stops; 0 = none.
+    """
+
+    voxel: float = 0.001
+    init_factor: int = 16
+    gradient: float = 2e-4
+    offset_visits: float = 40.0
+    anchor_visits: float = 80.0
+    prune_opacity: float = 0.005
+    limit: int = 0
+
+    def __post_init__(self) -> None:
+        if self.voxel <= 0.0 or self.init_factor // HIERARCHY ** (LEVELS - 1) < 1:
+            raise ValueError(
+                f"voxel {self.voxel:g} with init_factor {self.init_factor}: cells of level {LEVELS - 1} "
+                f"would have no size; init_factor must be at least {HIERARCHY ** (LEVELS - 1)}"
+            )
+
+    def cell(self, level: int) -> float:
+        """Side of the cells of a level."""
+        return self.voxel * float(self.init_factor // HIERARCHY**level)
+
+
+@dataclass
+class AnchorStatistics:
+    """What was seen of N anchors with K offsets each since they were last judged.
+
+    Attributes:
+        gradients: (N, K) sum of screen-space gradient norms, normalised device coordinates.
+        draws: (N, K) number of views in which the Gaussian of that offset was drawn.
+        opacities: (N,) sum over views of the summed opacities of the anchor's Gaussians.
+        visits: (N,) number of views in which the anchor was visible.
+    """
+
+    gradients: Tensor
+    draws: Tensor
+    opacities: Tensor
+    visits: Tensor
+
+    @classmethod
+    def zeros(cls, anchors: int, offsets: int, device: torch.device | str) -> AnchorStatistics:
+        return cls(
+            torch.zeros(anchors, offsets, device=device),
+            torch.zeros(anchors, offsets, device=device),
+            torch.zeros(anchors, device=device),
+            torch.zeros(anchors, device=device),
+        )
+
+    @torch.no_grad()
+    def record(
+        self,
+        visible: Tensor,
+        opacities: Tensor,
+        slots: Tensor,
+        pixel_gradients: Tensor,
+        radii: Tensor,
+        size: tuple[int, int],
+    ) -> None:
+        """Add one view.
+
+        Args:
+            visible: (V,) indices of the visible anchors.
+            opacities: (V, K) their Gaussians' opacities before culling (negative ones count as 0).
+            slots: (M,) of each drawn Gaussian, its place v * K + k among those of the visible anchors.
+            pixel_gradients: (M, 2) gradient of the loss with respect to its centre, in pixels.
+            radii: (M,) 0 where it touches no pixel.
+            size: width and height of the view.
+        """
+        offsets = self.gradients.shape[1]
+        self.opacities.index_add_(0, visible, opacities.clamp_min(0.0).sum(1))
+        self.visits.index_add_(0, visible, torch.ones_like(visible, dtype=self.visits.dtype))
+        x, y = pixel_gradients.unbind(1)
+        norms = ((0.5 * size[0] * x) ** 2 + (0.5 * size[1] * y) ** 2).sqrt()
+        drawn = radii > 0
+        at = (visible[slots // offsets] * offsets + slots % offsets)[drawn]
+        self.gradients.view(-1).index_add_(0, at, norms[drawn])
+        self.draws.view(-1).index_add_(0, at, torch.ones_like(norms[drawn]))
+
+    def keep(self, rows: Tensor) -> AnchorStatistics:
+        """Those of the anchors kept."""
+        return AnchorStatistics(*(values[rows] for values in vars(self).values()))
+
+    def extended(self, count: int) -> AnchorStatistics:
+        """With zeros for ``count`` new anchors."""
+        return AnchorStatistics(
+            *(torch.cat([v, v.new_zeros((count, *v.shape[1:]))]) for v in vars(self).values())
+        )
+
+
+@dataclass(frozen=True)
+class GrownAnchors:
+    """New anchors of a growth event.
+
+    Attributes:
+        anchors: (A, 3) positions, on the lattice of their level.
+        log_scalings: (A, 6), the logarithm of the cell's side.
+        features: (A, F) element-wise maximum over the anchors whose Gaussians asked for it.
+        limited: the limit kept some from being added.
+    """
+
+    anchors: Tensor
+    log_scalings: Tensor
+    features: Tensor
+    limited: bool
+
+
+@torch.no_grad()
+def grow(
+    anchors: Tensor,
+    log_scalings: Tensor,
+    features: Tensor,
+    offsets: Tensor,
+    statistics: AnchorStatistics,
+    rules: AnchorRules,
+    generator: torch.Generator,
+) -> GrownAnchors:
+    """Anchors where Gaussians with high gradients lie in cells that hold none yet.
+
+    Offsets that were judged have their statistics reset.
+
+    Args:
+        anchors: (N, 3).
+        log_scalings: (N, 6), the first three scale the offsets.
+        features: (N, F).
+        offsets: (N, K, 3).
+        statistics: changed in place.
+        rules: thresholds.
+        generator: CPU generator of the random thinning (half of the candidates of level 0, three quarters,
+            seven eighths are kept).
+    """
+    count, many = offsets.shape[:2]
+    judged = statistics.draws > rules.offset_visits
+    gradients = torch.where(judged, statistics.gradients / statistics.draws.clamp_min(1.0), 0.0)
+    positions = anchors[:, None] + offsets * log_scalings[:, None, :3].exp()
+    lattice = anchors
+    added: list[tuple[Tensor, Tensor, Tensor]] = []
+    room = rules.limit - count if rules.limit else math.inf
+    limited = False
+    for level in range(LEVELS):
+        chance = torch.rand((count, many), generator=generator).to(gradients.device)
+        wanted = judged & (gradients >= rules.gradient * 2.0**level) & (chance > 0.5 ** (level + 1))
+        asking = wanted.reshape(-1).nonzero()[:, 0]
+        if not len(asking):
+            continue
+        cell = rules.cell(level)
+        cells, place = torch.unique(
+            torch.round(positions.reshape(-1, 3)[asking] / cell).to(torch.int64), dim=0, return_inverse=True
+        )
+        taken = torch.round(lattice / cell).to(torch.int64)
+        free = ~_among(cells, taken)
+        new = cells[free].to(anchors.dtype) * cell
+        best = features.new_full((len(cells), features.shape[1]), -math.inf)
+        parents = features[asking // many]
+        best.scatter_reduce_(0, place[:, None].expand_as(parents), parents, "amax")
+        best = best[free]
+        if len(new) > room:
+            limited = True
+            new, best = new[: int(room)], best[: int(room)]
+        room -= len(new)
+        added.append((new, log_scalings.new_full((len(new), 6), math.log(cell)), best))
+        lattice = torch.cat([lattice, new])
+    statistics.gradients[judged] = 0.0
+    statistics.draws[judged] = 0.0
+    if not added:
+        none = anchors.new_zeros((0, 3))
+        return GrownAnchors(none, log_scalings.new_zeros((0, 6)), features[:0], limited)
+    places, scalings, best = (torch.cat(column) for column in zip(*added, strict=True))
+    return GrownAnchors(places, scalings, best, limited)
+
+
+@torch.no_grad()
+def prunable(statistics: AnchorStatistics, rules: AnchorRules) -> Tensor:
+    """(N,) anchors seen often enough whose Gaussians add next to nothing.
+
+    Anchors that were judged and stay have their visits reset.
+    """
+    judged = statistics.visits > rules.anchor_visits
+    faint = judged & (statistics.opacities < rules.prune_opacity * statistics.visits)
+    reset = judged & ~faint
+    statistics.opacities[reset] = 0.0
+    statistics.visits[reset] = 0.0
+    return faint
+
+
+def lattice_anchors(points: Tensor, voxel: float) -> Tensor:
+    """(A, 3) centres of the cells of side ``voxel`` that hold one of the (n, 3) points."""
+    cells = torch.unique(torch.round(points.double() / voxel).to(torch.int64), dim=0)
+    places: Tensor = (cells.double() * voxel).to(points.dtype)
+    return places
+
+
+def _among(cells: Tensor, others: Tensor) -> Tensor:
+    """(A,) whether each (A, 3) integer cell occurs among (B, 3) others."""
+    both = torch.cat([cells, others])
+    low = both.amin(0)
+    span = both.amax(0) - low + 1
+    if math.prod(span.tolist()) >= 2**63:  # cannot be flattened to one integer
+        _, place = torch.unique(both, dim=0, return_inverse=True)
+        known: Tensor = torch.isin(place[: len(cells)], place[len(cells) :])
+        return known
+    flat = both - low
+    key = (flat[:, 0] * span[1] + flat[:, 1]) * span[2] + flat[:, 2]
+    found: Tensor = torch.isin(key[: len(cells)], key[len(cells) :])
+    return found
