@@ -22,7 +22,7 @@ from datasets.errors import DataError
 from datasets.ground_truth import probe
 from datasets.ground_truth.model import MODEL_VERSION, Marcher, MarchSettings, Progress
 from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
-from datasets.scene import BasicScene, Dataset
+from datasets.scene import BasicScene, Dataset, Light
 from datasets.view_cache import CachedViews, ViewCache
 from datasets.views import ViewRequest, ViewSet, split_indices
 from datasets.volume import Volume
@@ -239,7 +239,7 @@ class _Work:
             "model": MODEL_VERSION,
             "volume": volume_digest(self.volume),
             "transfer": transfer,
-            "light": asdict(self.light) if self.light else None,
+            "light": _said(self.light) if self.light else None,
             "cameras": hashlib.sha256(b"".join(_bytes(c) for c in self.cameras)).hexdigest(),
             "settings": asdict(self.settings),
             "renderer": self._renderer(),
@@ -271,6 +271,14 @@ def _notice(reason: str) -> None:
         reason,
         probe.REMEDY,
     )
+
+
+def _said(light: Light) -> dict[str, Any]:
+    """A light as it enters keys: what was there from the first, and what differs from the default."""
+    said = asdict(light)
+    if light.model == "blinn-phong":
+        said.pop("model")
+    return said
 
 
 def _bytes(camera: Camera) -> bytes:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from datasets.camera import Camera
 from datasets.ground_truth.bricks import BRICK, Bricks
-from datasets.ground_truth.model import GRADIENT_FLOOR, MarchSettings, Progress, index_transform
+from datasets.ground_truth.model import GRADIENT_FLOOR, PHONG_FLOOR, MarchSettings, Progress, index_transform
 from datasets.scene import Light
 from datasets.transfer import TransferFunction
 from datasets.volume import Volume
@@ -198,18 +198,23 @@ class _SceneData:
         return dr.fma(high - low, at - cell, low)
 
     def shade(self, color: Any, gradient: Any, view: Any) -> Any:
-        """Two-sided Blinn-Phong, blended with the unshaded color where the gradient vanishes."""
+        """Two-sided Blinn-Phong or Phong, blended with the color of no gradient where it vanishes."""
         gradient = gradient * self._per_voxel
         square = dr.dot(gradient, gradient)
         normal = gradient * dr.select(square > 0.0, dr.rsqrt(square), 0.0)
         towards = dr.select(self._headlight, view, self._fixed)
-        half = view + towards
-        half *= dr.select(dr.dot(half, half) > 1e-12, dr.rsqrt(dr.dot(half, half)), 0.0)
-        facing = dr.abs(dr.dot(normal, half))
+        if self.light.model == "phong":
+            cosine = dr.dot(normal, towards)
+            facing = 2.0 * cosine * dr.dot(normal, view) - dr.dot(towards, view)
+            floor, flat = PHONG_FLOOR, color * self._ambient
+        else:
+            half = view + towards
+            half *= dr.select(dr.dot(half, half) > 1e-12, dr.rsqrt(dr.dot(half, half)), 0.0)
+            facing = dr.abs(dr.dot(normal, half))
+            floor, flat = GRADIENT_FLOOR, color * (self._ambient + self._diffuse)
         highlight = dr.select(facing > 0.0, dr.exp2(self._shininess * dr.log2(facing)), 0.0)
         lit = color * (self._ambient + self._diffuse * dr.abs(dr.dot(normal, towards)))
-        trust = square / (square + GRADIENT_FLOOR**2)
-        flat = color * (self._ambient + self._diffuse)
+        trust = square / (square + floor**2)
         return trust * (lit + self._specular * highlight) + (1.0 - trust) * flat
 
     def leap(self, at: Any, step: Any) -> tuple[Any, Any]:

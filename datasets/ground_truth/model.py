@@ -16,6 +16,11 @@ Emission-absorption, front to back, along the ray of each pixel centre through t
 * Where there is no gradient there is no normal, and the color is c (ambient + diffuse), unshaded. The two
   are blended with weight |g|^2 / (|g|^2 + e^2), e = :data:`GRADIENT_FLOOR`, |g| in normalised values
   per voxel: noise does not turn into random normals, and the picture is continuous in the data.
+* Phong (``Light.model``), as in the shader of VTK's GPU volume mapper, two-sided, with r = 2 (n.l) n - l,
+  the mirrored light: color = c (ambient + diffuse |n.l|) + specular max(r.v, 0)^shininess, clamped to
+  [0, 1]. r does not depend on the sign of n; with a headlight r.v = 2 (n.v)^2 - 1. As in VTK, only c ambient
+  is left where there is no gradient; the blend is the one above with e = :data:`PHONG_FLOOR`, so small that
+  it only keeps rounding errors from becoming normals.
 * Colors are composited as displayed (nothing is linearised), premultiplied, without a background.
 """
 
@@ -38,6 +43,9 @@ MODEL_VERSION = 1
 
 GRADIENT_FLOOR = 2e-4
 """Gradient (normalised value per smallest voxel side) whose normal counts half."""
+
+PHONG_FLOOR = 1e-5
+"""The same in Phong mode, where VTK has none: above what single precision makes of a constant field."""
 
 Progress = Callable[[int, int], None]
 """Called with the number of views done and of all views."""

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from datasets.camera import Camera
-from datasets.ground_truth.model import GRADIENT_FLOOR, MarchSettings, Progress, index_transform
+from datasets.ground_truth.model import GRADIENT_FLOOR, PHONG_FLOOR, MarchSettings, Progress, index_transform
 from datasets.scene import Light
 from datasets.transfer import TransferFunction
 from datasets.volume import Volume
@@ -138,11 +138,16 @@ class ReferenceMarcher:
         normal = gradient / square.sqrt().clamp_min(1e-12)
         fixed = None if light.direction is None else self._tensor(np.array(light.direction))
         towards = view if fixed is None else fixed.expand_as(view)
-        half = view + towards
-        half = half / half.norm(dim=-1, keepdim=True).clamp_min(1e-6)
         lit = light.ambient + light.diffuse * (normal * towards).sum(-1, keepdim=True).abs()
-        highlight = light.specular * (normal * half).sum(-1, keepdim=True).abs() ** light.shininess
-        trust = square / (square + GRADIENT_FLOOR**2)
-        shaded: Tensor = trust * (color * lit + highlight)
-        unshaded: Tensor = color * (light.ambient + light.diffuse)
-        return shaded + (1.0 - trust) * unshaded
+        if light.model == "phong":
+            mirrored = 2.0 * (normal * towards).sum(-1, keepdim=True) * normal - towards
+            facing = (mirrored * view).sum(-1, keepdim=True).clamp_min(0.0)
+            floor, flat = PHONG_FLOOR, light.ambient
+        else:
+            half = view + towards
+            half = half / half.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+            facing = (normal * half).sum(-1, keepdim=True).abs()
+            floor, flat = GRADIENT_FLOOR, light.ambient + light.diffuse
+        trust = square / (square + floor**2)
+        shaded: Tensor = trust * (color * lit + light.specular * facing**light.shininess)
+        return shaded + (1.0 - trust) * flat * color

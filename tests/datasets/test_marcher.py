@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -19,6 +21,8 @@ from datasets.volume import Volume
 
 HEAD = Light()
 FIXED = Light(direction=(0.6, 0.0, 0.8), ambient=0.2, diffuse=0.6, specular=0.3, shininess=12.5)
+PHONG = Light(ambient=0.3, diffuse=0.5, specular=0.4, shininess=8.0, model="phong")
+PHONG_FIXED = Light((0.6, 0.0, 0.8), 0.3, 0.5, 0.4, 8.0, "phong")
 EVERYTHING = TransferFunction("all", (Bump("all", 0.0, 0.0, 1.0, 1.0, (0.9, 0.4, 0.2), 0.03),))
 NARROW = TransferFunction(
     "narrow",
@@ -95,6 +99,38 @@ def test_constant_gradient_gives_blinn_phong_in_closed_form(marcher):
         np.testing.assert_allclose(image[seen][:, :3] / image[seen][:, 3:], expected[seen], atol=2e-4)
 
 
+def test_phong_has_its_highlight_around_the_mirrored_light_on_both_sides(marcher):
+    """Against the equation in the form of VTK's shader: its normal points inwards, its vectors away."""
+    x = np.linspace(0.0, 1.0, 33)
+    transfer = TransferFunction("t", (Bump("inside", 0.3, 0.3, 0.7, 0.7, (0.8, 0.5, 0.3), 0.2),))
+    camera = camera_at([2.0, -0.4, 0.3], size=21, fov=0.3)
+    direction = camera.rays()[1]
+    for values in (x, 1.0 - x):
+        v = volume(np.broadcast_to(values, (9, 9, 33)))
+        inwards = np.array([1.0 if values is x else -1.0, 0.0, 0.0])
+        for light in (PHONG, replace(PHONG, direction=(0.96, 0.0, 0.28))):
+            image = marcher(v).render((camera,), transfer, light)[0]
+            away = (
+                direction if light.direction is None else -np.broadcast_to(light.direction, direction.shape)
+            )
+            cosine = away @ -inwards
+            mirrored = 2.0 * cosine[..., None] * inwards + away
+            facing = np.maximum((mirrored * -direction).sum(-1), 0.0)
+            lit = light.ambient + light.diffuse * np.abs(cosine)
+            highlight = light.specular * facing**light.shininess
+            expected = np.clip(lit[..., None] * (0.8, 0.5, 0.3) + highlight[..., None], 0.0, 1.0)
+            assert np.ptp(highlight) > 0.1
+            seen = image[..., 3] > 0.05
+            assert seen.sum() > 20
+            np.testing.assert_allclose(image[seen][:, :3] / image[seen][:, 3:], expected[seen], atol=3e-4)
+
+
+def test_phong_without_a_gradient_is_ambient_only(marcher):
+    v = volume(np.full((9, 9, 9), 0.5))
+    image = marcher(v).render((camera_at([4.0, 0.0, 0.0]),), EVERYTHING, PHONG)[0, 16, 16]
+    np.testing.assert_allclose(image[:3] / image[3], 0.3 * np.array([0.9, 0.4, 0.2]), atol=1e-5)
+
+
 def test_without_a_gradient_color_is_ambient_plus_diffuse(marcher):
     v = volume(np.full((9, 9, 9), 0.5))
     light = Light(ambient=0.3, diffuse=0.4, specular=0.9)
@@ -162,7 +198,11 @@ def test_the_table_is_fine_enough():
     assert float((coarse - exact).abs().max()) > 1e-3
 
 
-@pytest.mark.parametrize("light", [None, HEAD, FIXED], ids=["unshaded", "headlight", "fixed"])
+@pytest.mark.parametrize(
+    "light",
+    [None, HEAD, FIXED, PHONG, PHONG_FIXED],
+    ids=["unshaded", "headlight", "fixed", "phong", "phong, fixed"],
+)
 @pytest.mark.parametrize("transfer", [EVERYTHING, NARROW], ids=["everything", "narrow"])
 @pytest.mark.parametrize(
     "v",
