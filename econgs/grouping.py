@@ -16,7 +16,7 @@ from scipy.spatial.distance import squareform
 
 LINKAGES = ("average", "single", "complete")
 SAMPLE = 2048
-"""Points drawn of each cloud: distances are within a few percent (512 points: 20 %, enough to change groups)."""
+"""Points drawn of each cloud: distances within a few percent (with 512, 20 %: enough to change groups)."""
 
 
 def chamfer_distances(

@@ -10,8 +10,6 @@ from torch import Tensor
 
 LEVELS = 3
 HIERARCHY = 4
-SCALE_CAP = 0.05
-"""Where anchors are pruned, the logarithms of the scalings of Gaussians are capped here (as published)."""
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
+from econgs.points import neighbour_distances
 from methods.gaussian_splatting.model import SH_REST
 from methods.interface import OptionValue, Refused, SceneInput
 
 SH_C0 = 0.28209479177387814
 INITIAL_OPACITY = 0.1
-_LEAST_SQUARED_DISTANCE = 1e-7
 
 
 def initial_parameters(
@@ -41,22 +40,9 @@ def initial_parameters(
     quats[:, 0] = 1.0
     return {
         "means": points,
-        "log_scales": neighbour_distances(points, scene.extent).log()[:, None].repeat(1, 3),
+        "log_scales": neighbour_distances(points, 0.01 * scene.extent).log()[:, None].repeat(1, 3),
         "quats": quats,
         "logits": torch.full((n,), INITIAL_OPACITY).logit(),
         "sh_dc": ((colors - 0.5) / SH_C0)[:, None],
         "sh_rest": torch.zeros((n, SH_REST, 3)),
     }
-
-
-def neighbour_distances(points: torch.Tensor, extent: float) -> torch.Tensor:
-    """(N,) root of the mean squared distance to the three nearest neighbours.
-
-    Fewer neighbours are used where there are no three; a lone point gets 1 % of the extent.
-    """
-    if len(points) == 1:
-        return torch.full((1,), 0.01 * extent)
-    table = points.numpy().astype(np.float64)
-    distances, _ = cKDTree(table).query(table, k=min(4, len(table)))
-    squared = np.square(distances[:, 1:]).mean(axis=1)  # column 0 is the point itself
-    return torch.from_numpy(np.sqrt(np.maximum(squared, _LEAST_SQUARED_DISTANCE)).astype(np.float32))

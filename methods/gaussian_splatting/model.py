@@ -17,6 +17,7 @@ from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.names import unknown
 from datasets.scene import RGB
+from econgs.splat.composite import over
 from econgs.splat.rasterise import rasterise
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.ply import read_ply, write_ply
@@ -181,13 +182,13 @@ class GaussianModel:
             rgb = over(splats.features, splats.alpha, back)
             return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
 
-    def timings(self, camera: Camera) -> Mapping[str, float]:
-        """Seconds of one frame of all scenes by part.
+    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
+        """Seconds of one frame of scenes (default: all) by part.
 
         "decode" is 0: loading activates the attributes once, so that no frame pays for it.
         """
         with torch.inference_mode():
-            ready = self._ready(self.scenes)
+            ready = self._ready(self.scenes if scenes is None else tuple(scenes))
             times = [_now(ready.means)]
             colors = _shade(ready, camera)
             times.append(_now(ready.means))
@@ -221,12 +222,6 @@ class GaussianModel:
             for o, factor in zip(opacities.split(sizes), factors, strict=True)
         ]
         return torch.cat(pieces).clamp(0.0, 1.0)
-
-
-def over(premultiplied: torch.Tensor, alpha: torch.Tensor, background: RGB | torch.Tensor) -> torch.Tensor:
-    """Composite (H, W, 3) premultiplied color with (H, W) alpha over an opaque background."""
-    back = torch.as_tensor(background, dtype=premultiplied.dtype, device=premultiplied.device)
-    return torch.addcmul(premultiplied, (1.0 - alpha)[..., None], back)
 
 
 def load_model(folder: Path, device: str) -> GaussianModel:

@@ -11,7 +11,7 @@ SPEC = MethodSpec(
     ),
     version="2",
     implementation="methods.gaussian_splatting.method:GaussianSplatting",
-    source=("methods.gaussian_splatting", "econgs.splat", "econgs.losses", "econgs.optim"),
+    source=("methods.gaussian_splatting", "econgs.splat", "econgs.losses", "econgs.optim", "econgs.points"),
     joint=False,
     composable=True,
     edits=frozenset({"opacity"}),

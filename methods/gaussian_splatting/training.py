@@ -11,11 +11,12 @@ from datasets.camera import Camera
 from datasets.scene import RGB, WHITE
 from econgs.losses import photometric_loss
 from econgs.optim import Adam
+from econgs.splat.composite import over
 from econgs.splat.rasterise import rasterise
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, capped_logits, grow
 from methods.gaussian_splatting.initialise import initial_parameters
-from methods.gaussian_splatting.model import GaussianModel, SceneGaussians, over
+from methods.gaussian_splatting.model import GaussianModel, SceneGaussians
 from methods.gaussian_splatting.schedule import Schedule
 from methods.interface import Checkpoint, Diverged, Monitor, OptionValue, Refused, SceneInput
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from methods.gaussian_splatting.initialise import neighbour_distances
+from econgs.points import neighbour_distances
 from methods.gaussian_splatting.method import GaussianSplatting
 from methods.gaussian_splatting.spec import SPEC
 from methods.gaussian_splatting.training import PARAMETERS, Trainer
@@ -98,7 +98,7 @@ def test_initial_scales_are_neighbour_distances():
     found = neighbour_distances(points, 1.0)
     assert found[0] == pytest.approx(np.sqrt((1 + 4 + 9) / 3))
     assert neighbour_distances(points[:2], 1.0).tolist() == [1.0, 1.0]
-    assert neighbour_distances(points[:1], 4.4).tolist() == [pytest.approx(0.044)]
+    assert neighbour_distances(points[:1], 0.044).tolist() == [pytest.approx(0.044)]
     assert neighbour_distances(torch.zeros(6, 3), 1.0)[0] == pytest.approx(np.sqrt(1e-7))
 
 

@@ -1,0 +1,132 @@
+"""The anchors of one scene while they are trained: parameters in an optimiser, statistics, growth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from econgs.anchors.growing import AnchorRules, AnchorStatistics, grow, lattice_anchors, prunable
+from econgs.optim import Adam
+from econgs.points import neighbour_distances
+
+PARAMETERS = ("features", "log_scalings", "offsets")
+SCALE_CAP = 0.05
+
+
+@dataclass(frozen=True)
+class GrowthEvent:
+    """What one growth event changed.
+
+    Attributes:
+        added, pruned: numbers of anchors.
+        limited: the limit kept some from being added.
+    """
+
+    added: int
+    pruned: int
+    limited: bool
+
+
+class AnchorSet:
+    """Anchors of one scene. Their parameters live in an optimiser under ``<key>/<parameter>``.
+
+    Parameters: ``features`` (N, F), zero at first; ``log_scalings`` (N, 6), the logarithm of three factors of
+    offsets and three of Gaussian scales; ``offsets`` (N, K, 3), zero at first. Positions lie on the lattice
+    of ``voxel`` and are never trained (Scaffold-GS).
+
+    Args:
+        key: distinguishes the scenes of one optimiser.
+        points: (n, 3) initial cloud, n >= 1.
+        voxel: side of a lattice cell, scene units; points of one cell make one anchor.
+        features: F.
+        offsets: K.
+        fallback: scaling of a lone anchor, scene units.
+    """
+
+    def __init__(
+        self,
+        key: str,
+        points: Tensor,
+        *,
+        voxel: float,
+        features: int,
+        offsets: int,
+        fallback: float,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.key = key
+        self.voxel = voxel
+        self.offsets = offsets
+        positions = lattice_anchors(points, voxel)
+        log_scalings = neighbour_distances(positions, fallback).log()[:, None].repeat(1, 6)
+        count = len(positions)
+        self.positions = positions.to(device)
+        self.initial = {
+            "features": torch.zeros((count, features), device=device),
+            "log_scalings": log_scalings.to(device),
+            "offsets": torch.zeros((count, offsets, 3), device=device),
+        }
+        self.statistics = AnchorStatistics.zeros(count, offsets, device)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def name(self, parameter: str) -> str:
+        """Name of one of its parameters in the optimiser."""
+        return f"{self.key}/{parameter}"
+
+    @property
+    def names(self) -> list[str]:
+        """Names of its parameters in the optimiser."""
+        return [self.name(parameter) for parameter in PARAMETERS]
+
+    def groups(self) -> dict[str, Tensor]:
+        """The first parameters by their names in the optimiser, to make it with; given out once."""
+        groups = {self.name(parameter): values for parameter, values in self.initial.items()}
+        self.initial = {}
+        return groups
+
+    @torch.no_grad()
+    def grow_and_prune(self, optimiser: Adam, rules: AnchorRules, generator: torch.Generator) -> GrowthEvent:
+        """One growth event (Scaffold-GS: growing first, then pruning)."""
+        features, log_scalings, offsets = (optimiser[name] for name in self.names)
+        grown = grow(self.positions, log_scalings, features, offsets, self.statistics, rules, generator)
+        added = len(grown.anchors)
+        if added:
+            optimiser.append(
+                {
+                    self.name("features"): grown.features,
+                    self.name("log_scalings"): grown.log_scalings,
+                    self.name("offsets"): offsets.new_zeros((added, *offsets.shape[1:])),
+                }
+            )
+            self.positions = torch.cat([self.positions, grown.anchors])
+            self.statistics = self.statistics.extended(added)
+        faint = prunable(self.statistics, rules)
+        pruned = int(faint.sum())
+        if pruned:
+            self.keep(optimiser, ~faint)
+            optimiser[self.name("log_scalings")][:, 3:].clamp_(max=SCALE_CAP)
+        return GrowthEvent(added, pruned, grown.limited)
+
+    @torch.no_grad()
+    def keep(self, optimiser: Adam, rows: Tensor) -> None:
+        """Keep only these anchors (boolean mask)."""
+        optimiser.keep(rows, self.names)
+        self.positions = self.positions[rows]
+        self.statistics = self.statistics.keep(rows)
+
+    def state(self) -> dict[str, Tensor]:
+        """What a checkpoint needs beside the optimiser's state."""
+        saved = {f"statistics/{name}": values for name, values in vars(self.statistics).items()}
+        return {f"{self.key}/{name}": v for name, v in ({"positions": self.positions} | saved).items()}
+
+    def load_state(self, saved: dict[str, Tensor]) -> None:
+        """Continue from :meth:`state`."""
+        self.positions = saved[f"{self.key}/positions"].clone()
+        names = ("gradients", "draws", "opacities", "visits")
+        self.statistics = AnchorStatistics(
+            *(saved[f"{self.key}/statistics/{name}"].clone() for name in names)
+        )

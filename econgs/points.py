@@ -1,0 +1,25 @@
+"""Distances within point clouds."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+_LEAST_SQUARED_DISTANCE = 1e-7
+
+
+def neighbour_distances(points: Tensor, fallback: float) -> Tensor:
+    """(N,) root of the mean squared distance to the three nearest neighbours, or fewer where there are none.
+
+    Args:
+        points: (N, 3), N >= 1.
+        fallback: distance of a lone point.
+    """
+    if len(points) == 1:
+        return torch.full((1,), fallback)
+    table = points.cpu().numpy().astype(np.float64)
+    distances, _ = cKDTree(table).query(table, k=min(4, len(table)))
+    squared = np.square(distances[:, 1:]).mean(axis=1)  # column 0 is the point itself
+    return torch.from_numpy(np.sqrt(np.maximum(squared, _LEAST_SQUARED_DISTANCE)).astype(np.float32))
