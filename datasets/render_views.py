@@ -140,11 +140,16 @@ def live_renderer(
 
 
 def volume_digest(volume: Volume) -> str:
-    """Content hash of a volume's values, type, spacing and range; computed once per volume."""
+    """Content hash of a volume's values, type, spacing, range, mask and vertices; computed once per volume."""
     if volume not in _digests:
         about = (volume.values.shape, volume.values.dtype.str, volume.spacing, volume.value_range)
         digest = hashlib.sha256(repr(about).encode())
         digest.update(np.ascontiguousarray(volume.values).data)
+        for name in ("mask", "vertices", "vertex_values"):
+            array = getattr(volume, name)
+            if array is not None:
+                digest.update(f"{name} {array.shape} {array.dtype.str}".encode())
+                digest.update(np.ascontiguousarray(array).data)
         _digests[volume] = digest.hexdigest()
     return _digests[volume]
 

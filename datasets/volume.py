@@ -63,11 +63,15 @@ class Volume:
 
     def normalised(self) -> NDArray[np.float32]:
         """(nz, ny, nx) float32 values with ``value_range`` mapped to [0, 1] and clipped."""
+        return self.normalise(self.values)
+
+    def normalise(self, values: NDArray[np.generic]) -> NDArray[np.float32]:
+        """Data values of any shape with ``value_range`` mapped to [0, 1] and clipped, float32."""
         low, high = self.value_range
         # Integers and doubles beyond 24 bits would lose their differences in single precision.
-        dtype = self.values.dtype
+        dtype = values.dtype
         if dtype.itemsize > 4 or (dtype.kind != "f" and dtype.itemsize == 4):
-            wide = (self.values.astype(np.float64) - low) / (high - low)
+            wide = (values.astype(np.float64) - low) / (high - low)
             return np.clip(wide, 0.0, 1.0).astype(np.float32)
-        scaled = (self.values.astype(np.float32) - np.float32(low)) / np.float32(high - low)
+        scaled = (values.astype(np.float32) - np.float32(low)) / np.float32(high - low)
         return np.clip(scaled, 0.0, 1.0, out=scaled)
