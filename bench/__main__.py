@@ -147,7 +147,13 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
         metavar="NAME|PATH",
         help="instead of the suite's (repeatable)",
     )
-    parser.add_argument("--scene", action="append", default=[], help="only this scene (repeatable)")
+    parser.add_argument(
+        "--scene",
+        action="append",
+        default=[],
+        help="only this scene, or composition with its scenes (repeatable)",
+    )
+    parser.add_argument("--composed", action="store_true", help="measure the compositions of the scenes too")
     parser.add_argument("--method", action="append", default=[], help="instead of the suite's (repeatable)")
     parser.add_argument(
         "--seed", action="append", default=[], type=_seed, help="instead of the suite's (repeatable)"

@@ -18,7 +18,7 @@ from datasets.catalogue import list_datasets, open_dataset
 from datasets.cloud import initial_cloud
 from datasets.errors import DataError
 from datasets.ground_truth.model import MODEL_VERSION
-from datasets.render_views import views_of, volume_digest
+from datasets.render_views import render_cost, views_of, volume_digest
 from datasets.scene import Dataset
 from datasets.views import Split, ViewRequest, ViewSet, split_indices
 from methods.interface import SceneInput
@@ -86,9 +86,18 @@ def view_size(preset: ViewPreset, native: tuple[int, int] | None) -> tuple[int, 
 
 
 def views(dataset: Dataset, scene: str, request: Request, split: Split) -> ViewSet:
-    """Ground-truth views, from the cache where they are in it."""
-    wanted = ViewRequest(split, request.train_views, request.test_views, request.width, request.height)
-    return views_of(dataset, scene, wanted)
+    """Ground-truth views of a basic scene or composition, from the cache where they are in it."""
+    return views_of(dataset, scene, view_request(request, split))
+
+
+def cost_of_views(dataset: Dataset, scene: str, request: Request, split: Split) -> dict[str, Any] | None:
+    """What rendering the cached views took, whenever that was; None for pre-rendered ones."""
+    return render_cost(dataset, scene, view_request(request, split))
+
+
+def view_request(request: Request, split: Split) -> ViewRequest:
+    """A job's request, for one split."""
+    return ViewRequest(split, request.train_views, request.test_views, request.width, request.height)
 
 
 def scene_inputs(job: Job) -> tuple[list[SceneInput], dict[str, ViewSet]]:

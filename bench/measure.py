@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +20,7 @@ from bench.timing import (
     time_frames,
 )
 from datasets.memory import peak_host_bytes
+from methods.interface import Method, Model, Refused
 
 if TYPE_CHECKING:
     from bench.stages import Context
@@ -25,35 +28,40 @@ if TYPE_CHECKING:
 
 
 def measure(context: Context) -> MeasureResult:
-    """Load, time and render one scene, then compare it with the ground truth.
+    """Load, time and render a scene (or a composition's scenes together), then compare with the ground truth.
 
     Memory is read before the ground truth and the metrics come into the process.
+
+    Raises:
+        Refused: the scenes are in several models and the method cannot render those together.
     """
     from bench.stages import read_cameras
 
-    job, scene = context.job, context.job.scenes[0]
+    job, scenes = context.job, list(context.job.scenes)
+    encodes = context.all_needed("encode")
+    if context.spec is not None and len(encodes) > 1 and not context.spec.composable:
+        raise Refused(f"{job.method} cannot render models of several groups together ({job.group})")
     shown = context.needed("views")
     assert shown.views is not None
     cameras = read_cameras(context.path_of(shown))
     background = shown.views.background
-    folder = context.path_of(context.needed("encode")) / "model"
     method = context.method()
 
     context.report(stage="load")
     start = time.perf_counter()
-    model = method.load(folder, job.device)
+    model = load_models(method, [context.path_of(encode) / "model" for encode in encodes], job.device)
     synchronise(job.device)
     load_seconds = time.perf_counter() - start
-    if scene not in model.scenes:
-        raise RuntimeError(f"the loaded model holds {list(model.scenes)}, not {scene!r}")
+    if lacking := [scene for scene in scenes if scene not in model.scenes]:
+        raise RuntimeError(f"the loaded model holds {list(model.scenes)}, not {', '.join(lacking)}")
 
     context.report(stage="timing")
     before = reference_seconds()
     frames = time_frames(
-        lambda camera: model.render(camera, scenes=[scene], background=background), cameras, job.device
+        lambda camera: model.render(camera, scenes=scenes, background=background), cameras, job.device
     )
     after = reference_seconds()
-    parts = median_timings(model.timings, cameras)
+    parts = median_timings(lambda camera: model.timings(camera, scenes=scenes), cameras)
     context.peak_host_bytes = peak_host_bytes()
 
     context.report(stage="metrics")
@@ -62,7 +70,7 @@ def measure(context: Context) -> MeasureResult:
     from bench.metrics.image import to_8bit
     from datasets.png import write_png
 
-    truth = views(open_dataset(job.dataset), scene, job.request, job.split)
+    truth = views(open_dataset(job.dataset), job.shows, job.request, job.split)
     if truth.key != shown.views.view_keys[job.split]:
         raise RuntimeError(
             "the ground truth has changed since its views job; delete that job or use a new store"
@@ -72,7 +80,7 @@ def measure(context: Context) -> MeasureResult:
     rows: list[ViewResult] = []
     missing: dict[str, str] = {}
     for index, camera in enumerate(cameras):
-        tensor, tensor_alpha = model.render(camera, scenes=[scene], background=background)
+        tensor, tensor_alpha = model.render(camera, scenes=scenes, background=background)
         rgb, alpha = as_numpy(tensor), as_numpy(tensor_alpha)
         if not (np.isfinite(rgb).all() and np.isfinite(alpha).all()):
             raise FloatingPointError(
@@ -101,12 +109,22 @@ def measure(context: Context) -> MeasureResult:
         warmup_frames=frames.warmup,
         warmup_stable=frames.stable,
         timing={"frame": frames.median, **parts},
-        primitives=model.primitives(scene),
+        primitives=sum(model.primitives(scene) for scene in scenes),
         metrics={name: _mean([row.metrics[name] for row in rows]) for name in job.metrics},
         missing=missing,
         views=rows,
         reference_seconds=mean_of(before, after),
     )
+
+
+def load_models(method: Method, folders: Sequence[Path], device: str) -> Model:
+    """The model of one saved folder, or those of several joined.
+
+    Raises:
+        Refused: the method cannot compose them.
+    """
+    models = [method.load(folder, device) for folder in folders]
+    return models[0] if len(models) == 1 else method.compose(models)
 
 
 def _mean(values: list[float | None]) -> float | None:

@@ -1,4 +1,4 @@
-"""From a selection to the job graph: views → (partition →) fit → encode → measure.
+"""From a selection to the job graph: views → (partition →) fit → encode → measure, and dvr on its own.
 
 Planning reads the data (so bad input is found before any job starts) and the records of finished
 partitions: which groups a joint method fits is known only once its partition job has run, so the
@@ -8,38 +8,15 @@ executor plans again after it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
-from bench import inputs
-from bench.records import Job, Request, hash_of
+from bench.records import Job, hash_of
+from bench.selection import Chosen, Selection, chosen_datasets
 from bench.store import Store
-from bench.suites import Suite
 from datasets.names import unknown
-from datasets.scene import Dataset
 from methods.interface import MethodSpec
 from methods.options import Settings, resolve
 from methods.registry import Registry
-
-
-@dataclass(frozen=True)
-class Selection:
-    """What is asked for: a suite, narrowed or widened by command-line options.
-
-    Attributes:
-        overrides: method -> option -> value, from ``--set``; on top of the suite's variants.
-    """
-
-    suite: Suite
-    datasets: tuple[str, ...] = ()
-    scenes: tuple[str, ...] = ()
-    methods: tuple[str, ...] = ()
-    seeds: tuple[int, ...] = ()
-    preset: str = ""
-    split: str = "test"
-    overrides: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    device: str = "cpu"
-    plugins: tuple[str, ...] = ()
 
 
 class Planner:
@@ -62,7 +39,7 @@ class Planner:
         self._seeds = selection.seeds or suite.seeds
         self._specs = self._chosen_methods()
         self._settings = list(self._chosen_settings())
-        self._scenes = list(self._chosen_scenes())
+        self._datasets = chosen_datasets(selection, self._preset)
 
     def jobs(self, store: Store | None) -> list[Job]:
         """All jobs known so far, in an order in which they can run."""
@@ -110,103 +87,107 @@ class Planner:
                 for value in knob.values if knob.refit else ():
                     yield resolve(spec, self._preset_name, {**overrides, knob.name: value}), [None]
 
-    def _chosen_scenes(self) -> Iterator[tuple[str, Dataset, dict[str, str], Request]]:
-        """Dataset as named, opened, its scenes with their content hashes, and the views wanted of it."""
-        chosen = self._selection.datasets or tuple(self._selection.suite.datasets)
-        narrowed = set(self._selection.scenes)
-        found: set[str] = set()
-        all_names: set[str] = set()
-        for name in chosen:
-            source = inputs.absolute(name)
-            dataset = inputs.open_dataset(source)
-            names = [scene.name for scene in dataset.scenes]
-            all_names.update(names)
-            if not self._selection.datasets:
-                names = [dataset.scene(s).name for s in self._selection.suite.datasets[name]] or names
-            if narrowed:
-                names = [s for s in [sc.name for sc in dataset.scenes] if s in narrowed]
-                found.update(names)
-            if names:
-                hashes = {scene: inputs.fingerprint(dataset, scene) for scene in names}
-                yield source, dataset, hashes, inputs.request(dataset, names[0], self._preset)
-        for missing in sorted(narrowed - found):
-            raise unknown("scene", missing, all_names, of=", ".join(chosen))
-
     # ------------------------------------------------------------------ graph
 
     def _all(self, store: Store | None) -> Iterator[Job]:
-        for source, dataset, hashes, request in self._scenes:
-            views = {scene: self._views(source, dataset, scene, hashes[scene], request) for scene in hashes}
+        for chosen in self._datasets:
+            if self._selection.suite.dvr and chosen.kind == "volume":
+                for name in (*chosen.hashes, *chosen.compositions):
+                    yield self._of_scene("dvr", chosen, name)
+            if not self._settings:
+                continue
+            views = {
+                name: self._of_scene("views", chosen, name) for name in (*chosen.hashes, *chosen.compositions)
+            }
             yield from views.values()
             for spec, settings, rates in self._settings:
                 for seed in self._seeds:
-                    common = self._common(source, dataset, request, spec, settings, seed)
-                    yield from self._of_method(store, spec, common, hashes, views, rates)
+                    common = self._common(chosen, spec, settings, seed)
+                    yield from self._of_method(store, spec, common, chosen, views, rates)
 
     def _of_method(
         self,
         store: Store | None,
         spec: MethodSpec,
         common: dict[str, Any],
-        hashes: dict[str, str],
+        chosen: Chosen,
         views: dict[str, Job],
         rates: list[float | None],
     ) -> Iterator[Job]:
         partition = None
-        groups = [[scene] for scene in hashes]
+        groups = [[scene] for scene in chosen.hashes]
         if spec.joint:
-            partition = self._partition(spec, common, hashes, views)
+            partition = self._partition(spec, common, chosen, views)
             yield partition
             record = store.record(partition.id) if store else None
             if record is not None and not record.ok:
-                groups = [list(hashes)]  # its failure is the failure of every scene
+                groups = [list(chosen.hashes)]  # its failure is the failure of every scene
             elif record is None or record.partition is None:
                 return
             else:
                 groups = record.partition.groups
+        encodes: dict[tuple[str, float | None], Job] = {}
         for group in groups:
-            fit = self._fit(spec, common, group, hashes, views, partition)
+            fit = self._fit(spec, common, group, chosen, views, partition)
             yield fit
             for rate in rates:
                 encode = _job("encode", fit, {"fit": fit.key, "rate": rate}, (fit.id,), rate=rate)
                 yield encode
                 for scene in group:
-                    identity = {
-                        "encode": encode.key,
-                        "scene": scene,
-                        "views": views[scene].key,
-                        "split": self._selection.split,
-                        "metrics": self._metrics,
-                    }
-                    needs = (views[scene].id, encode.id)
-                    yield _job(
-                        "measure", encode, identity, needs, scenes=(scene,), metrics=dict(self._metrics)
-                    )
+                    encodes[scene, rate] = encode
+                    yield self._measure([encode], (scene,), views[scene])
+        for name, parts in chosen.compositions.items():
+            for rate in rates:
+                needed = list({encodes[part, rate].id: encodes[part, rate] for part in parts}.values())
+                yield self._measure(needed, parts, views[name], name)
 
-    def _views(self, source: str, dataset: Dataset, scene: str, content: str, request: Request) -> Job:
-        split = self._selection.split
-        identity = {"kind": "views", "scene": content, "request": request.model_dump(), "split": split}
+    def _measure(self, encodes: list[Job], scenes: tuple[str, ...], views: Job, composition: str = "") -> Job:
+        """Of a basic scene, or of the scenes of a composition together."""
+        identity: dict[str, Any] = {
+            "views": views.key,
+            "split": self._selection.split,
+            "metrics": self._metrics,
+        }
+        if composition:
+            identity |= {"encodes": [encode.key for encode in encodes], "scenes": list(scenes)}
+        else:
+            identity |= {"encode": encodes[0].key, "scene": scenes[0]}
+        return _job(
+            "measure",
+            encodes[0],
+            identity,
+            (views.id, *(encode.id for encode in encodes)),
+            scenes=scenes,
+            composition=composition,
+            group=",".join(encode.group for encode in encodes),
+            metrics=dict(self._metrics),
+        )
+
+    def _of_scene(self, kind: str, chosen: Chosen, name: str) -> Job:
+        """A job about a scene or composition itself, of no method: its views, or the cost of rendering it."""
+        identity = {"kind": kind, "scene": chosen.content(name), "request": chosen.request.model_dump()}
+        if kind == "views":
+            identity["split"] = self._selection.split
         return Job.model_validate(
             {
-                "kind": "views",
+                "kind": kind,
                 "key": hash_of(identity),
                 "identity": identity,
-                "dataset": source,
-                "dataset_name": dataset.name,
-                "scenes": (scene,),
-                "request": request,
-                "split": split,
+                "dataset": chosen.source,
+                "dataset_name": chosen.name,
+                "scenes": chosen.compositions.get(name, (name,)),
+                "composition": name if name in chosen.compositions else "",
+                "request": chosen.request,
+                "split": self._selection.split,
                 "preset": self._preset_name,
             }
         )
 
-    def _common(
-        self, source: str, dataset: Dataset, request: Request, spec: MethodSpec, settings: Settings, seed: int
-    ) -> dict[str, Any]:
+    def _common(self, chosen: Chosen, spec: MethodSpec, settings: Settings, seed: int) -> dict[str, Any]:
         return {
-            "dataset": source,
-            "dataset_name": dataset.name,
-            "request": request,
+            "dataset": chosen.source,
+            "dataset_name": chosen.name,
+            "request": chosen.request,
             "split": self._selection.split,
             "method": spec.name,
             "variant": settings.variant,
@@ -237,8 +218,9 @@ class Planner:
         }
 
     def _partition(
-        self, spec: MethodSpec, common: dict[str, Any], hashes: dict[str, str], views: dict[str, Job]
+        self, spec: MethodSpec, common: dict[str, Any], chosen: Chosen, views: dict[str, Job]
     ) -> Job:
+        hashes = chosen.hashes
         identity = {"kind": "partition", **self._identity(spec, common, hashes)}
         return Job.model_validate(
             {
@@ -256,13 +238,13 @@ class Planner:
         spec: MethodSpec,
         common: dict[str, Any],
         group: list[str],
-        hashes: dict[str, str],
+        chosen: Chosen,
         views: dict[str, Job],
         partition: Job | None,
     ) -> Job:
         identity = {
             "kind": "fit",
-            **self._identity(spec, common, {scene: hashes[scene] for scene in group}),
+            **self._identity(spec, common, {scene: chosen.hashes[scene] for scene in group}),
             # A group's share of partition time is that of this very partition.
             "partition": partition.key if partition else None,
         }

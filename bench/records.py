@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 SCHEMA = 1
 """Raised when a record of an older store could be misread."""
 
-Kind = Literal["views", "partition", "fit", "encode", "measure"]
+Kind = Literal["views", "dvr", "partition", "fit", "encode", "measure"]
 Status = Literal["ok", "failed", "oom", "timeout", "diverged", "refused"]
 Value = bool | int | float | str
 
@@ -35,8 +35,11 @@ class Job(_Model):
     Attributes:
         key: hash of ``identity``, which holds everything that decides the result; what a job only
             carries along (labels, needs) stands beside it.
-        scenes: the scenes the job is about: one for views and measure, a group for fit and encode.
-        group: name of the group of scenes fitted together.
+        scenes: the basic scenes the job is about: one (or those of a composition) for views, dvr and
+            measure, a group for fit and encode.
+        composition: name of the composition that the scenes make up, "" for a basic scene.
+        group: name of the group of scenes fitted together; of several (measure of a composition), joined
+            by commas.
         needs: ids of the jobs that must be finished before.
         metrics: metric name -> version (measure only).
         cloud_points: size of the initial cloud.
@@ -49,6 +52,7 @@ class Job(_Model):
     dataset: str
     dataset_name: str
     scenes: tuple[str, ...]
+    composition: str = ""
     group: str = ""
     request: Request
     split: Literal["test", "val"] = "test"
@@ -68,9 +72,15 @@ class Job(_Model):
         return f"{self.kind}-{self.key}"
 
     @property
+    def shows(self) -> str:
+        """Name of the basic scene or composition that a views, dvr or measure job is about."""
+        return self.composition or self.scenes[0]
+
+    @property
     def title(self) -> str:
         """For people: what, of which scenes, by which method."""
-        parts = [self.kind, f"{self.dataset_name}/{self.group or '+'.join(self.scenes)}"]
+        about = self.composition or self.group or "+".join(self.scenes)
+        parts = [self.kind, f"{self.dataset_name}/{about}"]
         if self.method:
             parts.append(self.method + (f"[{self.variant}]" if self.variant else ""))
         if self.rate is not None:
@@ -118,12 +128,45 @@ class CurvePoint(_Model):
 
 
 class ViewsResult(_Model):
-    """``truth``: split -> PNG file names, in the order of the cameras; see ``cameras.json``."""
+    """``truth``: split -> PNG file names, in the order of the cameras; see ``cameras.json``.
+
+    ``cost``: split -> what rendering its views took (:func:`datasets.render_views.render_cost`), as stored
+    with them in the cache; empty for pre-rendered views. ``render_seconds`` is this job's own wait.
+    """
 
     view_keys: dict[str, str]
     background: tuple[float, float, float]
     truth: dict[str, list[str]]
     render_seconds: float
+    cost: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+
+class DvrResult(_Model):
+    """Cost of direct volume rendering, view by view as an interactive viewer would draw.
+
+    Attributes:
+        dims: nx, ny, nz; of the first variable.
+        volume_bytes: of all variables as they are held, in ``dtype``.
+        load_seconds: reading the volumes.
+        setup_seconds: from volumes in memory to the first picture, compilation included.
+        frame_seconds: median of single-view launches over the test path, after warm-up.
+    """
+
+    dims: tuple[int, int, int]
+    variables: list[str]
+    dtype: str
+    volume_bytes: int
+    load_seconds: float
+    setup_seconds: float
+    frame_seconds: float
+    frame_seconds_p05: float
+    frame_seconds_p95: float
+    frames: int
+    warmup_stable: bool
+    renderer: str
+    version: str
+    backend: str
+    reference_seconds: float | None
 
 
 class PartitionResult(_Model):
@@ -207,6 +250,7 @@ class Record(_Model):
     peak_device_bytes: int | None = None
     provenance: Provenance | None = None
     views: ViewsResult | None = None
+    dvr: DvrResult | None = None
     partition: PartitionResult | None = None
     fit: FitResult | None = None
     encode: EncodeResult | None = None

@@ -24,7 +24,7 @@ from bench.store import Store, write_text
 from bench.timing import mean_of, reference_seconds, synchronise
 from datasets.errors import DataError
 from datasets.views import Split
-from methods.interface import Budget, Checkpoint, Method, Model
+from methods.interface import Budget, Checkpoint, Method, MethodSpec, Model
 
 
 @dataclass
@@ -34,25 +34,32 @@ class Context:
     Attributes:
         folder: where its files go.
         store: finished jobs it may read.
-        method: loads the implementation (None for views).
+        spec: of the method (None for views and dvr).
+        method: loads its implementation.
+        peak_host_bytes, peak_device_bytes: of the part that counts, where that is not the whole process.
     """
 
     job: Job
     folder: Path
     store: Store
+    spec: MethodSpec | None
     method: Callable[[], Method]
     stop: Stop
     report: Progress
     peak_host_bytes: int | None = None
+    peak_device_bytes: int | None = None
 
     def needed(self, kind: str) -> Record:
         """The finished job of that kind that this one builds on."""
-        for name in self.job.needs:
-            if name.startswith(f"{kind}-"):
-                record = self.store.record(name)
-                if record is not None and record.ok:
-                    return record
-        raise RuntimeError(f"{self.job.id} needs a finished {kind} job, and there is none")
+        return self.all_needed(kind)[0]
+
+    def all_needed(self, kind: str) -> list[Record]:
+        """The finished jobs of that kind that this one builds on, at least one."""
+        names = [name for name in self.job.needs if name.startswith(f"{kind}-")]
+        records = [record for record in map(self.store.record, names) if record is not None and record.ok]
+        if not records or len(records) < len(names):
+            raise RuntimeError(f"{self.job.id} needs a finished {kind} job, and there is none")
+        return records
 
     def path_of(self, record: Record) -> Path:
         return self.store.jobs / record.job.id
@@ -64,6 +71,10 @@ def run_stage(context: Context) -> dict[str, Any]:
         from bench.measure import measure
 
         return {"measure": measure(context)}
+    if context.job.kind == "dvr":
+        from bench.dvr import time_renderer
+
+        return {"dvr": time_renderer(context)}
     stage = {"views": _views, "partition": _partition, "fit": _fit, "encode": _encode}[context.job.kind]
     return {context.job.kind: stage(context)}
 
@@ -73,23 +84,28 @@ def run_stage(context: Context) -> dict[str, Any]:
 
 def _views(context: Context) -> ViewsResult:
     """Render (or find in the cache) the views, and keep those that are measured on as PNG files."""
-    from bench.inputs import open_dataset, views
+    from bench.inputs import cost_of_views, open_dataset, views
     from datasets.png import write_png
 
     job = context.job
     dataset = open_dataset(job.dataset)
-    scene = job.scenes[0]
     measured: Split = job.split
     keys: dict[str, str] = {}
+    cost: dict[str, dict[str, Any]] = {}
     start = time.perf_counter()
-    wanted: tuple[Split, ...] = ("trainval", measured)
+    # Nobody trains on a composition.
+    wanted: tuple[Split, ...] = (measured,) if job.composition else ("trainval", measured)
     for split in wanted:
         context.report(stage=f"views: {split}")
-        found = views(dataset, scene, job.request, split)
+        found = views(dataset, job.shows, job.request, split)
         keys[split] = found.key
+        if (spent := cost_of_views(dataset, job.shows, job.request, split)) is not None:
+            cost[split] = spent
     seconds = time.perf_counter() - start
     if len(found) == 0:
-        raise DataError(f"{job.dataset_name}/{scene}", f"no views in split {measured!r}", "Use another split")
+        raise DataError(
+            f"{job.dataset_name}/{job.shows}", f"no views in split {measured!r}", "Use another split"
+        )
     folder = context.folder / "truth"
     folder.mkdir(exist_ok=True)
     names = []
@@ -99,7 +115,13 @@ def _views(context: Context) -> ViewsResult:
     cameras = [camera_to_json(camera) for camera in found.cameras]
     write_text(context.folder / "cameras.json", json.dumps(cameras))
     background = tuple(float(c) for c in found.background)
-    return ViewsResult(view_keys=keys, background=background, truth={measured: names}, render_seconds=seconds)  # type: ignore[arg-type]
+    return ViewsResult(
+        view_keys=keys,
+        background=background,  # type: ignore[arg-type]
+        truth={measured: names},
+        render_seconds=seconds,
+        cost=cost,
+    )
 
 
 def read_cameras(folder: Path) -> list[Any]:

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from datasets.errors import DataError
 from datasets.names import unknown
@@ -40,8 +40,10 @@ class Suite:
     """What a suite file says.
 
     Attributes:
-        datasets: dataset name -> scenes (empty: all).
+        datasets: dataset name -> scenes, or compositions with their scenes (empty: all scenes).
         methods: names; those in ``optional`` are left out where they are not registered.
+        compositions: which compositions of the chosen scenes are measured: names, "all", or none.
+        dvr: time direct volume rendering of each scene, and its memory.
         variants: sets of options, method -> option -> value; {} is the presets' own.
         rates: "default" (each method's own size) or "all" (the rate knobs' values).
     """
@@ -56,6 +58,8 @@ class Suite:
     presets: Mapping[str, ViewPreset]
     variants: tuple[Mapping[str, Mapping[str, Any]], ...] = field(default=({},))
     rates: str = "default"
+    compositions: Literal["all"] | tuple[str, ...] = ()
+    dvr: bool = False
 
 
 def names() -> list[str]:
@@ -83,23 +87,29 @@ def load_suite(name: str) -> Suite:
 
 
 def _parse(path: Path, data: dict[str, Any]) -> Suite:
-    known = {"title", "datasets", "methods", "optional", "seeds", "preset", "presets", "variants", "rates"}
+    known = {
+        "title", "datasets", "methods", "optional", "seeds", "preset", "presets", "variants", "rates",
+        "compositions", "dvr",
+    }  # fmt: skip
     for key in data:
         if key not in known:
             raise unknown("key", key, known, of=str(path))
+    compositions = data.get("compositions", [])
     try:
         presets = {name: ViewPreset(**table) for name, table in data["presets"].items()}
         suite = Suite(
             name=path.stem,
             title=str(data["title"]),
             datasets={str(name): tuple(scenes) for name, scenes in data["datasets"].items()},
-            methods=tuple(data["methods"]),
+            methods=tuple(data.get("methods", ())),
             optional=tuple(data.get("optional", ())),
             seeds=tuple(int(seed) for seed in data.get("seeds", [0])),
             preset=str(data["preset"]),
             presets=presets,
             variants=tuple(data.get("variants", [{}])),
             rates=str(data.get("rates", "default")),
+            compositions="all" if compositions == "all" else tuple(compositions),
+            dvr=bool(data.get("dvr", False)),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
@@ -109,6 +119,10 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
         raise unknown("preset", suite.preset, presets, of=str(path))
     if suite.rates not in ("default", "all"):
         raise DataError(path, f"rates = {suite.rates!r}", 'Use "default" or "all"')
-    if not suite.datasets or not suite.methods or not suite.seeds:
-        raise DataError(path, "no datasets, methods or seeds in it", "Name at least one of each")
+    if not suite.datasets or not suite.seeds:
+        raise DataError(path, "no datasets or seeds in it", "Name at least one of each")
+    if not suite.methods and not suite.dvr:
+        raise DataError(path, "has nothing to run", "Name methods, or write dvr = true")
+    if isinstance(compositions, str) and compositions != "all":
+        raise DataError(path, f"compositions = {compositions!r}", 'Write "all", or a list of names')
     return suite

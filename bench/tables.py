@@ -6,6 +6,7 @@ import os
 import re
 import uuid
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bench.records import EncodeResult, FitResult, Job, Record
@@ -26,21 +27,26 @@ COLUMNS: dict[str, tuple[str, ...]] = {
         "group_peak_host_bytes",
     ),
     "views": ("job", *_AXES, "rate", "preset", "split", "seed", "view", *METRICS, "identical", "truth_file",
-              "render_file", "alpha_file"),
+              "render_file", "alpha_file", "background"),
     "curve": ("job", *_AXES, "preset", "seed", "iteration", "train_seconds", "loss", "psnr_val", "primitives",
               "bytes_estimate"),
     "ledger": ("job", *_AXES, "rate", "preset", "seed", "part", "bytes"),
     "timing": ("job", *_AXES, "rate", "preset", "seed", "part", "seconds"),
     "features": ("job", *_AXES, "name", "values"),
+    "dvr": ("job", "dataset", "scene", "kind", "preset", "status", "reason", "nx", "ny", "nz", "variables",
+            "dtype", "volume_bytes", "ms_per_view", "ms_p05", "ms_p95", "fps", "load_seconds",
+            "setup_seconds", "peak_host_bytes", "peak_device_bytes", "width", "height", "renderer", "version",
+            "backend", "machine", "threads", "reference_seconds", "commit"),
 }  # fmt: skip
 _TEXT = {
     "dataset", "scene", "kind", "method", "variant", "preset", "split", "status", "reason", "group", "device",
     "machine", "job", "stage", "commit", "view", "truth_file", "render_file", "alpha_file", "part", "name",
+    "background", "variables", "dtype", "renderer", "version", "backend",
 }  # fmt: skip
 _WHOLE = {
     "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes",
     "peak_device_bytes", "iterations", "train_views", "width", "height", "threads", "identical_views",
-    "group_peak_host_bytes", "iteration", "bytes_estimate", "bytes",
+    "group_peak_host_bytes", "iteration", "bytes_estimate", "bytes", "nx", "ny", "nz", "volume_bytes",
 }  # fmt: skip
 _FLAGS = {"stale", "identical"}
 
@@ -66,13 +72,13 @@ def rows(
     for record in by_id.values():
         job = record.job
         if job.kind == "measure":
-            encode = _needed(by_id, record, "encode")
-            fit = _needed(by_id, encode, "fit")
-            partition = _needed(by_id, fit, "partition")
-            tables["results"].append(_result(record, encode, fit, partition, sources or {}))
-            tables["views"] += _views(record)
+            models = [_Fitted.of(by_id, encode) for encode in _all_needed(by_id, record, "encode")]
+            tables["results"].append(_result(record, models, sources or {}))
+            tables["views"] += _views(record, _needed(by_id, record, "views"))
             tables["timing"] += _timing(record)
             tables["features"] += _features(record)
+        elif job.kind == "dvr":
+            tables["dvr"].append(_dvr(record))
         elif job.kind == "fit" and record.fit is not None:
             tables["curve"] += [
                 {"job": job.id, **_axes(job), **point.model_dump(), "scene": scene}
@@ -129,23 +135,33 @@ def _dtype(column: str) -> str:
 # --------------------------------------------------------------------------- one record's rows
 
 
-def _result(
-    record: Record,
-    encode: Record | None,
-    fit: Record | None,
-    partition: Record | None,
-    sources: Mapping[str, str],
-) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Fitted:
+    """A saved model's records: of its encode job and of those it came from (where the store has them)."""
+
+    encode: Record
+    fit: Record | None
+    partition: Record | None
+
+    @classmethod
+    def of(cls, by_id: Mapping[str, Record], encode: Record) -> _Fitted:
+        fit = _needed(by_id, encode, "fit")
+        return cls(encode, fit, _needed(by_id, fit, "partition"))
+
+
+def _result(record: Record, models: list[_Fitted], sources: Mapping[str, str]) -> dict[str, Any]:
+    """The row of a basic scene (with one model) or of a composition (with those that hold its scenes)."""
     job, measured = record.job, record.measure
-    where = record.provenance or (fit.provenance if fit else None)
-    trained = fit.fit if fit else None
+    fits = [model.fit for model in models if model.fit is not None]
+    where = record.provenance or (fits[0].provenance if fits else None)
+    trained = fits[0].fit if fits else None
     row: dict[str, Any] = {
         **_axes(job),
-        "kind": "basic",
+        "kind": "composed" if job.composition else "basic",
         "split": job.split,
         "status": record.status,
         "reason": record.reason,
-        "stale": _stale(job, fit, sources),
+        "stale": any(_stale(job, fit, sources) for fit in fits),
         "group": job.group,
         "iterations": job.iterations,
         "width": job.request.width,
@@ -158,16 +174,16 @@ def _result(
         "stage": record.stage,
         "train_views": trained.train_views if trained else None,
     }
-    if encode is not None and encode.encode is not None:
-        row.update(_sizes(job, encode.job.scenes, encode.encode))
-        row["encode_seconds"] = encode.encode.seconds
-        if fit is not None and trained is not None:
-            row.update(_times(encode.job.scenes, encode.encode, trained, partition))
-    memory = [r.peak_host_bytes for r in (record, fit) if r is not None and r.peak_host_bytes is not None]
-    device = [r.peak_device_bytes for r in (record, fit) if r is not None and r.peak_device_bytes is not None]
+    costs = [_costs(job, model) for model in models]
+    if costs:
+        # What any model lacks, their sum lacks.
+        names = set(costs[0]).intersection(*costs[1:])
+        row.update({name: sum(cost[name] for cost in costs) for name in names})
+    memory = [r.peak_host_bytes for r in (record, *fits) if r.peak_host_bytes is not None]
+    device = [r.peak_device_bytes for r in (record, *fits) if r.peak_device_bytes is not None]
     row["peak_host_bytes"] = max(memory, default=None)
     row["peak_device_bytes"] = max(device, default=None)
-    row["group_peak_host_bytes"] = fit.peak_host_bytes if fit else None
+    row["group_peak_host_bytes"] = max((f.peak_host_bytes for f in fits if f.peak_host_bytes), default=None)
     if measured is not None:
         row.update({name: measured.metrics.get(name) for name in METRICS})
         if measured.missing:
@@ -184,31 +200,47 @@ def _result(
     return row
 
 
-def _sizes(job: Job, group: tuple[str, ...], encode: EncodeResult) -> dict[str, int]:
+def _costs(job: Job, model: _Fitted) -> dict[str, float]:
+    """Bytes and seconds of those scenes of a job that one model holds."""
+    encode, group = model.encode.encode, model.encode.job.scenes
+    scenes = [scene for scene in job.scenes if scene in group]
+    if encode is None:
+        return {}
+    costs: dict[str, float] = {"encode_seconds": encode.seconds, **_sizes(scenes, group, encode)}
+    if model.fit is not None and model.fit.fit is not None:
+        costs |= _times(scenes, group, encode, model.fit.fit, model.partition)
+    return costs
+
+
+def _sizes(scenes: list[str], group: tuple[str, ...], encode: EncodeResult) -> dict[str, int]:
     """Own part + share of the shared part; they sum to the group's bytes over its scenes."""
-    scene = job.scenes[0]
-    own = sum(encode.ledger.get(scene, {}).values())
+    own = sum(sum(encode.ledger.get(scene, {}).values()) for scene in scenes)
     shared = sum(encode.ledger.get("", {}).values())
     return {
-        "size_bytes": own + share(shared, group, scene),
+        "size_bytes": own + sum(share(shared, group, scene) for scene in scenes),
         "group_bytes": encode.total_bytes,
         "standalone_bytes": own + shared,
     }
 
 
 def _times(
-    group: tuple[str, ...], encode: EncodeResult, trained: FitResult, partition: Record | None
+    scenes: list[str],
+    group: tuple[str, ...],
+    encode: EncodeResult,
+    trained: FitResult,
+    partition: Record | None,
 ) -> dict[str, float]:
     """Partition + fit + encode; partition time is shared by all scenes of the dataset."""
     seconds = trained.seconds + encode.seconds
     if partition is not None and partition.partition is not None:
         seconds += partition.partition.seconds * len(group) / len(partition.job.scenes)
-    return {"group_seconds": seconds, "train_seconds": seconds / len(group)}
+    return {"group_seconds": seconds, "train_seconds": seconds * len(scenes) / len(group)}
 
 
-def _views(record: Record) -> list[dict[str, Any]]:
+def _views(record: Record, shown: Record | None) -> list[dict[str, Any]]:
     if record.measure is None:
         return []
+    background = _hex(shown.views.background) if shown is not None and shown.views is not None else None
     return [
         {
             "job": record.job.id,
@@ -219,9 +251,46 @@ def _views(record: Record) -> list[dict[str, Any]]:
             "identical": view.identical,
             "truth_file": view.truth_file,
             "render_file": view.render_file,
+            "background": background,
         }
         for view in record.measure.views
     ]
+
+
+def _hex(color: tuple[float, float, float]) -> str:
+    return "#" + "".join(f"{round(255 * min(max(value, 0.0), 1.0)):02x}" for value in color)
+
+
+def _dvr(record: Record) -> dict[str, Any]:
+    job, cost, where = record.job, record.dvr, record.provenance
+    row: dict[str, Any] = {
+        "job": job.id,
+        "dataset": job.dataset_name,
+        "scene": job.shows,
+        "kind": "composed" if job.composition else "basic",
+        "preset": job.preset,
+        "status": record.status,
+        "reason": record.reason,
+        "width": job.request.width,
+        "height": job.request.height,
+        "machine": where.machine if where else None,
+        "threads": where.threads if where else None,
+        "commit": where.commit if where else None,
+        "peak_host_bytes": record.peak_host_bytes,
+        "peak_device_bytes": record.peak_device_bytes,
+    }
+    if cost is not None:
+        row |= dict(zip(("nx", "ny", "nz"), cost.dims, strict=True))
+        row |= {
+            "variables": ";".join(cost.variables),
+            "ms_per_view": 1e3 * cost.frame_seconds,
+            "ms_p05": 1e3 * cost.frame_seconds_p05,
+            "ms_p95": 1e3 * cost.frame_seconds_p95,
+            "fps": 1.0 / cost.frame_seconds,
+        }
+        same = ("dtype", "volume_bytes", "load_seconds", "setup_seconds", "renderer", "version", "backend")
+        row |= {name: getattr(cost, name) for name in (*same, "reference_seconds")}
+    return row
 
 
 def _timing(record: Record) -> list[dict[str, Any]]:
@@ -243,7 +312,7 @@ def _features(record: Record) -> list[dict[str, Any]]:
 def _axes(job: Job) -> dict[str, Any]:
     return {
         "dataset": job.dataset_name,
-        "scene": job.scenes[0],
+        "scene": job.shows,
         "method": job.method,
         "variant": job.variant,
         "rate": job.rate,
@@ -259,17 +328,18 @@ def _stale(job: Job, fit: Record | None, sources: Mapping[str, str]) -> bool:
 
 
 def _needed(by_id: Mapping[str, Record], record: Record | None, kind: str) -> Record | None:
-    if record is None:
-        return None
-    for need in record.job.needs:
-        if need.startswith(f"{kind}-"):
-            return by_id.get(need)
-    return None
+    return next(iter(_all_needed(by_id, record, kind)), None)
+
+
+def _all_needed(by_id: Mapping[str, Record], record: Record | None, kind: str) -> list[Record]:
+    """Those jobs of a kind that a job builds on; none if the store lacks any of them."""
+    names = [n for n in record.job.needs if n.startswith(f"{kind}-")] if record is not None else []
+    return [by_id[name] for name in names] if all(name in by_id for name in names) else []
 
 
 def _order(row: dict[str, Any]) -> list[tuple[Any, ...]]:
     """Rows of one experiment together, whatever their jobs' hashes; the sort keeps the order within a job."""
-    keys = ("dataset", "scene", "method", "variant", "preset", "seed", "rate", "split")
+    keys = ("dataset", "kind", "scene", "method", "variant", "preset", "seed", "rate", "split")
     return [_natural(row.get(key)) for key in keys]
 
 

@@ -81,7 +81,7 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         spec = _spec(task)
         if spec is not None:
             prepare_device(job.device, spec)
-        context = Context(job, folder, store, _loader(spec, task.threads), stop, report)
+        context = Context(job, folder, store, spec, _loader(spec, task.threads), stop, report)
         fields = run_stage(context)
     except Refused as error:
         status, reason = "refused", str(error)
@@ -108,7 +108,7 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         finished=now(),
         wall_seconds=time.perf_counter() - start,
         peak_host_bytes=(context.peak_host_bytes if context else None) or peak_host_bytes(),
-        peak_device_bytes=peak_device_bytes(job.device),
+        peak_device_bytes=(context.peak_device_bytes if context else None) or peak_device_bytes(job.device),
         provenance=provenance(task.threads, spec, job.device),
         **fields,  # type: ignore[arg-type]
     )

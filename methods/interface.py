@@ -247,8 +247,8 @@ class Model(Protocol):
             Refused: an edit or a composition that the method cannot do.
         """
 
-    def timings(self, camera: Camera) -> Mapping[str, float]:
-        """Seconds of one frame by part ("decode", "shade", "rasterise"), of all scenes."""
+    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
+        """Seconds of one frame of scenes (default: all) by part ("decode", "shade", "rasterise")."""
 
 
 class Method(Protocol):

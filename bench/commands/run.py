@@ -9,8 +9,9 @@ from statistics import median
 from typing import Any
 
 from bench.display import make_display, span
-from bench.plan import Planner, Selection
+from bench.plan import Planner
 from bench.records import Job, Record
+from bench.selection import Selection
 from bench.store import Store
 from bench.suites import load_suite
 
@@ -56,12 +57,14 @@ def _verdict(outcome: Any, planned: int) -> int:
     for record in outcome.failed:
         if record.cause is None:
             print(f"bench: {record.job.title}: {record.status}: {record.reason}", file=sys.stderr)
-    if outcome.failed:
+    # That a method cannot compose is a finding about it, not something gone wrong.
+    failed = [r for r in outcome.failed if not (r.status == "refused" and r.job.composition and not r.cause)]
+    if failed:
         print("bench: --retry runs failed jobs again", file=sys.stderr)
     if outcome.stopped:
         print("bench: stopped; run the same command again to resume", file=sys.stderr)
         return 130
-    return 1 if outcome.failed or outcome.unfinished else 0
+    return 1 if failed or outcome.unfinished else 0
 
 
 def plan(options: Namespace) -> int:
@@ -121,6 +124,7 @@ def _planner(options: Namespace) -> Planner:
         suite=load_suite(options.suite),
         datasets=tuple(options.dataset),
         scenes=tuple(options.scene),
+        composed=options.composed,
         methods=tuple(options.method),
         seeds=tuple(options.seed),
         preset=options.preset or "",

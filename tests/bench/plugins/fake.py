@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from methods.interface import Checkpoint, Diverged, MethodSpec, Option, RateKnob, Refused
+from methods.interface import Checkpoint, Diverged, MethodSpec, Option, RateKnob, Refused, edits_by_scene
 
 BEHAVIOURS = (
     "good", "refuse", "diverge", "nan", "raise", "abort", "exit", "hog", "sleep", "ledger", "no-checkpoint",
@@ -28,8 +28,8 @@ def _spec(name: str, joint: bool) -> MethodSpec:
         implementation=f"fake:{'Joint' if joint else 'Single'}",
         source=("fake",),
         joint=joint,
-        composable=False,
-        edits=frozenset(),
+        composable=not joint,
+        edits=frozenset({"palette"}),
         needs_volume=False,
         uses_alpha="no",
         devices=("cpu",),
@@ -71,11 +71,17 @@ class Color:
         return ledger
 
     def render(self, camera, scenes=None, edit=None, background=None):
+        """The mean of the scenes' colors all over."""
         shape = (camera.height, camera.width)
-        color = np.asarray(self.colors[(scenes or self.scenes)[0]], dtype=np.float32)
+        colors = {name: self.colors[name] for name in scenes or self.scenes}
+        for name, wanted in edits_by_scene(edit, tuple(colors)).items():
+            if refused := [k for k, v in vars(wanted).items() if v is not None and k != "palette"]:
+                raise Refused(f"fake cannot edit {', '.join(refused)}")
+            colors[name] = wanted.palette
+        color = np.mean(list(colors.values()), axis=0, dtype=np.float32)
         return np.broadcast_to(color, (*shape, 3)).copy(), np.ones(shape, dtype=np.float32)
 
-    def timings(self, camera):
+    def timings(self, camera, scenes=None):
         return {"rasterise": 1e-4}
 
 
@@ -122,7 +128,7 @@ class Single:
         return Color({p.stem: json.loads(p.read_text()) for p in sorted(folder.glob("*.json"))})
 
     def compose(self, models):
-        raise Refused("no")
+        return Color({name: color for model in models for name, color in model.colors.items()})
 
 
 class Joint(Single):

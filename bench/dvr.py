@@ -1,0 +1,53 @@
+"""The dvr job: what direct volume rendering costs, the yardstick of every representation that replaces it."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from bench.inputs import open_dataset, view_request
+from bench.records import DvrResult
+from bench.timing import mean_of, reference_seconds, time_frames
+from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
+from datasets.render_views import live_renderer
+
+if TYPE_CHECKING:
+    from bench.stages import Context
+
+
+def time_renderer(context: Context) -> DvrResult:
+    """Time one view after the other on the test path, as an interactive viewer would draw them.
+
+    Nothing comes from the cache of views, where several small views share a launch and nobody waits for one.
+    """
+    job = context.job
+    dataset = open_dataset(job.dataset)
+    context.report(stage="loading")
+    start = time.perf_counter()
+    variables = list(dict.fromkeys(part.variable for part in dataset.parts(job.shows)))
+    volumes = [dataset.volume(variable) for variable in variables]
+    load_seconds = time.perf_counter() - start
+    context.report(stage="set-up")
+    live = live_renderer(dataset, job.shows, view_request(job.request, job.split))
+    context.report(stage="timing")
+    before = reference_seconds()
+    # Each picture is copied to the host, so the clock stops when it is there.
+    frames = time_frames(live.render, live.cameras, "cpu")
+    after = reference_seconds()
+    context.peak_host_bytes = peak_host_bytes()
+    context.peak_device_bytes = peak_drjit_device_bytes()
+    return DvrResult(
+        dims=volumes[0].dims,
+        variables=variables,
+        dtype=str(volumes[0].values.dtype),
+        volume_bytes=sum(volume.values.nbytes for volume in volumes),
+        load_seconds=load_seconds,
+        setup_seconds=live.setup_seconds,
+        frame_seconds=frames.median,
+        frame_seconds_p05=frames.p05,
+        frame_seconds_p95=frames.p95,
+        frames=frames.frames,
+        warmup_stable=frames.stable,
+        **live.about,
+        reference_seconds=mean_of(before, after),
+    )

@@ -1,0 +1,202 @@
+"""Scenes measured together: which jobs are planned, what their rows say, and whole runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from bench.plan import Planner
+from bench.records import (
+    EncodeResult,
+    FitResult,
+    MeasureResult,
+    PartitionResult,
+    Record,
+    ViewResult,
+    ViewsResult,
+)
+from bench.selection import Selection
+from bench.store import Store
+from bench.suites import load_suite
+from bench.tables import build_tables, rows
+from datasets.errors import DataError, UnknownName
+
+from .conftest import PLUGINS
+
+SUITE = """
+title = "small"
+methods = ["fake"]
+preset = "quick"
+{more}
+[datasets]
+"vortices@16" = []
+[presets.quick]
+train_views = 12
+test_views = 4
+width = 16
+height = 16
+prerendered_limit = 16
+"""
+
+
+@pytest.fixture
+def suite(tmp_path):
+    def write(more: str = ""):
+        path = tmp_path / "small.toml"
+        path.write_text(SUITE.format(more=more))
+        return path
+
+    return write
+
+
+def plan(suite, store=None, **changes):
+    selection = Selection(load_suite(str(suite)), plugins=(str(PLUGINS),))
+    return Planner(replace(selection, **changes), {"psnr": "1"}).jobs(store)
+
+
+def measured(jobs) -> list[str]:
+    return [job.shows for job in jobs if job.kind == "measure"]
+
+
+def test_compositions_are_measured_only_where_they_are_wanted(suite) -> None:
+    assert measured(plan(suite())) == ["cores", "sheaths"]
+    assert measured(plan(suite(), composed=True)) == ["cores", "sheaths", "all"]
+    assert measured(plan(suite('compositions = "all"'))) == ["cores", "sheaths", "all"]
+    assert measured(plan(suite('compositions = ["all"]'))) == ["cores", "sheaths", "all"]
+    assert measured(plan(suite(), scenes=("all",))) == ["cores", "sheaths", "all"]
+    # Only those whose scenes are all there.
+    assert measured(plan(suite('compositions = "all"'), scenes=("cores",))) == ["cores"]
+    with pytest.raises(UnknownName, match="composition 'al'"):
+        plan(suite('compositions = ["al"]'))
+    with pytest.raises(UnknownName, match="scene 'corse'"):
+        plan(suite(), scenes=("corse", "all"))
+    with pytest.raises(DataError, match='Write "all", or a list of names'):
+        plan(suite('compositions = "cores"'))
+
+
+def test_a_composition_needs_its_views_and_every_model_that_holds_its_scenes(suite) -> None:
+    jobs = {job.id: job for job in plan(suite(), composed=True)}
+    (composed,) = [job for job in jobs.values() if job.kind == "measure" and job.composition]
+    views, *encodes = (jobs[need] for need in composed.needs)
+    assert (views.kind, views.shows, views.scenes) == ("views", "all", ("cores", "sheaths"))
+    assert [encode.scenes for encode in encodes] == [("cores",), ("sheaths",)]
+    assert composed.group == "cores,sheaths"
+    # Jobs come after those they need, and what a basic scene is measured by does not change.
+    order = list(jobs)
+    assert all(order.index(need) < order.index(job.id) for job in jobs.values() for need in job.needs)
+    assert {job.id for job in plan(suite())} < set(jobs)
+
+
+def test_other_models_make_another_measurement(suite) -> None:
+    ids = [
+        {job.id for job in plan(suite(), composed=True, seeds=(seed,)) if job.composition and job.method}
+        for seed in (0, 1)
+    ]
+    assert len(ids[0]) == 1
+    assert not ids[0] & ids[1]
+
+
+def _done(job, **result) -> Record:
+    return Record(
+        job=job, status="ok", started="", finished="", wall_seconds=1.0, peak_host_bytes=10, **result
+    )
+
+
+def _records(suite, tmp_path) -> list[Record]:
+    """Finished records of all jobs of a joint method, whose groups are `groups`."""
+    store = Store(tmp_path / "runs", create=True)
+    made: dict[str, Record] = {}
+    while True:
+        jobs = plan(suite, store, composed=True, methods=("fake-joint",))
+        todo = [job for job in jobs if job.id not in made]
+        if not todo:
+            return list(made.values())
+        for job in todo:
+            made[job.id] = record = _done(job, **_result(job))
+            store.finish(record)
+
+
+def _result(job) -> dict:
+    if job.kind == "views":
+        return {"views": ViewsResult(view_keys={}, background=(1.0, 0.5, 0.0), truth={}, render_seconds=1.0)}
+    if job.kind == "partition":
+        return {"partition": PartitionResult(groups=[[scene] for scene in job.scenes], seconds=4.0)}
+    if job.kind == "fit":
+        seconds = {"cores": 10.0, "sheaths": 20.0}[job.group]
+        fit = FitResult(seconds=seconds, iterations=1, primitives={}, train_views=12, curve=[], resumed=0,
+                        reference_seconds=None)  # fmt: skip
+        return {"fit": fit}
+    if job.kind == "encode":
+        own = {"cores": 100, "sheaths": 200}[job.group]
+        return {"encode": EncodeResult(seconds=1.0, total_bytes=own + 7,
+                                       ledger={job.group: {"own": own}, "": {"net": 7}})}  # fmt: skip
+    view = ViewResult(view="0", metrics={"psnr": 30.0}, identical=False, truth_file="t", render_file="r")
+    primitives = 5 * len(job.scenes)
+    return {"measure": MeasureResult(
+        load_seconds=1.0, frame_seconds=0.1, frame_seconds_p05=0.1, frame_seconds_p95=0.1, frames=1,
+        warmup_frames=1, warmup_stable=True, timing={"frame": 0.1}, primitives=primitives,
+        metrics={"psnr": 30.0}, missing={}, views=[view], reference_seconds=None)}  # fmt: skip
+
+
+def test_costs_of_a_composition_are_those_of_its_scenes(suite, tmp_path) -> None:
+    tables = rows(_records(suite(), tmp_path))
+    found = {row["scene"]: row for row in tables["results"]}
+    assert [row["kind"] for row in tables["results"]] == ["basic", "basic", "composed"]
+    a, b, both = found["cores"], found["sheaths"], found["all"]
+    for name in (
+        "size_bytes",
+        "train_seconds",
+        "standalone_bytes",
+        "primitives",
+        "group_bytes",
+        "group_seconds",
+    ):
+        assert both[name] == a[name] + b[name], name
+    assert both["size_bytes"] == 314
+    assert both["train_seconds"] == 10.0 + 20.0 + 2 * 1.0 + 4.0
+    assert {row["background"] for row in tables["views"]} == {"#ff8000"}
+    assert {row["scene"] for row in tables["timing"]} == {"cores", "sheaths", "all"}
+
+
+def test_a_composition_of_part_of_a_group(suite, tmp_path) -> None:
+    """Shares count once for each scene, what the group shares once for each group."""
+    records = _records(suite(), tmp_path)
+    by_kind = {record.job.kind: record for record in records if record.job.group != "sheaths"}
+    scenes = ("cores", "sheaths", "third")
+    encode = by_kind["encode"]
+    ledger = {"": {"net": 10}, "cores": {"own": 100}, "sheaths": {"own": 200}, "third": {"own": 400}}
+    group = encode.model_copy(update={
+        "job": encode.job.model_copy(update={"scenes": scenes}),
+        "encode": EncodeResult(seconds=3.0, total_bytes=710, ledger=ledger),
+    })  # fmt: skip
+    (composed,) = [r for r in records if r.job.kind == "measure" and r.job.composition]
+    needs = tuple(n for n in composed.job.needs if not n.startswith("encode-") or n == encode.job.id)
+    composed = composed.model_copy(update={"job": composed.job.model_copy(update={"needs": needs})})
+    (row,) = rows([composed, group, by_kind["fit"], by_kind["partition"]])["results"]
+    assert (row["size_bytes"], row["standalone_bytes"], row["group_bytes"]) == (307, 310, 710)
+    seconds = 10.0 + 3.0 + 4.0 * 3 / 2
+    assert (row["group_seconds"], row["train_seconds"]) == (seconds, pytest.approx(seconds * 2 / 3))
+
+
+def test_scenes_are_composed_measured_and_refused(bench, suite) -> None:
+    """A whole run: a method that composes, and one whose groups cannot be rendered together."""
+    common = ("run", suite(), "--composed", "--plugins", bench.plugins, "--out", bench.store, "--no-report")
+    done = bench(*common, "--method", "fake")
+    assert done.returncode == 0, done.stderr
+    done = bench(*common, "--method", "fake-joint")
+    assert done.returncode == 0, done.stderr
+    assert "fake-joint: refused: fake-joint cannot render models of several groups together" in done.stderr
+    tables = build_tables(Store(bench.store), write=False)
+    results = tables["results"].set_index(["method", "scene"])
+    assert list(results["kind"]) == ["basic"] * 4 + ["composed"] * 2
+    assert results.loc[("fake", "all"), "status"] == "ok"
+    assert results.loc[("fake", "all"), "psnr"] > 5
+    assert results.loc[("fake-joint", "all"), "status"] == "refused"
+    shown = tables["views"][tables["views"]["scene"] == "all"]
+    assert len(shown) == 4
+    assert all((bench.store / file).is_file() for file in [*shown["truth_file"], *shown["render_file"]])
+    (views,) = [r for r in bench.of_kind("views") if r.job.composition]
+    assert views.views.cost["test"]["peak_host_bytes"] > 2**20
+    again = bench(*common, "--method", "fake")
+    assert "nothing to run" in again.stderr
