@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from reports import charts, plots
+from reports import charts, datasets, plots
 from reports.panels import DELTA_E_MAX, Panel, panels, scale
 from reports.style import MISSING, absent, color, label, mib, seconds, series
 from reports.tables import (
@@ -39,10 +39,11 @@ _HERE = Path(__file__).parent
 def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path:
     """Write the report.
 
-    Beside it go ``charts/`` (PDF and PNG), ``results.csv``, ``results.md`` and ``results.tex``.
+    Beside it go ``charts/`` (PDF and PNG), ``results.csv``, ``results.md`` and ``results.tex``; and
+    ``datasets.*`` where the cost of rendering volumes was measured.
 
     Args:
-        tables: results, views, curve, ledger, timing and features as documented in docs/architecture.md.
+        tables: results, views, curve, ledger, timing, features and dvr as documented in docs/architecture.md.
         root: run store that the picture paths in ``views`` are relative to.
         out: the HTML file.
 
@@ -51,11 +52,12 @@ def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path
     """
     results = tables["results"]
     body = [
-        _head(results, bool(tables["curve"]["psnr_val"].notna().any())),
+        _head(tables),
         _results(results),
         _scenes(tables, root),
         _tradeoffs(results),
         _ledger(tables["ledger"]),
+        datasets.section(tables["dvr"]),
         _provenance(results),
     ]
     if not results.empty:
@@ -63,7 +65,15 @@ def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path
         charts.write(tables, out.parent / "charts")
         for ending, write in (("csv", to_csv), ("md", to_markdown), ("tex", to_latex)):
             _write(out.parent / f"results.{ending}", write(results))
-    _write(out, _document(_name(results), "\n".join(body)))
+    if not tables["dvr"].empty:
+        costs = datasets.costs(tables["dvr"])
+        for ending, table, write in (
+            ("csv", tables["dvr"], to_csv),
+            ("md", costs, to_markdown),
+            ("tex", costs, to_latex),
+        ):
+            _write(out.parent / f"datasets.{ending}", write(table))
+    _write(out, _document(_name(tables["dvr"] if results.empty else results), "\n".join(body)))
     return out
 
 
@@ -93,6 +103,12 @@ def _name(results: pd.DataFrame) -> str:
     return f"Benchmark report: {datasets}" if datasets else "Benchmark report"
 
 
+def _scene_count(results: pd.DataFrame) -> str:
+    kinds = results[["dataset", "scene", "kind"]].drop_duplicates()["kind"].value_counts()
+    composed = f" and {kinds['composed']} composed" if "composed" in kinds else ""
+    return f"{kinds.get('basic', 0)}{composed}"
+
+
 def _listed(results: pd.DataFrame, column: str) -> str:
     """The different values of a column, in order."""
     return ", ".join(str(value) for value in results[column].dropna().unique() if str(value))
@@ -101,12 +117,16 @@ def _listed(results: pd.DataFrame, column: str) -> str:
 # --------------------------------------------------------------------------- summary
 
 
-def _head(results: pd.DataFrame, converges: bool) -> str:
+def _head(tables: dict[str, pd.DataFrame]) -> str:
+    results, dvr = tables["results"], tables["dvr"]
     if results.empty:
+        if not dvr.empty:
+            return f"<h1>{escape(_name(dvr))}</h1>"
         return (
             "<h1>Benchmark report</h1><p>The run store holds no results yet. "
             "<code>bench run quick</code> makes some.</p>"
         )
+    converges = bool(tables["curve"]["psnr_val"].notna().any())
     sizes = {
         f"{w} \N{MULTIPLICATION SIGN} {h}"
         for w, h in zip(results["width"], results["height"], strict=True)
@@ -115,7 +135,7 @@ def _head(results: pd.DataFrame, converges: bool) -> str:
     facts = [
         ("Methods", ", ".join(series(results))),
         ("Datasets", _listed(results, "dataset")),
-        ("Scenes", str(len(results[["dataset", "scene"]].drop_duplicates()))),
+        ("Scenes", _scene_count(results)),
         ("Preset, split", f"{_listed(results, 'preset')}, {_listed(results, 'split')}"),
         ("Image size", ", ".join(sorted(sizes)) or MISSING),
         ("Training views", _listed(results, "train_views") or MISSING),
@@ -139,6 +159,7 @@ def _head(results: pd.DataFrame, converges: bool) -> str:
             *([("convergence", "Convergence")] if converges else []),
             ("tradeoffs", "Trade-offs"),
             ("ledger", "Size ledger"),
+            *([] if dvr.empty else [("datasets", "Rendering the volumes")]),
             ("provenance", "Provenance"),
         )
     )
@@ -177,11 +198,15 @@ def _results(results: pd.DataFrame) -> str:
         lines.append(f'<tr class="group"><td colspan="{span}">{escape(str(dataset))}</td></tr>')
         order = {scene: i for i, scene in enumerate(rows["scene"].unique())}
         # The methods of a scene stand together, to be compared.
-        for index, row in rows.sort_values("scene", key=lambda s: s.map(order), kind="stable").iterrows():
+        ordered = rows.sort_values("scene", key=lambda s: s.map(order), kind="stable")
+        told: dict[str, list[str]] = {"basic": [], "composed": []}
+        for index, row in ordered.iterrows():
             first = f"<td>{escape(str(row['scene']))}</td><td>{_method(row, names)}</td>"
             first += "".join(f"<td>{escape(cell(axis, row[axis]))}</td>" for axis in axes)
             first += f"<td>{_status(row)}</td>"
-            lines.append(f"<tr>{first}{_cells(row, columns, marks, index, _reasons(row))}</tr>")
+            cells = _cells(row, columns, marks, index, _reasons(row))
+            told[row["kind"]].append(f"<tr>{first}{cells}</tr>")
+        lines += told["basic"]
         for index, row in means[means["dataset"] == dataset].iterrows():
             first = f"<td>{'all' if row['complete'] else 'incomplete'} ({escape(row['scenes'])} scenes)</td>"
             first += f"<td>{_method(row, names)}</td>"
@@ -192,10 +217,16 @@ def _results(results: pd.DataFrame) -> str:
             missing = dict.fromkeys(columns, row["note"] or "missing in some scene")
             cells = _cells(row, columns, mean_marks, index, missing, spread=row["psnr_std"])
             lines.append(f'<tr class="mean">{first}<td>{state}</td>{cells}</tr>')
+        lines += told["composed"]
     note = (
         "Quality and FPS of the rows “all” are means over scenes, size and time are sums, memory is the "
         "maximum. Sizes are MiB (2<sup>20</sup> bytes). "
     )
+    if (results["kind"] == "composed").any():
+        note += (
+            "A composed row shows its scenes rendered together, with the sum of their sizes and times; it "
+            "is in no mean or sum. "
+        )
     if marks or mean_marks:
         note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
     if metrics[0] == "ssim":
@@ -292,7 +323,9 @@ def _scenes(tables: dict[str, pd.DataFrame], root: Path) -> str:
     names, order = series(results), series(results, curve)
     parts = ['<h2 id="scenes">Scenes</h2>', _scalebar()]
     for (dataset, scene), rows in results.groupby(["dataset", "scene"], sort=False):
-        parts.append(f'<section class="scene"><h3>{escape(str(dataset))} / {escape(str(scene))}</h3>')
+        composed = ' <span class="soft">composed</span>' if (rows["kind"] == "composed").any() else ""
+        name = f"{escape(str(dataset))} / {escape(str(scene))}{composed}"
+        parts.append(f'<section class="scene"><h3>{name}</h3>')
         for _, row in rows.iterrows():
             shown = examples.get(str(row["job"]), [])
             told = f"<p>{_method(row, names)} "

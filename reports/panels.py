@@ -102,8 +102,8 @@ def _panel(which: str, row: Any, root: Path) -> Panel:
         return None if absent(row[name]) else float(row[name])
 
     numbers: dict[str, Any] = {"psnr": value("psnr"), "ssim": value("ssim"), "delta_e": value("delta_e_uv")}
-    background = _background(row.get("background"))
     try:
+        background = _background(row["background"])
         truth, render = (read(_inside(root, row[name]), background) for name in ("truth_file", "render_file"))
         if truth.shape != render.shape:
             raise ValueError(f"sizes differ: {truth.shape[:2]} and {render.shape[:2]}")
@@ -126,8 +126,14 @@ def _inside(root: Path, name: Any) -> Path:
 
 
 def _background(value: Any) -> tuple[float, float, float]:
-    """From "#rrggbb" of the optional column `background`; white, the harness's default, without it."""
-    text = "#ffffff" if absent(value) or not value else str(value)
+    """From "#rrggbb".
+
+    Raises:
+        ValueError: it is not known, and a guess would show other pictures than were measured.
+    """
+    if absent(value):
+        raise ValueError("their background is not known")
+    text = str(value)
     return (int(text[1:3], 16) / 255.0, int(text[3:5], 16) / 255.0, int(text[5:7], 16) / 255.0)
 
 

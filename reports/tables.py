@@ -40,6 +40,10 @@ def _significant(value: float) -> str:
     return f"{value:.5g}"
 
 
+def _three(value: float) -> str:
+    return f"{value:.3g}" if value < 1000 else f"{value:,.0f}"
+
+
 def _fps(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.1f}" if value >= 1 else f"{value:.3f}"
 
@@ -69,6 +73,18 @@ COLUMNS: dict[str, Column] = {
     "peak_device_bytes": Column("Device mem. [MiB]", mib, -1, "peak device memory"),
     "status": Column("Status", str),
     "reason": Column("Reason", str),
+    # Of rendering the volumes themselves.
+    "resolution": Column("Resolution", str),
+    "variables": Column("Variables", _significant),
+    "volume_gib": Column("Volume [GiB]", _three),
+    "cpu_gib": Column("CPU mem. [GiB]", _three, 0, "peak of the process that renders"),
+    "gpu_gib": Column("GPU mem. [GiB]", _three, 0, "peak device memory"),
+    "ms_per_view": Column("ms per view", _three, 0, "median of one view per launch, after warm-up"),
+    "ms_p05": Column("5 %", _three),
+    "ms_p95": Column("95 %", _three),
+    "setup_seconds": Column("Set-up", seconds, 0, "from the volume in memory to the first picture"),
+    "image": Column("Image", str),
+    "renderer": Column("Renderer", str),
     "file": Column("Image", str),
     # Of the comparison of two runs.
     "views": Column("Views", _significant),
@@ -324,7 +340,7 @@ _TEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{",
     "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\n": " ", "Δ": r"$\Delta$",
     "±": r"$\pm$", MISSING: "--",
-    "*": r"$^{*}$",
+    "*": r"$^{*}$", "\N{MULTIPLICATION SIGN}": r"$\times$",
 }  # fmt: skip
 
 

@@ -77,11 +77,19 @@ VIEWS = [
     "truth_file",
     "render_file",
     "alpha_file",
+    "background",
 ]
 CURVE = "job dataset scene method variant preset seed iteration train_seconds loss psnr_val primitives "
 CURVE += "bytes_estimate"
 LEDGER = "job dataset scene method variant rate preset seed part bytes"
+DVR = """job dataset scene kind preset status reason nx ny nz variables dtype volume_bytes ms_per_view ms_p05
+ms_p95 fps load_seconds setup_seconds peak_host_bytes peak_device_bytes width height renderer version backend
+machine threads reference_seconds commit"""
 NUMBERS = {
+    "ms_per_view",
+    "ms_p05",
+    "ms_p95",
+    "setup_seconds",
     "rate",
     "psnr",
     "psnr_fg",
@@ -118,6 +126,10 @@ WHOLE = {
     "bytes",
     "iteration",
     "bytes_estimate",
+    "nx",
+    "ny",
+    "nz",
+    "volume_bytes",
 }
 NO_LPIPS = "lpips_vgg: backbone weights missing: put vgg16-397923af.pth into ~/.cache/torch/hub/checkpoints"
 
@@ -148,7 +160,8 @@ class Maker:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.rows: dict[str, list[dict]] = {name: [] for name in ("results", "views", "curve", "ledger")}
+        names = ("results", "views", "curve", "ledger", "dvr")
+        self.rows: dict[str, list[dict]] = {name: [] for name in names}
 
     def run(
         self,
@@ -243,6 +256,7 @@ class Maker:
                     "identical": False,
                     "truth_file": truth,
                     "render_file": render,
+                    "background": "#ffffff",
                 }
             )
         for step in range(0 if not ok else 8):
@@ -263,8 +277,19 @@ class Maker:
                 {**axes, "job": f"encode-{job}", "part": part, "bytes": int(size * portion)}
             )
 
+    def dvr(self, dataset="vortex", scene="tf0", ms=40.0, **more) -> None:
+        """Cost of rendering a volume."""
+        row = {"job": f"dvr-{len(self.rows['dvr']):04d}", "dataset": dataset, "scene": scene, "kind": "basic",
+               "preset": "quick", "status": "ok", "nx": 600, "ny": 360, "nz": 240, "variables": "ACC",
+               "dtype": "float32", "volume_bytes": 2**28, "ms_per_view": ms, "ms_p05": ms / 2,
+               "ms_p95": ms * 2, "fps": 1e3 / ms, "setup_seconds": 1.5, "peak_host_bytes": 2**30,
+               "width": 128, "height": 128, "renderer": "mitsuba", "backend": "llvm", "machine": "laptop",
+               "threads": 2}  # fmt: skip
+        self.rows["dvr"].append(row | more)
+
     def tables(self) -> dict[str, pd.DataFrame]:
-        columns = {"results": RESULTS, "views": VIEWS, "curve": CURVE.split(), "ledger": LEDGER.split()}
+        columns = {"results": RESULTS, "views": VIEWS, "curve": CURVE.split(), "ledger": LEDGER.split(),
+                   "dvr": DVR.split()}  # fmt: skip
         made = {name: frame(columns[name], rows) for name, rows in self.rows.items()}
         axes = ["job", "dataset", "scene", "method", "variant", "rate", "preset", "seed", "part", "seconds"]
         made["timing"] = frame(axes, [])
