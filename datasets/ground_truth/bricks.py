@@ -1,6 +1,8 @@
-"""Empty-space bricks: which blocks are invisible under a transfer function, and how far to leap."""
+"""Empty-space bricks: which blocks are invisible in a scene, and how far to leap."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,21 +20,22 @@ class Bricks:
 
     Args:
         values: (nz, ny, nx) normalised to [0, 1].
+        mask: (nz, ny, nx) bool, where the values count; None: everywhere.
     """
 
-    def __init__(self, values: NDArray[np.float32]) -> None:
+    def __init__(self, values: NDArray[np.float32], mask: NDArray[np.bool_] | None = None) -> None:
         self.low = _blockwise(values, np.minimum)
         self.high = _blockwise(values, np.maximum)
+        self._outside = None if mask is None else ~_blockwise(mask, np.logical_or)
 
-    def leaps(self, extinction: NDArray[np.float32]) -> NDArray[np.int32]:
-        """Chebyshev distance in bricks to the nearest brick that is visible (0: this one is).
+    def empty(self, extinction: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Which bricks are invisible under a transfer function.
 
         Args:
             extinction: (S,) table over [0, 1], linear in between.
 
         Returns:
-            Array of the bricks' shape (z, y, x), int32. A ray in a brick with distance d > 0 meets nothing
-            within d - 1 bricks on any side.
+            Array of the bricks' shape (z, y, x).
         """
         size = len(extinction)
         visible_below = np.concatenate([[0], np.cumsum(extinction > 0.0)])
@@ -40,14 +43,32 @@ class Bricks:
         last = np.minimum(np.ceil(self.high * np.float64(size - 1)).astype(np.int64), size - 1)
         # One entry more on either side: look-ups run in float32.
         first, last = np.maximum(first - 1, 0), np.minimum(last + 1, size - 1)
-        empty = visible_below[last + 1] == visible_below[first]
-        if empty.all():
-            return np.full(empty.shape, max(empty.shape) + 1, dtype=np.int32)
-        return np.asarray(distance_transform_cdt(empty, metric="chessboard"), dtype=np.int32)
+        return self._or_outside(visible_below[last + 1] == visible_below[first])
+
+    def uncrossed(self, levels: Iterable[float]) -> NDArray[np.bool_]:
+        """Which bricks hold none of these levels."""
+        margin = 1e-6  # of interpolation in float32
+        crossed = np.zeros(self.low.shape, dtype=bool)
+        for level in levels:
+            crossed |= (self.low - margin <= level) & (level <= self.high + margin)
+        return self._or_outside(~crossed)
+
+    def _or_outside(self, empty: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return empty if self._outside is None else empty | self._outside
 
 
-def _blockwise(values: NDArray[np.float32], pick: np.ufunc) -> NDArray[np.float32]:
-    """Minimum or maximum over each brick with one voxel more on either side."""
+def leaps(empty: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Chebyshev distance in bricks to the nearest brick that is visible (0: this one is).
+
+    A ray in a brick with distance d > 0 meets nothing within d - 1 bricks on any side.
+    """
+    if empty.all():
+        return np.full(empty.shape, max(empty.shape) + 1, dtype=np.int32)
+    return np.asarray(distance_transform_cdt(empty, metric="chessboard"), dtype=np.int32)
+
+
+def _blockwise(values: NDArray[np.generic], pick: np.ufunc) -> NDArray[np.generic]:
+    """Reduction over each brick with one voxel more on either side."""
     for axis in range(3):
         n = values.shape[axis]
         bricks = max(1, -(-(n - 1) // BRICK))

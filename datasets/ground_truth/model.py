@@ -22,11 +22,43 @@ Emission-absorption, front to back, along the ray of each pixel centre through t
   is left where there is no gradient; the blend is the one above with e = :data:`PHONG_FLOOR`, so small that
   it only keeps rounding errors from becoming normals.
 * Colors are composited as displayed (nothing is linearised), premultiplied, without a background.
+
+Compositions show several basic scenes together, each a layer with its own transfer function and light, on
+volumes of one box and grid:
+
+* Extinctions add. The color of a sample is the mean of the layers' shaded, clamped colors, weighted by
+  their extinctions; each layer is shaded by the gradient of its own volume. One step, one march.
+
+Masks (``Volume.mask``): a layer's extinction is multiplied by the trilinearly interpolated mask (0 or 1 at
+the samples), so it fades within the one cell that the border crosses; values and gradients know nothing of
+the mask, so no shell of other values appears there. An isosurface ends where the mask falls under 1/2.
+
+Isosurfaces (``BasicScene.isosurfaces``) are the level sets of the trilinear field:
+
+* Values are taken at both ends of each segment; a level that lies between them is crossed there (>= is
+  inside). The crossing is found by :data:`BISECTIONS` halvings and one secant, so where it lies does not
+  depend on the step; two crossings of one level within a segment are missed.
+* Each crossing is composited with its opacity and its color, shaded by the gradient at the crossing. Several
+  levels crossed in a segment are taken in the order in which the values pass them; scenes of a composition
+  that have crossings in one segment are taken in the composition's order.
+* Beside volumes, a segment's extinction and color (those of its middle) act in shares before, between and
+  behind its crossings.
+
+Depth enhancement (``BasicScene.depth_enhancement``, strength d; our stand-in for that of commercial
+renderers) multiplies a layer's shaded, clamped color by 1 - d O(x), with the occlusion O in [0, 1] baked once
+per scene from the extinction E of all layers together (:mod:`datasets.ground_truth.occlusion`):
+
+* E at each voxel is taken from the nearest entry of the table (times the mask), and averaged over cubes of
+  k^3 voxels, with the least k that leaves at most 128 an axis. An isosurface of opacity a counts as
+  -ln(1 - min(a, 0.99)) / (2 voxels) at the voxels that have a neighbour along an axis beyond its level.
+* O is the mean over the radii r = 1/64, 1/32, 1/16, 1/8 (longest side of the box: 1) of the share of the
+  neighbourhood that is opaque at that scale: the mean of 1 - exp(-E r) over a box of half-side r, rounded to
+  cubes, with nothing outside the volume. Between centres of cubes it is interpolated trilinearly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -34,7 +66,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.camera import Camera
-from datasets.scene import Light
+from datasets.errors import DataError
+from datasets.scene import BasicScene, Isosurface, Light
 from datasets.transfer import TransferFunction
 from datasets.volume import Volume
 
@@ -46,6 +79,9 @@ GRADIENT_FLOOR = 2e-4
 
 PHONG_FLOOR = 1e-5
 """The same in Phong mode, where VTK has none: above what single precision makes of a constant field."""
+
+BISECTIONS = 8
+"""Halvings of a segment in which a level is crossed, before the secant."""
 
 Progress = Callable[[int, int], None]
 """Called with the number of views done and of all views."""
@@ -67,8 +103,47 @@ class MarchSettings:
     table_size: int = 16384
 
 
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """A basic scene with its volume, as marchers see it.
+
+    Attributes:
+        volume: what it shows.
+        transfer: None where it shows isosurfaces.
+        light: None is unshaded.
+        isosurfaces: level sets instead of a transfer function.
+        depth_enhancement: strength in [0, 1].
+    """
+
+    volume: Volume
+    transfer: TransferFunction | None
+    light: Light | None
+    isosurfaces: tuple[Isosurface, ...] = ()
+    depth_enhancement: float = 0.0
+
+    @classmethod
+    def of(cls, scene: BasicScene, volume: Volume) -> Layer:
+        """The layer that a basic scene is."""
+        return cls(volume, scene.transfer, scene.light, scene.isosurfaces, scene.depth_enhancement)
+
+
 class Marcher(Protocol):
-    """A renderer of one volume, holding what does not depend on the scene."""
+    """A renderer of one or several volumes, holding what does not depend on the scene."""
+
+    def compose(
+        self, cameras: tuple[Camera, ...], layers: Sequence[Layer], progress: Progress | None = None
+    ) -> NDArray[np.float32]:
+        """Render views of equal size.
+
+        Args:
+            cameras: of one size.
+            layers: on the marcher's own volumes; several are a composition.
+            progress: called with views done and views in all.
+
+        Returns:
+            (n, height, width, 4) float32 premultiplied RGBA, background-free.
+        """
+        ...
 
     def render(
         self,
@@ -77,12 +152,27 @@ class Marcher(Protocol):
         light: Light | None,
         progress: Progress | None = None,
     ) -> NDArray[np.float32]:
-        """Render views of equal size.
-
-        Returns:
-            (n, height, width, 4) float32 premultiplied RGBA, background-free.
-        """
+        """:meth:`compose` of one layer on the first volume."""
         ...
+
+
+def same_grid(volumes: Sequence[Volume], what: str = "composition") -> tuple[Volume, ...]:
+    """The volumes, each once, if they can be marched together.
+
+    Raises:
+        DataError: their grids or boxes differ.
+    """
+    distinct = tuple({id(volume): volume for volume in volumes}.values())
+    first = distinct[0]
+    for other in distinct[1:]:
+        if other.dims != first.dims or not np.allclose(other.extent, first.extent, rtol=1e-6):
+            grids = " and ".join(
+                f"{v.name} ({'x'.join(map(str, v.dims))}, spacing {v.spacing})" for v in (first, other)
+            )
+            raise DataError(
+                what, f"its volumes differ in grid or box: {grids}", "Resample them to one grid, or drop one"
+            )
+    return distinct
 
 
 def index_transform(volume: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,17 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from datasets.camera import Camera
-from datasets.ground_truth.model import GRADIENT_FLOOR, PHONG_FLOOR, MarchSettings, Progress, index_transform
+from datasets.ground_truth.model import (
+    BISECTIONS,
+    GRADIENT_FLOOR,
+    PHONG_FLOOR,
+    Layer,
+    MarchSettings,
+    Progress,
+    index_transform,
+    same_grid,
+)
+from datasets.ground_truth.occlusion import bake
 from datasets.scene import Light
 from datasets.transfer import TransferFunction
 from datasets.volume import Volume
@@ -19,29 +31,65 @@ from datasets.volume import Volume
 _SAMPLES_AT_ONCE = 2**20
 
 
+@dataclass(eq=False)
+class _Part:
+    """A layer made ready: its grids, and its table or its levels (value, color, opacity; rising)."""
+
+    layer: Layer
+    values: Tensor
+    mask: Tensor | None
+    table: Tensor | None
+    levels: list[tuple[float, Tensor, float]]
+
+
+@dataclass(eq=False)
+class _Scene:
+    parts: list[_Part]
+    occlusion: Tensor | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(eq=False)
+class _Hits:
+    """Crossings of isosurfaces: in which segment, where in it (share), and what is seen there."""
+
+    segment: Tensor
+    share: Tensor
+    opacity: Tensor
+    color: Tensor
+
+
 class ReferenceMarcher:
     """Evaluates :mod:`datasets.ground_truth.model` in the plainest way.
 
     Args:
-        volume: the field.
+        volume: the field, or those of a composition.
         settings: step and table size.
         dtype: torch.float64 for the oracle, torch.float32 for speed.
+
+    Raises:
+        DataError: the volumes differ in grid or box.
     """
 
     def __init__(
         self,
-        volume: Volume,
+        volume: Volume | Sequence[Volume],
         settings: MarchSettings = MarchSettings(),  # noqa: B008  (frozen)
         dtype: torch.dtype = torch.float64,
     ) -> None:
+        self._volumes = same_grid((volume,) if isinstance(volume, Volume) else volume)
         self._dtype = dtype
         self._settings = settings
-        self._values = torch.from_numpy(volume.normalised()).to(dtype)[None, None]
-        scale, offset = index_transform(volume)
+        self._normalised = [each.normalised() for each in self._volumes]
+        self._values = [torch.from_numpy(values).to(dtype) for values in self._normalised]
+        self._masks = [None if v.mask is None else self._tensor(v.mask) for v in self._volumes]
+        first = self._volumes[0]
+        scale, offset = index_transform(first)
         self._scale, self._offset = self._tensor(scale), self._tensor(offset)
-        self._lower, self._upper = (self._tensor(corner) for corner in volume.box)
-        self._voxel = volume.voxel
-        self._dt = settings.step_voxels * volume.voxel
+        self._lower, self._upper = (self._tensor(corner) for corner in first.box)
+        self._voxel = first.voxel
+        self._dt = settings.step_voxels * first.voxel
 
     def render(
         self,
@@ -51,18 +99,48 @@ class ReferenceMarcher:
         progress: Progress | None = None,
     ) -> NDArray[np.float32]:
         """See :class:`datasets.ground_truth.model.Marcher`."""
+        return self.compose(cameras, (Layer(self._volumes[0], transfer, light),), progress)
+
+    def compose(
+        self, cameras: tuple[Camera, ...], layers: Sequence[Layer], progress: Progress | None = None
+    ) -> NDArray[np.float32]:
+        """See :class:`datasets.ground_truth.model.Marcher`."""
+        scene = self._scene(layers)
         images = []
         for done, camera in enumerate(cameras, start=1):
-            images.append(self.render_exact(camera, transfer, light).to(torch.float32).numpy())
+            images.append(self._image(camera, scene).to(torch.float32).numpy())
             if progress:
                 progress(done, len(cameras))
         return np.stack(images)
 
-    @torch.no_grad()
     def render_exact(self, camera: Camera, transfer: TransferFunction, light: Light | None) -> Tensor:
         """(height, width, 4) premultiplied RGBA in this marcher's own precision."""
+        return self.compose_exact(camera, (Layer(self._volumes[0], transfer, light),))
+
+    def compose_exact(self, camera: Camera, layers: Sequence[Layer]) -> Tensor:
+        """:meth:`render_exact` of several layers."""
+        return self._image(camera, self._scene(layers))
+
+    def _scene(self, layers: Sequence[Layer]) -> _Scene:
+        numbers = [next(i for i, v in enumerate(self._volumes) if v is layer.volume) for layer in layers]
         size = self._settings.table_size
-        table = self._tensor(transfer.classify(np.linspace(0.0, 1.0, size)))
+        parts = []
+        for layer, n in zip(layers, numbers, strict=True):
+            table = None
+            if layer.transfer is not None:
+                table = self._tensor(layer.transfer.classify(np.linspace(0.0, 1.0, size)))
+            levels = [
+                (float(np.float32(s.value)), self._tensor(np.array(s.color)), s.opacity)
+                for s in sorted(layer.isosurfaces, key=lambda surface: surface.value)
+            ]
+            parts.append(_Part(layer, self._values[n], self._masks[n], table, levels))
+        if not any(layer.depth_enhancement > 0.0 for layer in layers):
+            return _Scene(parts)
+        baked = bake(layers, [self._normalised[n] for n in numbers], size)
+        return _Scene(parts, self._tensor(baked.values), baked.scale, baked.offset)
+
+    @torch.no_grad()
+    def _image(self, camera: Camera, scene: _Scene) -> Tensor:
         origin, directions = (self._tensor(a) for a in camera.rays())
         rays = directions.reshape(-1, 3)
         near, far = self._box_interval(origin, rays)
@@ -71,7 +149,7 @@ class ReferenceMarcher:
         if len(hits):
             steps = int(torch.ceil((far - near)[hits].max() / self._dt))
             for part in hits.split(max(1, _SAMPLES_AT_ONCE // steps)):
-                image[part] = self._march(origin, rays[part], near[part], far[part], table, light)
+                image[part] = self._march(origin, rays[part], near[part], far[part], scene)
         return image.reshape(camera.height, camera.width, 4)
 
     def _tensor(self, array: NDArray[Any]) -> Tensor:
@@ -84,55 +162,90 @@ class ReferenceMarcher:
         near = torch.minimum(a, b).amax(dim=1).clamp_min(0.0)
         return near, torch.maximum(a, b).amin(dim=1)
 
-    def _march(
-        self, origin: Tensor, rays: Tensor, near: Tensor, far: Tensor, table: Tensor, light: Light | None
-    ) -> Tensor:
-        """(R, 4) premultiplied RGBA of rays that hit the box; rays x steps samples at once."""
+    def _march(self, origin: Tensor, rays: Tensor, near: Tensor, far: Tensor, scene: _Scene) -> Tensor:
+        """(R, 4) premultiplied RGBA of rays that hit the box; rays x segments at once."""
         steps = int(torch.ceil((far - near).max() / self._dt))
         start = near[:, None] + self._dt * torch.arange(steps, dtype=self._dtype)
         length = (far[:, None] - start).clamp(0.0, self._dt)
         ray, step = torch.nonzero(length > 0.0, as_tuple=True)
-        length = length[ray, step]
-        at = origin + (start[ray, step] + 0.5 * length)[:, None] * rays[ray]
-        index = at * self._scale + self._offset
-        classified = self._classify(self._value(index), table)
-        opacity = -torch.expm1(-classified[:, 3] * length)
+        start, length = start[ray, step], length[ray, step]
+        first = (origin + start[:, None] * rays[ray]) * self._scale + self._offset
+        stride = length[:, None] * rays[ray] * self._scale
+        extinction, color = self._sample(scene, first + 0.5 * stride, -rays[ray])
+        depth = extinction * length
+        hits = self._hits(scene, first, stride, -rays[ray])
+        if len(hits.segment):
+            segment, depth, opacity, color = _split(hits, depth, color)
+            ray = ray[segment]
+            alpha = torch.where(torch.isnan(opacity), -torch.expm1(-depth), opacity)
+        else:
+            alpha = -torch.expm1(-depth)
+        return _composite(ray, alpha, color, len(rays))
 
-        seen = torch.nonzero(opacity > 0.0)[:, 0]
-        color = classified[seen, :3]
-        if light is not None:
-            color = self._shade(color, index[seen], -rays[ray[seen]], light)
+    def _sample(self, scene: _Scene, index: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
+        """Extinction and color (S, 3) of the layers together at grid indices (S, 3)."""
+        total = torch.zeros(len(index), dtype=self._dtype)
+        mixed = torch.zeros(len(index), 3, dtype=self._dtype)
+        for part in scene.parts:
+            if part.table is None:
+                continue
+            classified = _classify(_value(part.values, index), part.table)
+            seen = torch.nonzero(classified[:, 3] > 0.0)[:, 0]
+            weight, color, at = classified[seen, 3], classified[seen, :3], index[seen]
+            if part.mask is not None:
+                weight = weight * _value(part.mask, at)
+            color = self._shade(scene, part, color, at, view[seen])
+            total[seen] += weight
+            mixed[seen] += weight[:, None] * color
+        return total, mixed / torch.where(total > 0.0, total, 1.0)[:, None]
 
-        alpha = torch.zeros(len(rays), steps, dtype=self._dtype)
-        alpha[ray, step] = opacity
-        transmitted = torch.cumprod(1.0 - alpha, dim=1)
-        before = torch.cat([torch.ones_like(transmitted[:, :1]), transmitted[:, :-1]], dim=1)
-        weight = (before * alpha)[ray[seen], step[seen]]
-        image = torch.zeros(len(rays), 4, dtype=self._dtype)
-        image[:, :3].index_add_(0, ray[seen], weight[:, None] * color.clamp(0.0, 1.0))
-        image[:, 3] = 1.0 - transmitted[:, -1]
-        return image
+    def _hits(self, scene: _Scene, first: Tensor, stride: Tensor, view: Tensor) -> _Hits:
+        """Crossings in segments, by segment, layer and order along the ray."""
+        found = []
+        for number, part in enumerate(scene.parts):
+            if not part.levels:
+                continue
+            before, after = _value(part.values, first), _value(part.values, first + stride)
+            for level, color, opacity in part.levels:
+                segment = torch.nonzero((before >= level) != (after >= level))[:, 0]
+                low, high = (torch.full((len(segment),), x, dtype=self._dtype) for x in (0.0, 1.0))
+                at_low, at_high = before[segment], after[segment]
+                for _ in range(BISECTIONS):
+                    middle = 0.5 * (low + high)
+                    value = _value(part.values, first[segment] + middle[:, None] * stride[segment])
+                    beyond = (value >= level) != (at_low >= level)
+                    high, at_high = torch.where(beyond, middle, high), torch.where(beyond, value, at_high)
+                    low, at_low = torch.where(beyond, low, middle), torch.where(beyond, at_low, value)
+                share = low + (high - low) * (level - at_low) / (at_high - at_low)
+                at = first[segment] + share[:, None] * stride[segment]
+                alpha = torch.full_like(share, opacity)
+                if part.mask is not None:
+                    alpha = torch.where(_value(part.mask, at) < 0.5, 0.0, alpha)
+                shaded = self._shade(scene, part, color.expand(len(at), 3), at, view[segment])
+                found.append((segment, torch.full_like(segment, number), share, alpha, shaded))
+        if not found:
+            none = torch.zeros(0, dtype=self._dtype)
+            return _Hits(none.long(), none, none, none[:, None])
+        segment, number, share, alpha, shaded = (torch.cat(column) for column in zip(*found, strict=True))
+        order = torch.from_numpy(np.lexsort((share.numpy(), number.numpy(), segment.numpy())))
+        return _Hits(segment[order], share[order], alpha[order], shaded[order])
 
-    def _value(self, index: Tensor) -> Tensor:
-        """Trilinear interpolation at grid indices (S, 3), clamped at the border."""
-        grid = index / self._offset - 1.0
-        return grid_sample(
-            self._values, grid[None, None, None], mode="bilinear", padding_mode="border", align_corners=True
-        )[0, 0, 0, 0]
+    def _shade(self, scene: _Scene, part: _Part, color: Tensor, index: Tensor, view: Tensor) -> Tensor:
+        """Shaded, clamped and darkened color (S, 3) of one layer at grid indices (S, 3)."""
+        if part.layer.light is not None:
+            color = self._lit(part.values, color, index, view, part.layer.light)
+        color = color.clamp(0.0, 1.0)
+        if scene.occlusion is not None:
+            occlusion = _value(scene.occlusion, index * scene.scale + scene.offset)
+            color = color * (1.0 - part.layer.depth_enhancement * occlusion)[:, None]
+        return color
 
-    @staticmethod
-    def _classify(values: Tensor, table: Tensor) -> Tensor:
-        at = values.clamp(0.0, 1.0) * (len(table) - 1)
-        cell = at.floor().clamp(max=len(table) - 2)
-        low = table[cell.long()]
-        return low + (at - cell)[:, None] * (table[cell.long() + 1] - low)
-
-    def _shade(self, color: Tensor, index: Tensor, view: Tensor, light: Light) -> Tensor:
+    def _lit(self, values: Tensor, color: Tensor, index: Tensor, view: Tensor, light: Light) -> Tensor:
         sides = []
         for axis in range(3):
             offset = torch.zeros(3, dtype=self._dtype)
             offset[axis] = 1.0
-            sides.append(self._value(index + offset) - self._value(index - offset))
+            sides.append(_value(values, index + offset) - _value(values, index - offset))
         gradient = 0.5 * torch.stack(sides, dim=-1) * (self._scale * self._voxel)
         square = (gradient * gradient).sum(-1, keepdim=True)
         normal = gradient / square.sqrt().clamp_min(1e-12)
@@ -151,3 +264,67 @@ class ReferenceMarcher:
         trust = square / (square + floor**2)
         shaded: Tensor = trust * (color * lit + light.specular * facing**light.shininess)
         return shaded + (1.0 - trust) * flat * color
+
+
+def _value(values: Tensor, index: Tensor) -> Tensor:
+    """Trilinear interpolation of (nz, ny, nx) at grid indices (S, 3), clamped at the border."""
+    counts = torch.tensor(values.shape[::-1], dtype=values.dtype)
+    grid = index * (2.0 / (counts - 1.0).clamp_min(1.0)) - 1.0
+    return grid_sample(
+        values[None, None], grid[None, None, None], mode="bilinear", padding_mode="border", align_corners=True
+    )[0, 0, 0, 0]
+
+
+def _classify(values: Tensor, table: Tensor) -> Tensor:
+    at = values.clamp(0.0, 1.0) * (len(table) - 1)
+    cell = at.floor().clamp(max=len(table) - 2)
+    low = table[cell.long()]
+    return low + (at - cell)[:, None] * (table[cell.long() + 1] - low)
+
+
+def _split(hits: _Hits, depth: Tensor, color: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Segments cut at their crossings.
+
+    Args:
+        hits: sorted by segment.
+        depth: (S,) optical depth of each segment.
+        color: (S, 3).
+
+    Returns:
+        By segment and order along the ray: number of the segment, optical depth of the piece, opacity of the
+        crossing (NaN for pieces of volume), color.
+    """
+    n = len(depth)
+    done = torch.zeros_like(depth)
+    rank = torch.arange(len(hits.segment)) - torch.searchsorted(hits.segment, hits.segment)
+    before = torch.zeros_like(hits.share)
+    for r in range(int(rank.max()) + 1):  # crossings of a segment one after the other
+        now = torch.nonzero(rank == r)[:, 0]
+        there = hits.segment[now]
+        before[now] = (hits.share[now] - done[there]).clamp_min(0.0)
+        done[there] += before[now]
+    nothing, nan = torch.zeros_like(hits.share), torch.full_like(depth, torch.nan)
+    segment = torch.cat([hits.segment, hits.segment, torch.arange(n)])
+    slot = torch.cat([2 * rank, 2 * rank + 1, torch.full((n,), 2 * int(rank.max()) + 2)])
+    depth = torch.cat([depth[hits.segment] * before, nothing, depth * (1.0 - done)])
+    opacity = torch.cat([nan[hits.segment], hits.opacity, nan])
+    color = torch.cat([color[hits.segment], hits.color, color])
+    order = torch.from_numpy(np.lexsort((slot.numpy(), segment.numpy())))
+    return segment[order], depth[order], opacity[order], color[order]
+
+
+def _composite(ray: Tensor, alpha: Tensor, color: Tensor, rays: int) -> Tensor:
+    """(R, 4) premultiplied RGBA of what lies along rays: sorted by ray and from front to back."""
+    seen = torch.nonzero(alpha > 0.0)[:, 0]
+    ray, alpha, color = ray[seen], alpha[seen], color[seen]
+    image = torch.zeros(rays, 4, dtype=alpha.dtype)
+    if not len(seen):
+        return image
+    rank = torch.arange(len(ray)) - torch.searchsorted(ray, ray)
+    passed = torch.ones(rays, int(rank.max()) + 1, dtype=alpha.dtype)
+    passed[ray, rank] = 1.0 - alpha
+    transmitted = torch.cumprod(passed, dim=1)
+    before = torch.cat([torch.ones_like(transmitted[:, :1]), transmitted[:, :-1]], dim=1)
+    image[:, :3].index_add_(0, ray, (before[ray, rank] * alpha)[:, None] * color)
+    image[:, 3] = 1.0 - transmitted[:, -1]
+    return image

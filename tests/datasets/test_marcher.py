@@ -13,6 +13,7 @@ from datasets.camera import Camera
 from datasets.camera_paths import look_at_origin, training_cameras
 from datasets.ground_truth import probe
 from datasets.ground_truth.bricks import BRICK, Bricks
+from datasets.ground_truth.bricks import leaps as leap_distances
 from datasets.ground_truth.model import MarchSettings
 from datasets.ground_truth.reference import ReferenceMarcher
 from datasets.scene import Light
@@ -270,7 +271,7 @@ def test_leaps_never_skip_what_a_brute_force_search_finds_visible():
     values = noise((41, 60, 33), 4.0).astype(np.float32)
     values[:, 26:] *= 0.5  # nothing to see there
     extinction = NARROW.table(4096)[:, 3]
-    leaps = Bricks(values).leaps(extinction)
+    leaps = leap_distances(Bricks(values).empty(extinction))
     z, y, x = (np.arange(0.0, n - 1 + 1e-9, 0.5) for n in values.shape)
     grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)
     from scipy.ndimage import map_coordinates
