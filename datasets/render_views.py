@@ -6,8 +6,8 @@ import hashlib
 import json
 import logging
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
 from functools import cache as once
 from importlib.metadata import version
 from typing import Any, Literal
@@ -18,11 +18,21 @@ from numpy.typing import NDArray
 
 from datasets.camera import Camera
 from datasets.camera_paths import test_cameras, training_cameras
+from datasets.edits import Edit, edited
 from datasets.errors import DataError
 from datasets.ground_truth import probe
-from datasets.ground_truth.model import MODEL_VERSION, Marcher, MarchSettings, Progress
+from datasets.ground_truth.model import (
+    MODEL_VERSION,
+    Draw,
+    Layer,
+    Marcher,
+    MarchSettings,
+    Progress,
+    same_grid,
+)
 from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
-from datasets.scene import BasicScene, Dataset, Light
+from datasets.names import unknown
+from datasets.scene import RGB, BasicScene, Dataset
 from datasets.view_cache import CachedViews, ViewCache
 from datasets.views import ViewRequest, ViewSet, split_indices
 from datasets.volume import Volume
@@ -38,42 +48,47 @@ def views_of(
     scene_name: str,
     request: ViewRequest,
     *,
+    edit: Mapping[str, Edit] | None = None,
+    background: RGB | None = None,
     renderer: Renderer = "auto",
     cache: ViewCache | None = None,
     progress: Progress | None = None,
 ) -> ViewSet:
-    """The views that a request names, of one basic scene.
+    """The views that a request names, of one basic scene or of a composition.
 
     All training views are rendered and cached together, whichever split is asked for.
 
     Args:
         dataset: with volumes (views are rendered) or with views only (they are read).
-        scene_name: one of its basic scenes.
+        scene_name: one of its basic scenes or compositions.
         request: split, numbers and size.
+        edit: basic scene -> changes (:func:`datasets.edits.edited`); others are shown as they are.
+        background: recorded with the views; default: that of the (first) scene.
         renderer: "auto" takes Mitsuba where it works, else the reference marcher, with a notice.
         cache: default the user's.
         progress: called with views done and views in all while rendering.
 
     Raises:
-        UnknownName: no such scene.
+        UnknownName: no such scene, or an edit of one that is not shown.
         DataError: the request cannot be met, or Mitsuba was asked for and cannot run.
     """
-    scene = dataset.scene(scene_name)
+    parts = _edited(dataset.parts(scene_name), edit)
+    background = parts[0].background if background is None else background
     if dataset.kind == "views":
         from datasets.prerendered import load_views
 
-        prerendered: ViewSet = load_views(scene, request)
-        return prerendered
+        prerendered: ViewSet = load_views(parts[0], request)
+        return replace(prerendered, background=background)
     cache = ViewCache() if cache is None else cache
-    work = _Work(dataset, scene, request, renderer)
+    work = _Work(dataset, parts, request, renderer)
     views = cache.get(work.key)
     if views is None:
         images, record = work.render(progress)
         views = CachedViews(cache.put(work.key, images, record), record)
     if len(work.chosen) == len(work.cameras):
-        return ViewSet(work.cameras, views.images, scene.background, work.key)
+        return ViewSet(work.cameras, views.images, background, work.key)
     cameras = tuple(work.cameras[i] for i in work.chosen)
-    return ViewSet(cameras, views.images[work.chosen], scene.background, f"{work.key}-{request.split}")
+    return ViewSet(cameras, views.images[work.chosen], background, f"{work.key}-{request.split}")
 
 
 def render_cost(
@@ -81,10 +96,11 @@ def render_cost(
     scene_name: str,
     request: ViewRequest,
     *,
+    edit: Mapping[str, Edit] | None = None,
     renderer: Renderer = "auto",
     cache: ViewCache | None = None,
 ) -> dict[str, Any] | None:
-    """What rendering the cached views cost; None if none are cached.
+    """What rendering the cached views of a scene or composition cost; None if none are cached.
 
     ``ms_per_view`` of launches that hold several small views, ``setup_seconds``, renderer and backend, and
     ``peak_host_bytes``, ``peak_device_bytes`` of the process that rendered them, up to then.
@@ -92,7 +108,7 @@ def render_cost(
     if dataset.kind == "views":
         return None
     cache = ViewCache() if cache is None else cache
-    return cache.record(_Work(dataset, dataset.scene(scene_name), request, renderer).key)
+    return cache.record(_Work(dataset, _edited(dataset.parts(scene_name), edit), request, renderer).key)
 
 
 def cameras_of(dataset: Dataset, scene_name: str, request: ViewRequest) -> tuple[Camera, ...]:
@@ -126,7 +142,7 @@ class LiveRenderer:
 def live_renderer(
     dataset: Dataset, scene_name: str, request: ViewRequest, *, renderer: Renderer = "auto"
 ) -> LiveRenderer:
-    """Set up the renderer of a scene to draw views one by one.
+    """Set up the renderer of a scene or composition to draw views one by one.
 
     Raises:
         UnknownName: no such scene.
@@ -134,13 +150,13 @@ def live_renderer(
     """
     if dataset.kind == "views":
         raise DataError(dataset.name, "was rendered elsewhere", "Name a dataset with a volume")
-    work = _Work(dataset, dataset.scene(scene_name), request, renderer)
+    work = _Work(dataset, dataset.parts(scene_name), request, renderer)
     draw, seconds = work.set_up()
-    return LiveRenderer(lambda camera: draw((camera,), None)[0], work.cameras, seconds, work._renderer())
+    return LiveRenderer(lambda camera: draw((camera,))[0], work.cameras, seconds, work._renderer())
 
 
 def volume_digest(volume: Volume) -> str:
-    """Content hash of a volume's values, type, spacing, range, mask and vertices; computed once per volume."""
+    """Content hash of a volume's values, type, spacing, range, mask and vertices; computed once."""
     if volume not in _digests:
         about = (volume.values.shape, volume.values.dtype.str, volume.spacing, volume.value_range)
         digest = hashlib.sha256(repr(about).encode())
@@ -157,22 +173,28 @@ def volume_digest(volume: Volume) -> str:
 class _Work:
     """A request made concrete: cameras, renderer and key."""
 
-    def __init__(self, dataset: Dataset, scene: BasicScene, request: ViewRequest, renderer: Renderer) -> None:
-        if scene.transfer is None:
-            raise DataError(
-                f"{dataset.name}/{scene.name}",
-                "the scene has no transfer function",
-                "Give it one in the catalogue",
-            )
+    def __init__(
+        self, dataset: Dataset, parts: tuple[BasicScene, ...], request: ViewRequest, renderer: Renderer
+    ) -> None:
+        for scene in parts:
+            if (scene.transfer is None) == (not scene.isosurfaces):
+                raise DataError(
+                    f"{dataset.name}/{scene.name}",
+                    "the scene has both a transfer function and isosurfaces"
+                    if scene.isosurfaces
+                    else "the scene has no transfer function",
+                    "Give it one or the other in the catalogue",
+                )
+        self.layers = tuple(Layer.of(scene, dataset.volume(scene.variable)) for scene in parts)
+        names = " + ".join(scene.name for scene in parts)
+        self.volumes = same_grid([layer.volume for layer in self.layers], f"{dataset.name}/{names}")
         if min(request.width, request.height) < 1:
             raise DataError(
                 f"{request.width}x{request.height} views",
                 "there must be at least one pixel",
                 "Ask for 128x128, say",
             )
-        self.transfer, self.light = scene.transfer, scene.light
-        self.volume = dataset.volume(scene.variable)
-        self.cameras = _cameras(self.volume, request)
+        self.cameras = _cameras(self.volumes[0], request)
         self.chosen = split_indices(len(self.cameras), request.split)
         if not self.chosen:
             raise DataError(
@@ -184,14 +206,13 @@ class _Work:
         self.backend = _backend(renderer)
         self.key = self._key()
 
-    def set_up(self) -> tuple[Callable[[tuple[Camera, ...], Progress | None], NDArray[np.float32]], float]:
-        """A function that draws views of this scene, and the seconds until it was ready."""
+    def set_up(self) -> tuple[Draw, float]:
+        """What draws views of this scene, and the seconds until it was ready."""
         started = time.perf_counter()
-        marcher = self._marcher()
+        draw = self._marcher().prepare(self.layers)
         if self.backend.name != "none":
-            marcher.render(self.cameras[:1], self.transfer, self.light)  # compiles the kernel
-        seconds = time.perf_counter() - started
-        return lambda cameras, progress: marcher.render(cameras, self.transfer, self.light, progress), seconds
+            draw(self.cameras[:1])  # compiles the kernel
+        return draw, time.perf_counter() - started
 
     def render(self, progress: Progress | None) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """The images and the record of what they cost."""
@@ -219,11 +240,11 @@ class _Work:
 
             from datasets.ground_truth.reference import ReferenceMarcher
 
-            return ReferenceMarcher(self.volume, self.settings, torch.float32)
+            return ReferenceMarcher(self.volumes, self.settings, torch.float32)
         probe.activate(self.backend)
         from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
 
-        return MitsubaMarcher(self.volume, self.settings)
+        return MitsubaMarcher(self.volumes, self.settings)
 
     def _renderer(self) -> dict[str, Any]:
         if self.backend.name == "none":
@@ -235,21 +256,22 @@ class _Work:
         }
 
     def _key(self) -> str:
-        transfer = asdict(self.transfer)
-        # Names do not change a picture.
-        transfer.pop("name")
-        for bump in transfer["bumps"]:
-            bump.pop("name")
+        parts = [_said(layer) for layer in self.layers]
         ingredients = {
             "model": MODEL_VERSION,
-            "volume": volume_digest(self.volume),
-            "transfer": transfer,
-            "light": _said(self.light) if self.light else None,
             "cameras": hashlib.sha256(b"".join(_bytes(c) for c in self.cameras)).hexdigest(),
             "settings": asdict(self.settings),
             "renderer": self._renderer(),
+            **(parts[0] if len(parts) == 1 else {"parts": parts}),
         }
         return hashlib.sha256(json.dumps(ingredients, sort_keys=True).encode()).hexdigest()[:40]
+
+
+def _edited(parts: tuple[BasicScene, ...], edit: Mapping[str, Edit] | None) -> tuple[BasicScene, ...]:
+    for name in edit or {}:
+        if name not in [scene.name for scene in parts]:
+            raise unknown("edited scene", name, [scene.name for scene in parts])
+    return tuple(edited(scene, edit[scene.name]) if edit and scene.name in edit else scene for scene in parts)
 
 
 def _cameras(volume: Volume, request: ViewRequest) -> tuple[Camera, ...]:
@@ -278,11 +300,21 @@ def _notice(reason: str) -> None:
     )
 
 
-def _said(light: Light) -> dict[str, Any]:
-    """A light as it enters keys: what was there from the first, and what differs from the default."""
-    said = asdict(light)
-    if light.model == "blinn-phong":
-        said.pop("model")
+def _said(layer: Layer) -> dict[str, Any]:
+    """A layer as it enters keys: without names, which do not change a picture, and without what is off."""
+    transfer = asdict(layer.transfer) if layer.transfer else None
+    if transfer is not None:
+        transfer.pop("name")
+        for bump in transfer["bumps"]:
+            bump.pop("name")
+    light = asdict(layer.light) if layer.light else None
+    if light is not None and light["model"] == "blinn-phong":
+        light.pop("model")
+    said: dict[str, Any] = {"volume": volume_digest(layer.volume), "transfer": transfer, "light": light}
+    if layer.isosurfaces:
+        said["isosurfaces"] = [(s.value, s.color, s.opacity) for s in layer.isosurfaces]
+    if layer.depth_enhancement > 0.0:
+        said["depth_enhancement"] = layer.depth_enhancement
     return said
 
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+from datasets.edits import Edit as Edit
+
 if TYPE_CHECKING:
     import torch
 
@@ -188,26 +190,6 @@ class Monitor(Protocol):
 
     def stage(self, name: str) -> None:
         """Name the stage that begins ("warm-up", "context model")."""
-
-
-@dataclass(frozen=True)
-class Edit:
-    """Changes to a scene at render time. A value of None leaves what was trained.
-
-    Attributes:
-        palette: displayed sRGB palette color in [0, 1].
-        opacity: factor on opacity, >= 0.
-        light: unit vector from the object to the light, or "headlight".
-        ambient, diffuse, specular, shininess: factors on the trained coefficients, >= 0.
-    """
-
-    palette: RGB | None = None
-    opacity: float | None = None
-    light: tuple[float, float, float] | Literal["headlight"] | None = None
-    ambient: float | None = None
-    diffuse: float | None = None
-    specular: float | None = None
-    shininess: float | None = None
 
 
 class Model(Protocol):

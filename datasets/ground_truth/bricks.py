@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,7 @@ def leaps(empty: NDArray[np.bool_]) -> NDArray[np.int32]:
     return np.asarray(distance_transform_cdt(empty, metric="chessboard"), dtype=np.int32)
 
 
-def _blockwise(values: NDArray[np.generic], pick: np.ufunc) -> NDArray[np.generic]:
+def _blockwise(values: NDArray[Any], pick: np.ufunc) -> NDArray[Any]:
     """Reduction over each brick with one voxel more on either side."""
     for axis in range(3):
         n = values.shape[axis]

@@ -236,7 +236,8 @@ class SceneData:
         if len(self._volumes) == len(self._volumes[0]) == 1:
             extinction, sample = _sample_one(self, self._volumes[0][0], at, view)
             return extinction, sample
-        total, mixed = mi.Float(0.0), mi.Color3f(0.0)
+        total: Any = mi.Float(0.0)
+        mixed: Any = mi.Color3f(0.0)
         for layers in self._volumes:
             total, mixed = _add_field(self, layers, at, view, total, mixed)
         return total, mixed * dr.select(total > 0.0, 1.0 / total, 0.0)

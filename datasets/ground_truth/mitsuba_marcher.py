@@ -20,7 +20,7 @@ from datasets.camera import Camera
 from datasets.ground_truth.bricks import Bricks, leaps
 from datasets.ground_truth.field import Field, aligned
 from datasets.ground_truth.kernel import SceneData, march
-from datasets.ground_truth.model import Layer, MarchSettings, Progress, index_transform, same_grid
+from datasets.ground_truth.model import Draw, Layer, MarchSettings, Progress, index_transform, same_grid
 from datasets.ground_truth.occlusion import bake
 from datasets.scene import Light
 from datasets.transfer import TransferFunction
@@ -77,9 +77,23 @@ class MitsubaMarcher:
     def compose(
         self, cameras: tuple[Camera, ...], layers: Sequence[Layer], progress: Progress | None = None
     ) -> NDArray[np.float32]:
-        """See :class:`datasets.ground_truth.model.Marcher`; several small views share a launch."""
-        width, height = cameras[0].width, cameras[0].height
+        """See :class:`datasets.ground_truth.model.Marcher`."""
+        return self.prepare(layers)(cameras, progress)
+
+    def prepare(self, layers: Sequence[Layer]) -> Draw:
+        """See :class:`datasets.ground_truth.model.Marcher`."""
         data = self._scene(layers)
+
+        def draw(cameras: tuple[Camera, ...], progress: Progress | None = None) -> NDArray[np.float32]:
+            return self._draw(data, cameras, progress)
+
+        return draw
+
+    def _draw(
+        self, data: SceneData, cameras: tuple[Camera, ...], progress: Progress | None
+    ) -> NDArray[np.float32]:
+        """Views of a scene; several small ones share a launch."""
+        width, height = cameras[0].width, cameras[0].height
         images = np.empty((len(cameras), height, width, 4), dtype=np.float32)
         batch = max(1, _RAYS_PER_LAUNCH // (width * height))
         for start in range(0, len(cameras), batch):

@@ -127,22 +127,37 @@ class Layer:
         return cls(volume, scene.transfer, scene.light, scene.isosurfaces, scene.depth_enhancement)
 
 
-class Marcher(Protocol):
-    """A renderer of one or several volumes, holding what does not depend on the scene."""
+class Draw(Protocol):
+    """Draws views of one scene."""
 
-    def compose(
-        self, cameras: tuple[Camera, ...], layers: Sequence[Layer], progress: Progress | None = None
-    ) -> NDArray[np.float32]:
+    def __call__(self, cameras: tuple[Camera, ...], progress: Progress | None = None) -> NDArray[np.float32]:
         """Render views of equal size.
 
         Args:
             cameras: of one size.
-            layers: on the marcher's own volumes; several are a composition.
             progress: called with views done and views in all.
 
         Returns:
             (n, height, width, 4) float32 premultiplied RGBA, background-free.
         """
+        ...
+
+
+class Marcher(Protocol):
+    """A renderer of one or several volumes, holding what does not depend on the scene."""
+
+    def prepare(self, layers: Sequence[Layer]) -> Draw:
+        """What draws views of a scene, set up once.
+
+        Args:
+            layers: on the marcher's own volumes; several are a composition.
+        """
+        ...
+
+    def compose(
+        self, cameras: tuple[Camera, ...], layers: Sequence[Layer], progress: Progress | None = None
+    ) -> NDArray[np.float32]:
+        """:meth:`prepare` and draw."""
         ...
 
     def render(

@@ -17,6 +17,7 @@ from datasets.ground_truth.model import (
     BISECTIONS,
     GRADIENT_FLOOR,
     PHONG_FLOOR,
+    Draw,
     Layer,
     MarchSettings,
     Progress,
@@ -105,13 +106,21 @@ class ReferenceMarcher:
         self, cameras: tuple[Camera, ...], layers: Sequence[Layer], progress: Progress | None = None
     ) -> NDArray[np.float32]:
         """See :class:`datasets.ground_truth.model.Marcher`."""
+        return self.prepare(layers)(cameras, progress)
+
+    def prepare(self, layers: Sequence[Layer]) -> Draw:
+        """See :class:`datasets.ground_truth.model.Marcher`."""
         scene = self._scene(layers)
-        images = []
-        for done, camera in enumerate(cameras, start=1):
-            images.append(self._image(camera, scene).to(torch.float32).numpy())
-            if progress:
-                progress(done, len(cameras))
-        return np.stack(images)
+
+        def draw(cameras: tuple[Camera, ...], progress: Progress | None = None) -> NDArray[np.float32]:
+            images = []
+            for done, camera in enumerate(cameras, start=1):
+                images.append(self._image(camera, scene).to(torch.float32).numpy())
+                if progress:
+                    progress(done, len(cameras))
+            return np.stack(images)
+
+        return draw
 
     def render_exact(self, camera: Camera, transfer: TransferFunction, light: Light | None) -> Tensor:
         """(height, width, 4) premultiplied RGBA in this marcher's own precision."""
@@ -202,7 +211,7 @@ class ReferenceMarcher:
     def _hits(self, scene: _Scene, first: Tensor, stride: Tensor, view: Tensor) -> _Hits:
         """Crossings in segments, by segment, layer and order along the ray."""
         found = []
-        for number, part in enumerate(scene.parts):
+        for n, part in enumerate(scene.parts):
             if not part.levels:
                 continue
             before, after = _value(part.values, first), _value(part.values, first + stride)
@@ -222,7 +231,7 @@ class ReferenceMarcher:
                 if part.mask is not None:
                     alpha = torch.where(_value(part.mask, at) < 0.5, 0.0, alpha)
                 shaded = self._shade(scene, part, color.expand(len(at), 3), at, view[segment])
-                found.append((segment, torch.full_like(segment, number), share, alpha, shaded))
+                found.append((segment, torch.full_like(segment, n), share, alpha, shaded))
         if not found:
             none = torch.zeros(0, dtype=self._dtype)
             return _Hits(none.long(), none, none, none[:, None])

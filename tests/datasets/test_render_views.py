@@ -12,10 +12,11 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from datasets import render_views
+from datasets.edits import Edit
 from datasets.errors import DataError
 from datasets.ground_truth import probe
 from datasets.render_views import render_cost, views_of
-from datasets.scene import BasicScene, Dataset, Light
+from datasets.scene import BasicScene, Dataset, Isosurface, Light
 from datasets.transfer import Bump, TransferFunction
 from datasets.view_cache import ViewCache
 from datasets.views import ViewRequest
@@ -81,7 +82,7 @@ def test_a_hit_equals_the_rendering_and_a_damaged_entry_is_made_again(cache):
 
 
 def key_of(data, request=TRAIN, renderer="auto"):
-    return render_views._Work(data, data.scene("s"), request, renderer).key
+    return render_views._Work(data, data.parts("s"), request, renderer).key
 
 
 def test_the_key_follows_content_and_nothing_else():
@@ -95,6 +96,11 @@ def test_the_key_follows_content_and_nothing_else():
         key_of(dataset(light=None)),
         key_of(dataset(light=Light(shininess=21.0))),
         key_of(dataset(light=Light(direction=(0.0, 0.0, 1.0)))),
+        key_of(dataset(light=Light(model="phong"))),
+        key_of(dataset(depth_enhancement=0.5)),
+        key_of(dataset(depth_enhancement=0.6)),
+        key_of(dataset(transfer=None, isosurfaces=(Isosurface("i", 0.5, (1.0, 0.0, 0.0)),))),
+        key_of(dataset(transfer=None, isosurfaces=(Isosurface("i", 0.5, (1.0, 0.0, 0.0), 0.9),))),
         key_of(dataset(transfer=replace(TRANSFER, reference_length=0.02))),
         key_of(dataset(transfer=replace(TRANSFER, bumps=(replace(bump, rise=0.61),)))),
         key_of(dataset(), replace(TRAIN, width=25)),
@@ -111,6 +117,70 @@ def test_the_key_follows_content_and_nothing_else():
         key_of(dataset(), replace(TRAIN, test_views=9)),
     ]
     assert set(same) == {keys[0]}
+
+
+def test_keys_of_scenes_stay_what_they_were(monkeypatch):
+    """A change of key renders every recorded ground truth anew: only MODEL_VERSION may do that."""
+    monkeypatch.setattr(render_views._Work, "_renderer", lambda self: {"renderer": "none"})
+    values = np.arange(64, dtype=np.uint8).reshape(4, 4, 4)
+    assert key_of(dataset(values)) == "f4bde0f2ea9e342e50fe69bc696993dfe24457a6"
+
+
+def two(**second):
+    """A dataset of two variables with a scene each, and the composition of both."""
+    volumes = {
+        "v": Volume("v", field(), (1.0, 1.0, 1.0), (0.0, 1.0), "made here"),
+        "w": Volume("w", field(1), (1.0, 1.0, 1.0), (0.0, 1.0), "made here"),
+    }
+    other = TransferFunction("o", (Bump("b", 0.2, 0.3, 0.4, 0.5, (0.1, 0.4, 0.9), 0.3),))
+    scenes = (
+        BasicScene("s", "v", TRANSFER, background=(0.1, 0.2, 0.3)),
+        replace(BasicScene("t", "w", other, Light(direction=(0.0, 0.0, 1.0))), **second),
+    )
+    return Dataset(
+        "d", "made", "volume", scenes, {"both": ("s", "t")}, {n: lambda v=v: v for n, v in volumes.items()}
+    )
+
+
+def test_a_composition_has_views_cost_and_a_key_of_its_own(cache):
+    data = two()
+    both = views_of(data, "both", TRAIN, cache=cache)
+    alone = [views_of(data, name, TRAIN, cache=cache) for name in ("s", "t")]
+    assert both.background == (0.1, 0.2, 0.3)
+    assert len({both.key, *(views.key for views in alone)}) == 3
+    # Nothing that is composed shows less than the most opaque of its parts, nor more than both together.
+    alphas = [views.images[..., 3] for views in alone]
+    assert (both.images[..., 3] >= np.maximum(*alphas) - 1e-4).all()
+    np.testing.assert_allclose(
+        both.images[..., 3], 1.0 - (1.0 - alphas[0]) * (1.0 - alphas[1]), atol=1e-4
+    )  # Extinctions add.
+    assert render_cost(data, "both", TRAIN, cache=cache)["views"] == 12
+    reference = views_of(data, "both", TRAIN, renderer="reference", cache=cache)
+    np.testing.assert_allclose(both.images, reference.images, atol=1e-3)
+
+
+def test_volumes_of_a_composition_must_share_their_grid(cache):
+    data = two()
+    data.volumes["w"] = lambda: Volume("w", field()[:, :, ::2], (2.0, 1.0, 1.0), (0.0, 1.0), "made here")
+    with pytest.raises(DataError, match=r"d/s \+ t.*differ in grid or box: v \(12x16x14.* and w \(6x16x14"):
+        views_of(data, "both", TRAIN, cache=cache)
+
+
+def test_edits_have_views_of_their_own_and_any_background(cache):
+    data = two()
+    plain = views_of(data, "both", TRAIN, cache=cache)
+    same = views_of(data, "both", TRAIN, edit={"s": Edit()}, background=(0.0, 1.0, 0.0), cache=cache)
+    assert same.key == plain.key
+    assert same.background == (0.0, 1.0, 0.0)
+    red = views_of(data, "both", TRAIN, edit={"t": Edit(palette=(0.9, 0.1, 0.1))}, cache=cache)
+    assert red.key != plain.key
+    np.testing.assert_array_equal(red.images[..., 3], plain.images[..., 3])
+    assert red.images[..., 0].mean() > plain.images[..., 0].mean() + 0.01
+    gone = views_of(data, "both", TRAIN, edit={"t": Edit(opacity=0.0)}, cache=cache)
+    np.testing.assert_allclose(gone.images, views_of(data, "s", TRAIN, cache=cache).images, atol=2e-5)
+    with pytest.raises(DataError, match="edited scene 'x'"):
+        views_of(data, "both", TRAIN, edit={"x": Edit(opacity=0.5)}, cache=cache)
+    assert render_cost(data, "both", TRAIN, edit={"t": Edit(opacity=0.0)}, cache=cache)["views"] == 12
 
 
 def test_renderers_agree(cache):

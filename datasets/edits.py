@@ -1,0 +1,152 @@
+"""Edits of a scene at render time, and the scene that is the truth of an edited model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Literal
+
+from datasets.errors import DataError
+
+if TYPE_CHECKING:
+    from datasets.scene import RGB, BasicScene, Light
+    from datasets.transfer import TransferFunction
+
+_OPAQUE = 0.9999
+"""Opacity of bumps stays below 1, where extinction would be infinite."""
+_SAMPLES = 4096
+
+
+@dataclass(frozen=True)
+class Edit:
+    """Changes to a scene at render time. A value of None leaves what was trained.
+
+    Attributes:
+        palette: displayed sRGB palette color in [0, 1].
+        opacity: factor on opacity, >= 0.
+        light: unit vector from the object to the light, or "headlight".
+        ambient, diffuse, specular, shininess: factors on the trained coefficients, >= 0.
+    """
+
+    palette: RGB | None = None
+    opacity: float | None = None
+    light: tuple[float, float, float] | Literal["headlight"] | None = None
+    ambient: float | None = None
+    diffuse: float | None = None
+    specular: float | None = None
+    shininess: float | None = None
+
+
+def edited(scene: BasicScene, edit: Edit) -> BasicScene:
+    """The scene whose ground truth an edited model is measured against.
+
+    * Palette: the scene's mean color becomes the palette color; every color of the scene moves by the same
+      amount, clipped to [0, 1]. Models hold one palette color per scene and offsets from it, so this is what
+      changing the palette color means to them; a scene of one color takes exactly the color asked for.
+    * Opacity: factor on the opacities of the transfer function (they stay below 1) or of the isosurfaces.
+    * Light and its coefficients: as they say.
+
+    Raises:
+        DataError: the scene cannot be edited so, or a value is out of range.
+    """
+    _check(scene, edit)
+    if edit.palette is not None:
+        r, g, b = (new - old for new, old in zip(edit.palette, mean_color(scene), strict=True))
+        scene = _recolored(scene, (r, g, b))
+    if edit.opacity is not None:
+        scene = _thinned(scene, edit.opacity)
+    if scene.light is not None:
+        scene = replace(scene, light=_relit(scene.light, edit))
+    return scene
+
+
+def mean_color(scene: BasicScene) -> RGB:
+    """The mean of a scene's colors.
+
+    Over the values of its transfer function, weighted by extinction; of isosurfaces, weighted by opacity.
+    White for a scene without opacity.
+    """
+    import numpy as np
+
+    if scene.isosurfaces:
+        colors = np.array([s.color for s in scene.isosurfaces])
+        weights = np.array([s.opacity for s in scene.isosurfaces])
+    else:
+        transfer = _transfer(scene)
+        # Between the corners of bumps sampling is even, so that a narrow one counts as it should.
+        edges = sorted({0.0, 1.0, *(x for b in transfer.bumps for x in (b.start, b.rise, b.fall, b.end))})
+        middles, widths = [], []
+        for low, high in pairwise(edges):
+            step = (high - low) / _SAMPLES
+            middles.append(low + step * (np.arange(_SAMPLES) + 0.5))
+            widths.append(np.full(_SAMPLES, step))
+        classified = transfer.classify(np.concatenate(middles))
+        colors, weights = classified[:, :3], classified[:, 3] * np.concatenate(widths)
+    if weights.sum() <= 0.0:
+        return (1.0, 1.0, 1.0)
+    r, g, b = (float(c) for c in weights @ colors / weights.sum())
+    return r, g, b
+
+
+def _check(scene: BasicScene, edit: Edit) -> None:
+    what = f"edit of scene {scene.name}"
+    if scene.views_folder is not None:
+        raise DataError(
+            what, "it was rendered elsewhere, so there is no truth for edits", "Edit a volume's scene"
+        )
+    factors = {
+        name: getattr(edit, name) for name in ("opacity", "ambient", "diffuse", "specular", "shininess")
+    }
+    for name, factor in factors.items():
+        if factor is not None and not (math.isfinite(factor) and factor >= 0.0):
+            raise DataError(what, f"the factor on {name} is {factor}", "Give a number of at least 0")
+    if edit.shininess == 0.0:
+        raise DataError(what, "a shininess of 0 has no highlight", "Use a specular factor of 0")
+    if edit.palette is not None and not all(0.0 <= c <= 1.0 for c in edit.palette):
+        raise DataError(
+            what, f"the palette color {edit.palette} is out of range", "Give three values in [0, 1]"
+        )
+    if isinstance(edit.light, tuple) and abs(math.hypot(*edit.light) - 1.0) > 1e-3:
+        raise DataError(what, f"the light {edit.light} is no unit vector", "Divide it by its length")
+    lit = (edit.light, edit.ambient, edit.diffuse, edit.specular, edit.shininess)
+    if scene.light is None and any(x is not None for x in lit):
+        raise DataError(what, "the scene is unshaded", "Edit its palette or opacity only")
+
+
+def _transfer(scene: BasicScene) -> TransferFunction:
+    if scene.transfer is None:
+        raise DataError(f"scene {scene.name}", "it has no transfer function", "Give it one in the catalogue")
+    return scene.transfer
+
+
+def _recolored(scene: BasicScene, shift: RGB) -> BasicScene:
+    def moved(color: RGB) -> RGB:
+        r, g, b = (min(max(old + by, 0.0), 1.0) for old, by in zip(color, shift, strict=True))
+        return r, g, b
+
+    if scene.isosurfaces:
+        return replace(scene, isosurfaces=tuple(replace(s, color=moved(s.color)) for s in scene.isosurfaces))
+    transfer = _transfer(scene)
+    bumps = tuple(replace(bump, color=moved(bump.color)) for bump in transfer.bumps)
+    return replace(scene, transfer=replace(transfer, bumps=bumps))
+
+
+def _thinned(scene: BasicScene, factor: float) -> BasicScene:
+    if scene.isosurfaces:
+        surfaces = tuple(replace(s, opacity=min(factor * s.opacity, 1.0)) for s in scene.isosurfaces)
+        return replace(scene, isosurfaces=surfaces)
+    transfer = _transfer(scene)
+    bumps = tuple(replace(bump, opacity=min(factor * bump.opacity, _OPAQUE)) for bump in transfer.bumps)
+    return replace(scene, transfer=replace(transfer, bumps=bumps))
+
+
+def _relit(light: Light, edit: Edit) -> Light:
+    changes: dict[str, Any] = {
+        name: factor * getattr(light, name)
+        for name in ("ambient", "diffuse", "specular", "shininess")
+        if (factor := getattr(edit, name)) is not None
+    }
+    if edit.light is not None:
+        changes["direction"] = None if edit.light == "headlight" else edit.light
+    return replace(light, **changes)
