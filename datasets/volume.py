@@ -66,15 +66,20 @@ class Volume:
 
         Made slice by slice, so that no second copy is held; starts at a multiple of 64 bytes.
         """
-        low, high = self.value_range
-        # Integers and doubles beyond 24 bits would lose their differences in single precision.
-        dtype = self.values.dtype
-        wide = dtype.itemsize > 4 or (dtype.kind != "f" and dtype.itemsize == 4)
-        work = np.float64 if wide else np.float32
         room = np.empty(4 * self.values.size + 64, dtype=np.uint8)
         start = -room.ctypes.data % 64
         result = room[start : start + 4 * self.values.size].view(np.float32).reshape(self.values.shape)
         for values, out in zip(self.values, result, strict=True):
-            scaled = (values.astype(work) - work(low)) / work(high - low)
-            out[:] = np.clip(scaled, 0.0, 1.0)
+            out[:] = self.normalise(values)
         return result
+
+    def normalise(self, values: NDArray[np.generic]) -> NDArray[np.float32]:
+        """Data values of any shape with ``value_range`` mapped to [0, 1] and clipped, float32."""
+        low, high = self.value_range
+        # Integers and doubles beyond 24 bits would lose their differences in single precision.
+        dtype = values.dtype
+        if dtype.itemsize > 4 or (dtype.kind != "f" and dtype.itemsize == 4):
+            wide = (values.astype(np.float64) - low) / (high - low)
+            return np.clip(wide, 0.0, 1.0).astype(np.float32)
+        scaled = (values.astype(np.float32) - np.float32(low)) / np.float32(high - low)
+        return np.clip(scaled, 0.0, 1.0, out=scaled)

@@ -12,7 +12,7 @@ from datasets.errors import DataError
 from datasets.names import unknown
 
 if TYPE_CHECKING:
-    from datasets.scene import BasicScene, Dataset
+    from datasets.scene import BasicScene, Dataset, Isosurface
     from datasets.transfer import Bump
     from datasets.volume import Volume
 
@@ -128,13 +128,25 @@ def _scenes(said: dict[str, Any]) -> tuple[BasicScene, ...]:
 
     scenes = []
     for scene in said["scenes"]:
-        bumps = tuple(_bump(said) for said in scene["bumps"])
-        transfer = TransferFunction(scene["name"], bumps, scene.get("reference_length", 0.01))
+        transfer = None
+        if "bumps" in scene:
+            bumps = tuple(_bump(bump) for bump in scene["bumps"])
+            transfer = TransferFunction(scene["name"], bumps, scene.get("reference_length", 0.01))
         light = dict(scene.get("light", {}))
         if "direction" in light:
             light["direction"] = tuple(light["direction"])
         background = tuple(scene.get("background", WHITE))
-        scenes.append(BasicScene(scene["name"], scene["variable"], transfer, Light(**light), background))
+        scenes.append(
+            BasicScene(
+                scene["name"],
+                scene["variable"],
+                transfer,
+                Light(**light),
+                background,
+                isosurfaces=tuple(_isosurface(surface) for surface in scene.get("isosurfaces", [])),
+                depth_enhancement=scene.get("depth_enhancement", 0.0),
+            )
+        )
     return tuple(scenes)
 
 
@@ -143,6 +155,12 @@ def _bump(said: dict[str, Any]) -> Bump:
 
     start, rise, fall, end = said["range"]
     return Bump(said["name"], start, rise, fall, end, tuple(said["color"]), said["opacity"])
+
+
+def _isosurface(said: dict[str, Any]) -> Isosurface:
+    from datasets.scene import Isosurface
+
+    return Isosurface(said["name"], said["value"], tuple(said["color"]), said.get("opacity", 1.0))
 
 
 def _file(path: Path) -> Dataset:
