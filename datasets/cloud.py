@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -11,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.scene import BasicScene, Dataset
+from datasets.scene import BasicScene, Dataset, Isosurface
+from datasets.transfer import TransferFunction
 from datasets.volume import Volume
 
 _GRID = 255
@@ -46,8 +48,9 @@ def initial_cloud(
     """The cloud that training starts from.
 
     Random voxels of non-zero opacity in transfer function colors, of the volume subsampled to fewer than
-    256 samples an axis (section 10.1 of the method sheet: the paper's initialisation); ``points3d.ply`` for
-    pre-rendered scenes, thinned at random where it has more points.
+    256 samples an axis (section 10.1 of the method sheet: the paper's initialisation). Of isosurfaces, voxels
+    with a neighbour on the other side, in the color of the (nearest) level. ``points3d.ply`` for pre-rendered
+    scenes, thinned at random where it has more points.
 
     Raises:
         DataError: no voxel is visible, or the file is missing or cannot be used.
@@ -60,7 +63,7 @@ def initial_cloud(
             return cloud
         chosen = np.sort(generator.choice(len(cloud), max_points, replace=False))
         return PointCloud(cloud.points[chosen], cloud.colors[chosen])
-    if scene.transfer is None:
+    if scene.transfer is None and not scene.isosurfaces:
         what = f"{dataset.name}/{scene.name}"
         raise DataError(what, "the scene has no transfer function", "Give it one in the catalogue")
     volume = dataset.volume(scene.variable)
@@ -68,26 +71,63 @@ def initial_cloud(
     values = volume.values[:: strides[0], :: strides[1], :: strides[2]]
     coarse = Volume(volume.name, values, volume.spacing, volume.value_range, volume.source)
     normalised = coarse.normalised()
-    # Extinction by table is exact where it matters: a voxel is drawn only if the exact value is above 0.
-    steps = 65536
-    visible_steps = scene.transfer.classify(np.arange(steps + 1) / steps)[:, 3] > 0.0
-    visible_steps[:-1] |= visible_steps[1:]
-    candidates = np.flatnonzero(visible_steps[(normalised * steps).astype(np.int32)])
-    picked = generator.permutation(len(candidates))[: 2 * max_points]
-    chosen = candidates[picked]
-    classified = scene.transfer.classify(normalised.reshape(-1)[chosen])
-    seen = classified[:, 3] > 0.0
-    chosen, classified = chosen[seen][:max_points], classified[seen][:max_points]
+    inside = None if volume.mask is None else volume.mask[:: strides[0], :: strides[1], :: strides[2]]
+    if scene.transfer is None:
+        chosen, colors = _beside_surfaces(scene.isosurfaces, normalised, inside, generator, max_points)
+    else:
+        chosen, colors = _of_opacity(scene.transfer, normalised, inside, generator, max_points)
     if not len(chosen):
         raise DataError(
             f"{dataset.name}/{scene.name}",
-            "no voxel has opacity under its transfer function",
-            "Move its bumps to values that occur in the volume",
+            "no voxel has opacity under its transfer function"
+            if scene.transfer
+            else "no voxel lies at its isosurfaces",
+            "Move its bumps or levels to values that occur in the volume",
         )
     grid = np.stack(np.unravel_index(chosen, values.shape), axis=-1)[:, ::-1] * np.array(strides[::-1])
     low, _ = volume.box
     points = low + grid * volume.extent / (np.array(volume.dims) - 1)
-    return PointCloud(points.astype(np.float32), classified[:, :3].astype(np.float32))
+    return PointCloud(points.astype(np.float32), colors.astype(np.float32))
+
+
+def _of_opacity(
+    transfer: TransferFunction,
+    normalised: NDArray[np.float32],
+    inside: NDArray[np.bool_] | None,
+    generator: np.random.Generator,
+    most: int,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Flat indices of random voxels of non-zero opacity, and their colors."""
+    # Extinction by table is exact where it matters: a voxel is drawn only if the exact value is above 0.
+    steps = 65536
+    visible_steps = transfer.classify(np.arange(steps + 1) / steps)[:, 3] > 0.0
+    visible_steps[:-1] |= visible_steps[1:]
+    visible = visible_steps[(normalised * steps).astype(np.int32)]
+    candidates = np.flatnonzero(visible if inside is None else visible & inside)
+    chosen = candidates[generator.permutation(len(candidates))[: 2 * most]]
+    classified = transfer.classify(normalised.reshape(-1)[chosen])
+    seen = classified[:, 3] > 0.0
+    return chosen[seen][:most], classified[seen, :3][:most]
+
+
+def _beside_surfaces(
+    surfaces: Sequence[Isosurface],
+    normalised: NDArray[np.float32],
+    inside: NDArray[np.bool_] | None,
+    generator: np.random.Generator,
+    most: int,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Flat indices of random voxels at isosurfaces, and the colors of the nearest levels."""
+    from datasets.ground_truth.occlusion import beside_level
+
+    near = np.zeros(normalised.shape, dtype=bool)
+    for surface in surfaces:
+        near |= beside_level(normalised, surface.value)
+    candidates = np.flatnonzero(near if inside is None else near & inside)
+    chosen = candidates[generator.permutation(len(candidates))[:most]]
+    levels = np.array([surface.value for surface in surfaces])
+    nearest = np.abs(normalised.reshape(-1)[chosen, None] - levels).argmin(axis=1)
+    return chosen, np.array([surface.color for surface in surfaces], dtype=np.float64)[nearest]
 
 
 def random_cloud(n: int, half_extent: float, seed: int = 0) -> PointCloud:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from datasets.cloud import PointCloud, initial_cloud, random_cloud, read_ply, write_ply
 from datasets.errors import DataError
-from datasets.scene import BasicScene, Dataset
+from datasets.scene import BasicScene, Dataset, Isosurface
 from datasets.transfer import Bump, TransferFunction
 from datasets.volume import Volume
 
@@ -56,6 +57,40 @@ def test_all_visible_voxels_if_they_are_few() -> None:
     dataset = _dataset((5, 6, 7), (0.4, 0.45, 0.5, 0.55))
     values = dataset.volume("v").values.astype(np.float64)
     assert len(initial_cloud(dataset, "t")) == np.count_nonzero((values > 0.4) & (values < 0.55))
+
+
+def test_isosurfaces_give_voxels_beside_them_in_their_colors() -> None:
+    dataset = _dataset((20, 30, 40), (0.4, 0.45, 0.5, 0.55))
+    volume = dataset.volume("v")
+    levels = (Isosurface("a", 0.31, (1.0, 0.0, 0.0)), Isosurface("b", 0.62, (0.0, 0.0, 1.0), 0.5))
+    scene = BasicScene("i", "v", None, isosurfaces=levels)
+    cloud = initial_cloud(dataset, scene, max_points=400)
+    assert len(cloud) == 400
+    at = (cloud.points + 0.5 * volume.extent) / volume.extent  # the field is linear
+    values = at @ (0.5, 0.3, 0.2)
+    most = 0.5 / 39 + 1e-5  # the steepest step between neighbours
+    for level in levels:
+        own = (cloud.colors == np.float32(level.color)).all(axis=1)
+        assert own.sum() > 50
+        assert np.abs(values[own] - level.value).max() <= most
+    assert {tuple(c) for c in cloud.colors} == {level.color for level in levels}
+    missing = replace(scene, isosurfaces=(replace(levels[0], value=0.5),))
+    volume.values[:] = 0.1
+    with pytest.raises(DataError, match="no voxel lies at its isosurfaces"):
+        initial_cloud(dataset, missing)
+
+
+def test_what_is_masked_is_not_drawn() -> None:
+    dataset = _dataset((20, 30, 40), (0.4, 0.45, 0.5, 0.55))
+    whole = dataset.volume("v")
+    masked = replace(whole, mask=np.broadcast_to(np.arange(40) < 18, (20, 30, 40)))
+    dataset = replace(dataset, volumes={"v": lambda: masked}, _loaded={})
+    level = BasicScene("i", "v", None, isosurfaces=(Isosurface("a", 0.5, COLOR),))
+    for scene in (dataset.scenes[0], level):
+        cloud = initial_cloud(dataset, scene)
+        assert len(cloud) > 50
+        x = (cloud.points[:, 0] / whole.extent[0] + 0.5) * 39
+        assert x.max() < 17.5
 
 
 def test_nothing_visible() -> None:
