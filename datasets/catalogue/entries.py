@@ -85,7 +85,7 @@ def paths_of(said: dict[str, Any]) -> list[str]:
     """Relative paths of what an entry needs."""
     if said["kind"] == "views":
         return [f"{said['folder']}/{scene['name']}/transforms_train.json" for scene in said["scenes"]]
-    return [file["path"] for file in said.get("files", [])]
+    return list(dict.fromkeys(file["path"] for file in said.get("files", [])))
 
 
 def remedy(said: dict[str, Any], folders: Sequence[Path]) -> str:

@@ -93,15 +93,17 @@ def _known(name: str, said: dict[str, Any], folders: Sequence[Path], download: b
         )
         return Dataset(name, said["title"], "views", scenes)
     spacing = tuple(said["spacing"]) if "spacing" in said else None
-    volumes = {f["variable"]: _reader(found[f["path"]], f["variable"], spacing) for f in said["files"]}
+    volumes = {f["variable"]: _reader(found[f["path"]], f, spacing) for f in said["files"]}
     return Dataset(name, said["title"], "volume", _scenes(said), entries.compositions_of(said), volumes)
 
 
-def _reader(path: Path, variable: str, spacing: Any) -> Callable[[], Volume]:
+def _reader(path: Path, file: dict[str, Any], spacing: Any) -> Callable[[], Volume]:
+    choice = {key: file.get(key) for key in ("array", "step", "resolution")}
+
     def read() -> Volume:
         from datasets.readers import read_volume
 
-        return read_volume(path, variable, spacing=spacing)
+        return read_volume(path, file["variable"], spacing=spacing, **choice)
 
     return read
 

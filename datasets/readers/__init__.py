@@ -1,7 +1,8 @@
 """Volume files: one reader per format, chosen by the file's suffix.
 
-``.raw`` and ``.raw.gz`` (:mod:`~datasets.readers.raw`), ``.npy``, NRRD and NIfTI. Whatever is wrong with a
-file becomes one :class:`~datasets.errors.DataError` that names file, reason and remedy.
+``.raw`` and ``.raw.gz`` (:mod:`~datasets.readers.raw`), ``.npy``, NRRD and NIfTI hold one field. ``.npz``,
+HDF5, NetCDF, VTK's files and Exodus meshes hold variables by name, some with time steps. Whatever is wrong
+with a file becomes one :class:`~datasets.errors.DataError` that names file, reason and remedy.
 """
 
 from __future__ import annotations
@@ -12,9 +13,13 @@ from typing import TYPE_CHECKING
 from datasets.errors import DataError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from datasets.readers.fields import Choice, Source, Variable
     from datasets.volume import Volume
 
-_FORMATS = {
+_SINGLE = {
     ".raw": "raw",
     ".raw.gz": "raw",
     ".npy": "npy",
@@ -23,6 +28,15 @@ _FORMATS = {
     ".nii": "nifti",
     ".nii.gz": "nifti",
 }
+_NAMED = {
+    ".vti": "vtk_xml",
+    ".vtr": "vtk_xml",
+    ".vtu": "vtk_xml",
+    ".ex2": "exodus",
+    ".exo": "exodus",
+    ".e": "exodus",
+}
+_FORMATS = _SINGLE | _NAMED
 
 
 def suffix_of(path: Path) -> str:
@@ -31,49 +45,133 @@ def suffix_of(path: Path) -> str:
     return max((s for s in _FORMATS if name.endswith(s)), key=len, default="")
 
 
+def list_variables(path: Path | str) -> tuple[Variable, ...]:
+    """The variables of a file by name, with dims and time steps; empty for formats of one unnamed field.
+
+    Raises:
+        DataError: the file cannot be used.
+    """
+    path = Path(path)
+    if _suffix(path) in _SINGLE:
+        return ()
+    try:
+        return _source(path).variables
+    except OSError as error:
+        raise DataError(path, f"cannot be read ({error})", "Check the file and its permissions") from error
+
+
 def read_volume(
     path: Path | str,
     variable: str | None = None,
     *,
+    array: str | None = None,
+    step: int | None = None,
+    resolution: int | None = None,
     spacing: tuple[float, float, float] | None = None,
 ) -> Volume:
     """Read one scalar field on a regular grid; memory-mapped where the format allows.
 
     Args:
         path: the file. ``.raw`` needs dims and type in its name or in a sidecar (see ``raw``).
-        variable: the name to give to the field; default "value".
+        variable: the name to give to the field; default its name in the file, else "value".
+        array: its name in the file, for files of variables by name; default ``variable``. Of a vector the
+            magnitude is read; its components are named ``name.x``, ``name.y``, ``name.z``.
+        step: time step, from 0; default the first.
+        resolution: meshes only: samples along the longest side (default 128).
         spacing: sample distances along x, y, z; default what the file says, else 1.
 
     Returns:
-        The volume; ``value_range`` is its finite minimum and maximum.
+        The volume; ``value_range`` is its finite minimum and maximum (of a mesh, that at its points).
 
     Raises:
+        UnknownName: the file has no such variable; near matches are listed.
         DataError: the file cannot be used: missing, unreadable, a folder, truncated, of another size
-            than promised, not three-dimensional, of unknown type, not finite, or constant.
+            than promised, not three-dimensional, of unknown type, not finite, or constant; or it has no such
+            time step, or is a grid and a resolution was asked for.
     """
     path = Path(path)
-    suffix = suffix_of(path)
-    _check_file(path)
-    if not suffix:
-        raise DataError(path, "unknown volume format", f"Known suffixes: {', '.join(_FORMATS)}")
+    suffix = _suffix(path)
 
     from datasets.readers import finish
 
     try:
-        if _FORMATS[suffix] == "raw":
-            from datasets.readers.raw import read_raw as read
-        elif _FORMATS[suffix] == "npy":
-            from datasets.readers.npy import read_npy as read
-        elif _FORMATS[suffix] == "nrrd":
-            from datasets.readers.nrrd import read_nrrd as read
-        else:
-            from datasets.readers.nifti import read_nifti as read
-        values, stored_spacing = read(path)
-        return finish.make_volume(variable or "value", values, spacing or stored_spacing, path)
+        if suffix in _SINGLE:
+            _refuse_choice(path, array, step, resolution)
+            values, stored_spacing = _read_single(path, _SINGLE[suffix])
+            return finish.make_volume(variable or "value", values, spacing or stored_spacing, path)
+        from datasets.readers.fields import choose
+
+        source = _source(path)
+        choice = choose(path, source.variables, array or variable, step, resolution)
+        return _volume(path, source, choice, variable, spacing)
     except MemoryError as error:
         raise DataError(path, "does not fit into memory", "Subsample it, or use a larger machine") from error
     except OSError as error:
         raise DataError(path, f"cannot be read ({error})", "Check the file and its permissions") from error
+
+
+def _suffix(path: Path) -> str:
+    suffix = suffix_of(path)
+    _check_file(path)
+    if not suffix:
+        raise DataError(path, "unknown volume format", f"Known suffixes: {', '.join(_FORMATS)}")
+    return suffix
+
+
+def _refuse_choice(path: Path, array: str | None, step: int | None, resolution: int | None) -> None:
+    if array is not None or step or resolution is not None:
+        asked = "array" if array is not None else "step" if step else "resolution"
+        raise DataError(path, f"its format holds one field: it has no choice of {asked}", "Leave it out")
+
+
+def _read_single(path: Path, kind: str) -> tuple[NDArray[np.generic], tuple[float, float, float]]:
+    if kind == "raw":
+        from datasets.readers.raw import read_raw as read
+    elif kind == "npy":
+        from datasets.readers.npy import read_npy as read
+    elif kind == "nrrd":
+        from datasets.readers.nrrd import read_nrrd as read
+    else:
+        from datasets.readers.nifti import read_nifti as read
+    return read(path)
+
+
+def _source(path: Path) -> Source:
+    kind = _NAMED[suffix_of(path)]
+    if kind == "vtk_xml":
+        from datasets.readers.vtk_xml import XmlFile
+
+        return XmlFile(path)
+    from datasets.readers.exodus import Exodus
+    from datasets.readers.netcdf3 import NetCdf3
+
+    return Exodus(path, NetCdf3(path))
+
+
+def _volume(
+    path: Path,
+    source: Source,
+    choice: Choice,
+    name: str | None,
+    spacing: tuple[float, float, float] | None,
+) -> Volume:
+    """What a source gives, checked and with its missing samples filled."""
+    from datasets.readers import finish
+    from datasets.readers.axes import fill_outside
+    from datasets.readers.fields import plain
+    from datasets.volume import Volume
+
+    field = source.read(choice)
+    size = spacing or field.spacing
+    values = finish.checked_grid(field.values, size, path)
+    mask = None if field.mask is None or field.mask.all() else field.mask
+    bounds = field.value_range or finish.value_range(values, path, mask)
+    if mask is not None and field.vertices is None:
+        if not values.flags.writeable or not values.flags.owndata:
+            values = values.copy()
+        fill_outside(values, mask, bounds[0])
+    known = name or plain(choice.name)
+    return Volume(known, values, size, bounds, str(path), mask, field.vertices, field.vertex_values)
 
 
 def _check_file(path: Path) -> None:

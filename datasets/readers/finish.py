@@ -29,6 +29,17 @@ def make_volume(name: str, values: NDArray[np.generic], spacing: Spacing, path: 
         DataError: not three axes of at least two samples, not real numbers, NaN or Inf, constant, or a
             spacing that is not positive.
     """
+    values = checked_grid(values, spacing, path)
+    spacing = (float(spacing[0]), float(spacing[1]), float(spacing[2]))
+    return Volume(name, values, spacing, value_range(values, path), str(path))
+
+
+def checked_grid(values: NDArray[np.generic], spacing: Spacing, path: Path | str) -> NDArray[np.generic]:
+    """The values, in native byte order and booleans as uint8, if they and their spacing make a grid.
+
+    Raises:
+        DataError: not three axes of at least two samples, not real numbers, or a spacing not positive.
+    """
     shape = " x ".join(str(n) for n in reversed(values.shape)) or "a single number"
     if 0 in values.shape:
         raise DataError(path, f"has no samples (size {shape})", "Write it again with positive dims")
@@ -46,21 +57,25 @@ def make_volume(name: str, values: NDArray[np.generic], spacing: Spacing, path: 
         raise DataError(path, f"values of type {values.dtype} are no scalar field", remedy)
     if not values.dtype.isnative:
         values = values.astype(values.dtype.newbyteorder("="))
-    return Volume(
-        name,
-        values,
-        (float(spacing[0]), float(spacing[1]), float(spacing[2])),
-        _range(values, path),
-        str(path),
-    )
+    return values
 
 
-def _range(values: NDArray[np.generic], path: Path | str) -> tuple[float, float]:
-    """Minimum and maximum, slice by slice, so that a memory-mapped file is never in memory twice."""
+def value_range(
+    values: NDArray[np.generic], path: Path | str, mask: NDArray[np.bool_] | None = None
+) -> tuple[float, float]:
+    """Minimum and maximum of valid values, slice by slice: a memory-mapped file is never in memory twice.
+
+    Raises:
+        DataError: one is NaN or infinite, none is valid, or they are constant or beyond single precision.
+    """
     slices = max(1, _CHUNK // values[0].nbytes)
     low, high, bad = math.inf, -math.inf, 0
     for start in range(0, len(values), slices):
         part = values[start : start + slices]
+        if mask is not None:
+            part = part[mask[start : start + slices]]
+            if not part.size:
+                continue
         a, b = float(part.min()), float(part.max())  # type: ignore[attr-defined]
         if not (math.isfinite(a) and math.isfinite(b)):
             bad += int(np.count_nonzero(~np.isfinite(part)))  # type: ignore[call-overload]
@@ -68,12 +83,23 @@ def _range(values: NDArray[np.generic], path: Path | str) -> tuple[float, float]
     if bad:
         remedy = "Replace them by a value outside the range of interest, for example the minimum"
         raise DataError(path, f"{bad} of {values.size} values are NaN or infinite", remedy)
+    if low > high:
+        raise DataError(path, "all values are missing", "Choose another variable or time step")
+    check_range(low, high, path)
+    return low, high
+
+
+def check_range(low: float, high: float, path: Path | str) -> None:
+    """Refuse what no transfer function can show.
+
+    Raises:
+        DataError: beyond single precision, or constant.
+    """
     if high - low > 1e38 or max(abs(low), abs(high)) > 1e38:
         raise DataError(path, f"values from {low:g} to {high:g} exceed single precision", "Rescale them")
     if high - low < 1e-30:
         remedy = "A constant field shows nothing; check that the file holds what you expect"
         raise DataError(path, f"all values are {low:g}", remedy)
-    return low, high
 
 
 def positive_dims(dims: tuple[int, ...], path: Path) -> None:

@@ -1,0 +1,133 @@
+"""Sample positions along the axes: uniform ones become a spacing, others are resampled."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import DataError
+from datasets.readers.fields import Field
+
+CAP = 512
+"""Most samples that a non-uniform axis is resampled to (its own number where it has more)."""
+
+_UNEVEN = 1e-3
+"""Deviation from uniform positions, in sample distances, that is taken for rounding."""
+
+_log = logging.getLogger(__name__)
+
+
+def place(
+    values: NDArray[np.generic],
+    axes: Sequence[NDArray[np.generic] | None],
+    path: Path,
+    mask: NDArray[np.bool_] | None = None,
+) -> Field:
+    """A field whose samples lie at given positions, on a uniform grid.
+
+    Uniform axes are used as they are, descending ones are turned round. Others are resampled linearly at
+    their finest spacing, to at most ``CAP`` samples an axis, with a notice in the log.
+
+    Args:
+        values: (nz, ny, nx).
+        axes: positions along x, y, z; None for unit spacing.
+        path: for messages.
+        mask: (nz, ny, nx), resampled to the nearest sample.
+
+    Raises:
+        DataError: positions are not finite, or neither ascending nor descending.
+    """
+    spacing = [1.0, 1.0, 1.0]
+    uneven: dict[int, NDArray[np.float64]] = {}
+    for i, (name, axis) in enumerate(zip("xyz", axes, strict=True)):
+        if axis is None or len(axis) < 2:
+            continue
+        positions = axis.astype(np.float64)
+        steps = np.diff(positions)
+        if not np.isfinite(positions).all() or not ((steps > 0).all() or (steps < 0).all()):
+            remedy = "Write ascending or descending, finite positions"
+            raise DataError(path, f"positions along {name} are not monotonic", remedy)
+        if steps[0] < 0:
+            positions, steps = positions[::-1], -steps[::-1]
+            values = np.flip(values, 2 - i)
+            mask = None if mask is None else np.flip(mask, 2 - i)
+        spacing[i] = float(positions[-1] - positions[0]) / (len(positions) - 1)
+        even = positions[0] + spacing[i] * np.arange(len(positions))
+        rounding = 8.0 * float(np.finfo(axis.dtype.str).eps) if axis.dtype.kind == "f" else 0.0
+        tolerance = _UNEVEN * spacing[i] + rounding * float(np.abs(positions).max())
+        if float(np.abs(positions - even).max()) > tolerance:
+            length = float(positions[-1] - positions[0])
+            n = max(int(min(np.ceil(length / steps.min() - 1e-6) + 1, CAP)), len(positions))
+            spacing[i] = length / (n - 1)
+            uniform = np.linspace(positions[0], positions[-1], n)
+            uneven[2 - i] = np.interp(uniform, positions, np.arange(len(positions)))
+    size = (spacing[0], spacing[1], spacing[2])
+    if not uneven:
+        return Field(values, size, mask)
+    before = " x ".join(str(n) for n in reversed(values.shape))
+    values = resample(values, uneven)
+    if mask is not None:
+        for at, fractions in uneven.items():
+            mask = np.take(mask, np.rint(fractions).astype(np.intp), at)
+    after = " x ".join(str(n) for n in reversed(values.shape))
+    names = ", ".join("zyx"[at] for at in sorted(uneven, reverse=True))
+    _log.warning(
+        "%s: samples along %s are unevenly spaced; resampled from %s to %s", path, names, before, after
+    )
+    return Field(values, size, mask)
+
+
+def resample(values: NDArray[np.generic], fractions: dict[int, NDArray[np.float64]]) -> NDArray[np.generic]:
+    """Linear interpolation at fractional indices along some axes of (nz, ny, nx), slice by slice."""
+    kind = np.float64 if values.dtype.itemsize > 4 else np.float32
+    shape = [len(fractions[a]) if a in fractions else n for a, n in enumerate(values.shape)]
+    out = np.empty(shape, kind)
+    within = {a: _weights(f, values.shape[a], kind) for a, f in fractions.items()}
+    for k in range(shape[0]):
+        if 0 in within:
+            low, weight = within[0]
+            plane = values[low[k]].astype(kind)
+            if weight[k] > 0.0:
+                plane += weight[k] * (values[low[k] + 1].astype(kind) - plane)
+        else:
+            plane = values[k].astype(kind)
+        for axis in (1, 2):
+            if axis in within:
+                low, weight = within[axis]
+                first, second = np.take(plane, low, axis - 1), np.take(plane, low + 1, axis - 1)
+                plane = first + (weight[:, None] if axis == 1 else weight) * (second - first)
+        out[k] = plane
+    return out
+
+
+def _weights(fractions: NDArray[np.float64], n: int, kind: type) -> tuple[NDArray[np.intp], NDArray[Any]]:
+    low = np.minimum(fractions.astype(np.intp), n - 2)
+    return low, (fractions - low).astype(kind)
+
+
+def fill_outside(values: NDArray[np.generic], mask: NDArray[np.bool_], rest: float) -> None:
+    """Continue valid values over the border, in place: two samples far in every direction, ``rest`` beyond.
+
+    Interpolation and central differences at valid samples then see no jump.
+    """
+    values[~mask] = rest
+    known = mask.copy()
+    for _ in range(2):
+        for axis in range(3):
+            here, ahead = _shifted(axis)
+            up, down = known[here] & ~known[ahead], known[ahead] & ~known[here]
+            for to, origin, new in ((ahead, here, up), (here, ahead, down)):
+                new &= ~known[to]
+                values[to][new] = values[origin][new]
+                known[to] |= new
+
+
+def _shifted(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    here = tuple(slice(None, -1) if a == axis else slice(None) for a in range(3))
+    ahead = tuple(slice(1, None) if a == axis else slice(None) for a in range(3))
+    return here, ahead

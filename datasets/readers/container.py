@@ -1,0 +1,37 @@
+"""What NetCDF, HDF5 and ``.npz`` files have in common: named arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Array:
+    """A named array of a file.
+
+    Attributes:
+        name: in the file.
+        shape: slowest axis first.
+        dtype: as stored.
+        dims: names of its dimensions; "" where one has none.
+        attributes: strings, and lists of numbers.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    dims: tuple[str, ...]
+    attributes: dict[str, Any] = field(default_factory=dict)
+
+
+class Container(Protocol):
+    """An open file of named arrays."""
+
+    arrays: dict[str, Array]
+
+    def read(self, name: str, first: int | None = None) -> NDArray[Any]:
+        """An array, or its part at one index of its first dimension."""
