@@ -1,17 +1,19 @@
 """Volume rendering by VTK as a second opinion: the same field, transfer function, light and cameras.
 
-Two mappers: ``gpu`` (ray casting in a fragment shader; without a GPU, Mesa runs it on the CPU) and ``cpu`` (VTK's
-fixed-point ray caster). As VTK comes, its pictures differ from ours in what is a choice, or not ours to imitate:
+Two mappers: ``gpu`` (ray casting in a fragment shader; without a GPU, Mesa runs it on the CPU) and
+``cpu`` (VTK's fixed-point ray caster). As VTK comes, its pictures differ from ours in what is a choice,
+or not ours to imitate:
 
 * Frame buffers have 8 bits a channel: 59 dB at best.
 * The shader stops rays at an alpha of 254/255: up to 1/255.
 * Samples lie at whole steps from where a ray enters, ours in the middle of steps.
-* With a light fixed in space, highlights on faces that turn away from it are reflected about the wrong normal.
+* With a light fixed in space, highlights on faces turned away from it are reflected about the wrong
+normal.
 
-``alike`` changes these in its shader, so that all the rest can be compared closely. What remains to be minded: with
-a fixed light ``ambient`` is multiplied by the light's own ambient color (leave it 0) and normals are right only in
-cubic boxes; weak gradients are not softened; tables are looked up half an entry off (so they have 16384
-entries); the CPU mapper shades otherwise (compare it unshaded, or its speed).
+``alike`` changes these in its shader, so that all the rest can be compared closely. What remains to be
+minded: with a fixed light ``ambient`` is multiplied by the light's own ambient color (leave it 0) and
+normals are right only in cubic boxes; weak gradients are not softened; tables are looked up half an entry
+off (so they have 16384 entries); the CPU mapper shades otherwise (compare it unshaded, or its speed).
 
 Run as a script it renders pickled jobs, so that a driver's crash stays in a process of its own.
 """
