@@ -18,6 +18,7 @@ from datasets.catalogue import list_datasets, open_dataset
 from datasets.cloud import initial_cloud
 from datasets.errors import DataError
 from datasets.ground_truth.model import MODEL_VERSION
+from datasets.readers.naming import split
 from datasets.render_views import render_cost, views_of, volume_digest
 from datasets.scene import Dataset
 from datasets.views import Split, ViewRequest, ViewSet, split_indices
@@ -27,12 +28,12 @@ _IMAGES = {".png", ".json", ".ply"}
 
 
 def absolute(name_or_path: str) -> str:
-    """A catalogue name as it is, a path so that any process finds it."""
-    path = Path(name_or_path).expanduser()
+    """A catalogue name as it is, a path (with what is chosen of the file) so that any process finds it."""
+    path, choices = split(name_or_path)
     known = {info.name for info in list_datasets()}
     if name_or_path.partition("@")[0] in known or not path.exists():
         return name_or_path
-    return str(path.resolve())
+    return f"{path.resolve()}:{choices}" if choices else str(path.resolve())
 
 
 def fingerprint(dataset: Dataset, scene_name: str) -> str:

@@ -48,9 +48,9 @@ def initial_cloud(
     """The cloud that training starts from.
 
     Random voxels of non-zero opacity in transfer function colors, of the volume subsampled to fewer than
-    256 samples an axis (section 10.1 of the method sheet: the paper's initialisation). Of isosurfaces, voxels
-    with a neighbour on the other side, in the color of the (nearest) level. ``points3d.ply`` for pre-rendered
-    scenes, thinned at random where it has more points.
+    256 samples an axis (section 10.1 of the method sheet: the paper's initialisation); of meshes, their own
+    vertices. Of isosurfaces, voxels with a neighbour on the other side, in the color of the (nearest) level.
+    ``points3d.ply`` for pre-rendered scenes, thinned at random where it has more points.
 
     Raises:
         DataError: no voxel is visible, or the file is missing or cannot be used.
@@ -67,6 +67,11 @@ def initial_cloud(
         what = f"{dataset.name}/{scene.name}"
         raise DataError(what, "the scene has no transfer function", "Give it one in the catalogue")
     volume = dataset.volume(scene.variable)
+    if volume.vertices is not None and volume.vertex_values is not None and scene.transfer is not None:
+        at_vertices = volume.normalise(volume.vertex_values)
+        chosen, colors = _of_opacity(scene.transfer, at_vertices, None, generator, max_points)
+        if len(chosen):  # a bump may lie between the values of a coarse mesh's vertices
+            return PointCloud(volume.vertices[chosen], colors.astype(np.float32))
     strides = [-(-n // _GRID) for n in volume.values.shape]
     values = volume.values[:: strides[0], :: strides[1], :: strides[2]]
     coarse = Volume(volume.name, values, volume.spacing, volume.value_range, volume.source)

@@ -28,7 +28,8 @@ def open_dataset(
 
     Args:
         name_or_path: "vis_male"; "vortices" or "vortices@128"; a volume file, which gets automatic transfer
-            functions; or a folder with ``transforms_train.json``, in itself or in one subfolder per scene.
+            functions ("PATH:variable=T,step=3,resolution=256" chooses what is read of it); or a folder with
+            ``transforms_train.json``, in itself or in one subfolder per scene.
         data_dirs: folders to search instead of ``BENCH_DATA`` and the user's data folder.
         resolution: samples per axis of a procedural volume (default 64).
         download: fetch missing files that are public into the user's data folder (checked by sha512).
@@ -53,10 +54,12 @@ def open_dataset(
         is_folder = exists = False
     if is_folder:
         return _views_folder(path)
+    from datasets.catalogue.files import file_dataset
     from datasets.readers import suffix_of
+    from datasets.readers.naming import split
 
-    if exists or "/" in text or suffix_of(path):
-        return _file(path)
+    if exists or "/" in text or suffix_of(split(text)[0]):
+        return file_dataset(text)
     raise unknown("dataset", text, entries.names())
 
 
@@ -165,26 +168,8 @@ def _isosurface(said: dict[str, Any]) -> Isosurface:
     return Isosurface(said["name"], said["value"], tuple(said["color"]), said.get("opacity", 1.0))
 
 
-def _file(path: Path) -> Dataset:
-    """A file that the catalogue does not know: automatic transfer functions."""
-    from datasets.auto_transfer import automatic_scenes
-    from datasets.readers import read_volume, suffix_of
-    from datasets.scene import Dataset
-
-    volume = read_volume(path)
-    scenes = automatic_scenes(volume)
-    names = tuple(scene.name for scene in scenes)
-    return Dataset(
-        safe_name(path.name[: len(path.name) - len(suffix_of(path))]),
-        f"{path.name}, automatic transfer functions",
-        "volume",
-        scenes,
-        {"all": names} if len(names) > 1 else {},
-        {volume.name: lambda: volume},
-    )
-
-
 def _views_folder(path: Path) -> Dataset:
+    from datasets.catalogue.files import safe_name
     from datasets.scene import BasicScene, Dataset
 
     if (path / "transforms_train.json").is_file():
@@ -200,8 +185,3 @@ def _views_folder(path: Path) -> Dataset:
     scenes = tuple(BasicScene(safe_name(f.resolve().name), views_folder=f.resolve()) for f in folders)
     name = path.resolve().name
     return Dataset(safe_name(name), f"pre-rendered views in {name}", "views", scenes)
-
-
-def safe_name(text: str) -> str:
-    """A name for folders, tables and command lines: letters, digits, ``_``, ``-`` and ``.``."""
-    return re.sub(r"[^A-Za-z0-9.-]+", "_", text).strip("_.-") or "volume"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -76,10 +77,14 @@ def place(
             mask = np.take(mask, np.rint(fractions).astype(np.intp), at)
     after = " x ".join(str(n) for n in reversed(values.shape))
     names = ", ".join("zyx"[at] for at in sorted(uneven, reverse=True))
-    _log.warning(
-        "%s: samples along %s are unevenly spaced; resampled from %s to %s", path, names, before, after
-    )
+    _notice(f"{path}: samples along {names} are unevenly spaced; resampled from {before} to {after}")
     return Field(values, size, mask)
+
+
+@cache
+def _notice(text: str) -> None:
+    """Say it once for all variables of a file."""
+    _log.warning("%s", text)
 
 
 def resample(values: NDArray[np.generic], fractions: dict[int, NDArray[np.float64]]) -> NDArray[np.generic]:
