@@ -350,7 +350,9 @@ class SurfaceLayer(_Lit):
         surfaces = sorted(layer.isosurfaces, key=lambda surface: surface.value)
         table = np.array([(*s.color, s.opacity) for s in surfaces], dtype=np.float32)
         self.count = dr.opaque(mi.Int32, len(surfaces))
-        self.levels = mi.Float(aligned(np.array([s.value for s in surfaces], dtype=np.float32)))
+        # One more that is never looked at: of a single one Dr.Jit would make another kernel.
+        levels = [*(surface.value for surface in surfaces), 2.0]
+        self.levels = mi.Float(aligned(np.array(levels, dtype=np.float32)))
         self.table = mi.Float(aligned(table))
 
 
