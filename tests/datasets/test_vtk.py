@@ -1,4 +1,4 @@
-"""The ground truth against VTK, which others use for the same pictures (``pytest -s`` prints the decibels)."""
+"""The ground truth against VTK, which others use for the same pictures (``pytest -s`` prints decibels)."""
 
 from __future__ import annotations
 
