@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from datasets.readers.container import Container
     from datasets.readers.fields import Choice, Source, Variable
     from datasets.volume import Volume
 
@@ -29,9 +30,14 @@ _SINGLE = {
     ".nii.gz": "nifti",
 }
 _NAMED = {
+    ".npz": "npz",
+    ".h5": "hdf5",
+    ".hdf5": "hdf5",
+    ".nc": "netcdf",
     ".vti": "vtk_xml",
     ".vtr": "vtk_xml",
     ".vtu": "vtk_xml",
+    ".vtk": "vtk_legacy",
     ".ex2": "exodus",
     ".exo": "exodus",
     ".e": "exodus",
@@ -142,10 +148,38 @@ def _source(path: Path) -> Source:
         from datasets.readers.vtk_xml import XmlFile
 
         return XmlFile(path)
-    from datasets.readers.exodus import Exodus
-    from datasets.readers.netcdf3 import NetCdf3
+    if kind == "vtk_legacy":
+        from datasets.readers.vtk_legacy import LegacyFile
 
-    return Exodus(path, NetCdf3(path))
+        return LegacyFile(path)
+    if kind == "exodus":
+        from datasets.readers.exodus import Exodus
+
+        return Exodus(path, _netcdf(path))
+    from datasets.readers.arrays import Arrays
+
+    if kind == "npz":
+        from datasets.readers.npz import Npz
+
+        return Arrays(path, Npz(path), missing=False)
+    if kind == "netcdf":
+        return Arrays(path, _netcdf(path), missing=True)
+    from datasets.readers.hdf5 import Hdf5
+
+    return Arrays(path, Hdf5(path), missing=True)
+
+
+def _netcdf(path: Path) -> Container:
+    """Classic NetCDF, or NetCDF-4, which is HDF5."""
+    with path.open("rb") as file:
+        classic = file.read(3) == b"CDF"
+    if classic:
+        from datasets.readers.netcdf3 import NetCdf3
+
+        return NetCdf3(path)
+    from datasets.readers.hdf5 import Hdf5
+
+    return Hdf5(path)
 
 
 def _volume(
@@ -155,23 +189,17 @@ def _volume(
     name: str | None,
     spacing: tuple[float, float, float] | None,
 ) -> Volume:
-    """What a source gives, checked and with its missing samples filled."""
+    """What a source gives, checked."""
     from datasets.readers import finish
-    from datasets.readers.axes import fill_outside
     from datasets.readers.fields import plain
     from datasets.volume import Volume
 
     field = source.read(choice)
     size = spacing or field.spacing
     values = finish.checked_grid(field.values, size, path)
-    mask = None if field.mask is None or field.mask.all() else field.mask
-    bounds = field.value_range or finish.value_range(values, path, mask)
-    if mask is not None and field.vertices is None:
-        if not values.flags.writeable or not values.flags.owndata:
-            values = values.copy()
-        fill_outside(values, mask, bounds[0])
+    bounds = field.value_range or finish.value_range(values, path)
     known = name or plain(choice.name)
-    return Volume(known, values, size, bounds, str(path), mask, field.vertices, field.vertex_values)
+    return Volume(known, values, size, bounds, str(path), field.mask, field.vertices, field.vertex_values)
 
 
 def _check_file(path: Path) -> None:

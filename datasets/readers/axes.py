@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import DataError
 from datasets.readers.fields import Field
+from datasets.readers.finish import value_range
 
 CAP = 512
 """Most samples that a non-uniform axis is resampled to (its own number where it has more)."""
@@ -38,11 +39,18 @@ def place(
         values: (nz, ny, nx).
         axes: positions along x, y, z; None for unit spacing.
         path: for messages.
-        mask: (nz, ny, nx), resampled to the nearest sample.
+        mask: (nz, ny, nx), False where there are no data: values there continue those beside them.
 
     Raises:
         DataError: positions are not finite, or neither ascending nor descending.
     """
+    bounds = None
+    if mask is not None and not mask.all():
+        bounds = value_range(values, path, mask)
+        values = values.astype(values.dtype.newbyteorder("="))
+        fill_outside(values, mask, bounds[0])
+    else:
+        mask = None
     spacing = [1.0, 1.0, 1.0]
     uneven: dict[int, NDArray[np.float64]] = {}
     for i, (name, axis) in enumerate(zip("xyz", axes, strict=True)):
@@ -69,7 +77,7 @@ def place(
             uneven[2 - i] = np.interp(uniform, positions, np.arange(len(positions)))
     size = (spacing[0], spacing[1], spacing[2])
     if not uneven:
-        return Field(values, size, mask)
+        return Field(values, size, mask, bounds)
     before = " x ".join(str(n) for n in reversed(values.shape))
     values = resample(values, uneven)
     if mask is not None:
@@ -78,7 +86,7 @@ def place(
     after = " x ".join(str(n) for n in reversed(values.shape))
     names = ", ".join("zyx"[at] for at in sorted(uneven, reverse=True))
     _notice(f"{path}: samples along {names} are unevenly spaced; resampled from {before} to {after}")
-    return Field(values, size, mask)
+    return Field(values, size, mask, bounds)
 
 
 @cache

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from datasets.catalogue import entries, list_datasets, open_dataset
-from datasets.catalogue.opening import safe_name
+from datasets.catalogue.files import safe_name
 from datasets.errors import DataError, UnknownName
 
 ALL = {"vortices", "shells", "vis_male", "fuel", "nucleon", "hydrogen_atom", "boston_teapot", "csafe_heptane",
