@@ -29,6 +29,7 @@ COMMANDS = {
     "compare": "bench.commands.stores:compare",
     "cache": "bench.commands.stores:cache",
 }
+TABLES = ("results", "views", "curve", "ledger", "timing", "features", "dvr")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -105,17 +106,30 @@ def _parser() -> _Parser:
     command("doctor", "what this machine has and lacks, with remedies", plugins)
 
     results = command("results", "every measurement of a run store", plugins, runs)
+    results.add_argument("--table", choices=TABLES, default="results", help="default: results")
     results.add_argument("--format", choices=("csv", "md", "tex", "json"), default="csv")
     report = command("report", "write the HTML report of a run store", plugins, runs)
     report.add_argument("--out", metavar="FILE", help="default: report.html in the run store")
 
     render = command("render", "write pictures: ground truth, or those of a finished model", plugins, runs)
-    render.add_argument("dataset", help="name in the catalogue, or a path")
+    render.add_argument(
+        "dataset", nargs="*",
+        help="name in the catalogue, or a path; contact sheets: default all that are here",
+    )  # fmt: skip
     render.add_argument("--scene", action="append", default=[], help="only this scene (repeatable)")
     render.add_argument(
-        "--views", type=_count, default=8, help="number of views on the test path (default: 8)"
+        "--views", type=_count, help="number of views on the test path (default: 8; contact sheets: 3)"
     )
-    render.add_argument("--size", type=_size, default=(256, 256), metavar="WxH", help="pixels (default: 256)")
+    render.add_argument(
+        "--size", type=_size, metavar="WxH", help="pixels (default: 256; contact sheets: 140)"
+    )
+    render.add_argument(
+        "--contact-sheet", action="store_true",
+        help="one picture per dataset: small views of all scenes, with transfer functions over histograms",
+    )  # fmt: skip
+    render.add_argument(
+        "--automatic", action="store_true", help="contact sheets: the automatic transfer functions too"
+    )
     render.add_argument("--out", default="pictures", metavar="DIR", help="default: pictures")
     render.add_argument("--model", metavar="JOB", help="an encode or measure job of --runs: render its model")
     _add_device(render)
@@ -124,7 +138,7 @@ def _parser() -> _Parser:
     score.add_argument("truth", metavar="TRUTH")
     score.add_argument("--format", choices=("csv", "md", "tex", "json"), default="csv")
 
-    merge = command("merge", "join run stores of several machines")
+    merge = command("merge", "join run stores of several machines", plugins)
     merge.add_argument("stores", nargs="+", metavar="STORE")
     merge.add_argument("--out", required=True, metavar="DIR", help="a new run store, or one to add to")
     compare = command("compare", "pair two run stores view by view")

@@ -12,15 +12,29 @@ from datasets.errors import DataError
 
 def render(options: Namespace) -> int:
     """Write views on the test path as PNG files: of the ground truth, or of a finished model."""
+    if options.contact_sheet:
+        from bench.commands.sheets import contact_sheets
+
+        return contact_sheets(options)
+    if options.automatic:
+        raise DataError("--automatic", "is for contact sheets", "Add --contact-sheet")
+    if not options.dataset:
+        raise DataError("bench render", "names no dataset", "Name one of `bench list datasets`, or a path")
+    for name in options.dataset:
+        _render(options, name)
+    return 0
+
+
+def _render(options: Namespace, dataset_name: str) -> None:
     from bench.inputs import open_dataset, views
     from bench.measure import premultiplied
     from bench.monitor import as_numpy
     from bench.records import Request
     from datasets.png import write_png
 
-    dataset = open_dataset(options.dataset)
-    width, height = options.size
-    wanted = Request(train_views=12, test_views=options.views, width=width, height=height)
+    dataset = open_dataset(dataset_name)
+    count, (width, height) = options.views or 8, options.size or (256, 256)
+    wanted = Request(train_views=12, test_views=count, width=width, height=height)
     model, held = _model(options) if options.model else (None, ())
     for name in options.scene or held or [scene.name for scene in dataset.scenes]:
         scene = dataset.scene(name)
@@ -29,14 +43,13 @@ def render(options: Namespace) -> int:
         truth = views(dataset, scene.name, wanted, "test")
         folder = Path(options.out) / dataset.name / name
         folder.mkdir(parents=True, exist_ok=True)
-        for index in range(min(options.views, len(truth))):
+        for index in range(min(count, len(truth))):
             image = truth.images[index]
             if model is not None:
                 rgb, alpha = model.render(truth.cameras[index], scenes=[name], background=truth.background)
                 image = premultiplied(as_numpy(rgb), as_numpy(alpha), truth.background)
             write_png(folder / f"{index:04d}.png", image)
         print(folder)
-    return 0
 
 
 def _model(options: Namespace):  # type: ignore[no-untyped-def]

@@ -1,0 +1,85 @@
+"""``bench render --contact-sheet``: all scenes of a dataset on one picture, with their transfer functions."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from datasets.errors import DataError
+
+if TYPE_CHECKING:
+    from datasets.scene import BasicScene, Dataset
+    from reports.contact_sheet import Tile
+
+_ENTRIES = 2048  # of a drawn transfer function
+
+
+def contact_sheets(options: Namespace) -> int:
+    """Write one sheet per dataset; without a name, of every dataset of the catalogue that is here."""
+    from datasets.catalogue import list_datasets, open_dataset
+    from datasets.png import write_png
+    from reports.contact_sheet import contact_sheet
+
+    if options.model:
+        raise DataError("--contact-sheet", "shows ground truth only", "Leave --model out")
+    folder = Path(options.out)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in options.dataset or [info.name for info in list_datasets() if info.available]:
+        dataset = open_dataset(name)
+        if options.automatic:
+            dataset = _with_automatic(dataset)
+        shown = options.scene or [*(s.name for s in dataset.scenes), *dataset.compositions]
+        tiles = [_tile(dataset, scene, options) for scene in shown]
+        path = folder / f"{dataset.name}.png"
+        write_png(path, contact_sheet(f"{dataset.name}: {dataset.title}", tiles) / np.float32(255.0))
+        print(path)
+    return 0
+
+
+def _tile(dataset: Dataset, name: str, options: Namespace) -> Tile:
+    from bench.inputs import views
+    from bench.records import Request
+    from reports.contact_sheet import Tile
+
+    count, (width, height) = options.views or 3, options.size or (140, 140)
+    wanted = Request(train_views=12, test_views=count, width=width, height=height)
+    found = views(dataset, name, wanted, "test")
+    # Pre-rendered paths are longer: views spread over them.
+    chosen = np.linspace(0, len(found), count, endpoint=False).astype(int)
+    pictures = tuple(found.composited(int(i)) for i in dict.fromkeys(chosen))
+    coverage = float(found.images[chosen, ..., 3].mean())
+    parts = dataset.parts(name)
+    if name in dataset.compositions:
+        return Tile(name, " + ".join(part.name for part in parts), pictures, coverage)
+    scene = parts[0]
+    if dataset.kind == "views":
+        return Tile(name, "rendered elsewhere", pictures, coverage)
+    return Tile(name, scene.variable, pictures, coverage, *_curves(dataset, scene))
+
+
+def _curves(dataset: Dataset, scene: BasicScene):  # type: ignore[no-untyped-def]
+    """Histogram, transfer function and levels of a basic scene."""
+    from datasets.auto_transfer import statistics
+
+    histogram = statistics(dataset.volume(scene.variable)).count
+    if scene.transfer is None:
+        return histogram, None, tuple((level.value, level.color) for level in scene.isosurfaces)
+    table = scene.transfer.classify(np.linspace(0.0, 1.0, _ENTRIES))
+    table[:, 3] = -np.expm1(-table[:, 3] * scene.transfer.reference_length)
+    return histogram, table, ()
+
+
+def _with_automatic(dataset: Dataset) -> Dataset:
+    """The dataset with the automatic scenes of its variables after its own."""
+    from datasets.auto_transfer import automatic_scenes
+
+    automatic = [
+        replace(scene, name=f"auto {variable} {scene.name}")
+        for variable in dataset.volumes
+        for scene in automatic_scenes(dataset.volume(variable))
+    ]
+    return replace(dataset, scenes=(*dataset.scenes, *automatic))
