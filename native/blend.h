@@ -93,8 +93,6 @@ INLINE Sample evaluate(const Shape& s, const Lattice& at, int block, vf transmit
   return r;
 }
 
-INLINE vf where(vi mask, vf value) { return (vf)(mask & (vi)value); }
-
 // State in scratch, each of PIXELS floats: transmittance (negative: the pixel has ended), depth, features.
 template <int FIXED>
 static int64_t blend_channels(const Inputs& in, const Splat* splats, const Tile& tile, const View& view,

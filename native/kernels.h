@@ -5,6 +5,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "decode_types.h"
+
 namespace econgs {
 
 // Constants of the 3DGS lineage.
@@ -117,6 +119,17 @@ struct Kernels {
   void (*ssim_gradient)(const float* x, const float* y, const float* partials, float* grad, int64_t n,
                         int64_t height, int64_t begin, int64_t end, float absolute, float structural);
   double (*absolute)(const float* x, const float* y, int64_t n);
+  // Decoding a block of anchors (see decode.h).
+  int64_t (*decode_scratch)(const DecodeShape&);
+  int64_t (*decode_opacity)(const DecodeShape&, const DecodeInputs&, const DecodeView&, const DecodeWeights&,
+                            int64_t begin, int64_t end, float* raw, float* rows, float* scratch);
+  void (*decode_block)(const DecodeShape&, const DecodeInputs&, const DecodeView&, const DecodeWeights&, int64_t begin,
+                       int64_t end, const float* opacity, int64_t first, const DecodeOutputs&, float* rows,
+                       float* kept, float* scratch);
+  void (*decode_backward)(const DecodeShape&, const DecodeInputs&, const DecodeView&, const DecodeWeights&,
+                          int64_t begin, int64_t end, const float* opacity, int64_t first, const float* rows,
+                          const float* raw, const ConstDecodeOutputs&, const DecodeInputGradients&,
+                          const DecodeGradients& sums, float* scratch);
   void (*adam)(float* p, const float* g, float* m, float* v, int64_t n, const AdamRates&);
   void (*reference)(float* data, int64_t n, int rounds);
 };

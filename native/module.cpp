@@ -1,48 +1,25 @@
 // The Python module econgs._native: takes NumPy arrays (quicker than DLPack from torch), releases the GIL at work.
 // econgs/splat/native.py is its only caller and documents what the functions mean.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-#include <nanobind/stl/optional.h>
+#include "module.h"
+
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <cmath>
-#include <optional>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "raster.h"
 #include "threads.h"
 
-namespace nb = nanobind;
 using namespace econgs;
+namespace nb = nanobind;
 
 namespace {
 
-using Array = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
-using In = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
 using Doubles = nb::ndarray<const double, nb::shape<16>, nb::c_contig, nb::device::cpu>;
 using Counts = nb::ndarray<int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-
-void expect(bool fine, const char* what) {
-  if (!fine) throw std::invalid_argument(what);
-}
-
-template <class A>
-bool is(const A& array, std::initializer_list<int64_t> shape) {
-  if (array.ndim() != shape.size()) return false;
-  size_t axis = 0;
-  for (const int64_t size : shape)
-    if (static_cast<int64_t>(array.shape(axis++)) != size) return false;
-  return true;
-}
-
-template <class A>
-const float* data_or_null(const std::optional<A>& array) {
-  return array ? array->data() : nullptr;
-}
 
 Inputs inputs(const In& means, const In& quats, const In& scales, const In& opacities, const In& features,
               const std::optional<In>& offset) {
@@ -291,6 +268,8 @@ NB_MODULE(_native, m) {
   m.def("photometric", photometric_checked, nb::arg("x"), nb::arg("y"), nb::arg("absolute"),
         nb::arg("structural"), nb::arg("grad").none());
   m.def("adam", adam);
+  bind_decode(m);
+  bind_hash_grid(m);
 
   m.def("reference_kernel", reference_kernel, nb::call_guard<nb::gil_scoped_release>());
   m.def("bench_blend", bench_blend, nb::call_guard<nb::gil_scoped_release>());

@@ -71,6 +71,7 @@ INLINE vf max(vf a, vf b) {
 INLINE vd mind(vd a, vd b) { return a < b ? a : b; }
 INLINE vd maxd(vd a, vd b) { return a > b ? a : b; }
 INLINE vf abs(vf a) { return (vf)((vi)a & 0x7fffffff); }
+INLINE vf where(vi mask, vf value) { return (vf)(mask & (vi)value); }
 
 // One rounding where the ISA has it, two elsewhere; never left to the compiler's choice, so that the backward
 // pass repeats exactly the decisions of the forward pass (the units are compiled with -ffp-contract=off).

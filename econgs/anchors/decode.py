@@ -1,0 +1,260 @@
+"""From anchors to the Gaussians of one view: decoders, activations, shading and culling as one function."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from datasets.camera import Camera
+from econgs.anchors.decoders import NETWORKS, Decoders
+from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade, unit
+from econgs.splat.rasterise import choose_backend
+
+MIN_QUATERNION = 1e-12  # a shorter quaternion is no rotation: the identity stands in
+Vector = Sequence[float] | NDArray[np.float64] | Tensor
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """The Gaussians of one view that are not culled, in the order of their slots.
+
+    Attributes:
+        means: (M, 3).
+        quats: (M, 4) unit quaternions (w, x, y, z).
+        scales: (M, 3).
+        opacities: (M,) in (0, 1].
+        colors: (M, 3) shaded, in [0, 1].
+        slots: (M,) int64, anchor * K + offset, ascending.
+        raw_opacities: (N, K) tanh outputs of all, culled or not, without history: what pruning reads.
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    colors: Tensor
+    slots: Tensor
+    raw_opacities: Tensor
+
+
+def decode(
+    anchors: Tensor,
+    features: Tensor,
+    scalings: Tensor,
+    offsets: Tensor,
+    decoders: Decoders,
+    embedding: Tensor,
+    palette: Tensor,
+    eye: Vector,
+    *,
+    light: Vector | None = None,
+    factors: Factors | None = None,
+    backend: str | None = None,
+) -> Decoded:
+    """The neural editable Gaussians of N anchors as one camera sees them (ECoNGS, after Scaffold-GS).
+
+    * Mean: x_a + Δx · s, s the first three scalings of the anchor.
+    * Opacity: tanh of F_o; Gaussians that are not > 0 are culled here, before the rasteriser.
+    * Scale: the last three scalings · sigmoid of F_cov's first three outputs; the other four, normalised, are
+      the quaternion.
+    * Shading: offset color by ``decoders.offset_color``, k_a and k_d linear, k_s = 5 sigmoid, β = 50 sigmoid.
+    * Color: :func:`econgs.anchors.shading.shade` of palette + offset color.
+
+    Gradients reach anchors, features, scalings, offsets, embedding, palette and every weight; not eye and
+    light. All tensors share one floating dtype and device.
+
+    Args:
+        anchors: (N, 3) positions.
+        features: (N, F).
+        scalings: (N, 6) activated, > 0.
+        offsets: (N, K, 3).
+        decoders: the four networks.
+        embedding: (E,) TF embedding of the scene.
+        palette: (3,) its palette color.
+        eye: camera centre.
+        light: unit vector to a directional light; None: a headlight.
+        factors: edits.
+        backend: "native" or "torch", as in :func:`econgs.splat.rasterise` ("gsplat" means "torch" here).
+
+    Raises:
+        ValueError: a wrong shape, dtype or device, or NaN or infinity; the message names the tensor.
+        datasets.errors.UnknownName: no backend of that name.
+    """
+    inputs = {"anchors": anchors, "features": features, "scalings": scalings, "offsets": offsets}
+    inputs |= {"embedding": embedding, "palette": palette}
+    _check_shapes(inputs, decoders)
+    view = _vector(eye, anchors, "eye")
+    toward = None if light is None else _vector(light, anchors, "light")
+    if toward is not None and abs(float(toward.norm()) - 1.0) > 1e-3:
+        raise ValueError(f"light is {toward.tolist()}, not a unit vector")
+    factors = factors or Factors()
+    if choose_backend(anchors, backend) == "native":
+        try:
+            decoded: Decoded = _native().decode(
+                *inputs.values(), decoders=decoders, eye=view, light=toward, factors=factors
+            )
+        except ValueError:
+            refuse_non_finite(inputs, decoders)
+            raise
+        return decoded
+    refuse_non_finite(inputs, decoders)
+    return _torch_decode(*inputs.values(), decoders=decoders, eye=view, light=toward, factors=factors)
+
+
+def _torch_decode(
+    anchors: Tensor,
+    features: Tensor,
+    scalings: Tensor,
+    offsets: Tensor,
+    embedding: Tensor,
+    palette: Tensor,
+    *,
+    decoders: Decoders,
+    eye: Tensor,
+    light: Tensor | None,
+    factors: Factors,
+) -> Decoded:
+    count, many = offsets.shape[:2]
+    inputs = torch.cat([features, unit(anchors - eye)], dim=1) if decoders.view_direction else features
+    width = inputs.shape[1]
+    networks = [decoders.network(name) for name in NETWORKS]
+    # One product for the first layers of all four. What the embedding adds is the same for every anchor.
+    first = torch.cat([network.first_weight for network in networks])
+    bias = torch.cat([network.first_bias for network in networks]) + first[:, width:] @ embedding
+    hidden = torch.relu(torch.addmm(bias, inputs, first[:, :width].T)).split(decoders.hidden, dim=1)
+
+    def outputs(place: int) -> Tensor:
+        network = networks[place]
+        return torch.addmm(network.second_bias, hidden[place], network.second_weight.T)
+
+    raw = torch.tanh(outputs(0))
+    slots = (raw.detach() > 0.0).reshape(-1).nonzero()[:, 0]
+    anchor = slots // many
+
+    def surviving(place: int) -> Tensor:
+        by_slot = outputs(place).view(count, -1, many).transpose(1, 2).reshape(count * many, -1)
+        return by_slot.index_select(0, slots)
+
+    opacities = raw.reshape(-1).index_select(0, slots)
+    if factors.opacity != 1.0:
+        opacities = (opacities * factors.opacity).clamp_max(1.0)
+    scale = scalings.index_select(0, anchor)
+    offset = offsets.reshape(-1, 3).index_select(0, slots)
+    means = anchors.index_select(0, anchor) + offset * scale[:, :3]
+    covariance, shading, normals = surviving(1), surviving(2), surviving(3)
+    activate = torch.tanh if decoders.offset_color == "tanh" else torch.sigmoid
+    linear, bounded = shading[:, 3:5], torch.sigmoid(shading[:, 5:7])
+    ranges = torch.tensor([MAX_SPECULAR * factors.specular, MAX_SHININESS * factors.shininess])
+    coefficients = torch.cat(
+        [
+            linear * torch.tensor([factors.ambient, factors.diffuse]).to(linear),
+            bounded * ranges.to(bounded),
+        ],
+        dim=1,
+    )
+    base = palette + activate(shading[:, :3])
+    return Decoded(
+        means,
+        _rotation(covariance[:, 3:]),
+        scale[:, 3:] * torch.sigmoid(covariance[:, :3]),
+        opacities,
+        shade(means, normals, base, coefficients, eye, light),
+        slots,
+        raw.detach(),
+    )
+
+
+def _rotation(quats: Tensor) -> Tensor:
+    length = torch.linalg.vector_norm(quats, dim=-1, keepdim=True)
+    sound = length > MIN_QUATERNION
+    identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0])
+    return torch.where(sound, quats / torch.where(sound, length, 1.0), identity)
+
+
+@torch.no_grad()
+def visible_anchors(camera: Camera, anchors: Tensor, scalings: Tensor, *, near: float = 0.2) -> Tensor:
+    """(N,) whether an anchor may show in a view (the filter of Scaffold-GS, without its rotation).
+
+    An anchor stays if it lies deeper than ``near`` and the circle of three times its largest offset scaling
+    round its projected centre meets the image. Where all stay, rows need not be selected at all.
+
+    Args:
+        camera: the view.
+        anchors: (N, 3).
+        scalings: (N, 6) activated; the first three count.
+        near: scene units.
+    """
+    pose = torch.as_tensor(camera.world_to_camera, dtype=anchors.dtype, device=anchors.device)
+    local = torch.addmm(pose[:3, 3:], pose[:3, :3], anchors.T)
+    depth = local[2]
+    reach = 3.0 * scalings[:, :3].amax(1)
+    # Compared at the anchor's depth: |x| may exceed the image's half width there by the reach.
+    right, down = (camera.width - camera.cx) / camera.fx, (camera.height - camera.cy) / camera.fy
+    left, up = camera.cx / camera.fx, camera.cy / camera.fy
+    x, y = local[0], local[1]
+    inside = (x - reach <= right * depth) & (-x - reach <= left * depth)
+    inside &= (y - reach <= down * depth) & (-y - reach <= up * depth)
+    return inside & (depth > near)
+
+
+def _native() -> Any:
+    return importlib.import_module("econgs.anchors.native")
+
+
+def _vector(value: Vector, like: Tensor, name: str) -> Tensor:
+    vector = torch.as_tensor(value).detach().to(like)
+    if vector.shape != (3,) or not bool(torch.isfinite(vector).all()):
+        raise ValueError(f"{name} must be three finite numbers, not {vector.tolist()}")
+    return vector
+
+
+def _check_shapes(inputs: dict[str, Tensor], decoders: Decoders) -> None:
+    anchors = inputs["anchors"]
+    count = anchors.shape[0] if anchors.ndim else 0
+    wanted = {
+        "anchors": (count, 3),
+        "features": (count, decoders.features),
+        "scalings": (count, 6),
+        "offsets": (count, decoders.offsets, 3),
+        "embedding": (decoders.embedding,),
+        "palette": (3,),
+    }
+    weight = {"decoders": decoders.network("opacity").first_weight}
+    for name, tensor in (inputs | weight).items():
+        if name in wanted and tuple(tensor.shape) != wanted[name]:
+            raise ValueError(
+                f"{name} has shape {tuple(tensor.shape)}, not {wanted[name]}, for {count} anchors"
+            )
+        if not tensor.dtype.is_floating_point or tensor.dtype != anchors.dtype:
+            raise ValueError(
+                f"{name} is {tensor.dtype}; all tensors must share one floating dtype ({anchors.dtype})"
+            )
+        if tensor.device != anchors.device:
+            raise ValueError(f"{name} is on {tensor.device} but anchors is on {anchors.device}")
+
+
+@torch.no_grad()
+def refuse_non_finite(inputs: dict[str, Tensor], decoders: Decoders) -> None:
+    """Raises for the first tensor that holds NaN or infinity.
+
+    Raises:
+        ValueError: names the tensor and the place.
+    """
+    weights = {f"decoders.{name}": tensor for name, tensor in decoders.named_parameters()}
+    tensors = {**inputs, **weights}
+    # A sum is finite only if every term is: one synchronisation for all.
+    if math.isfinite(float(torch.stack([tensor.sum() for tensor in tensors.values()]).sum())):
+        return
+    for name, tensor in tensors.items():
+        bad = (~torch.isfinite(tensor)).nonzero()
+        if len(bad):
+            index = bad[0].tolist()
+            raise ValueError(f"{name}{index} is {tensor[tuple(index)].item()}: every value must be finite")

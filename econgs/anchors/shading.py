@@ -1,0 +1,71 @@
+"""Blinn-Phong shading of Gaussians in a float-safe form (ECoNGS, equations of the three color terms)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+MIN_NORMAL = 1e-3  # a normal is divided by its length, but by no less than this (iVR-GS)
+MIN_LENGTH = 1e-6  # anything else shorter than this has no direction: zero, without a gradient
+MIN_BASE = 1e-6  # of the power: the derivative of 0 ** shininess is NaN
+MAX_SPECULAR = 5.0
+MAX_SHININESS = 50.0
+
+
+@dataclass(frozen=True)
+class Factors:
+    """Edits of a scene, as factors on what was learned.
+
+    Attributes:
+        opacity: on opacities, which stay at most 1.
+        ambient, diffuse, specular, shininess: on k_a, k_d, k_s and β.
+    """
+
+    opacity: float = 1.0
+    ambient: float = 1.0
+    diffuse: float = 1.0
+    specular: float = 1.0
+    shininess: float = 1.0
+
+
+def unit(vectors: Tensor) -> Tensor:
+    """Vectors of length 1; those shorter than ``MIN_LENGTH`` become zero."""
+    length = torch.linalg.vector_norm(vectors, dim=-1, keepdim=True)
+    long = length > MIN_LENGTH
+    return torch.where(long, vectors / torch.where(long, length, 1.0), 0.0)
+
+
+def shade(
+    means: Tensor,
+    normals: Tensor,
+    base: Tensor,
+    coefficients: Tensor,
+    eye: Tensor,
+    light: Tensor | None,
+) -> Tensor:
+    """(M, 3) colors of Gaussians, in [0, 1].
+
+    With v the unit vector to the camera, l to the light and h half-way between them:
+    base · (k_a + k_d |n·l|), plus k_s |n·h|^β in white wherever n·l is not 0. (The paper writes v from the
+    camera to the Gaussian, which would cancel the light's direction under a headlight.)
+
+    Args:
+        means: (M, 3).
+        normals: (M, 3) of any length; see ``MIN_NORMAL``.
+        base: (M, 3) palette color + offset color.
+        coefficients: (M, 4) k_a, k_d, k_s, β.
+        eye: (3,) camera centre.
+        light: (3,) unit vector to the light; None: a headlight, l = h = v.
+    """
+    length = torch.linalg.vector_norm(normals, dim=-1, keepdim=True)
+    normals = normals / length.clamp_min(MIN_NORMAL)
+    view = unit(eye - means)
+    half = view if light is None else unit(view + light)
+    toward = (normals * (view if light is None else light)).sum(-1)
+    ambient, diffuse, specular, shininess = coefficients.unbind(-1)
+    peak = (normals * half).sum(-1).abs().clamp_min(MIN_BASE) ** shininess
+    highlight = torch.where(toward != 0.0, specular * peak, 0.0)
+    color = base * (ambient + diffuse * toward.abs())[:, None] + highlight[:, None]
+    return color.clamp(0.0, 1.0)

@@ -1,0 +1,41 @@
+// What the files that bind functions to Python share.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+
+#include <cstdint>
+#include <initializer_list>
+#include <optional>
+#include <stdexcept>
+
+namespace econgs {
+
+namespace nb = nanobind;
+
+using Array = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
+using In = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
+
+inline void expect(bool fine, const char* what) {
+  if (!fine) throw std::invalid_argument(what);
+}
+
+template <class A>
+bool is(const A& array, std::initializer_list<int64_t> shape) {
+  if (array.ndim() != shape.size()) return false;
+  size_t axis = 0;
+  for (const int64_t size : shape)
+    if (static_cast<int64_t>(array.shape(axis++)) != size) return false;
+  return true;
+}
+
+template <class A>
+const float* data_or_null(const std::optional<A>& array) {
+  return array ? array->data() : nullptr;
+}
+
+void bind_decode(nb::module_&);
+void bind_hash_grid(nb::module_&);
+
+}  // namespace econgs
