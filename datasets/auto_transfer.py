@@ -28,6 +28,7 @@ COLORS = (
 _BINS = 256
 _MAX_SAMPLES = 160  # per axis: enough for a histogram, and fast for any volume
 _REFERENCE_LENGTH = 0.01
+_LEAST_SHARE = 1e-3  # of the voxels: parts with fewer are hardly visible
 _SURFACE_DEPTH = 1.2  # optical depth of one crossing of a surface: 70 % opaque
 
 
@@ -54,7 +55,8 @@ def automatic_scenes(volume: Volume, count: int = 3) -> tuple[BasicScene, ...]:
 
     The range outside the homogeneous background is cut where isosurface areas are equal and, nearby, where
     gradients are weakest; each part becomes a bump with its plateau at the part's strongest boundary, and
-    an opacity that makes one crossing of that boundary mostly, not fully, opaque.
+    an opacity that makes one crossing of that boundary mostly, not fully, opaque. A part that has background
+    in its middle (zero, of signed data) becomes a scene of two bumps, one on each side.
 
     Args:
         volume: any.
@@ -70,36 +72,49 @@ def automatic_scenes(volume: Volume, count: int = 3) -> tuple[BasicScene, ...]:
     scenes = []
     for i, (low, high) in enumerate(pairwise(cuts)):
         name = f"tf{i + 1}"
-        bump = _bump(name, stats, low, high, COLORS[i % len(COLORS)])
-        scenes.append(BasicScene(name, volume.name, TransferFunction(name, (bump,), _REFERENCE_LENGTH)))
+        pieces = _without_background(stats, low, high)
+        bumps = tuple(
+            _bump(name if len(pieces) == 1 else f"{name} {side}", stats, *piece, COLORS[i % len(COLORS)])
+            for piece, side in zip(pieces, ("below", "above"), strict=False)
+        )
+        scenes.append(BasicScene(name, volume.name, TransferFunction(name, bumps, _REFERENCE_LENGTH)))
     return tuple(scenes)
 
 
 def statistics(volume: Volume) -> Statistics:
-    """Histogram, isosurface areas and mean gradients of a volume (of a regular subset if it is large)."""
+    """Histogram, isosurface areas and mean gradients of a volume (of a regular subset if it is large).
+
+    Samples that the volume's mask leaves out count nothing.
+    """
     strides = [-(-n // _MAX_SAMPLES) for n in volume.values.shape]
-    values = volume.values[:: strides[0], :: strides[1], :: strides[2]]
+    subset = tuple(slice(None, None, stride) for stride in strides)
+    values = volume.values[subset]
+    valid = np.ones(values.shape, dtype=bool) if volume.mask is None else volume.mask[subset]
+    if not valid.any():  # a mesh thinner than the strides
+        valid = np.ones(values.shape, dtype=bool)
     coarse = Volume(volume.name, values, volume.spacing, volume.value_range, volume.source).normalised()
     distances = volume.extent[::-1] / (np.array(volume.values.shape) - 1) * strides
     squared = np.zeros_like(coarse)
     for axis in range(3):
         if coarse.shape[axis] > 1:
             squared += np.gradient(coarse, float(distances[axis]), axis=axis) ** 2
-    slope = np.sqrt(squared).reshape(-1)
-    bins = _bin(coarse.reshape(-1))
+    slope = np.sqrt(squared)[valid]
+    bins = _bin(coarse[valid])
     number = np.bincount(bins, minlength=_BINS)
     area = np.bincount(bins, weights=slope, minlength=_BINS).astype(np.float64)
     gradient = area / np.maximum(number, 1)
     stats = Statistics(number, area, gradient, np.zeros(_BINS, dtype=bool))
-    return replace(stats, background=_background(coarse, stats))
+    return replace(stats, background=_background(coarse, valid, stats))
 
 
 def _bin(values: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.minimum((values * _BINS).astype(np.int64), _BINS - 1)
 
 
-def _background(values: NDArray[np.float32], stats: Statistics) -> NDArray[np.bool_]:
-    """Bins around the commonest value of the volume's border.
+def _background(
+    values: NDArray[np.float32], valid: NDArray[np.bool_], stats: Statistics
+) -> NDArray[np.bool_]:
+    """Bins around the commonest value of the volume's border (of all, where the mask leaves no border).
 
     Where it is common inside as well and homogeneous (its gradients are weak), they reach as far as its
     noise does. Where less than half of the volume would be left out, they are widened towards the commoner
@@ -107,7 +122,10 @@ def _background(values: NDArray[np.float32], stats: Statistics) -> NDArray[np.bo
     """
     number = stats.count
     total = int(number.sum())
-    faces = np.concatenate([np.take(values, k, axis).reshape(-1) for axis in range(3) for k in (0, -1)])
+    ends = [(k, axis) for axis in range(3) for k in (0, -1)]
+    faces = np.concatenate([np.take(values, *end)[np.take(valid, *end)] for end in ends])
+    if not len(faces):
+        faces = values[valid]
     low = high = int(np.bincount(_bin(faces), minlength=_BINS).argmax())
     near = slice(max(low - 2, 0), low + 3)
     common = number[near].sum()
@@ -164,7 +182,34 @@ def _cuts(stats: Statistics, count: int) -> list[float]:
         if edge - kept[-1] >= 3 and stats.count[kept[-1] : edge].sum() > 0:
             kept.append(edge)
     kept[-1] = edges[-1]
+    kept = _merged(stats, kept)
     return [e / _BINS for e in kept] if len(kept) > 1 else _two_valued(stats)
+
+
+def _merged(stats: Statistics, edges: list[int]) -> list[int]:
+    """Edges without those of parts that hold too few voxels to be seen: these join a neighbour."""
+    number = np.where(stats.background, 0, stats.count)
+    edges = list(edges)
+    while len(edges) > 2:
+        sizes = [number[low:high].sum() for low, high in pairwise(edges)]
+        least = int(np.argmin(sizes))
+        if sizes[least] >= _LEAST_SHARE * stats.count.sum():
+            break
+        above = least + 1 < len(sizes) and (least == 0 or sizes[least + 1] < sizes[least - 1])
+        del edges[least + 1 if above else least]
+    return edges
+
+
+def _without_background(stats: Statistics, low: float, high: float) -> list[tuple[float, float]]:
+    """The pieces of a part below and above the background; the part itself where nothing remains."""
+    first, last = round(low * _BINS), round(high * _BINS)
+    inside = np.flatnonzero(stats.background[first:last]) + first
+    if not len(inside):
+        return [(low, high)]
+    pieces = [(low, inside[0] / _BINS), ((inside[-1] + 1) / _BINS, high)]
+    number = stats.count
+    kept = [(a, b) for a, b in pieces if b > a and number[round(a * _BINS) : round(b * _BINS)].any()]
+    return kept or [(low, high)]
 
 
 def _two_valued(stats: Statistics) -> list[float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from datasets import procedural
-from datasets.auto_transfer import automatic_scenes
+from datasets.auto_transfer import automatic_scenes, statistics
 from datasets.errors import DataError
 from datasets.volume import Volume
 
@@ -24,11 +26,12 @@ def _check(volume: Volume, count: int) -> None:
     assert len({scene.name for scene in scenes}) == len(scenes)
     end = 0.0
     for scene in scenes:
-        (bump,) = scene.transfer.bumps
-        assert end <= bump.start <= bump.rise <= bump.fall <= bump.end <= 1.0
-        assert bump.start < bump.end
-        assert 0.0 < bump.opacity < 1.0
-        end = bump.end
+        assert 1 <= len(scene.transfer.bumps) <= 2
+        for bump in scene.transfer.bumps:
+            assert end <= bump.start <= bump.rise <= bump.fall <= bump.end <= 1.0
+            assert bump.start < bump.end
+            assert 0.0 < bump.opacity < 1.0
+            end = bump.end
 
 
 def _balls(noise: float = 0.0) -> np.ndarray:
@@ -77,6 +80,50 @@ def test_inverted_values_have_their_background_on_top() -> None:
     corner = volume.normalised()[:6, :6, :6]
     for scene in automatic_scenes(volume, 2):
         assert not (scene.transfer.classify(corner)[..., 3] > 0).any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_signed_values_show_both_signs_and_not_zero(count: int) -> None:
+    """Two balls of opposite sign in a still surrounding, as of a velocity."""
+    at = np.linspace(-1, 1, 40)
+    z, y, x = np.meshgrid(at, at, at, indexing="ij")
+    field = np.zeros(x.shape)
+    for centre, sign in ((-0.45, -1.0), (0.45, 1.0)):
+        field += sign / (1 + np.exp((np.sqrt((x - centre) ** 2 + y**2 + z**2) - 0.3) / 0.05))
+    volume = _volume(field.astype(np.float32))
+    normalised = volume.normalised()
+    opacity = sum(s.transfer.classify(normalised)[..., 3] for s in automatic_scenes(volume, count))
+    assert not opacity[:4].any()
+    assert not opacity[:, :4].any()
+    middle = opacity[20]
+    assert (middle[:, :20] > 0).any()
+    assert (middle[:, 20:] > 0).any()
+    _check(volume, count)
+
+
+def test_masked_voxels_enter_no_histogram() -> None:
+    values = _balls().astype(np.float32)
+    inside = values > 60
+    hidden = np.where(inside, values, 5000.0).astype(np.float32)
+    same = np.where(inside, values, 60.0).astype(np.float32)
+    low, high = float(values[inside].min()), float(values.max())
+    volume = Volume("value", hidden, (1.0, 1.0, 1.0), (low, high), "test", mask=inside)
+    found = statistics(volume)
+    assert found.count.sum() == inside.sum()
+    expected = np.histogram((values[inside] - low) / (high - low), 256, (0.0, 1.0))[0]
+    np.testing.assert_array_equal(found.count, expected)
+    assert found.count[-1] < 0.5 * inside.sum()
+    assert len(automatic_scenes(replace(volume, values=same), 3)) > 1
+
+
+def test_parts_too_small_to_be_seen_join_a_neighbour() -> None:
+    """A field with a long tail: hardly any voxel has most of the range."""
+    at = np.linspace(-1, 1, 64)
+    r = np.sqrt(at[:, None, None] ** 2 + at[None, :, None] ** 2 + at[None, None, :] ** 2)
+    volume = _volume(np.exp(-9.0 * r).astype(np.float32))
+    normalised = volume.normalised()
+    for scene in automatic_scenes(volume, 6):
+        assert (scene.transfer.classify(normalised)[..., 3] > 0).mean() > 5e-4
 
 
 def test_no_scenes_wanted() -> None:
