@@ -51,7 +51,7 @@ void hash_grid(const HashGrid& grid, float* out) {
   parallel_ranges(grid.entries, 16384, [&](int64_t begin, int64_t end, int) {
     for (int64_t e = begin; e < end; ++e) {
       const float* const p = grid.table + 4 * e;
-      negative[e] = static_cast<uint8_t>(!(p[0] >= 0) | !(p[1] >= 0) << 1 | !(p[2] >= 0) << 2 | !(p[3] >= 0) << 3);
+      negative[e] = static_cast<uint8_t>((p[0] >= 0 ? 0 : 1) | (p[1] >= 0 ? 0 : 2) | (p[2] >= 0 ? 0 : 4) | (p[3] >= 0 ? 0 : 8));
     }
   });
   parallel_ranges(grid.count, 256, [&](int64_t begin, int64_t end, int) {
