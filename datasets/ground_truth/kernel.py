@@ -347,13 +347,12 @@ class SurfaceLayer(_Lit):
 
     def __init__(self, layer: Layer, field: Field, per_voxel: Any) -> None:
         super().__init__(layer, field, per_voxel)
-        surfaces = sorted(layer.isosurfaces, key=lambda surface: surface.value)
-        table = np.array([(*s.color, s.opacity) for s in surfaces], dtype=np.float32)
-        self.count = dr.opaque(mi.Int32, len(surfaces))
+        table = [(*surface.color, surface.opacity) for _, surface in layer.levels]
         # One more that is never looked at: of a single one Dr.Jit would make another kernel.
-        levels = [*(surface.value for surface in surfaces), 2.0]
+        levels = [*(level for level, _ in layer.levels), 2.0]
+        self.count = dr.opaque(mi.Int32, len(table))
         self.levels = mi.Float(aligned(np.array(levels, dtype=np.float32)))
-        self.table = mi.Float(aligned(table))
+        self.table = mi.Float(aligned(np.array(table, dtype=np.float32)))
 
 
 def _any(conditions: Sequence[Any]) -> Any:

@@ -116,7 +116,7 @@ class MitsubaMarcher:
         empty = np.full(self._bricks[0].low.shape, self._leap)
         for layer, n, table in zip(layers, numbers, tables, strict=True):
             if table is None:
-                empty &= self._bricks[n].uncrossed(surface.value for surface in layer.isosurfaces)
+                empty &= self._bricks[n].uncrossed(level for level, _ in layer.levels)
             else:
                 empty &= self._bricks[n].empty(table[:, 3])
         occlusion = None

@@ -36,8 +36,9 @@ the mask, so no shell of other values appears there. An isosurface ends where th
 Isosurfaces (``BasicScene.isosurfaces``) are the level sets of the trilinear field:
 
 * Values are taken at both ends of each segment; a level that lies between them is crossed there (>= is
-  inside). The crossing is found by :data:`BISECTIONS` halvings and one secant, so where it lies does not
-  depend on the step; two crossings of one level within a segment are missed.
+  inside, and levels are lowered by :data:`LEVEL_MARGIN`, so that a plateau at the level itself is inside
+  whatever the rounding). The crossing is found by :data:`BISECTIONS` halvings and one secant, so where it
+  lies does not depend on the step; two crossings of one level within a segment are missed.
 * Each crossing is composited with its opacity and its color, shaded by the gradient at the crossing. Several
   levels crossed in a segment are taken in the order in which the values pass them; scenes of a composition
   that have crossings in one segment are taken in the composition's order.
@@ -83,6 +84,9 @@ PHONG_FLOOR = 1e-5
 BISECTIONS = 8
 """Halvings of a segment in which a level is crossed, before the secant."""
 
+LEVEL_MARGIN = 1e-6
+"""By how much levels are lowered, in normalised values."""
+
 Progress = Callable[[int, int], None]
 """Called with the number of views done and of all views."""
 
@@ -120,6 +124,12 @@ class Layer:
     light: Light | None
     isosurfaces: tuple[Isosurface, ...] = ()
     depth_enhancement: float = 0.0
+
+    @property
+    def levels(self) -> list[tuple[float, Isosurface]]:
+        """Levels that are looked for, rising, each representable in single precision."""
+        by_value = sorted(self.isosurfaces, key=lambda surface: surface.value)
+        return [(float(np.float32(s.value - LEVEL_MARGIN)), s) for s in by_value]
 
     @classmethod
     def of(cls, scene: BasicScene, volume: Volume) -> Layer:

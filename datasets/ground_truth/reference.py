@@ -138,10 +138,7 @@ class ReferenceMarcher:
             table = None
             if layer.transfer is not None:
                 table = self._tensor(layer.transfer.classify(np.linspace(0.0, 1.0, size)))
-            levels = [
-                (float(np.float32(s.value)), self._tensor(np.array(s.color)), s.opacity)
-                for s in sorted(layer.isosurfaces, key=lambda surface: surface.value)
-            ]
+            levels = [(level, self._tensor(np.array(s.color)), s.opacity) for level, s in layer.levels]
             parts.append(_Part(layer, self._values[n], self._masks[n], table, levels))
         if not any(layer.depth_enhancement > 0.0 for layer in layers):
             return _Scene(parts)

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+import tomllib
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -176,3 +177,34 @@ def test_download_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     finally:
         server.shutdown()
         server.server_close()
+
+
+def test_scenes_may_be_isosurfaces_and_depth_enhanced() -> None:
+    from datasets.catalogue.opening import _scenes
+    from datasets.scene import Isosurface
+
+    said = tomllib.loads("""
+        [[scenes]]
+        name = "shells"
+        variable = "T"
+        depth_enhancement = 0.5
+        light.model = "phong"
+        light.direction = [0.0, 0.6, 0.8]
+        [[scenes.isosurfaces]]
+        name = "outer"
+        value = 0.3
+        color = [0.9, 0.5, 0.1]
+        opacity = 0.4
+        [[scenes.isosurfaces]]
+        name = "inner"
+        value = 0.6
+        color = [0.1, 0.5, 0.9]
+        """)
+    (scene,) = _scenes(said)
+    assert scene.transfer is None
+    assert scene.depth_enhancement == 0.5
+    assert (scene.light.model, scene.light.direction) == ("phong", (0.0, 0.6, 0.8))
+    assert scene.isosurfaces == (
+        Isosurface("outer", 0.3, (0.9, 0.5, 0.1), 0.4),
+        Isosurface("inner", 0.6, (0.1, 0.5, 0.9), 1.0),
+    )

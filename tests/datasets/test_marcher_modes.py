@@ -214,6 +214,18 @@ def test_levels_are_met_in_order_from_either_side(marcher):
     np.testing.assert_allclose(back, (0.5, 0.25, 0.0, 0.75), atol=1e-6)
 
 
+def test_a_plateau_at_the_level_is_inside(marcher):
+    """8-bit values make plateaus at exactly the level; rounding must not draw surfaces within."""
+    values = np.full((17, 17, 17), 51, dtype=np.uint8)
+    values[:, :, :8] = 7
+    v = Volume("v", values, (1.0, 1.0, 1.0), (0.0, 255.0), "made here")
+    image = marcher(v).compose(
+        (camera_at([3.0, 0.4, 0.3]),),
+        [Layer(v, None, None, (Isosurface("s", 51 / 255, (1.0, 1.0, 1.0), 0.5),))],
+    )
+    assert set(np.unique(image[0, 8:25, 8:25, 3])) == {np.float32(0.5)}
+
+
 def sphere(n=49, radius=0.35):
     """Level 0.5 is a sphere; the field is quadratic."""
     x = np.linspace(-0.5, 0.5, n)
