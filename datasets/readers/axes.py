@@ -57,8 +57,9 @@ def place(
         if axis is None or len(axis) < 2:
             continue
         positions = axis.astype(np.float64)
-        steps = np.diff(positions)
-        if not np.isfinite(positions).all() or not ((steps > 0).all() or (steps < 0).all()):
+        finite = bool((np.abs(positions) < 1e30).all())
+        steps = np.diff(positions) if finite else positions
+        if not finite or not ((steps > 0).all() or (steps < 0).all()):
             remedy = "Write ascending or descending, finite positions"
             raise DataError(path, f"positions along {name} are not monotonic", remedy)
         if steps[0] < 0:
@@ -76,6 +77,8 @@ def place(
             uniform = np.linspace(positions[0], positions[-1], n)
             uneven[2 - i] = np.interp(uniform, positions, np.arange(len(positions)))
     size = (spacing[0], spacing[1], spacing[2])
+    if bounds is None and uneven:
+        bounds = value_range(values, path)  # before differences are formed of what is not finite
     if not uneven:
         return Field(values, size, mask, bounds)
     before = " x ".join(str(n) for n in reversed(values.shape))

@@ -6,6 +6,7 @@ Parsed here, not by VTK (see :mod:`datasets.readers.vtk_xml`); binary values are
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +22,25 @@ from datasets.readers.text import numbers_until
 _TYPES = {
     "unsigned_char": "u1", "char": "i1", "signed_char": "i1", "unsigned_short": "u2", "short": "i2",
     "unsigned_int": "u4", "int": "i4", "unsigned_long": "u8", "long": "i8", "vtktypeint64": "i8",
-    "vtktypeuint64": "u8", "vtkidtype": "i4", "float": "f4", "double": "f8",
+    "vtktypeuint64": "u8", "vtkidtype": "i4", "float": "f4", "double": "f8", "colors in text": "f4",
 }  # fmt: skip
 _KINDS = ("STRUCTURED_POINTS", "RECTILINEAR_GRID", "UNSTRUCTURED_GRID")
 _REMEDY = "Copy it again, or write it again with VTK or ParaView"
 _COMPONENTS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
+_COLORS = {True: "unsigned_char", False: "colors in text"}
+"""What VTK writes unsigned characters as, in binary and (from 0 to 1) as text."""
+
+
+@dataclass(frozen=True)
+class _Array:
+    """Where an array lies."""
+
+    of_cells: bool
+    start: int
+    dtype: np.dtype
+    components: int
+    tuples: int
+    colors: bool
 
 
 class LegacyFile:
@@ -34,14 +49,14 @@ class LegacyFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._bytes = np.memmap(path, np.uint8, mode="r")
-        self._text = memoryview(self._bytes)
+        self._text = self._bytes.data
         self._at = 0
         first, _ = self._raw_line(), self._raw_line()
         encoding = self._raw_line().strip().upper()
         if not first.startswith("# vtk DataFile") or encoding not in ("ASCII", "BINARY"):
             raise DataError(path, "is not a legacy VTK file", _REMEDY)
         self._binary = encoding == "BINARY"
-        self._arrays: dict[str, tuple[bool, int, np.dtype, int, int]] = {}
+        self._arrays: dict[str, _Array] = {}
         self._axes: dict[str, NDArray[np.generic]] = {}
         self._dims: tuple[int, ...] = ()
         self._spacing = [1.0, 1.0, 1.0]
@@ -55,7 +70,9 @@ class LegacyFile:
             raise DataError(path, f"is damaged near byte {self._at} ({error})", _REMEDY) from error
         dims = self._sample_dims
         self.variables = tuple(
-            Variable(name, dims(array[0]) if self._kind != "UNSTRUCTURED_GRID" else None, 1, array[3])
+            Variable(
+                name, dims(array.of_cells) if self._kind != "UNSTRUCTURED_GRID" else None, 1, array.components
+            )
             for name, array in self._arrays.items()
         )
         if not self.variables:
@@ -63,8 +80,11 @@ class LegacyFile:
 
     def read(self, choice: Choice) -> Field:
         """The values of one choice."""
-        of_cells, start, dtype, components, tuples = self._arrays[choice.variable.name]
-        values, _ = self._numbers(start, dtype, tuples * components)
+        array = self._arrays[choice.variable.name]
+        of_cells, components, tuples = array.of_cells, array.components, array.tuples
+        values, _ = self._numbers(array.start, array.dtype, tuples * components)
+        if array.colors:
+            values = np.rint(values.astype(np.float64) * 255.0).astype(np.uint8)
         if components > 1:
             values = values.reshape(tuples, components)
         if self._kind == "UNSTRUCTURED_GRID":
@@ -141,9 +161,9 @@ class LegacyFile:
                 case "GLOBAL_IDS" | "PEDIGREE_IDS":
                     self._skip("", words[2], 1)
                 case "COLOR_SCALARS":
-                    self._skip("", "unsigned_char" if self._binary else "float", self._count(words[2]))
+                    self._skip(words[1], _COLORS[self._binary], self._count(words[2]))
                 case "LOOKUP_TABLE":
-                    self._skip("", "unsigned_char" if self._binary else "float", 4, self._count(words[2]))
+                    self._skip("", _COLORS[self._binary], 4, self._count(words[2]))
                 case _:
                     raise ValueError(f"unknown keyword {words[0][:40]!r}")
         if not self._kind:
@@ -175,7 +195,7 @@ class LegacyFile:
             self._cells["ends"], self._cells["connectivity"] = ends[1:], self._take(words[1], second)
             return
         self._at = before
-        mixed = self._take("int", second)
+        mixed = np.array(self._take("int", second))
         counts = np.empty(first, np.int64)
         at = 0
         for cell in range(first):
@@ -229,7 +249,8 @@ class LegacyFile:
         if name and self._tuples >= 0:
             name = _decoded(name)
             listed = f"{name}_cells" if name in self._arrays else name
-            self._arrays[listed] = (self._of_cells, start, dtype, components, tuples)
+            colors = kind == _COLORS[False]
+            self._arrays[listed] = _Array(self._of_cells, start, dtype, components, tuples, colors)
 
     def _take(self, kind: str, count: int) -> NDArray[np.generic]:
         values, self._at = self._numbers(self._at, self._dtype(kind), count)
