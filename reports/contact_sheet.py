@@ -74,7 +74,9 @@ def contact_sheet(title: str, tiles: Sequence[Tile]) -> NDArray[np.uint8]:
     size = (columns * (wide + _GAP) + _GAP, sum(heights) + 2 * _GAP + 28)
     sheet = Image.new("RGB", size, (255, 255, 255))
     draw = ImageDraw.Draw(sheet)
-    draw.text((_GAP, _GAP), _fitting(title, 20, size[0] - 2 * _GAP), fill=_INK, font=_font(20, bold=True))
+    draw.text(
+        (_GAP, _GAP), _fitting(title, 20, size[0] - 2 * _GAP, bold=True), fill=_INK, font=_font(20, bold=True)
+    )
     top = _GAP + 36
     for row, height in zip(rows, heights, strict=True):
         for column, tile in enumerate(row):
@@ -92,7 +94,7 @@ def contact_sheet(title: str, tiles: Sequence[Tile]) -> NDArray[np.uint8]:
 
 
 def _height(tile: Tile) -> int:
-    return _LINE + 4 + max(v.shape[0] for v in tile.views) + (6 + _CURVE if tile.has_curve else 0)
+    return _LINE + 4 + max(len(v) for v in tile.views) + (6 + _CURVE if tile.has_curve else 0)
 
 
 def _head(draw: ImageDraw, tile: Tile, left: int, top: int, wide: int) -> None:
@@ -135,7 +137,8 @@ def _curve(tile: Tile, wide: int) -> NDArray[np.floating]:
 
 
 def _pixels(image: NDArray[np.floating]) -> NDArray[np.uint8]:
-    return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    pixels: NDArray[np.uint8] = np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return pixels
 
 
 def _fitting(text: str, size: int, room: float, *, bold: bool = False) -> str:

@@ -35,7 +35,8 @@ def contact_sheets(options: Namespace) -> int:
         shown = options.scene or [*(s.name for s in dataset.scenes), *dataset.compositions]
         tiles = [_tile(dataset, scene, options) for scene in shown]
         path = folder / f"{dataset.name}.png"
-        write_png(path, contact_sheet(f"{dataset.name}: {dataset.title}", tiles) / np.float32(255.0))
+        sheet = contact_sheet(f"{dataset.name}: {dataset.title}", tiles)
+        write_png(path, sheet.astype(np.float32) / np.float32(255.0))
         print(path)
     return 0
 
