@@ -107,21 +107,16 @@ class Arrays:
         low, high = (*_numbers(said.get("valid_range")), -math.inf, math.inf)[:2]
         low = max([low, *_numbers(said.get("valid_min"))])
         high = min([high, *_numbers(said.get("valid_max"))])
+        if kind in ("f2", "f4"):  # as they are stored
+            with np.errstate(over="ignore"):
+                fills = [float(np.dtype(kind).type(fill)) for fill in fills]
         mask = np.ones(values.shape, dtype=bool)
-        if self._missing and values.dtype.kind == "f":
-            for at in range(len(values)):
-                mask[at] = ~np.isnan(values[at])
-        for fill in fills:
-            if not math.isnan(fill):
-                with np.errstate(over="ignore"):
-                    exact = (
-                        np.float32(fill) if values.dtype.itemsize == 4 and values.dtype.kind == "f" else fill
-                    )
-                mask &= values != exact
-        if low > -math.inf:
-            mask &= ~(values < low)
-        if high < math.inf:
-            mask &= ~(values > high)
+        for part, valid in zip(values, mask, strict=True):
+            if self._missing and values.dtype.kind == "f":
+                valid &= ~np.isnan(part)
+            for fill in fills:
+                valid &= part != fill
+            valid &= ~((part < low) | (part > high))
         return None if mask.all() else mask
 
     def _axes(self, array: Array, components: int) -> list[NDArray[Any] | None]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -131,16 +132,28 @@ def fill_outside(values: NDArray[np.generic], mask: NDArray[np.bool_], rest: flo
 
     Interpolation and central differences at valid samples then see no jump.
     """
-    values[~mask] = rest
+    for part, valid in zip(values, mask, strict=True):
+        part[~valid] = rest
     known = mask.copy()
     for _ in range(2):
         for axis in range(3):
             here, ahead = _shifted(axis)
-            up, down = known[here] & ~known[ahead], known[ahead] & ~known[here]
-            for to, origin, new in ((ahead, here, up), (here, ahead, down)):
-                new &= ~known[to]
-                values[to][new] = values[origin][new]
-                known[to] |= new
+            for block in _blocks(values.shape, axis):
+                value, valid = values[block], known[block]
+                up, down = valid[here] > valid[ahead], valid[here] < valid[ahead]
+                value[ahead][up] = value[here][up]
+                value[here][down] = value[ahead][down]
+                valid[ahead] |= up
+                valid[here] |= down
+
+
+def _blocks(shape: tuple[int, ...], axis: int) -> Iterator[tuple[slice, ...]]:
+    """Parts of a grid that hold whole lines along an axis, so that what is formed of each is small."""
+    across = 1 if axis == 0 else 0
+    step = max(1, (1 << 20) * shape[across] // math.prod(shape))
+    for start in range(0, shape[across], step):
+        part = slice(start, start + step)
+        yield (slice(None), part) if across else (part,)
 
 
 def _shifted(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:

@@ -22,7 +22,7 @@ from datasets.errors import DataError
 from datasets.readers.container import Array
 from datasets.readers.fields import need
 
-_PATIENCE = 120.0
+_PATIENCE = 60.0
 """Seconds without a sign of life after which a file is given up."""
 _REMEDY = "Copy it again, or write it again with h5py or netCDF4"
 

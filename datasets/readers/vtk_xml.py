@@ -400,7 +400,7 @@ class XmlFile:
         need("vtk", self.path)
         from vtkmodules.vtkIOCore import vtkLZ4DataCompressor
 
-        compressor = vtkLZ4DataCompressor()
+        compressor: Any = vtkLZ4DataCompressor()
         told = compressor.GetGlobalWarningDisplay()
         out = np.empty(expected, np.uint8)
         try:
