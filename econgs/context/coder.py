@@ -1,0 +1,243 @@
+"""Range coding with integer frequencies, by constriction (Bamler 2022).
+
+constriction turns floating-point probabilities into 24-bit integers. Given whole numbers f − 1 that sum to
+2²⁴ − n, its scale is exactly 1 and every cumulative sum a whole number below 2²⁴, so the frequencies are exactly
+f whatever the machine: no probability depends on floating point. (``perfect=False`` names that conversion.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+import constriction
+import numpy as np
+from numpy.typing import NDArray
+
+from econgs.context.tables import FREQUENCY_BITS, coding_table, low_bits
+
+Categorical, Uniform = constriction.stream.model.Categorical, constriction.stream.model.Uniform
+RangeEncoder, RangeDecoder = constriction.stream.queue.RangeEncoder, constriction.stream.queue.RangeDecoder
+
+Symbols = NDArray[np.int32]
+_FAMILY = Categorical(perfect=False)
+SYMBOL_LIMIT = 1 << 24  # float32 holds every whole number below
+_RAW = 16  # bits of one raw symbol
+
+
+def exact_model(frequencies: NDArray[np.int64]) -> Any:
+    """The model with exactly these frequencies: at least two of them, each ≥ 1, sum 2²⁴."""
+    if len(frequencies) < 2 or frequencies.min() < 1 or frequencies.sum() != 1 << FREQUENCY_BITS:
+        raise ValueError("frequencies of at least 1 with sum 2^24 are needed")
+    return Categorical((frequencies - 1).astype(np.float64), perfect=False)
+
+
+@cache
+def _table_model(table: int) -> Any:
+    return exact_model(coding_table(table)[1])
+
+
+@cache
+def _table_costs(table: int) -> NDArray[np.float64]:
+    return FREQUENCY_BITS - np.log2(coding_table(table)[1])
+
+
+@cache
+def _raw_model(bits: int) -> Any:
+    return Uniform(1 << bits)
+
+
+class Encoder:
+    """A range encoder; what is written by one method is read by the same method of :class:`Decoder`."""
+
+    def __init__(self) -> None:
+        self._coder = RangeEncoder()
+
+    def symbols(self, symbols: NDArray, model: Any) -> None:
+        """Symbols 0 … n − 1 under one model."""
+        self._coder.encode(np.ascontiguousarray(symbols, np.int32), model)
+
+    def flags(self, flags: NDArray, models: NDArray[np.float64]) -> None:
+        """0 or 1, each under its own row of :func:`flag_models`."""
+        self._coder.encode(np.ascontiguousarray(flags, np.int32), _FAMILY, models)
+
+    def raw(self, values: NDArray, bits: int) -> None:
+        """Unsigned numbers of up to 32 bits, at that cost each."""
+        values = np.ascontiguousarray(values, np.int64)
+        for shift, many in _pieces(bits):
+            self.symbols((values >> shift) & ((1 << many) - 1), _raw_model(many))
+
+    def finish(self) -> bytes:
+        """All that was written: a whole number of 4-byte words, little-endian."""
+        return bytes(self._coder.get_compressed().astype("<u4").tobytes())
+
+
+class Decoder:
+    """Reads what :class:`Encoder` wrote; data of other origin gives wrong symbols or ``ValueError``, never more."""
+
+    def __init__(self, data: bytes) -> None:
+        if len(data) % 4:
+            raise ValueError("entropy-coded data is not a whole number of words")
+        self._coder = RangeDecoder(np.frombuffer(data, "<u4").astype(np.uint32))
+
+    def symbols(self, count: int, model: Any) -> Symbols:
+        return self._decode(model, count)
+
+    def flags(self, models: NDArray[np.float64]) -> Symbols:
+        return self._decode(_FAMILY, models)
+
+    def raw(self, count: int, bits: int) -> NDArray[np.int64]:
+        values = np.zeros(count, np.int64)
+        for shift, many in _pieces(bits):
+            values |= self.symbols(count, _raw_model(many)).astype(np.int64) << shift
+        return values
+
+    def finish(self) -> None:
+        """Check that all was read.
+
+        Raises:
+            ValueError: something is left.
+        """
+        if not self._coder.maybe_exhausted():
+            raise ValueError("entropy-coded data is longer than its symbols")
+
+    def _decode(self, model: Any, *arguments: Any) -> Symbols:
+        try:
+            decoded: Symbols = self._coder.decode(model, *arguments)
+        except AssertionError as error:  # constriction's word for invalid data
+            raise ValueError(f"entropy-coded data is invalid: {error}") from error
+        return decoded
+
+
+def flag_models(frequencies: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(n, 2) models of flags from the frequencies of 1 in 2⁻¹⁶, 1 to 2¹⁶ − 1."""
+    ones = np.asarray(frequencies, np.int64) << (FREQUENCY_BITS - 16)
+    return np.stack([(1 << FREQUENCY_BITS) - ones - 1, ones - 1], 1).astype(np.float64)
+
+
+def _pieces(bits: int) -> Iterator[tuple[int, int]]:
+    for shift in range(0, bits, _RAW):
+        yield shift, min(_RAW, bits - shift)
+
+
+class TableOrder:
+    """Which of n symbols share a coding table: those of one table are coded together, in their own order.
+
+    Args:
+        tables: (n,) index of each symbol's table; known to both sides before any symbol is.
+    """
+
+    def __init__(self, tables: NDArray[np.uint16]) -> None:
+        self.count = len(tables)
+        self.order = np.argsort(tables, kind="stable")
+        counts = np.bincount(tables)
+        ends = np.cumsum(counts)
+        self.spans = [(int(t), int(ends[t] - counts[t]), int(ends[t])) for t in np.flatnonzero(counts)]
+
+
+def write_residuals(encoder: Encoder, residuals: NDArray[np.int32], tables: NDArray[np.uint16]) -> None:
+    """Code residuals (symbol less the lattice point next to its mean), each by its own table.
+
+    First the symbols table by table, in ascending order; then the raw low bits of those tables that have some;
+    then the escapes: 5 bits for the length of a number, and the number, in zigzag.
+    """
+    order = TableOrder(tables)
+    sorted_residuals = residuals[order.order]
+    escaped = np.zeros(order.count, np.bool_)
+    raw: list[tuple[NDArray, int]] = []
+    for table, begin, end in order.spans:
+        low, frequencies = coding_table(table)
+        shift, escape = low_bits(table), len(frequencies) - 1
+        part = sorted_residuals[begin:end]
+        symbols = (part >> shift) - low
+        outside = (symbols < 0) | (symbols >= escape)
+        if outside.any():
+            symbols = np.where(outside, escape, symbols)
+            escaped[begin:end] = outside
+        encoder.symbols(symbols, _table_model(table))
+        if shift:
+            kept = part[~outside] if outside.any() else part
+            raw.append((kept & ((1 << shift) - 1), shift))
+    for values, bits in raw:
+        encoder.raw(values, bits)
+    if escaped.any():
+        values = _zigzag(sorted_residuals[escaped])
+        lengths = _lengths(values)
+        encoder.raw(lengths, 5)
+        for length in np.unique(lengths):
+            encoder.raw(values[lengths == length], int(length))
+
+
+def read_residuals(decoder: Decoder, tables: NDArray[np.uint16]) -> NDArray[np.int32]:
+    """Inverse of :func:`write_residuals`."""
+    order = TableOrder(tables)
+    sorted_residuals = np.empty(order.count, np.int32)
+    escaped = np.zeros(order.count, np.bool_)
+    raw: list[tuple[int, int, int]] = []
+    for table, begin, end in order.spans:
+        low, frequencies = coding_table(table)
+        shift, escape = low_bits(table), len(frequencies) - 1
+        symbols = decoder.symbols(end - begin, _table_model(table))
+        escaped[begin:end] = symbols == escape
+        sorted_residuals[begin:end] = (symbols + low) << shift
+        if shift:
+            raw.append((begin, end, shift))
+    for begin, end, bits in raw:
+        kept = np.flatnonzero(~escaped[begin:end]) + begin
+        sorted_residuals[kept] |= decoder.raw(len(kept), bits).astype(np.int32)
+    if escaped.any():
+        lengths = decoder.raw(int(escaped.sum()), 5)
+        values = np.zeros(len(lengths), np.int64)
+        for length in np.unique(lengths):
+            at = lengths == length
+            values[at] = decoder.raw(int(at.sum()), int(length))
+        sorted_residuals[escaped] = (values >> 1) ^ -(values & 1)
+    residuals = np.empty_like(sorted_residuals)
+    residuals[order.order] = sorted_residuals
+    return residuals
+
+
+def ideal_bits(residuals: NDArray[np.int32], tables: NDArray[np.uint16]) -> float:
+    """Cross-entropy of residuals under the very tables that they are coded with, raw and escape bits included."""
+    order = TableOrder(tables)
+    sorted_residuals = residuals[order.order]
+    total = 0.0
+    for table, begin, end in order.spans:
+        low, frequencies = coding_table(table)
+        shift, escape = low_bits(table), len(frequencies) - 1
+        part = sorted_residuals[begin:end]
+        symbols = (part >> shift) - low
+        outside = (symbols < 0) | (symbols >= escape)
+        total += float(_table_costs(table)[np.where(outside, escape, symbols)].sum())
+        total += shift * int((~outside).sum()) + float((5 + _lengths(_zigzag(part[outside]))).sum())
+    return total
+
+
+def _zigzag(values: NDArray[np.int32]) -> NDArray[np.int64]:
+    wide = values.astype(np.int64)
+    return (wide << 1) ^ (wide >> 63)
+
+
+def _lengths(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Bits of non-negative numbers; 0 for 0. Exact: numbers here are far below 2^53."""
+    return np.frexp(values.astype(np.float64))[1].astype(np.int64)
+
+
+def write_bits(encoder: Encoder, plus: NDArray[np.bool_]) -> int:
+    """Code bits at their measured frequency of ones, which is returned in 2⁻¹⁶ (the reader must know it)."""
+    share = int(np.clip(round(float(plus.mean()) * 65536), 1, 65535)) if plus.size else 32768
+    encoder.symbols(plus.ravel(), _bit_model(share))
+    return share
+
+
+def read_bits(decoder: Decoder, count: int, share: int) -> NDArray[np.bool_]:
+    """Inverse of :func:`write_bits`."""
+    if not 1 <= share <= 65535:
+        raise ValueError("a frequency of ones outside 1 to 65535")
+    return decoder.symbols(count, _bit_model(share)).astype(np.bool_)
+
+
+def _bit_model(share: int) -> Any:
+    ones = share << (FREQUENCY_BITS - 16)
+    return exact_model(np.array([(1 << FREQUENCY_BITS) - ones, ones], np.int64))
