@@ -1,0 +1,85 @@
+"""Every scene of the data folder shows something, none fills its box, and no two show the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from skimage.morphology import convex_hull_image
+
+from datasets.auto_transfer import automatic_scenes
+from datasets.camera import Camera
+from datasets.catalogue import open_dataset
+from datasets.render_views import views_of
+from datasets.scene import Dataset
+from datasets.view_cache import ViewCache
+from datasets.views import ViewRequest, ViewSet
+
+REQUEST = ViewRequest("test", 12, 2, 48, 48)
+NAMES = (
+    "boston_teapot", "csafe_heptane", "cth_impact", "fuel", "hydrogen_atom", "isabel_wind",
+    "mesh_disk_out_ref", "mesh_fire_ug", "nucleon", "stent_ct", "stroke_mri", "vis_male",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> ViewCache:
+    return ViewCache(tmp_path_factory.mktemp("views"))
+
+
+def _silhouette(camera: Camera, box: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """(height, width) bool: the pixels that the volume's box covers."""
+    corners = np.array([[box[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)])
+    seen = (corners - camera.position) @ camera.camera_to_world[:3, :3]
+    x = camera.fx * seen[:, 0] / seen[:, 2] + camera.cx
+    y = camera.fy * seen[:, 1] / seen[:, 2] + camera.cy
+    picture = np.zeros((camera.height, camera.width), dtype=bool)
+    at = (np.clip(v.astype(int), 0, n - 1) for v, n in ((y, camera.height), (x, camera.width)))
+    picture[tuple(at)] = True
+    return np.asarray(convex_hull_image(picture))
+
+
+def _check(dataset: Dataset, name: str, views: ViewSet, least: float) -> None:
+    alpha = views.images[..., 3]
+    assert least < alpha.mean() < 0.7, f"{name}: mean alpha {alpha.mean():.4f}"
+    for camera, picture in zip(views.cameras, alpha, strict=True):
+        box = _silhouette(camera, dataset.volume(dataset.scene(name).variable).box)
+        assert picture[~box].max(initial=0.0) < 0.5  # the silhouette is that of the box
+        assert picture[box].mean() < 0.8, f"{name}: fills {picture[box].mean():.2f} of its box"
+
+
+def _unlike(a: ViewSet, b: ViewSet) -> float:
+    """1 - intersection over union of two coverages."""
+    x, y = a.images[..., 3], b.images[..., 3]
+    return float(1.0 - np.minimum(x, y).sum() / np.maximum(x, y).sum())
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", NAMES)
+def test_tuned_scenes(data_folder: Path, cache: ViewCache, name: str) -> None:
+    dataset = open_dataset(name, [data_folder])
+    views = {s.name: views_of(dataset, s.name, REQUEST, cache=cache) for s in dataset.scenes}
+    assert len(views) >= 3
+    for scene, found in views.items():
+        _check(dataset, scene, found, 0.005)
+    alike = {(a, b): round(_unlike(views[a], views[b]), 3) for a, b in combinations(views, 2)}
+    assert min(alike.values()) > 0.05, min(alike, key=lambda pair: alike[pair])
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_automatic_scenes(data_folder: Path, cache: ViewCache, name: str) -> None:
+    dataset = open_dataset(name, [data_folder])
+    for variable in dataset.volumes:
+        volume = dataset.volume(variable)
+        for count in (1, 3):
+            one = replace(dataset, scenes=automatic_scenes(volume, count), compositions={})
+            views = {s.name: views_of(one, s.name, REQUEST, cache=cache) for s in one.scenes}
+            for scene, found in views.items():
+                _check(one, scene, found, 0.002)
+            for a, b in combinations(views, 2):
+                assert _unlike(views[a], views[b]) > 0.05, (variable, a, b)
