@@ -42,18 +42,16 @@ def contact_sheets(options: Namespace) -> int:
 
 
 def _tile(dataset: Dataset, name: str, options: Namespace) -> Tile:
-    from bench.inputs import views
-    from bench.records import Request
+    from bench.inputs import request, views
+    from bench.suites import ViewPreset
     from reports.contact_sheet import Tile
 
     count, (width, height) = options.views or 3, options.size or (140, 140)
-    wanted = Request(train_views=12, test_views=count, width=width, height=height)
-    found = views(dataset, name, wanted, "test")
-    # Pre-rendered paths are longer: views spread over them.
-    chosen = np.linspace(0, len(found), count, endpoint=False).astype(int)
-    pictures = tuple(found.composited(int(i)) for i in dict.fromkeys(chosen))
-    coverage = float(found.images[chosen, ..., 3].mean())
+    preset = ViewPreset(12, count, width, height, prerendered_limit=max(width, height))
     parts = dataset.parts(name)
+    found = views(dataset, name, request(dataset, parts[0].name, preset), "test")
+    pictures = tuple(found.composited(index) for index in range(len(found)))
+    coverage = float(found.images[..., 3].mean())
     if name in dataset.compositions:
         return Tile(name, " + ".join(part.name for part in parts), pictures, coverage)
     scene = parts[0]
