@@ -7,7 +7,6 @@ number of threads and the device cannot change a bit of it, and the entropy code
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -114,31 +113,46 @@ def make_lookup(config: GridConfig, codes: Tensor, extent: Sequence[int]) -> Loo
         codes: (N, 3) integers, 0 ≤ codes ≤ extent.
         extent: largest code per axis, 1 to 65535; the grid spans [0, extent].
     """
-    codes = codes.to(torch.int64)
     one = 1 << FRACTION_BITS
-    indices, weights = [], []
-    first = 0
+    spans = torch.tensor([int(span) for span in extent], device=codes.device)
+    scaled = codes.to(torch.int64)
+    # Of each resolution and axis, computed once: vertices on both sides of a position, and their weights.
+    sides: dict[tuple[int, int], tuple[Tensor, Tensor]] = {}
+    for size in {*config.volume, *config.planes}:
+        places = scaled * (size - 1)
+        cells = torch.minimum(
+            torch.div(places, spans, rounding_mode="floor"), torch.tensor(size - 2, device=codes.device)
+        )
+        rest = places - cells * spans
+        fraction = torch.div(2 * one * rest + spans, 2 * spans, rounding_mode="floor")
+        vertices = torch.stack([cells, cells + 1])
+        weights = torch.stack([one - fraction, fraction]).to(torch.float32) / one
+        for axis in range(3):
+            sides[size, axis] = vertices[:, :, axis], weights[:, :, axis]
+    count = len(codes)
+    width = sum(2 ** len(axes) for axes, _, _ in config.levels)
+    index = torch.empty((width, count), dtype=torch.int32, device=codes.device)
+    weight = torch.empty((width, count), device=codes.device)
+    first = row = 0
     for axes, size, entries in config.levels:
-        cells, fractions = [], []
-        for axis in axes:
-            scaled = codes[:, axis] * (size - 1)
-            span = int(extent[axis])
-            cell = torch.div(scaled, span, rounding_mode="floor").clamp_(max=size - 2)
-            rest = scaled - cell * span
-            fractions.append(torch.div(rest * one * 2 + span, 2 * span, rounding_mode="floor"))
-            cells.append(cell)
         dense = size ** len(axes) <= entries
+        parts, factors = [], []
+        for i, axis in enumerate(axes):
+            vertices, weights = sides[size, axis]
+            # A hashed table has a power of two entries: the masks of the factors do for their sum.
+            part = vertices * size**i if dense else vertices * _PRIMES[i] & (entries - 1)
+            parts.append(part.to(torch.int32))
+            factors.append(weights)
         for corner in product((0, 1), repeat=len(axes)):
-            place = torch.zeros_like(cells[0])
-            weight = torch.ones_like(place)
-            for i, (cell, fraction, bit) in enumerate(zip(cells, fractions, corner, strict=True)):
-                place = place + (cell + bit) * size**i if dense else place ^ ((cell + bit) * _PRIMES[i])
-                weight = weight * (fraction if bit else one - fraction)
-            # A hashed table has a power of two entries.
-            indices.append((place if dense else place & (entries - 1)).add_(first).to(torch.int32))
-            weights.append(weight.to(torch.float32) / float(one ** len(axes)))
+            place, share = parts[0][corner[0]], factors[0][corner[0]]
+            for part, factor, bit in zip(parts[1:], factors[1:], corner[1:], strict=True):
+                place = place + part[bit] if dense else place ^ part[bit]
+                share = share * factor[bit]
+            torch.add(place, first, out=index[row])
+            weight[row] = share
+            row += 1
         first += entries
-    return Lookup(torch.stack(indices, 1), torch.stack(weights, 1), config)
+    return Lookup(index.T.contiguous(), weight.T.contiguous(), config)
 
 
 def signs(parameters: Tensor) -> Tensor:
@@ -165,36 +179,78 @@ binarise = _Sign.apply
 
 class _NativeLookup(torch.autograd.Function):
     @staticmethod
-    def forward(  # type: ignore[override]
-        ctx: Any,
-        parameters: Tensor,
-        lookup: Lookup,
-        rows: Tensor | None,
-        corners: list[int],
-        sizes: list[int],
-    ) -> Tensor:
-        import econgs._native as _native
-
-        plain = parameters.detach().contiguous()
-        count = len(lookup) if rows is None else len(rows)
-        out = plain.new_empty((count, 4 * len(corners)))
-        taken = None if rows is None else rows.contiguous()
-        arrays = (lookup.index.numpy(), lookup.weights.numpy(), None if taken is None else taken.numpy())
-        _native.hash_grid(plain.numpy(), *arrays, corners, sizes, out.numpy())
-        ctx.kept = (plain, arrays, corners, sizes)
+    def forward(ctx: Any, table: Tensor, lookup: Lookup, rows: Tensor | None) -> Tensor:  # type: ignore[override]
+        native = _native()
+        plain = table.detach().contiguous()
+        levels = lookup.config.levels
+        shape = [2 ** len(axes) for axes, _, _ in levels], [entries for _, _, entries in levels]
+        out = plain.new_empty((len(lookup) if rows is None else len(rows), lookup.config.outputs))
+        taken = None if rows is None else rows.contiguous().numpy()
+        arguments = (plain.numpy(), lookup.index.numpy(), lookup.weights.numpy(), taken, *shape)
+        native.hash_grid(*arguments, out.numpy())
+        ctx.arguments, ctx.shape = arguments, plain.shape
         return out
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
-        import econgs._native as _native
+        out = grad.new_empty(ctx.shape)
+        _native().hash_grid_backward(*ctx.arguments, grad.contiguous().numpy(), out.numpy())
+        return out, None, None
 
-        plain, arrays, corners, sizes = ctx.kept
-        out = torch.empty_like(plain)
-        _native.hash_grid_backward(
-            plain.numpy(), *arrays, corners, sizes, grad.detach().contiguous().numpy(), out.numpy()
-        )
-        return out, None, None, None, None
+
+class _CodedBits(torch.autograd.Function):
+    """Entropy of the signs per level; straight-through gradients. One pass over the table each way."""
+
+    @staticmethod
+    def forward(ctx: Any, table: Tensor, sizes: list[int]) -> Tensor:  # type: ignore[override]
+        counts = table.new_tensor([float(one.numel()) for one in table.split(sizes)], dtype=torch.float64)
+        ones = torch.stack([(one >= 0.0).sum() for one in table.split(sizes)])
+        share = (ones / counts).clamp(1e-6, 1.0 - 1e-6)
+        ctx.slopes = 0.5 * ((1.0 - share) / share).log2()  # of the entropy, by a sign: share = mean (sign + 1) / 2
+        ctx.sizes = sizes
+        ctx.save_for_backward(table)
+        entropy = -(share * share.log2() + (1.0 - share) * (1.0 - share).log2())
+        return (counts * entropy).sum().to(table.dtype)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:  # type: ignore[override]
+        (table,) = ctx.saved_tensors
+        out = torch.empty_like(table)
+        for part, values, slope in zip(
+            out.split(ctx.sizes), table.split(ctx.sizes), (ctx.slopes * grad).tolist(), strict=True
+        ):
+            torch.le(values.abs(), 1.0, out=part).mul_(slope)
+        return out, None
+
+
+def _native() -> Any:
+    import econgs._native
+    import econgs.splat.native  # (chooses the number of threads)
+
+    return econgs._native
+
+
+def interpolate(table: Tensor, lookup: Lookup, rows: Tensor | None = None) -> Tensor:
+    """Values of ±1 (the signs of ``table``, entries × features) at positions; see :meth:`HashGrid.forward`."""
+    config = lookup.config
+    if table.shape != (config.entries, config.features):
+        raise ValueError("the lookup was made for another grid")
+    if choose_backend(table) == "native" and config.features == 4:
+        looked_up: Tensor = _NativeLookup.apply(table, lookup, rows)
+        return looked_up
+    index, weights = lookup.index, lookup.weights
+    if rows is not None:
+        index, weights = index[rows], weights[rows]
+    values = binarise(table)[index.long()] * weights[..., None]
+    split = 8 * len(config.volume)
+    count = len(index)
+    parts = [
+        part.reshape(count, part.shape[1] // corners, corners, config.features).sum(2).flatten(1)
+        for part, corners in ((values[:, :split], 8), (values[:, split:], 4))
+    ]
+    return torch.cat(parts, 1)
 
 
 class HashGrid(nn.Module):
@@ -209,7 +265,6 @@ class HashGrid(nn.Module):
         self.config = config
         start = torch.empty((config.entries, config.features)).uniform_(-1e-4, 1e-4, generator=generator)
         self.table = nn.Parameter(start)
-        self._corners = [2 ** len(axes) for axes, _, _ in config.levels]
         self._sizes = [entries for _, _, entries in config.levels]
 
     def lookup(self, codes: Tensor, extent: Sequence[int]) -> Lookup:
@@ -226,43 +281,9 @@ class HashGrid(nn.Module):
         Returns:
             (M, outputs), multiples of 2⁻²¹ in [−1, 1]: level after level, ``features`` values each.
         """
-        if lookup.config != self.config:
-            raise ValueError("the lookup was made for another grid")
-        native = choose_backend(self.table) == "native" and self.config.features == 4
-        if native:
-            looked_up: Tensor = _NativeLookup.apply(
-                self.table, lookup, rows, self._corners, self._sizes
-            )
-            return looked_up
-        index, weights = lookup.index, lookup.weights
-        if rows is not None:
-            index, weights = index[rows], weights[rows]
-        values = binarise(self.table)[index.long()] * weights[..., None]
-        split = 8 * len(self.config.volume)
-        count, features = len(index), self.config.features
-        parts = [
-            part.reshape(count, -1, corners, features).sum(2).reshape(count, -1)
-            for part, corners in ((values[:, :split], 8), (values[:, split:], 4))
-            if part.shape[1]
-        ]
-        return torch.cat(parts, 1)
-
-    def plus_share(self) -> Tensor:
-        """(levels,) share of +1 in each level, by which its bits are coded; carries the gradient of ±1."""
-        binary = binarise(self.table)
-        return torch.stack([0.5 + 0.5 * level.mean() for level in binary.split(self._sizes)])
+        return interpolate(self.table, lookup, rows)
 
     def bits(self) -> Tensor:
         """Bits of the grid coded at the measured share of +1 per level (L_hash of the paper), a scalar."""
-        share = self.plus_share().clamp(1e-6, 1.0 - 1e-6)
-        sizes = share.new_tensor(self._sizes) * self.config.features
-        entropy = -(share * share.log2() + (1.0 - share) * (1.0 - share).log2())
-        return (sizes * entropy).sum()
-
-
-def geometric_levels(first: int, last: int, count: int) -> tuple[int, ...]:
-    """``count`` resolutions that grow by a constant factor."""
-    if count == 1:
-        return (first,)
-    growth = math.log(last / first) / (count - 1)
-    return tuple(round(first * math.exp(growth * i)) for i in range(count))
+        bits: Tensor = _CodedBits.apply(self.table, self._sizes)
+        return bits

@@ -90,6 +90,17 @@ class IntegerLayer:
             whole.to(torch.int8).numpy(), exponent.to(torch.int8).numpy(), shift.to(torch.int32).numpy()
         )
 
+    def checked(self) -> IntegerLayer:
+        """Itself.
+
+        Raises:
+            ValueError: numbers that no layer made by :meth:`of` has.
+        """
+        low, high = EXPONENT_RANGE
+        if (self.weight == -128).any() or (self.exponent < low).any() or (self.exponent > high).any():
+            raise ValueError("weights or exponents out of range")
+        return self
+
     def __call__(self, inputs: NDArray, input_bits: int, *, exact: bool = False) -> Ints:
         """Outputs of 2⁻¹⁶ from inputs of 2^-input_bits: rounded half up, clamped to 32 bits.
 

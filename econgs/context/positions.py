@@ -8,7 +8,6 @@ both sides know, so that a block is coded by a few calls.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -276,10 +275,3 @@ def position_bits(codes: Codes, grid: PositionGrid) -> float:
     """Bits per position when coded, for comparison with 48."""
     ordered = codes[morton_order(codes)]
     return 8.0 * len(encode_positions(ordered, grid)) / len(codes)
-
-
-def merged(grids: Sequence[PositionGrid]) -> PositionGrid:
-    """The box around several grids, for scenes that share a context model."""
-    low = np.min([one.origin for one in grids], axis=0)
-    high = np.max([np.asarray(g.origin) + np.asarray(g.cell) * g.extent for g in grids], axis=0)
-    return PositionGrid.box(low, high)

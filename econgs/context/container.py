@@ -1,0 +1,152 @@
+"""The container of a bitstream: a table of sections, each with its length and checksum (docs/bitstream.md).
+
+Nothing is read beyond what the table announces, nothing announced is believed before it fits the data's length,
+and a section whose checksum differs is never looked into.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from datasets.errors import DataError
+
+MAGIC = b"\x89ECONGS\n"
+VERSION = 1
+MOST_SECTIONS = 4096
+LIMIT = (1 << 32) - 1  # bytes of a section
+_HEADER = struct.Struct("<8sHHQ")  # magic, version, sections, length of the whole
+_ENTRY = struct.Struct("<BBHII")  # kind, zero, scene, length, checksum
+_CHECK = struct.Struct("<I")  # of header and table
+
+ANEW = "Fetch or encode it anew"
+
+
+class Kind(IntEnum):
+    """What a section holds; those from ``SCENE`` on belong to one scene."""
+
+    GROUP = 1
+    CONTEXT = 2
+    GRID = 3
+    DECODERS = 4
+    SCENE = 16
+    POSITIONS = 17
+    FEATURES = 18
+    SCALINGS = 19
+    OFFSETS = 20
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a stream: its kind, the scene it belongs to (0 for parts of the group) and its bytes."""
+
+    kind: Kind
+    scene: int
+    payload: bytes
+
+
+def overhead(sections: int) -> int:
+    """Bytes that the container adds."""
+    return _HEADER.size + sections * _ENTRY.size + _CHECK.size
+
+
+def write_container(sections: Sequence[Section]) -> bytes:
+    """The bytes of a container."""
+    if len(sections) > MOST_SECTIONS:
+        raise ValueError(f"{len(sections)} sections; a container has at most {MOST_SECTIONS}")
+    if any(len(one.payload) > LIMIT or one.scene > 65535 for one in sections):
+        raise ValueError("a section of 4 GiB or more, or more than 65536 scenes")
+    whole = overhead(len(sections)) + sum(len(one.payload) for one in sections)
+    head = _HEADER.pack(MAGIC, VERSION, len(sections), whole)
+    for one in sections:
+        head += _ENTRY.pack(one.kind, 0, one.scene, len(one.payload), zlib.crc32(one.payload))
+    return b"".join([head, _CHECK.pack(zlib.crc32(head)), *(one.payload for one in sections)])
+
+
+def read_container(data: bytes, what: str) -> list[Section]:
+    """The sections of a container, all checked.
+
+    Args:
+        data: the whole of it.
+        what: file or object, for messages.
+
+    Raises:
+        DataError: it is something else, of another version, truncated, longer than it says, or damaged.
+    """
+    if len(data) < _HEADER.size or not data.startswith(MAGIC):
+        if MAGIC.startswith(data[: len(MAGIC)]):
+            raise DataError(what, f"it ends after {len(data)} bytes, within its header", ANEW)
+        raise DataError(what, "it is not a stream of this program (its first bytes differ)", "Name another file")
+    _, version, count, whole = _HEADER.unpack_from(data)
+    if version != VERSION:
+        # The checksum cannot tell damage from a later version's other layout.
+        reason = f"it has format version {version}; this program reads version {VERSION}"
+        raise DataError(what, reason, "Update the program, or encode it anew")
+    if count > MOST_SECTIONS:
+        raise DataError(what, f"it announces {count} sections, more than {MOST_SECTIONS}", ANEW)
+    start = overhead(count)
+    if len(data) < start:
+        raise DataError(what, f"it ends after {len(data)} bytes, within its table of sections", ANEW)
+    (expected,) = _CHECK.unpack_from(data, start - _CHECK.size)
+    if zlib.crc32(data[: start - _CHECK.size]) != expected:
+        raise DataError(what, "its table of sections is damaged (checksum)", ANEW)
+    if len(data) != whole:
+        state = "truncated" if len(data) < whole else "followed by something else"
+        raise DataError(what, f"it has {len(data)} bytes where {whole} were announced: it is {state}", ANEW)
+    sections, seen = [], set()
+    for index in range(count):
+        kind, zero, scene, length, check = _ENTRY.unpack_from(data, _HEADER.size + index * _ENTRY.size)
+        if zero or kind not in Kind.__members__.values():
+            raise DataError(what, f"section {index} is of an unknown kind ({kind})", ANEW)
+        if (kind, scene) in seen:
+            raise DataError(what, f"section {Kind(kind).name} of scene {scene} comes twice", ANEW)
+        seen.add((kind, scene))
+        payload = data[start : start + length]
+        if len(payload) != length:
+            raise DataError(what, f"section {Kind(kind).name} of scene {scene} reaches beyond the end", ANEW)
+        if zlib.crc32(payload) != check:
+            raise DataError(what, f"section {Kind(kind).name} of scene {scene} is damaged (checksum)", ANEW)
+        sections.append(Section(Kind(kind), scene, payload))
+        start += length
+    if start != len(data):
+        raise DataError(what, "bytes beyond its last section", ANEW)
+    return sections
+
+
+class Reader:
+    """Reads fixed-size fields from a section, never beyond its end."""
+
+    def __init__(self, section: Section, what: str) -> None:
+        self._data = section.payload
+        self._at = 0
+        self._name = f"section {section.kind.name} of scene {section.scene}"
+        self._what = what
+
+    def fail(self, reason: str) -> DataError:
+        """An error that names the section."""
+        return DataError(self._what, f"{self._name}: {reason}", ANEW)
+
+    def take(self, count: int) -> bytes:
+        """The next ``count`` bytes."""
+        if count < 0 or count > len(self._data) - self._at:
+            raise self.fail(f"it ends before byte {self._at + count}")
+        taken = self._data[self._at : self._at + count]
+        self._at += count
+        return taken
+
+    def unpack(self, layout: str) -> tuple:
+        """The next fields, little-endian, by :mod:`struct`'s letters."""
+        form = "<" + layout
+        return struct.unpack(form, self.take(struct.calcsize(form)))
+
+    def rest(self) -> bytes:
+        """What is left."""
+        return self.take(len(self._data) - self._at)
+
+    def finish(self) -> None:
+        """Check that all was read."""
+        if self._at != len(self._data):
+            raise self.fail(f"{len(self._data) - self._at} bytes too many")

@@ -1,0 +1,472 @@
+"""Scenes that share decoders and a context model, as one self-contained stream of bytes and back.
+
+``decode_group(encode_group(group).data)`` gives the attributes rounded to multiples of their steps, bit for bit
+the same wherever it runs: whole-number symbols times steps from a table, in float32. The format is described in
+docs/bitstream.md.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from datasets.errors import DataError
+from econgs.context.arrays import Arrays, Precision, read_arrays, write_arrays
+from econgs.context.coder import (
+    SYMBOL_LIMIT,
+    Decoder,
+    Encoder,
+    ideal_bits,
+    read_bits,
+    read_residuals,
+    write_bits,
+    write_residuals,
+)
+from econgs.context.container import Kind, Reader, Section, overhead, read_container, write_container
+from econgs.context.hash_grid import GridConfig, interpolate, make_lookup
+from econgs.context.integer import Coding, IntegerHead, IntegerLayer, step_sizes, whole_values
+from econgs.context.model import ContextConfig, ContextModel
+from econgs.context.positions import PositionGrid, decode_positions, encode_positions, morton_order
+
+ANCHORS_PER_BYTE = 4  # a scene has at most that many per byte of its positions: bounds what a reader allocates
+_PIECE = 8192  # anchors looked up at a time
+_KINDS = (Kind.FEATURES, Kind.SCALINGS, Kind.OFFSETS)
+_PARTS = {
+    Kind.GROUP: "metadata",
+    Kind.CONTEXT: "context head",
+    Kind.GRID: "hash grid",
+    Kind.DECODERS: "decoders",
+    Kind.SCENE: "scene parameters",
+    Kind.POSITIONS: "positions",
+    Kind.FEATURES: "features",
+    Kind.SCALINGS: "scalings",
+    Kind.OFFSETS: "offsets",
+}
+
+
+@dataclass(frozen=True)
+class CodedContext:
+    """A context model in the form in which it is coded.
+
+    Attributes:
+        config: its sizes; steps as float32 holds them.
+        head: integer weights.
+        positive: (entries, features) whether a bit of the hash grid is +1.
+    """
+
+    config: ContextConfig
+    head: IntegerHead
+    positive: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, model: ContextModel) -> CodedContext:
+        """Of a trained model, which may lie on any device."""
+        steps = tuple(float(np.float32(one)) for one in model.config.steps)
+        positive = (model.grid.table.detach() >= 0.0).cpu().numpy()
+        return cls(replace(model.config, steps=steps), model.integer_head(), positive)
+
+    def coding(self, codes: NDArray[np.int64], grid: PositionGrid) -> Coding:
+        """How each attribute of anchors at (N, 3) position codes is coded."""
+        table = torch.from_numpy(np.where(self.positive, np.float32(1), np.float32(-1)))
+        parts = []
+        with torch.no_grad():
+            for begin in range(0, max(len(codes), 1), _PIECE):
+                piece = torch.from_numpy(codes[begin : begin + _PIECE])
+                lookup = make_lookup(self.config.grid, piece, grid.extent)
+                parts.append(self.head(whole_values(interpolate(table, lookup))))
+        join = [np.concatenate(one) for one in zip(*((p.steps, p.center, p.table) for p in parts), strict=True)]
+        return Coding(*join)
+
+    def steps(self, coding: Coding) -> NDArray[np.float32]:
+        """(N, D) step of every element."""
+        each = [
+            step_sizes(coding.steps[:, group], base)[:, None].repeat(width, 1)
+            for group, (base, width) in enumerate(zip(self.config.steps, self.config.widths, strict=True))
+        ]
+        return np.concatenate(each, 1)
+
+
+@dataclass(frozen=True)
+class SceneAttributes:
+    """One scene: N anchors and what belongs to the scene alone.
+
+    Attributes:
+        name: of the scene.
+        positions: (N, 3) float32, on the group's grid of positions.
+        features: (N, F) float32.
+        scalings: (N, 6) float32, activated.
+        offsets: (N, K, 3) float32.
+        parameters: further float32 arrays by name: palette, embedding.
+    """
+
+    name: str
+    positions: NDArray[np.float32]
+    features: NDArray[np.float32]
+    scalings: NDArray[np.float32]
+    offsets: NDArray[np.float32]
+    parameters: Arrays = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def values(self) -> NDArray[np.float32]:
+        """(N, D): features, scalings, offsets."""
+        flat = self.offsets.reshape(len(self), self.offsets.shape[1] * self.offsets.shape[2])
+        return np.concatenate([self.features, self.scalings, flat], 1, dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class GroupAttributes:
+    """Scenes that share decoders and a context model.
+
+    Attributes:
+        scenes: at least one; equal numbers of features and offsets.
+        grid: where anchor positions lie.
+        context: None stores attributes as plain float32.
+        decoders: weights of the shared decoders by name, float32.
+        metadata: what JSON can hold (options that a renderer needs).
+    """
+
+    scenes: tuple[SceneAttributes, ...]
+    grid: PositionGrid
+    context: CodedContext | None = None
+    decoders: Arrays = field(default_factory=dict)
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """A stream and what is in it.
+
+    Attributes:
+        data: the bytes.
+        ledger: bytes by part, summing to ``len(data)``.
+        ideal_bits: cross-entropy of features, scalings and offsets under their coding tables; 0 without context.
+        weight_error: largest absolute error of any decoder weight by its precision.
+    """
+
+    data: bytes
+    ledger: dict[str, int]
+    ideal_bits: float
+    weight_error: float
+
+    @property
+    def attribute_bits(self) -> int:
+        """Bits that features, scalings and offsets take, to be held against :attr:`ideal_bits`."""
+        return 8 * sum(self.ledger[_PARTS[kind]] for kind in _KINDS)
+
+
+@dataclass(frozen=True)
+class _Quantised:
+    """A scene in Morton order: position codes, symbols (N, D), their steps and coding (None without context)."""
+
+    scene: SceneAttributes
+    codes: NDArray[np.int64]
+    symbols: NDArray[np.int32] | None
+    coding: Coding | None
+
+
+def _quantise(scene: SceneAttributes, group: GroupAttributes) -> _Quantised:
+    codes = _checked(scene, group)
+    order = morton_order(codes)
+    codes = codes[order]
+    arrays = (scene.features, scene.scalings, scene.offsets)
+    features, scalings, offsets = (np.ascontiguousarray(one[order], np.float32) for one in arrays)
+    ordered = replace(
+        scene,
+        positions=group.grid.positions(codes),
+        features=features,
+        scalings=scalings,
+        offsets=offsets,
+        parameters={name: np.asarray(one, np.float32) for name, one in scene.parameters.items()},
+    )
+    if group.context is None:
+        return _Quantised(ordered, codes, None, None)
+    coding = group.context.coding(codes, group.grid)
+    steps = group.context.steps(coding)
+    symbols = np.floor(ordered.values.astype(np.float64) / steps + 0.5)
+    if symbols.size and np.abs(symbols).max() >= SYMBOL_LIMIT:
+        worst = np.unravel_index(np.abs(symbols).argmax(), symbols.shape)
+        raise DataError(
+            f"scene {scene.name}",
+            f"attribute {worst[1]} of an anchor is {ordered.values[worst]:g}, beyond 2^24 steps of {steps[worst]:g}",
+            "Training has diverged, or the base step is too small",
+        )
+    whole = symbols.astype(np.int32)
+    return _Quantised(_with_values(ordered, whole * steps), codes, whole, coding)
+
+
+def _with_values(scene: SceneAttributes, values: NDArray[np.float32]) -> SceneAttributes:
+    width, many = scene.features.shape[1], scene.offsets.shape[1]
+    return replace(
+        scene,
+        features=values[:, :width],
+        scalings=values[:, width : width + 6],
+        offsets=values[:, width + 6 :].reshape(len(values), many, 3),
+    )
+
+
+def _checked(scene: SceneAttributes, group: GroupAttributes) -> NDArray[np.int64]:
+    """Position codes of a scene that can be coded."""
+    count = len(scene)
+    first = group.scenes[0]
+    width, many = first.features.shape[1], first.offsets.shape[1]
+    shapes = {"positions": (count, 3), "features": (count, width), "scalings": (count, 6), "offsets": (count, many, 3)}
+    remedy = "Training has gone wrong before"
+    for name, shape in shapes.items():
+        array = getattr(scene, name)
+        if array.shape != shape:
+            raise DataError(f"scene {scene.name}", f"{name} have shape {array.shape}, not {shape}", remedy)
+        if not np.isfinite(array).all():
+            raise DataError(f"scene {scene.name}", f"{name} hold a value that is not finite", remedy)
+    context = group.context
+    if context is not None and (context.config.features, context.config.offsets) != (width, many):
+        raise DataError(f"scene {scene.name}", "the context model is for other features or offsets", remedy)
+    codes = group.grid.codes(scene.positions)
+    away = np.abs(group.grid.positions(codes) - scene.positions)
+    if (away > np.asarray(group.grid.cell) * 0.51 + 1e-5).any():
+        raise DataError(f"scene {scene.name}", "an anchor lies outside the grid of positions", remedy)
+    return codes
+
+
+def round_group(group: GroupAttributes) -> GroupAttributes:
+    """What decoding the group's stream gives (decoders at full precision), without coding it."""
+    scenes = tuple(_quantise(scene, group).scene for scene in group.scenes)
+    decoders = {name: np.asarray(one, np.float32) for name, one in group.decoders.items()}
+    return replace(group, scenes=scenes, decoders=decoders)
+
+
+def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> Encoded:
+    """The stream of a group.
+
+    Args:
+        group: what to encode; anchors come back in Morton order.
+        weights: precision of the decoders' weights: "float32", "float16", or "int8" (8 bits with a scale per row of
+            a matrix, 16 for vectors).
+
+    Raises:
+        DataError: values that are not finite or far beyond their steps, or an anchor outside the grid.
+    """
+    if not group.scenes:
+        raise DataError("stream", "a group without scenes", "Add at least one")
+    shared = [Section(Kind.GROUP, 0, _write_group(group))]
+    if group.context is not None:
+        shared.append(Section(Kind.CONTEXT, 0, _write_context(group.context)))
+        shared.append(Section(Kind.GRID, 0, _write_grid(group.context)))
+    decoders, error = write_arrays(group.decoders, weights)
+    shared.append(Section(Kind.DECODERS, 0, decoders))
+    sections, ideal = list(shared), 0.0
+    for index, scene in enumerate(group.scenes):
+        quantised = _quantise(scene, group)
+        positions = encode_positions(quantised.codes, group.grid) if len(scene) else b""
+        padding = bytes(max(-(-len(scene) // ANCHORS_PER_BYTE) - len(positions), 0))
+        header = _text(scene.name) + np.array([len(scene), len(positions)], "<u4").tobytes()
+        header += write_arrays(scene.parameters, "float32")[0]
+        sections.append(Section(Kind.SCENE, index, header))
+        sections.append(Section(Kind.POSITIONS, index, positions + padding))
+        for kind, columns in zip(_KINDS, _columns(group.scenes[0]), strict=True):
+            payload, bits = _write_attributes(quantised, columns)
+            sections.append(Section(kind, index, payload))
+            ideal += bits
+    ledger = {"container": overhead(len(sections))} | dict.fromkeys(_PARTS.values(), 0)
+    for one in sections:
+        ledger[_PARTS[one.kind]] += len(one.payload)
+    return Encoded(write_container(sections), ledger, ideal, error)
+
+
+def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
+    """The group of a stream, bit for bit that of :func:`round_group`.
+
+    Args:
+        data: the whole stream.
+        what: file, for messages.
+
+    Raises:
+        DataError: foreign, truncated, damaged or inconsistent data; the message names the section.
+    """
+    sections = {(one.kind, one.scene): one for one in read_container(data, what)}
+
+    def reader(kind: Kind, scene: int = 0) -> Reader:
+        try:
+            return Reader(sections.pop((kind, scene)), what)
+        except KeyError:
+            reason = f"section {kind.name} of scene {scene} is missing"
+            raise DataError(what, reason, "Fetch or encode it anew") from None
+
+    grid, coded, count, width, many, metadata = _guarded(reader(Kind.GROUP), _read_group)
+    context = None
+    if coded:
+        context = _guarded(reader(Kind.CONTEXT), _read_context)
+        if (context.config.features, context.config.offsets) != (width, many):
+            raise DataError(what, "its context model is for other attributes", "Fetch or encode it anew")
+        context = _guarded(reader(Kind.GRID), lambda one: _read_grid(one, context))
+    decoders = _guarded(reader(Kind.DECODERS), read_arrays)
+    scenes = []
+    for index in range(count):
+        name, anchors, length, parameters = _guarded(reader(Kind.SCENE, index), _read_scene)
+        codes = _guarded(reader(Kind.POSITIONS, index), lambda one: _read_positions(one, anchors, length, grid))
+        empty = SceneAttributes(
+            name,
+            grid.positions(codes),
+            np.empty((anchors, width), np.float32),
+            np.empty((anchors, 6), np.float32),
+            np.empty((anchors, many, 3), np.float32),
+            parameters,
+        )
+        coding = None if context is None else context.coding(codes, grid)
+        parts = [
+            _guarded(reader(kind, index), lambda one, c=columns: _read_attributes(one, coding, anchors, c))
+            for kind, columns in zip(_KINDS, _columns(empty), strict=True)
+        ]
+        values = np.concatenate(parts, 1)
+        if context is not None and coding is not None:
+            values = values * context.steps(coding)
+        scenes.append(_with_values(empty, values))
+    if sections:
+        raise DataError(what, "it has sections that belong to nothing", "Fetch or encode it anew")
+    return GroupAttributes(tuple(scenes), grid, context, decoders, metadata)
+
+
+def _guarded(reader: Reader, read: Callable[[Reader], Any]) -> Any:
+    """What a section holds; whatever is wrong with it is said with its name."""
+    try:
+        result = read(reader)
+    except (ValueError, RecursionError, UnicodeDecodeError) as error:
+        raise reader.fail(str(error)) from error
+    reader.finish()
+    return result
+
+
+def _columns(scene: SceneAttributes) -> list[slice]:
+    width, total = scene.features.shape[1], scene.features.shape[1] + 6 + 3 * scene.offsets.shape[1]
+    return [slice(0, width), slice(width, width + 6), slice(width + 6, total)]
+
+
+def _text(text: str) -> bytes:
+    data = text.encode()
+    return np.array([len(data)], "<u4").tobytes() + data
+
+
+def _read_text(reader: Reader) -> str:
+    (length,) = reader.unpack("I")
+    return reader.take(length).decode()
+
+
+def _write_group(group: GroupAttributes) -> bytes:
+    first = group.scenes[0]
+    sizes = [
+        len(group.scenes), first.features.shape[1], first.offsets.shape[1], int(group.context is not None),
+        *group.grid.extent,
+    ]  # fmt: skip
+    places = np.array([*group.grid.origin, *group.grid.cell], "<f8").tobytes()
+    text = json.dumps(group.metadata, separators=(",", ":"), sort_keys=True)
+    return np.array(sizes, "<u2").tobytes() + places + _text(text)
+
+
+def _read_group(reader: Reader) -> tuple:
+    count, width, many, coded, *extent = reader.unpack("7H")
+    numbers = reader.unpack("6d")
+    if not (count and width and many and coded in (0, 1)):
+        raise ValueError("no scenes, features or offsets")
+    grid = PositionGrid(numbers[:3], numbers[3:], tuple(extent))
+    metadata = json.loads(_read_text(reader))
+    if not isinstance(metadata, dict):
+        raise ValueError("metadata is no object")
+    return grid, bool(coded), count, width, many, metadata
+
+
+def _write_context(context: CodedContext) -> bytes:
+    config, grid = context.config, context.config.grid
+    sizes = [config.features, config.offsets, config.hidden, len(grid.volume), len(grid.planes),
+             grid.volume_log2, grid.planes_log2, grid.features, *grid.volume, *grid.planes]  # fmt: skip
+    parts = [np.array(sizes, "<u2").tobytes(), np.array(config.steps, "<f4").tobytes()]
+    for layer in (context.head.first, context.head.second):
+        parts += [layer.weight.tobytes(), layer.exponent.tobytes(), layer.bias.astype("<i4").tobytes()]
+    return b"".join(parts)
+
+
+def _read_context(reader: Reader) -> CodedContext:
+    features, offsets, hidden, volume, planes, volume_log2, planes_log2, values = reader.unpack("8H")
+    levels = reader.unpack(f"{volume + planes}H")
+    grid = GridConfig(levels[:volume], levels[volume:], volume_log2, planes_log2, values)
+    steps = reader.unpack("4f")
+    config = ContextConfig(features, offsets, steps, grid, hidden)
+
+    def layer(rows: int, inputs: int) -> IntegerLayer:
+        weight = np.frombuffer(reader.take(rows * inputs), np.int8).reshape(rows, inputs)
+        exponent = np.frombuffer(reader.take(rows), np.int8)
+        bias = np.frombuffer(reader.take(4 * rows), "<i4").astype(np.int32)
+        return IntegerLayer(weight, exponent, bias).checked()
+
+    first = layer(hidden, grid.outputs)
+    head = IntegerHead(first, layer(2 * config.total + len(config.widths), hidden), config.widths)
+    return CodedContext(config, head, np.zeros((0, values), np.bool_))
+
+
+def _write_grid(context: CodedContext) -> bytes:
+    encoder, at, shares = Encoder(), 0, []
+    for _, _, entries in context.config.grid.levels:
+        shares.append(write_bits(encoder, context.positive[at : at + entries]))
+        at += entries
+    return np.array(shares, "<u2").tobytes() + encoder.finish()
+
+
+def _read_grid(reader: Reader, context: CodedContext) -> CodedContext:
+    grid = context.config.grid
+    shares = reader.unpack(f"{len(grid.levels)}H")
+    decoder = Decoder(reader.rest())
+    bits = [
+        read_bits(decoder, entries * grid.features, share)
+        for (_, _, entries), share in zip(grid.levels, shares, strict=True)
+    ]
+    decoder.finish()
+    return replace(context, positive=np.concatenate(bits).reshape(-1, grid.features))
+
+
+def _read_scene(reader: Reader) -> tuple[str, int, int, Arrays]:
+    name = _read_text(reader)
+    anchors, length = reader.unpack("2I")
+    return name, anchors, length, read_arrays(reader)
+
+
+def _read_positions(reader: Reader, anchors: int, length: int, grid: PositionGrid) -> NDArray[np.int64]:
+    payload = reader.rest()
+    if anchors > ANCHORS_PER_BYTE * len(payload) or length > len(payload):
+        raise ValueError(f"{anchors} anchors in {len(payload)} bytes")
+    if any(payload[length:]):
+        raise ValueError("its padding is not zero")
+    if anchors == 0:
+        return np.zeros((0, 3), np.int64)
+    return decode_positions(payload[:length], anchors, grid)
+
+
+def _write_attributes(quantised: _Quantised, columns: slice) -> tuple[bytes, float]:
+    """Bytes of some columns and their ideal bits."""
+    if quantised.symbols is None or quantised.coding is None:
+        return np.ascontiguousarray(quantised.scene.values[:, columns]).astype("<f4").tobytes(), 0.0
+    residuals = (quantised.symbols[:, columns] - quantised.coding.center[:, columns]).ravel()
+    tables = quantised.coding.table[:, columns].ravel()
+    encoder = Encoder()
+    write_residuals(encoder, residuals, tables)
+    return encoder.finish(), ideal_bits(residuals, tables)
+
+
+def _read_attributes(reader: Reader, coding: Coding | None, anchors: int, columns: slice) -> NDArray:
+    """Symbols (or values, without context) of some columns."""
+    width = columns.stop - columns.start
+    if coding is None:
+        values = np.frombuffer(reader.take(4 * anchors * width), "<f4").astype(np.float32)
+        if not np.isfinite(values).all():
+            raise ValueError("a value that is not finite")
+        return values.reshape(anchors, width)
+    decoder = Decoder(reader.rest())
+    residuals = read_residuals(decoder, coding.table[:, columns].ravel())
+    decoder.finish()
+    return residuals.reshape(anchors, width) + coding.center[:, columns]
