@@ -12,7 +12,7 @@ from skimage.morphology import convex_hull_image
 
 from datasets.auto_transfer import automatic_scenes
 from datasets.camera import Camera
-from datasets.catalogue import open_dataset
+from datasets.catalogue import entries, open_dataset
 from datasets.render_views import views_of
 from datasets.scene import Dataset
 from datasets.view_cache import ViewCache
@@ -61,6 +61,7 @@ def _unlike(a: ViewSet, b: ViewSet) -> float:
 @pytest.mark.parametrize("name", NAMES)
 def test_tuned_scenes(data_folder: Path, cache: ViewCache, name: str) -> None:
     dataset = open_dataset(name, [data_folder])
+    assert {dataset.volume(v).dims for v in dataset.volumes} == {tuple(entries.entry(name)["dims"])}
     views = {s.name: views_of(dataset, s.name, REQUEST, cache=cache) for s in dataset.scenes}
     assert len(views) >= 3
     for scene, found in views.items():

@@ -1,0 +1,48 @@
+"""docs/datasets.md says what the catalogue has, and its example of an entry is one."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from datasets.catalogue import entries, list_datasets
+from datasets.catalogue.opening import _scenes
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "datasets.md").read_text(encoding="utf-8")
+ROWS = {
+    name: (samples, int(scenes))
+    for name, samples, scenes in re.findall(r"^\| `(\w+)` \| (\S+) \| (\d+) \|", PAGE, re.M)
+}
+
+
+def test_every_entry_is_described() -> None:
+    described = set(ROWS)
+    if (DOCS / "procedural.md").exists():
+        described |= set(re.findall(r"`(\w+)`", (DOCS / "procedural.md").read_text(encoding="utf-8")))
+    assert not set(entries.names()) - described
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_rows_agree_with_the_catalogue(name: str) -> None:
+    (info,) = [info for info in list_datasets([]) if info.name == name]
+    samples, scenes = ROWS[name]
+    expected = {"procedural": "any", "views": "views"}.get(
+        info.kind, "\N{MULTIPLICATION SIGN}".join(map(str, info.dims or ()))
+    )
+    assert (samples, scenes) == (expected, len(info.scenes))
+
+
+def test_the_example_is_an_entry() -> None:
+    (block,) = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
+    bone, surface = _scenes(tomllib.loads(block))
+    assert bone.transfer is not None
+    assert bone.light is not None
+    assert [level.value for level in surface.isosurfaces] == [0.15]
+    # The defaults that it states are the defaults.
+    assert (bone.light, bone.background, bone.depth_enhancement) == (
+        surface.light, surface.background, surface.depth_enhancement,
+    )  # fmt: skip
