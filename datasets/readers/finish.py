@@ -68,7 +68,7 @@ def value_range(
     Raises:
         DataError: one is NaN or infinite, none is valid, or they are constant or beyond single precision.
     """
-    slices = max(1, _CHUNK // values[0].nbytes)
+    slices = max(1, (_CHUNK >> 3) // values[0].nbytes)
     low, high, bad = math.inf, -math.inf, 0
     for start in range(0, len(values), slices):
         part = values[start : start + slices]

@@ -36,7 +36,7 @@ _COMPRESSORS = {
 }
 """Most that each can expand its input by."""
 _REMEDY = "Copy it again, or write it again with VTK or ParaView"
-_CHUNK = 1 << 24  # a multiple of 4: whole groups of base64
+_CHUNK = 1 << 20  # a multiple of 4: whole groups of base64
 _MASKS = ("vtkGhostType", "vtkValidPointMask")
 
 

@@ -428,4 +428,5 @@ def test_never_more_than_two_copies_in_memory(tmp_path: Path, name: str) -> None
         if "masked" in name:
             big[30:200, 40:90, 60:] = -1.0
         _netcdf(path, {"v": big}, "NETCDF4" if "4" in name else "NETCDF3_64BIT_OFFSET", {}, attributes=said)
-    assert peak_bytes(path) < (2.4 if "masked" in name else 2.05) * big.nbytes  # a mask is a quarter
+    masks = 2 * big.size if "masked" in name else 0  # the result, and the one that grows while it is filled
+    assert peak_bytes(path) < 2.05 * big.nbytes + masks

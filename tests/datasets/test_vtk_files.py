@@ -484,4 +484,5 @@ def test_never_more_than_two_copies_in_memory(tmp_path: Path, name: str) -> None
         write_legacy(path, grid, binary=True)
     else:
         write_xml(path, grid, "raw" if "raw" in name else "appended", "zlib" if "zlib" in name else "none")
-    assert peak_bytes(path, "v") < 2.0 * big.nbytes
+    text = 4 / 3 if "none" in name else 1.0  # a copy in base64 is that much larger
+    assert peak_bytes(path, "v") < (1.05 + text) * big.nbytes
