@@ -209,6 +209,9 @@ def _without_background(stats: Statistics, low: float, high: float) -> list[tupl
     pieces = [(low, inside[0] / _BINS), ((inside[-1] + 1) / _BINS, high)]
     number = stats.count
     kept = [(a, b) for a, b in pieces if b > a and number[round(a * _BINS) : round(b * _BINS)].any()]
+    # Slivers beside the background are thinner than a ray's step, and show as dots.
+    wide = [(a, b) for a, b in kept if b - a > 4 / _BINS]
+    kept = wide or kept
     return kept or [(low, high)]
 
 
