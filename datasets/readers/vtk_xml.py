@@ -139,7 +139,7 @@ class XmlFile:
                 name, kind = element.get("Name", ""), element.get("type", "")
                 if name in _MASKS:
                     self._masks[section].append(name)
-                elif name and kind in _TYPES:
+                elif name and kind in _TYPES and (section, name) not in self._arrays.values():
                     listed = f"{name}_cells" if name in self._arrays else name
                     self._arrays[listed] = (section, name)
                     found.append(Variable(listed, dims, 1, self._components(element)))

@@ -18,6 +18,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from datasets.catalogue import open_dataset
+from datasets.catalogue.opening import _reader
 from datasets.errors import DataError, UnknownName
 from datasets.readers import hdf5, list_variables, read_volume
 
@@ -303,6 +304,15 @@ def test_many_variables_become_at_most_twelve_scenes(
     dataset = open_dataset(path)
     assert len(dataset.scenes) == 12
     assert "left out: v12 (more than 12 scenes); v13" in caplog.text
+
+
+def test_catalogue_entries_choose_array_and_step(tmp_path: Path) -> None:
+    series = _array("f4", (3, 4, 5, 6))
+    path = _npz(tmp_path / "v.npz", False, velocityMag=series, other=_array())
+    volume = _reader(path, {"variable": "wind", "array": "velocityMag", "step": 2}, (1.0, 1.0, 2.0))()
+    assert (volume.name, volume.spacing) == ("wind", (1.0, 1.0, 2.0))
+    np.testing.assert_array_equal(volume.values, series[2])
+    np.testing.assert_array_equal(_reader(path, {"variable": "other"}, None)().values, _array())
 
 
 def _write(path: Path) -> Path:
