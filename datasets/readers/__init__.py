@@ -126,7 +126,7 @@ def _suffix(path: Path) -> str:
 
 def _refuse_choice(path: Path, array: str | None, step: int | None, resolution: int | None) -> None:
     if array is not None or step or resolution is not None:
-        asked = "array" if array is not None else "step" if step else "resolution"
+        asked = "variable" if array is not None else "step" if step else "resolution"
         raise DataError(path, f"its format holds one field: it has no choice of {asked}", "Leave it out")
 
 

@@ -243,7 +243,7 @@ def test_choices_that_are_not_there(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="Only meshes"):
         read_volume(path, "s", resolution=9)
     np.save(tmp_path / "v.npy", _array())
-    with pytest.raises(DataError, match="no choice of array"):
+    with pytest.raises(DataError, match="no choice of variable"):
         read_volume(tmp_path / "v.npy", array="v")
 
 

@@ -451,7 +451,7 @@ def test_damaged_files(tmp_path: Path, name: str, kind: str, at: float, value: i
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
-@settings(PROPERTY, max_examples=1000)
+@settings(PROPERTY, max_examples=300)
 @given(**DAMAGE)
 def test_damaged_files_thoroughly(tmp_path: Path, name: str, kind: str, at: float, value: int) -> None:
     _damaged(tmp_path / name, kind, at, value)
