@@ -7,6 +7,7 @@ number of threads and the device cannot change a bit of it, and the entropy code
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -91,8 +92,8 @@ class Lookup:
     """Where N fixed positions fall in a grid: computed once, used in every iteration.
 
     Attributes:
-        index: (N, V) int32, entry of each of the V vertices around a position, over all levels.
-        weights: (N, V) float32, multiples of 2⁻²¹; those of a level sum to 1.
+        index: (V, N) int32, entry of each of the V vertices around a position, over all levels.
+        weights: (V, N) float32, multiples of 2⁻²¹; those of a level sum to 1.
         config: the grid it was made for.
     """
 
@@ -101,7 +102,7 @@ class Lookup:
     config: GridConfig
 
     def __len__(self) -> int:
-        return len(self.index)
+        return self.index.shape[1]
 
 
 @torch.no_grad()
@@ -152,7 +153,7 @@ def make_lookup(config: GridConfig, codes: Tensor, extent: Sequence[int]) -> Loo
             weight[row] = share
             row += 1
         first += entries
-    return Lookup(index.T.contiguous(), weight.T.contiguous(), config)
+    return Lookup(index, weight, config)
 
 
 def signs(parameters: Tensor) -> Tensor:
@@ -179,78 +180,91 @@ binarise = _Sign.apply
 
 class _NativeLookup(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, table: Tensor, lookup: Lookup, rows: Tensor | None) -> Tensor:  # type: ignore[override]
-        native = _native()
+    def forward(  # type: ignore[override]
+        ctx: Any, table: Tensor, lookup: Lookup, rows: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
         plain = table.detach().contiguous()
         levels = lookup.config.levels
-        shape = [2 ** len(axes) for axes, _, _ in levels], [entries for _, _, entries in levels]
+        sizes = [entries for _, _, entries in levels]
         out = plain.new_empty((len(lookup) if rows is None else len(rows), lookup.config.outputs))
         taken = None if rows is None else rows.contiguous().numpy()
-        arguments = (plain.numpy(), lookup.index.numpy(), lookup.weights.numpy(), taken, *shape)
-        native.hash_grid(*arguments, out.numpy())
+        corners = [2 ** len(axes) for axes, _, _ in levels]
+        arguments = (plain.numpy(), lookup.index.numpy(), lookup.weights.numpy(), taken, corners, sizes)
+        positive = native().hash_grid(*arguments, out.numpy())
+        bits, ctx.slopes = _entropy(positive, [4 * one for one in sizes])
         ctx.arguments, ctx.shape = arguments, plain.shape
-        return out
+        return out, plain.new_tensor(bits)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, grad: Tensor, grad_bits: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
         out = grad.new_empty(ctx.shape)
-        _native().hash_grid_backward(*ctx.arguments, grad.contiguous().numpy(), out.numpy())
+        constant = [one * grad_bits.item() for one in ctx.slopes]
+        native().hash_grid_backward(*ctx.arguments, grad.contiguous().numpy(), constant, out.numpy())
         return out, None, None
 
 
+def _entropy(positive: Sequence[int], counts: Sequence[int]) -> tuple[float, list[float]]:
+    """Bits of levels coded at their share of +1, and by how much one more of a value (of ±1) changes them."""
+    bits, slopes = 0.0, []
+    for ones, count in zip(positive, counts, strict=True):
+        share = min(max(ones / count, 1e-6), 1.0 - 1e-6)
+        bits -= count * (share * math.log2(share) + (1.0 - share) * math.log2(1.0 - share))
+        slopes.append(0.5 * math.log2((1.0 - share) / share))
+    return bits, slopes
+
+
 class _CodedBits(torch.autograd.Function):
-    """Entropy of the signs per level; straight-through gradients. One pass over the table each way."""
+    """The bits alone; straight-through gradients where |p| ≤ 1."""
 
     @staticmethod
     def forward(ctx: Any, table: Tensor, sizes: list[int]) -> Tensor:  # type: ignore[override]
-        counts = table.new_tensor([float(one.numel()) for one in table.split(sizes)], dtype=torch.float64)
-        ones = torch.stack([(one >= 0.0).sum() for one in table.split(sizes)])
-        share = (ones / counts).clamp(1e-6, 1.0 - 1e-6)
-        ctx.slopes = 0.5 * ((1.0 - share) / share).log2()  # of the entropy, by a sign: share = mean (sign + 1) / 2
+        parts = table.split(sizes)
+        positive = torch.stack([(one >= 0.0).sum() for one in parts]).tolist()
+        bits, ctx.slopes = _entropy(positive, [one.numel() for one in parts])
         ctx.sizes = sizes
         ctx.save_for_backward(table)
-        entropy = -(share * share.log2() + (1.0 - share) * (1.0 - share).log2())
-        return (counts * entropy).sum().to(table.dtype)
+        return table.new_tensor(bits)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:  # type: ignore[override]
         (table,) = ctx.saved_tensors
-        out = torch.empty_like(table)
-        for part, values, slope in zip(
-            out.split(ctx.sizes), table.split(ctx.sizes), (ctx.slopes * grad).tolist(), strict=True
-        ):
-            torch.le(values.abs(), 1.0, out=part).mul_(slope)
-        return out, None
+        inside = (table.abs() <= 1.0).to(table.dtype)
+        parts = inside.split(ctx.sizes)
+        return torch.cat([part * (one * grad) for part, one in zip(parts, ctx.slopes, strict=True)]), None
 
 
-def _native() -> Any:
+def native() -> Any:
+    """The compiled module, with its threads and instruction set chosen."""
     import econgs._native
     import econgs.splat.native  # (chooses the number of threads)
 
     return econgs._native
 
 
-def interpolate(table: Tensor, lookup: Lookup, rows: Tensor | None = None) -> Tensor:
-    """Values of ±1 (the signs of ``table``, entries × features) at positions; see :meth:`HashGrid.forward`."""
+def interpolate(table: Tensor, lookup: Lookup, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Values of ±1 (the signs of ``table``, entries × features) at positions, and the table's bits.
+
+    See :meth:`HashGrid.forward`.
+    """
     config = lookup.config
     if table.shape != (config.entries, config.features):
         raise ValueError("the lookup was made for another grid")
     if choose_backend(table) == "native" and config.features == 4:
-        looked_up: Tensor = _NativeLookup.apply(table, lookup, rows)
+        looked_up: tuple[Tensor, Tensor] = _NativeLookup.apply(table, lookup, rows)
         return looked_up
     index, weights = lookup.index, lookup.weights
     if rows is not None:
-        index, weights = index[rows], weights[rows]
+        index, weights = index[:, rows], weights[:, rows]
     values = binarise(table)[index.long()] * weights[..., None]
-    split = 8 * len(config.volume)
-    count = len(index)
+    split, count = 8 * len(config.volume), index.shape[1]
     parts = [
-        part.reshape(count, part.shape[1] // corners, corners, config.features).sum(2).flatten(1)
-        for part, corners in ((values[:, :split], 8), (values[:, split:], 4))
+        part.unflatten(0, (part.shape[0] // corners, corners)).sum(1).transpose(0, 1)
+        for part, corners in ((values[:split], 8), (values[split:], 4))
     ]
-    return torch.cat(parts, 1)
+    bits: Tensor = _CodedBits.apply(table, [entries for _, _, entries in config.levels])
+    return torch.cat(parts, 1).reshape(count, config.outputs), bits
 
 
 class HashGrid(nn.Module):
@@ -265,25 +279,20 @@ class HashGrid(nn.Module):
         self.config = config
         start = torch.empty((config.entries, config.features)).uniform_(-1e-4, 1e-4, generator=generator)
         self.table = nn.Parameter(start)
-        self._sizes = [entries for _, _, entries in config.levels]
 
     def lookup(self, codes: Tensor, extent: Sequence[int]) -> Lookup:
         """:func:`make_lookup` with this grid."""
         return make_lookup(self.config, codes, extent)
 
-    def forward(self, lookup: Lookup, rows: Tensor | None = None) -> Tensor:
-        """Interpolated values of ±1.
+    def forward(self, lookup: Lookup, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Interpolated values of ±1, and the bits of the grid.
 
         Args:
             lookup: of N positions.
             rows: (M,) indices (int64) of those asked for; default all, in order.
 
         Returns:
-            (M, outputs), multiples of 2⁻²¹ in [−1, 1]: level after level, ``features`` values each.
+            (M, outputs), multiples of 2⁻²¹ in [−1, 1]: level after level, ``features`` values each; and the bits of
+            the whole grid coded at the measured share of +1 per level, a scalar (L_hash of the paper).
         """
         return interpolate(self.table, lookup, rows)
-
-    def bits(self) -> Tensor:
-        """Bits of the grid coded at the measured share of +1 per level (L_hash of the paper), a scalar."""
-        bits: Tensor = _CodedBits.apply(self.table, self._sizes)
-        return bits

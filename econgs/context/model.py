@@ -16,8 +16,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from econgs.context.hash_grid import SMALL_GRID, GridConfig, HashGrid, Lookup
+from econgs.context.hash_grid import SMALL_GRID, GridConfig, HashGrid, Lookup, native
 from econgs.context.integer import MOST_INPUTS, IntegerHead, IntegerLayer, rounded_steps, rounded_weight
+from econgs.splat.rasterise import choose_backend
 
 STEPS = {"features": 0.1, "offset_scalings": 0.001, "gaussian_scalings": 0.001, "offsets": 0.2}
 """Base steps Q. The paper's are these with 1 for features, which rounds nearly all trained features to zero."""
@@ -38,8 +39,8 @@ class Attributes(NamedTuple):
         """All in one, (M, F + 6 + 3 K)."""
         return torch.cat([self.features, self.scalings, self.offsets.flatten(1)], 1)
 
-    def __getitem__(self, rows: Any) -> Any:  # the anchors, not the fields
-        """Of some anchors: indices or a mask. (Fields are taken by name.)"""
+    def of(self, rows: Tensor) -> Attributes:
+        """Those of some anchors: indices or a mask."""
         return Attributes(self.features[rows], self.scalings[rows], self.offsets[rows])
 
 
@@ -80,13 +81,29 @@ class ContextConfig:
 
 @dataclass(frozen=True)
 class Context:
-    """The context of M anchors: hidden activations (M, H) and steps q (M, 4), one per attribute group."""
+    """The context of M anchors, of which S are sampled for the rate.
 
-    hidden: Tensor
+    Attributes:
+        steps: (M, 4) step q of each attribute group.
+        grid_bits: bits of the hash grid as it is now, a scalar.
+        sample: (S,) which of the M.
+        sample_hidden: (S, H) hidden activations of those.
+        sample_steps: (S, 4) their steps.
+    """
+
     steps: Tensor
+    grid_bits: Tensor
+    sample: Tensor
+    sample_hidden: Tensor
+    sample_steps: Tensor
 
-    def __getitem__(self, rows: Tensor) -> Context:
-        return Context(self.hidden[rows], self.steps[rows])
+
+@dataclass(frozen=True)
+class Noisy:
+    """Attributes with noise: of all M anchors, and (S, D) flat of those sampled for the rate."""
+
+    values: Attributes
+    sample: Tensor
 
 
 @dataclass(frozen=True)
@@ -149,6 +166,74 @@ class Noise:
             return torch.rand(shape, generator=self.generator).sub_(0.5).to(self.pool.device)
         start = int(torch.randint(len(self.pool) - count + 1, (), generator=self.generator))
         return self.pool[start : start + count].view(shape)
+
+
+class _Head(torch.autograd.Function):
+    """Hidden layer and refinements of all rows, hidden activations of the last ones: no dense gradient of a part."""
+
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any, values: Tensor, weight: Tensor, bias: Tensor, last: Tensor, last_bias: Tensor, tail: int
+    ) -> tuple[Tensor, Tensor]:
+        hidden = torch.addmm(bias, values, weight.T).relu_()
+        ctx.save_for_backward(values, weight, last, hidden)
+        ctx.tail = tail
+        return torch.addmm(last_bias, hidden, last.T), hidden[len(hidden) - tail :].clone()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad: Tensor, grad_tail: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        values, weight, last, hidden = ctx.saved_tensors
+        inner = grad @ last
+        inner[len(inner) - ctx.tail :] += grad_tail
+        inner = torch.ops.aten.threshold_backward(inner, hidden, 0.0)
+        to_values = inner @ weight if ctx.needs_input_grad[0] else None
+        return to_values, inner.T @ values, inner.sum(0), grad.T @ hidden, grad.sum(0), None
+
+
+class _AddNoise(torch.autograd.Function):
+    """Values with noise of their groups' steps, and once more those of a sample."""
+
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any, values: Tensor, steps: Tensor, noise: Tensor, sample: Tensor, first: int, groups: int
+    ) -> tuple[Tensor, Tensor]:
+        flat, noise = values.detach().flatten(1), noise.flatten(1)
+        ctx.native = choose_backend(flat) == "native"
+        ctx.groups = first, groups
+        ctx.save_for_backward(noise, steps, sample)
+        if ctx.native:
+            out = torch.empty_like(flat)
+            arrays = [one.detach().contiguous().numpy() for one in (flat, noise, steps)]
+            native().add_noise(*arrays, first, groups, out.numpy())
+        else:
+            each = steps[:, first : first + groups].repeat_interleave(flat.shape[1] // groups, 1)
+            out = torch.addcmul(flat, noise, each)
+        return out.view(values.shape), out[sample]
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad: Tensor, grad_sample: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        noise, steps, sample = ctx.saved_tensors
+        first, groups = ctx.groups
+        flat = grad.flatten(1)
+        if len(sample):
+            flat = flat.index_add(0, sample, grad_sample)
+        to_steps = torch.zeros_like(steps)
+        if ctx.native:
+            part = steps.new_empty((len(steps), groups))
+            arrays = [one.detach().contiguous().numpy() for one in (flat, noise, steps)]
+            native().add_noise_backward(*arrays, first, groups, part.numpy())
+        else:
+            part = (flat * noise).unflatten(1, (groups, -1)).sum(2)
+        to_steps[:, first : first + groups] = part
+        return flat.view(grad.shape), to_steps, None, None, None, None
+
+
+def draw_sample(count: int, generator: torch.Generator, share: float = 0.05) -> Tensor:
+    """Which of ``count`` visible anchors are sampled for the rate (with replacement); at least 16 if there are."""
+    many = max(round(share * count), min(count, 16))
+    return torch.randint(max(count, 1), (many,), generator=generator)
 
 
 class ContextModel(nn.Module):
@@ -217,16 +302,31 @@ class ContextModel(nn.Module):
         """Vertices and weights of anchor positions (``PositionGrid.codes``, ``PositionGrid.extent``), kept for reuse."""
         return self.grid.lookup(codes.to(self.device), extent)
 
-    def forward(self, lookup: Lookup, rows: Tensor | None = None) -> Context:
-        """Context of the anchors ``rows`` (indices, default all) of a scene: cheap enough for all visible ones."""
-        values = self.grid(lookup, rows)
+    def forward(self, lookup: Lookup, rows: Tensor | None = None, sample: Tensor | None = None) -> Context:
+        """Context of the anchors ``rows`` of a scene: cheap enough for all visible ones in every iteration.
+
+        Args:
+            lookup: of the scene's anchors.
+            rows: (M,) indices (int64), default all.
+            sample: (S,) which of the rows are taken for the rate (:func:`draw_sample`); default none.
+        """
+        sample = torch.empty(0, dtype=torch.int64) if sample is None else sample
+        sample = sample.to(self.device)
+        count = len(lookup) if rows is None else len(rows)
+        if len(sample):
+            every = torch.arange(count, device=self.device) if rows is None else rows
+            rows = torch.cat([every, every[sample]])
+        values, grid_bits = self.grid(lookup, rows)
         weight, last = self.first.weight, self.refinements.weight
         if self.coder_exact:
             weight, last = rounded_weight(weight), rounded_weight(last)
-        hidden = torch.relu(functional.linear(values, weight, self.first.bias))
-        refinements = functional.linear(hidden, last, self.refinements.bias)
+        refinements, hidden = _Head.apply(
+            values, weight, self.first.bias, last, self.refinements.bias, len(sample)
+        )
         factors = rounded_steps(refinements) if self.coder_exact else 1.0 + torch.tanh(refinements)
-        return Context(hidden, factors * factors.new_tensor(self.config.steps))
+        steps = factors * factors.new_tensor(self.config.steps)
+        first, sampled = steps.split([count, len(sample)])
+        return Context(first, grid_bits, sample, hidden, sampled)
 
     def distribution(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation (M, D) of every attribute element, in its own unit."""
@@ -243,16 +343,17 @@ class ContextModel(nn.Module):
         widths = torch.tensor(self.config.widths, device=steps.device)
         return steps.repeat_interleave(widths, 1, output_size=self.config.total)
 
-    def perturb(self, values: Attributes, steps: Tensor, noise: Noise) -> Attributes:
-        """Attributes with uniform noise of one step (M, 4), which stands for rounding; gradients reach both."""
-        features, scalings, offsets = values
-        count, width = features.shape
-        scaling_steps = steps[:, 1:3].repeat_interleave(3, 1, output_size=6)
-        return Attributes(
-            torch.addcmul(features, noise.take(count, width), steps[:, :1]),
-            torch.addcmul(scalings, noise.take(count, 6), scaling_steps),
-            torch.addcmul(offsets, noise.take(*offsets.shape), steps[:, 3:, None]),
-        )
+    def perturb(self, values: Attributes, context: Context, noise: Noise) -> Noisy:
+        """Attributes of the M anchors with uniform noise of one step, which stands for rounding.
+
+        Gradients reach the values and the steps.
+        """
+        parts = [
+            _AddNoise.apply(one, context.steps, noise.take(*one.shape), context.sample, first, groups)
+            for one, first, groups in zip(values, (0, 1, 3), (1, 2, 1), strict=True)
+        ]
+        whole, sampled = zip(*parts, strict=True)
+        return Noisy(Attributes(*whole), torch.cat(sampled, 1))
 
     def round(self, values: Attributes, steps: Tensor) -> Attributes:
         """Attributes rounded to multiples of the steps; straight-through gradients to the values."""
@@ -270,41 +371,42 @@ class ContextModel(nn.Module):
             rounded(offsets, steps[:, 3:, None]),
         )
 
-    def bits(self, values: Tensor, context: Context) -> Tensor:
-        """(M, D) bits of noisy or rounded attributes (M, D) (:attr:`Attributes.flat`)."""
-        mean, sigma = self.distribution(context.hidden)
-        return normal_bits(values, mean, sigma, self.element_steps(context.steps))
+    def bits(self, values: Tensor, hidden: Tensor, steps: Tensor) -> Tensor:
+        """(S, D) bits of noisy or rounded attributes (S, D) under hidden activations (S, H) and steps (S, 4)."""
+        mean, sigma = self.distribution(hidden)
+        return normal_bits(values, mean, sigma, self.element_steps(steps))
 
-    def rate(
-        self,
-        values: Attributes,
-        context: Context,
-        *,
-        anchors: int,
-        generator: torch.Generator,
-        share: float = 0.05,
-    ) -> Rate:
-        """The rate terms of the loss, from a random share of the anchors at hand.
+    def rate(self, noisy: Noisy, context: Context, *, anchors: int) -> Rate:
+        """The rate terms of the loss, from the sampled anchors.
 
         The paper's loss is L_rec + λ_e (L_entropy + L_hash) / (N d_A): add λ_e · (attributes + grid).
 
         Args:
-            values: noisy (or rounded) attributes of M anchors.
-            context: theirs.
+            noisy: of :meth:`perturb`.
+            context: of :meth:`forward`, with a sample.
             anchors: N, number of anchors of all scenes that share this model.
-            generator: of the CPU.
-            share: how many of the M are sampled, with replacement; at least 16.
         """
-        count = len(values.features)
-        grid = self.grid.bits() / float(max(anchors, 1) * self.config.total)
-        if count == 0:
+        grid = context.grid_bits / float(max(anchors, 1) * self.config.total)
+        if len(context.sample) == 0:
             return Rate(grid.new_zeros(()), grid, grid.new_zeros(4))
-        many = max(round(share * count), min(count, 16))
-        sample = torch.randint(count, (many,), generator=generator).to(self.device)
-        bits = self.bits(values[sample].flat, context[sample])
+        bits = self.bits(noisy.sample, context.sample_hidden, context.sample_steps)
         per_element = bits.detach().mean(0)
         groups = torch.stack([one.mean() for one in per_element.split(self.config.widths)])
         return Rate(bits.mean(), grid, groups)
+
+    @torch.no_grad()
+    def rounded(self, values: Attributes, lookup: Lookup) -> tuple[Attributes, Tensor]:
+        """All anchors of a scene rounded as if coded, and (4,) estimated bits of each attribute group."""
+        pieces, bits = [], torch.zeros(4, dtype=torch.float64)
+        for rows in torch.arange(len(lookup), device=self.device).split(8192):
+            context = self(lookup, rows, torch.arange(len(rows)))
+            piece = self.round(values.of(rows), context.steps)
+            pieces.append(piece)
+            each = self.bits(piece.flat, context.sample_hidden, context.sample_steps).sum(0)
+            bits += torch.stack([one.sum() for one in each.split(self.config.widths)]).cpu()
+        if not pieces:
+            return values, bits
+        return Attributes(*(torch.cat(part) for part in zip(*pieces, strict=True))), bits
 
     @torch.no_grad()
     def integer_head(self) -> IntegerHead:

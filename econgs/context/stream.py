@@ -79,7 +79,8 @@ class CodedContext:
             for begin in range(0, max(len(codes), 1), _PIECE):
                 piece = torch.from_numpy(codes[begin : begin + _PIECE])
                 lookup = make_lookup(self.config.grid, piece, grid.extent)
-                parts.append(self.head(whole_values(interpolate(table, lookup))))
+                values, _ = interpolate(table, lookup)
+                parts.append(self.head(whole_values(values)))
         join = [np.concatenate(one) for one in zip(*((p.steps, p.center, p.table) for p in parts), strict=True)]
         return Coding(*join)
 
