@@ -127,12 +127,43 @@ INLINE Shaded shade(const float* raw, int64_t plane, V3 mean, const DecodeView& 
 
 INLINE vf clamp01(vf x) { return min(max(x, vf{}), set(1.0f)); }
 
-// K floats, and what spills over to the next whole vector.
-INLINE void copy_run(const float* from, float* to, int count) {
-  for (int i = 0; i < count; i += LANES) store(to + i, load(from + i));
+// `runs` times K floats, and what spills over to the next whole vector.
+template <int VECTORS>
+INLINE void copy_runs_of(const float* from, int64_t from_step, float* to, int64_t to_step, int count, int runs) {
+  for (int r = 0; r < runs; ++r, from += from_step, to += to_step)
+    for (int i = 0; VECTORS ? i < VECTORS * LANES : i < count; i += LANES) store(to + i, load(from + i));
+}
+INLINE void copy_runs(const float* from, int64_t from_step, float* to, int64_t to_step, int count, int runs) {
+  if (count <= LANES) copy_runs_of<1>(from, from_step, to, to_step, count, runs);
+  else if (count <= 2 * LANES) copy_runs_of<2>(from, from_step, to, to_step, count, runs);
+  else copy_runs_of<0>(from, from_step, to, to_step, count, runs);
 }
 INLINE void fill_run(float* to, float value, int count) {
   for (int i = 0; i < count; i += LANES) store(to + i, set(value));
+}
+// Exactly n floats.
+INLINE void copy(const float* from, float* to, int64_t n) {
+  int64_t i = 0;
+  for (; i + LANES <= n; i += LANES) store(to + i, load(from + i));
+  if (i < n && n >= LANES) store(to + n - LANES, load(from + n - LANES));
+  else
+    for (; i < n; ++i) to[i] = from[i];
+}
+
+// Rows of three floats as vectors of four: the fourth belongs to the next row, which the last row does not have.
+INLINE v4 row3(const float* p, bool last) { return last ? load3(p) : load4(p); }
+INLINE void put3(float* p, v4 v, bool last) {
+  if (!last) return store4(p, v);
+  for (int d = 0; d < 3; ++d) p[d] = v[d];
+}
+// Slots i to i + 3 of three or four planes, as rows.
+INLINE Square rows3(const float* planes, int64_t plane, int64_t i) {
+  const v4 z = load4(planes + 2 * plane + i);
+  return transposed(load4(planes + i), load4(planes + plane + i), z, z);
+}
+INLINE Square rows4(const float* planes, int64_t plane, int64_t i) {
+  return transposed(load4(planes + i), load4(planes + plane + i), load4(planes + 2 * plane + i),
+                    load4(planes + 3 * plane + i));
 }
 
 // Floats of scratch: inputs, hidden units and outputs of a block as rows, then two sets of planes.
@@ -161,35 +192,22 @@ static int64_t decode_layout(const DecodeShape& s, float* memory, DecodeScratch*
 
 static int64_t decode_scratch(const DecodeShape& s) { return decode_layout(s, nullptr, nullptr); }
 
-// Inputs of the networks as rows: features, then the unit vector from the camera. False if one is not finite.
-INLINE bool decode_inputs(const DecodeShape& s, const DecodeInputs& in, const DecodeView& view, int64_t begin,
+// Inputs of the networks as rows: features, then the unit vector from the camera.
+INLINE void decode_inputs(const DecodeShape& s, const DecodeInputs& in, const DecodeView& view, int64_t begin,
                           int count, float* rows) {
-  vf wrong = {};
   for (int a = 0; a < count; ++a) {
-    const float* const from = in.features + (begin + a) * s.features;
     float* const to = rows + (int64_t)a * s.input_stride;
-    int i = 0;
-    for (; i + LANES <= s.features; i += LANES) {
-      const vf values = load(from + i);
-      wrong += 0.0f * values;
-      store(to + i, values);
+    copy(in.features + (begin + a) * s.features, to, s.features);
+    if (!s.directions) continue;
+    const float* const anchor = in.anchors + 3 * (begin + a);
+    float d[3], square = 0.0f;
+    for (int k = 0; k < 3; ++k) {
+      d[k] = anchor[k] - view.eye[k];
+      square += d[k] * d[k];
     }
-    for (; i < s.features; ++i) {
-      wrong[0] += 0.0f * from[i];
-      to[i] = from[i];
-    }
-    if (s.directions) {
-      const float* const anchor = in.anchors + 3 * (begin + a);
-      float d[3], square = 0.0f;
-      for (int k = 0; k < 3; ++k) {
-        d[k] = anchor[k] - view.eye[k];
-        square += d[k] * d[k];
-      }
-      const float length = __builtin_sqrtf(square), inverse = length > MIN_LENGTH ? 1.0f / length : 0.0f;
-      for (int k = 0; k < 3; ++k) to[s.features + k] = d[k] * inverse;
-    }
+    const float length = __builtin_sqrtf(square), inverse = length > MIN_LENGTH ? 1.0f / length : 0.0f;
+    for (int k = 0; k < 3; ++k) to[s.features + k] = d[k] * inverse;
   }
-  return signs(wrong == vf{}) == ALL_LANES;
 }
 
 INLINE bool finite(const float* p, int64_t n) {
@@ -209,10 +227,11 @@ static int64_t decode_opacity(const DecodeShape& s, const DecodeInputs& in, cons
   const int count = (int)(end - begin);
   DecodeScratch scratch;
   decode_layout(s, memory, &scratch);
-  if (!decode_inputs(s, in, view, begin, count, scratch.inputs) || !finite(in.anchors + 3 * begin, 3 * count) ||
-      !finite(in.scalings + 6 * begin, 6 * count) ||
+  if (!finite(in.features + begin * s.features, (int64_t)count * s.features) ||
+      !finite(in.anchors + 3 * begin, 3 * count) || !finite(in.scalings + 6 * begin, 6 * count) ||
       !finite(in.offsets + 3 * begin * s.offsets, (int64_t)3 * count * s.offsets))
     return -1;
+  decode_inputs(s, in, view, begin, count, scratch.inputs);
   float* const hidden = rows ? rows : scratch.hidden;
   product<RELU>(count, s.hidden, s.inputs, {scratch.inputs, s.input_stride, 1}, w.first_t, s.hidden_stride, hidden,
                 s.hidden_stride, w.first_bias);
@@ -220,7 +239,7 @@ static int64_t decode_opacity(const DecodeShape& s, const DecodeInputs& in, cons
   product<BIAS>(count, s.offsets, s.hidden, {hidden, s.hidden_stride, 1}, w.second_t[NET_OPACITY], width,
                 scratch.outputs, width, w.second_bias[NET_OPACITY]);
   float* const packed = scratch.made;
-  for (int a = 0; a < count; ++a) copy_run(scratch.outputs + a * width, packed + a * s.offsets, s.offsets);
+  copy_runs(scratch.outputs, width, packed, s.offsets, s.offsets, count);
   const int slots = count * s.offsets;
   int64_t kept = 0;
   const bool any = view.opacity > 0.0f;
@@ -243,27 +262,33 @@ static int64_t decode_opacity(const DecodeShape& s, const DecodeInputs& in, cons
 // What the planes need of the anchors: means, the last three scalings, and tanh opacities (0 past the end).
 INLINE void decode_anchors(const DecodeShape& s, const DecodeInputs& in, const float* opacity, int64_t begin,
                            int count, float* at) {
-  const int many = s.offsets;
-  const int64_t plane = s.plane;
+  const int many = s.offsets, slots = count * many;
+  const int64_t plane = s.plane, all = in.count * many;
+  float* const means = at + AT_MEAN * plane;
   for (int a = 0; a < count; ++a) {
-    const float *const anchor = in.anchors + 3 * (begin + a), *const scaling = in.scalings + 6 * (begin + a),
-                *const offset = in.offsets + 3 * (begin + a) * many;
-    for (int k = 0; k < many; ++k)
-      for (int d = 0; d < 3; ++d)
-        at[(AT_MEAN + d) * plane + a * many + k] = anchor[d] + offset[3 * k + d] * scaling[d];
+    const float* const scaling = in.scalings + 6 * (begin + a);
+    const v4 anchor = load3(in.anchors + 3 * (begin + a)), stretch = load3(scaling);
+    for (int k = 0; k < many; k += 4) {
+      v4 row[4];
+      for (int j = 0; j < 4; ++j) {
+        const int64_t n = (begin + a) * many + k + j;
+        row[j] = anchor + (n < all ? row3(in.offsets + 3 * n, n + 1 == all) : v4{}) * stretch;
+      }
+      const Square columns = transposed(row[0], row[1], row[2], row[3]);
+      for (int d = 0; d < 3; ++d) store4(means + d * plane + a * many + k, columns.row[d]);
+    }
     for (int d = 0; d < 3; ++d) fill_run(at + (AT_SCALING + d) * plane + a * many, scaling[3 + d], many);
   }
-  const int slots = count * many;
   float* const t = at + AT_OPACITY * plane;
-  for (int i = 0; i < slots; ++i) t[i] = opacity[i];
+  copy(opacity, t, slots);
   for (int i = slots; i < slots + LANES; ++i) t[i] = 0.0f;
 }
 
-// The Gaussians of a block, from `raw` on: rows [first, ...) of the outputs. `rows` holds the hidden units of the
+// The Gaussians of a block, from `raw` on: rows [first, last) of the outputs. `rows` holds the hidden units of the
 // opacity network or is null; `kept` is where the planes of raw outputs stay for the backward pass, or null.
 static void decode_block(const DecodeShape& s, const DecodeInputs& in, const DecodeView& view,
                          const DecodeWeights& w, int64_t begin, int64_t end, const float* opacity, int64_t first,
-                         const DecodeOutputs& out, float* rows, float* kept, float* memory) {
+                         int64_t last, const DecodeOutputs& out, float* rows, float* kept, float* memory) {
   const Flush flush;
   const int count = (int)(end - begin), many = s.offsets;
   const int64_t plane = s.plane;
@@ -280,8 +305,7 @@ static void decode_block(const DecodeShape& s, const DecodeInputs& in, const Dec
     product<BIAS>(count, s.out_width[net], s.hidden, {hidden + net * s.hidden, s.hidden_stride, 1}, w.second_t[net],
                   width, scratch.outputs, width, w.second_bias[net]);
     for (int attribute = 0; attribute < NET_ATTRIBUTES[net]; ++attribute, ++into)
-      for (int a = 0; a < count; ++a)
-        copy_run(scratch.outputs + (int64_t)a * width + attribute * many, raw + into * plane + a * many, many);
+      copy_runs(scratch.outputs + attribute * many, width, raw + into * plane, many, many, count);
   }
   decode_anchors(s, in, opacity, begin, count, scratch.at);
 
@@ -304,43 +328,53 @@ static void decode_block(const DecodeShape& s, const DecodeInputs& in, const Dec
     store(made + OUT_QUAT * plane + i, sound ? q0 * inverse : set(1.0f));
     store3(made + (OUT_QUAT + 1) * plane + i, plane, q * inverse);
   }
-  int64_t n = first;
-  const float* const t = scratch.at + AT_OPACITY * plane;
   if (!(view.opacity > 0.0f)) return;
-  for (int i = 0; i < slots; ++i) {
-    if (!(t[i] > 0.0f)) continue;
-    for (int d = 0; d < 3; ++d) out.means[3 * n + d] = scratch.at[(AT_MEAN + d) * plane + i];
-    for (int d = 0; d < 4; ++d) out.quats[4 * n + d] = made[(OUT_QUAT + d) * plane + i];
-    for (int d = 0; d < 3; ++d) out.scales[3 * n + d] = made[(OUT_SCALE + d) * plane + i];
-    for (int d = 0; d < 3; ++d) out.colors[3 * n + d] = made[(OUT_COLOR + d) * plane + i];
-    const float opaque = t[i] * view.opacity;
-    out.opacities[n] = opaque < 1.0f ? opaque : 1.0f;
-    out.slots[n++] = begin * many + i;
+  const float* const t = scratch.at + AT_OPACITY * plane;
+  float *const means = out.means, *const quats = out.quats, *const scales = out.scales, *const colors = out.colors,
+        *const opacities = out.opacities;
+  int64_t* const places = out.slots;
+  int64_t n = first;
+  for (int i = 0; i < slots; i += 4) {
+    const Square mean = rows3(scratch.at + AT_MEAN * plane, plane, i), quat = rows4(made + OUT_QUAT * plane, plane, i),
+                 scale = rows3(made + OUT_SCALE * plane, plane, i), color = rows3(made + OUT_COLOR * plane, plane, i);
+    for (int j = 0; j < 4; ++j) {
+      if (!(t[i + j] > 0.0f)) continue;  // also past the end
+      // Another thread writes the rows after the block's last.
+      put3(means + 3 * n, mean.row[j], n + 1 == last);
+      store4(quats + 4 * n, quat.row[j]);
+      put3(scales + 3 * n, scale.row[j], n + 1 == last);
+      put3(colors + 3 * n, color.row[j], n + 1 == last);
+      const float opaque = t[i + j] * view.opacity;
+      opacities[n] = opaque < 1.0f ? opaque : 1.0f;
+      places[n++] = begin * many + i + j;
+    }
   }
 }
 
-// Gradients of the outputs as planes by slot (0 where culled): those made, then the opacity.
-INLINE void decode_scatter(const float* t, int slots, int64_t plane, int64_t first, const ConstDecodeOutputs& grad,
-                           float* to) {
-  const struct { const float* from; int plane, width; } parts[] = {
-      {grad.means, OUT_MEAN, 3}, {grad.quats, OUT_QUAT, 4},     {grad.scales, OUT_SCALE, 3},
-      {grad.colors, OUT_COLOR, 3}, {grad.opacities, OUT_PLANES, 1}};
-  for (const auto& part : parts) {
-    float* const rows = to + part.plane * plane;
-    if (!part.from) {
-      for (int d = 0; d < part.width; ++d)
-        for (int i = 0; i < slots; i += LANES) store(rows + d * plane + i, vf{});
-      continue;
-    }
-    const float* from = part.from + first * part.width;
-    for (int i = 0; i < slots; ++i) {
-      const bool drawn = t[i] > 0.0f;
-      for (int d = 0; d < part.width; ++d) rows[d * plane + i] = drawn ? from[d] : 0.0f;
-      from += drawn ? part.width : 0;
-    }
-    for (int i = slots; i < slots + LANES; ++i)
-      for (int d = 0; d < part.width; ++d) rows[d * plane + i] = 0.0f;
+// Gradients of the outputs as planes by slot (0 where culled and past the end). `all`: the number of their rows.
+template <int WIDTH>
+INLINE void decode_scatter(const float* t, int slots, int64_t plane, int64_t first, int64_t all, const float* from,
+                           float* planes) {
+  if (!from) {
+    for (int d = 0; d < WIDTH; ++d)
+      for (int i = 0; i < slots; i += LANES) store(planes + d * plane + i, vf{});
+    return;
   }
+  int64_t n = first;
+  for (int i = 0; i < slots; i += 4) {
+    v4 row[4];
+    for (int j = 0; j < 4; ++j) {
+      row[j] = v4{};
+      if (!(t[i + j] > 0.0f)) continue;
+      if (WIDTH == 1) row[j][0] = from[n];
+      else row[j] = WIDTH == 4 ? load4(from + 4 * n) : row3(from + 3 * n, n + 1 == all);
+      ++n;
+    }
+    const Square columns = transposed(row[0], row[1], row[2], row[3]);
+    for (int d = 0; d < WIDTH; ++d) store4(planes + d * plane + i, columns.row[d]);
+  }
+  for (int d = 0; d < WIDTH; ++d)
+    for (int i = (slots + 3) / 4 * 4; i < slots + LANES; ++i) planes[d * plane + i] = 0.0f;
 }
 
 // From gradients of what was made (planes `made`) to those of raw outputs (planes `to`, and for the raw opacity plane
@@ -420,7 +454,7 @@ INLINE void decode_activations_backward(const DecodeView& view, int slots, int64
 // `raw` are what the forward pass kept.
 static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const DecodeView& view,
                             const DecodeWeights& w, int64_t begin, int64_t end, const float* opacity, int64_t first,
-                            const float* rows, const float* raw, const ConstDecodeOutputs& grad,
+                            int64_t all, const float* rows, const float* raw, const ConstDecodeOutputs& grad,
                             const DecodeInputGradients& to, const DecodeGradients& sums, float* memory) {
   const Flush flush;
   const int count = (int)(end - begin), many = s.offsets, slots = count * many;
@@ -429,7 +463,12 @@ static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const 
   decode_layout(s, memory, &scratch);
   float* const made = scratch.made;
   decode_anchors(s, in, opacity, begin, count, scratch.at);
-  decode_scatter(scratch.at + AT_OPACITY * plane, slots, plane, first, grad, made);
+  const float* const t = scratch.at + AT_OPACITY * plane;
+  decode_scatter<3>(t, slots, plane, first, all, grad.means, made + OUT_MEAN * plane);
+  decode_scatter<4>(t, slots, plane, first, all, grad.quats, made + OUT_QUAT * plane);
+  decode_scatter<3>(t, slots, plane, first, all, grad.scales, made + OUT_SCALE * plane);
+  decode_scatter<3>(t, slots, plane, first, all, grad.colors, made + OUT_COLOR * plane);
+  decode_scatter<1>(t, slots, plane, first, all, grad.opacities, made + OUT_PLANES * plane);
   V3 palette = {};
   decode_activations_backward(view, slots, plane, scratch.at, raw, scratch.raw, made, palette);
   sums.palette[0] += sum(palette.x);
@@ -440,11 +479,9 @@ static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const 
   int from = 0;
   for (int net = 0; net < NETS; ++net) {
     const int width = whole16(s.out_width[net]);
-    for (int a = 0; a < count; ++a)
-      for (int attribute = 0; attribute < NET_ATTRIBUTES[net]; ++attribute) {
-        const float* const source = net == NET_OPACITY ? made + OUT_PLANES * plane : scratch.raw + (from + attribute) * plane;
-        copy_run(source + a * many, scratch.outputs + (int64_t)a * width + attribute * many, many);
-      }
+    const float* const source = net == NET_OPACITY ? made + OUT_PLANES * plane : scratch.raw + from * plane;
+    for (int a = 0; a < count; ++a)  // row by row: the last run may spill into the next row
+      copy_runs(source + a * many, plane, scratch.outputs + (int64_t)a * width, many, many, NET_ATTRIBUTES[net]);
     if (net != NET_OPACITY) from += NET_ATTRIBUTES[net];
     for (int o = 0; o < s.out_width[net]; o += LANES) {
       vf total = {};
@@ -475,25 +512,25 @@ static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const 
 
   for (int a = 0; a < count; ++a) {
     const int64_t n = begin + a;
-    const float *const row = scratch.inputs + (int64_t)a * s.input_stride, *const scaling = in.scalings + 6 * n,
-                *const offset = in.offsets + 3 * n * many;
-    for (int j = 0; j < s.features; ++j) to.features[n * s.features + j] = row[j];
-    float anchor[3];
-    for (int d = 0; d < 3; ++d) {
-      const float *const mean = made + (OUT_MEAN + d) * plane + a * many,
-                  *const scale = made + (OUT_SCALE + d) * plane + a * many;
-      float moved = 0.0f, stretched = 0.0f, scaled = 0.0f;
-      for (int k = 0; k < many; ++k) {
-        to.offsets[3 * (n * many + k) + d] = mean[k] * scaling[d];
-        moved += mean[k];
-        stretched += mean[k] * offset[3 * k + d];
-        scaled += scale[k];
+    const float* const row = scratch.inputs + (int64_t)a * s.input_stride;
+    copy(row, to.features + n * s.features, s.features);
+    const v4 stretch = load3(in.scalings + 6 * n);
+    v4 moved = {}, stretched = {}, scaled = {};
+    for (int k = 0; k < many; k += 4) {
+      const Square mean = rows3(made + OUT_MEAN * plane, plane, a * many + k),
+                   scale = rows3(made + OUT_SCALE * plane, plane, a * many + k);
+      for (int j = 0; j < 4 && k + j < many; ++j) {
+        const int64_t slot = n * many + k + j;
+        moved += mean.row[j];
+        stretched += mean.row[j] * row3(in.offsets + 3 * slot, slot + 1 == in.count * many);
+        scaled += scale.row[j];
+        put3(to.offsets + 3 * slot, mean.row[j] * stretch, slot + 1 == end * many);
       }
-      to.scalings[6 * n + d] = stretched;
-      to.scalings[6 * n + 3 + d] = scaled;
-      anchor[d] = moved;
     }
+    for (int d = 0; d < 3; ++d) to.scalings[6 * n + d] = stretched[d];
+    for (int d = 0; d < 3; ++d) to.scalings[6 * n + 3 + d] = scaled[d];
     if (!to.anchors) continue;
+    v4 anchor = moved;
     if (s.directions) {
       float v[3], square = 0.0f, along = 0.0f;
       for (int d = 0; d < 3; ++d) {

@@ -196,7 +196,7 @@ void decode_finish(DecodeFrame& frame, const DecodeInputs& in, const float* opac
     const int64_t begin = block * DECODE_BLOCK, end = std::min(in.count, begin + DECODE_BLOCK);
     float* const kept = frame.keep ? frame.raw.as<float>() + block * raw_size(shape) : nullptr;
     frame.kernels->decode_block(shape, in, frame.view, frame.weights, begin, end, opacities + begin * shape.offsets,
-                                frame.first[block], out, rows_of(frame, block), kept,
+                                frame.first[block], frame.first[block + 1], out, rows_of(frame, block), kept,
                                 scratch.as<float>() + thread * floats);
   });
 }
@@ -224,7 +224,7 @@ void decode_backward(const DecodeFrame& frame, const DecodeInputs& in, const Net
     for (int64_t block = piece * blocks / pieces; block < (piece + 1) * blocks / pieces; ++block) {
       const int64_t begin = block * DECODE_BLOCK, end = std::min(in.count, begin + DECODE_BLOCK);
       frame.kernels->decode_backward(shape, in, frame.view, frame.weights, begin, end,
-                                     opacities + begin * shape.offsets, frame.first[block], rows_of(frame, block),
+                                     opacities + begin * shape.offsets, frame.first[block], frame.gaussians, rows_of(frame, block),
                                      frame.raw.as<float>() + block * raw_size(shape), grad, to, mine,
                                      scratch.as<float>() + thread * floats);
     }

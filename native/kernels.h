@@ -124,11 +124,11 @@ struct Kernels {
   int64_t (*decode_opacity)(const DecodeShape&, const DecodeInputs&, const DecodeView&, const DecodeWeights&,
                             int64_t begin, int64_t end, float* raw, float* rows, float* scratch);
   void (*decode_block)(const DecodeShape&, const DecodeInputs&, const DecodeView&, const DecodeWeights&, int64_t begin,
-                       int64_t end, const float* opacity, int64_t first, const DecodeOutputs&, float* rows,
-                       float* kept, float* scratch);
+                       int64_t end, const float* opacity, int64_t first, int64_t last, const DecodeOutputs&,
+                       float* rows, float* kept, float* scratch);
   void (*decode_backward)(const DecodeShape&, const DecodeInputs&, const DecodeView&, const DecodeWeights&,
-                          int64_t begin, int64_t end, const float* opacity, int64_t first, const float* rows,
-                          const float* raw, const ConstDecodeOutputs&, const DecodeInputGradients&,
+                          int64_t begin, int64_t end, const float* opacity, int64_t first, int64_t all,
+                          const float* rows, const float* raw, const ConstDecodeOutputs&, const DecodeInputGradients&,
                           const DecodeGradients& sums, float* scratch);
   void (*adam)(float* p, const float* g, float* m, float* v, int64_t n, const AdamRates&);
   void (*reference)(float* data, int64_t n, int rounds);

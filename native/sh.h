@@ -68,9 +68,6 @@ INLINE Directions toward(const float* means, const float* position, int64_t star
   return to;
 }
 
-INLINE v4 load3(const float* p) { return v4{p[0], p[1], p[2], 0.0f}; }
-INLINE v4 load4(const float* p) { return *(const v4_unaligned*)p; }
-
 // Harmonics are evaluated for LANES Gaussians at a time; then each Gaussian's row of coefficients is walked with
 // 4-vectors, of which the fourth lane belongs to the next coefficient and counts for nothing.
 static void sh(int degree, const Coefficients& in, const float* means, const float* position, float* colors,

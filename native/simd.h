@@ -32,6 +32,9 @@ typedef float v4_unaligned __attribute__((vector_size(16), aligned(4), may_alias
 
 INLINE vf load(const float* p) { return (vf) * (const vf_unaligned*)p; }
 INLINE void store(float* p, vf v) { *(vf_unaligned*)p = v; }
+INLINE v4 load3(const float* p) { return v4{p[0], p[1], p[2], 0.0f}; }
+INLINE v4 load4(const float* p) { return *(const v4_unaligned*)p; }
+INLINE void store4(float* p, v4 v) { *(v4_unaligned*)p = v; }
 INLINE vf set(float x) {
 #if ECONGS_LANES == 16 && defined(__AVX512F__)
   return (vf)_mm512_set1_ps(x);
@@ -184,6 +187,16 @@ INLINE v4 sums(vf a, vf b, vf c, vf d) {
   const v4 pq = shuffle(p, q, 0, 4, 1, 5) + shuffle(p, q, 2, 6, 3, 7);  // p02 q02 p13 q13
   const v4 rs = shuffle(r, s, 0, 4, 1, 5) + shuffle(r, s, 2, 6, 3, 7);
   return shuffle(pq, rs, 0, 1, 4, 5) + shuffle(pq, rs, 2, 3, 6, 7);
+}
+
+struct Square {
+  v4 row[4];
+};
+INLINE Square transposed(v4 a, v4 b, v4 c, v4 d) {
+  const v4 ab = shuffle(a, b, 0, 4, 1, 5), cd = shuffle(c, d, 0, 4, 1, 5);
+  const v4 AB = shuffle(a, b, 2, 6, 3, 7), CD = shuffle(c, d, 2, 6, 3, 7);
+  return {{shuffle(ab, cd, 0, 1, 4, 5), shuffle(ab, cd, 2, 3, 6, 7), shuffle(AB, CD, 0, 1, 4, 5),
+           shuffle(AB, CD, 2, 3, 6, 7)}};
 }
 
 INLINE float sum(vf a) {
