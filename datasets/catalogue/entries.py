@@ -115,8 +115,9 @@ def _info(name: str, folders: Sequence[Path]) -> DatasetInfo:
     found = [(path, locate(path, folders)) for path in paths_of(said)]
     missing = [path for path, at in found if at is None]
     if said["kind"] == "procedural":
-        dims: tuple[int, int, int] | None = (64, 64, 64)
-        variables: tuple[str, ...] = (name,)
+        nx, ny, nz = said.get("dims", (64, 64, 64))
+        dims: tuple[int, int, int] | None = (nx, ny, nz)
+        variables = tuple(dict.fromkeys(scene["variable"] for scene in said["scenes"]))
         where = f"built in, at any resolution ({name}@128)"
     else:
         dims = (said["dims"][0], said["dims"][1], said["dims"][2]) if "dims" in said else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,9 +75,18 @@ def _procedural(name: str, said: dict[str, Any], resolution: int | None) -> Data
     from datasets.scene import Dataset
 
     n = procedural.check_resolution(name, resolution)
-    full = name if n == procedural.DEFAULT_RESOLUTION else f"{name}@{n}"
-    volumes = {name: lambda: procedural.make_volume(name, n)}
+    full = name if n == procedural.default_resolution(name) else f"{name}@{n}"
+
+    @cache
+    def together() -> dict[str, Volume]:  # variables share most of their computation
+        return procedural.make_volumes(name, n)
+
+    volumes = {variable: partial(_one, together, variable) for variable in procedural.FIELDS[name]}
     return Dataset(full, said["title"], "volume", _scenes(said), entries.compositions_of(said), volumes)
+
+
+def _one(volumes: Callable[[], dict[str, Volume]], variable: str) -> Volume:
+    return volumes()[variable]
 
 
 def _known(name: str, said: dict[str, Any], folders: Sequence[Path], download: bool) -> Dataset:

@@ -1,55 +1,17 @@
-"""Volumes made from formulas: deterministic, at any resolution the same field sampled more finely."""
+"""The two first sets, whose values stand in recorded figures: tangled vortex lines and dented shells."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.volume import Volume
-
-DEFAULT_RESOLUTION = 64
-_LEVELS = 65535
 _MODES = 8
 """Largest wave number, in periods per box."""
 _CORE = 0.02
 """Radius of a vortex core where its value has fallen to one half, as a part of the box."""
 
 
-def make_volume(name: str, resolution: int | None = None, seed: int = 0) -> Volume:
-    """A procedural volume with ``resolution`` samples along each axis (default 64).
-
-    Values are rounded to uint16, so that they do not depend on the last bits of a machine's arithmetic.
-
-    Args:
-        name: "vortices" or "shells".
-        resolution: 8 to 1024.
-        seed: of the random modes.
-
-    Raises:
-        DataError: the resolution is out of range.
-    """
-    n = check_resolution(name, resolution)
-    field = FIELDS[name](n, seed)
-    values = np.rint(np.clip(field, 0.0, 1.0) * _LEVELS).astype(np.uint16)
-    return Volume(name, values, (1.0, 1.0, 1.0), (0.0, float(_LEVELS)), f"procedural {name}@{n}, seed {seed}")
-
-
-def check_resolution(name: str, resolution: int | None) -> int:
-    """The resolution asked for, or the default.
-
-    Raises:
-        DataError: it is out of range.
-    """
-    n = DEFAULT_RESOLUTION if resolution is None else resolution
-    if not 8 <= n <= 1024:
-        raise DataError(f"{name}@{n}", "the resolution is out of range", "Ask for 8 to 1024, 64 or 128 say")
-    return n
-
-
-def _vortices(n: int, seed: int) -> NDArray[np.float64]:
+def vortices(n: int, seed: int) -> NDArray[np.float64]:
     """Closeness to the vortex lines of a random complex wave field: thin, tangled tubes.
 
     A complex field psi of random modes has zeros along curves, around which its phase winds: the vortex
@@ -88,7 +50,7 @@ def _square(modes: NDArray[np.complex128], waves: NDArray[np.complex128]) -> NDA
     return out
 
 
-def _shells(n: int, seed: int) -> NDArray[np.float64]:
+def shells(n: int, seed: int) -> NDArray[np.float64]:
     """One minus a radius that is wobbled differently at each depth: level sets are nested, dented shells."""
     generator = np.random.default_rng(seed)
     at = np.linspace(-1.0, 1.0, n)
@@ -102,6 +64,3 @@ def _shells(n: int, seed: int) -> NDArray[np.float64]:
         wobble += np.sin(direction[0] * x + direction[1] * y + direction[2] * z + phase)
     # The wobble vanishes at the centre, and the field outside the ball of radius 1 is empty.
     return np.asarray(np.maximum(1.0 - radius - 0.035 * wobble * np.minimum(2.0 * radius, 1.0), 0.0))
-
-
-FIELDS: dict[str, Callable[[int, int], NDArray[np.float64]]] = {"vortices": _vortices, "shells": _shells}

@@ -1,0 +1,60 @@
+"""A turbulent planar jet flame: five variables of one mixing field."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from datasets.procedural.space import Array, Slice, Waves, gradient, vector
+
+SIDES = (2 / 3, 1.0, 1 / 6)
+VARIABLES = ("MF", "CHI", "HR", "VORT", "OH")
+_STOICHIOMETRIC = -0.1  # of MF in -1...1
+_CHI, _VORT = 4000.0, 110.0  # values shown as 1
+
+
+class JetFlame:
+    """Fuel (MF = 1) streams along y between two streams of oxidiser (MF = -1); eddies wrinkle the layers.
+
+    CHI is proportional to the squared gradient of MF, VORT to the magnitude of the velocity's curl. Heat is
+    released in a thin layer at the stoichiometric value, less where dissipation is high (quenching); the
+    products (OH) lie in a thicker layer on the lean side of it.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._eddies = vector(seed * 7 + 1, 2.0, 14.0)
+        self._fine = Waves(seed * 7 + 5, 8.0, 30.0)
+
+    def velocity(self, at: Slice, axis: int) -> Array:
+        """One component: eddies that live in the jet, on a mean flow along y."""
+        x = at.columns
+        inside = np.exp(-((x / 0.2) ** 2))
+        mean = np.exp(-((x / 0.1) ** 2)) if axis == 1 else 0.0
+        return np.asarray(inside * self._eddies[axis](at) + mean)
+
+    def mixture(self, at: Slice) -> Array:
+        """MF in -1...1."""
+        grow = 0.6 + 0.8 * (at.rows + 0.5)
+        shift = 0.045 * grow * self._eddies[0](at)
+        width = 0.11 + 0.03 * self._eddies[1](at)
+        distance = np.sqrt((at.columns + shift) ** 2 + 1e-4)
+        edge = 0.05 + 0.02 * grow
+        core = np.tanh((width - distance) / edge)
+        # Fine eddies mix only where there is something to mix.
+        return np.asarray(np.tanh(1.2 * core + 0.22 * (1.0 - core**2) * self._fine(at)) / np.tanh(1.2))
+
+    def __call__(self, at: Slice) -> dict[str, Array]:
+        """Values in 0...1 of each variable."""
+        mixture = self.mixture(at)
+        dissipation = sum(part**2 for part in gradient(self.mixture, at))
+        u, v, w = (gradient(lambda s, axis=axis: self.velocity(s, axis), at) for axis in range(3))  # type: ignore[misc]
+        curl = np.sqrt((w[1] - v[2]) ** 2 + (u[2] - w[0]) ** 2 + (v[0] - u[1]) ** 2)
+        burning = 1.0 / (1.0 + dissipation / (0.6 * _CHI))
+        heat = np.exp(-(((mixture - _STOICHIOMETRIC) / 0.18) ** 2)) * burning
+        products = np.exp(-(((mixture - _STOICHIOMETRIC + 0.3) / 0.3) ** 2)) * burning**0.5
+        return {
+            "MF": 0.5 * (np.clip(mixture, -1.0, 1.0) + 1.0),
+            "CHI": np.asarray(dissipation) / _CHI,
+            "HR": heat,
+            "VORT": curl / _VORT,
+            "OH": products,
+        }
