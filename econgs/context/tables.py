@@ -17,8 +17,8 @@ REFINEMENT_SCALE = 32
 REFINEMENT_LIMIT = 128
 STEP_BITS = 16
 
-# Coding tables: spreads sigma / q of 2^-4 to 2^10 in eighths of octaves, means in sixteenths of a step.
-SPREAD_OCTAVES = (-4, 10)
+# Coding tables: spreads sigma / q of 2^-4 to 2^14 in eighths of octaves, means in sixteenths of a step.
+SPREAD_OCTAVES = (-4, 14)
 SPREAD_PER_OCTAVE = 8
 SPREADS = (SPREAD_OCTAVES[1] - SPREAD_OCTAVES[0]) * SPREAD_PER_OCTAVE + 1
 MEAN_PARTS = 16
