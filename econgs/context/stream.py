@@ -201,7 +201,7 @@ def _quantise(scene: SceneAttributes, group: GroupAttributes) -> _Quantised:
             "Training has diverged, or the base step is too small",
         )
     whole = symbols.astype(np.int32)
-    return _Quantised(_with_values(ordered, whole * steps), codes, whole, coding)
+    return _Quantised(_with_values(ordered, whole.astype(np.float32) * steps), codes, whole, coding)
 
 
 def _with_values(scene: SceneAttributes, values: NDArray[np.float32]) -> SceneAttributes:
@@ -328,7 +328,7 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
         ]
         values = np.concatenate(parts, 1)
         if context is not None and coding is not None:
-            values = values * context.steps(coding)
+            values = values.astype(np.float32) * context.steps(coding)
         scenes.append(_with_values(empty, values))
     if sections:
         raise DataError(what, "it has sections that belong to nothing", "Fetch or encode it anew")
