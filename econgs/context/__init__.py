@@ -1,1 +1,1 @@
-"""Context model and bitstream of anchors: hash grids, distributions, integer evaluation, entropy coding, container."""
+"""Context model and bitstream of anchors: grids, distributions, integers, entropy coding, container."""

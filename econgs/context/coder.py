@@ -1,8 +1,9 @@
 """Range coding with integer frequencies, by constriction (Bamler 2022).
 
 constriction turns floating-point probabilities into 24-bit integers. Given whole numbers f − 1 that sum to
-2²⁴ − n, its scale is exactly 1 and every cumulative sum a whole number below 2²⁴, so the frequencies are exactly
-f whatever the machine: no probability depends on floating point. (``perfect=False`` names that conversion.)
+2²⁴ − n, its scale is exactly 1 and every cumulative sum a whole number below 2²⁴, so the frequencies are
+exactly f whatever the machine: no probability depends on floating point. (``perfect=False`` names that
+conversion.)
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ class Encoder:
 
 
 class Decoder:
-    """Reads what :class:`Encoder` wrote; data of other origin gives wrong symbols or ``ValueError``, never more."""
+    """Reads what :class:`Encoder` wrote; other data gives wrong symbols or ``ValueError``, never more."""
 
     def __init__(self, data: bytes) -> None:
         if len(data) % 4:
@@ -139,8 +140,8 @@ class TableOrder:
 def write_residuals(encoder: Encoder, residuals: NDArray[np.int32], tables: NDArray[np.uint16]) -> None:
     """Code residuals (symbol less the lattice point next to its mean), each by its own table.
 
-    First the symbols table by table, in ascending order; then the raw low bits of those tables that have some;
-    then the escapes: 5 bits for the length of a number, and the number, in zigzag.
+    First the symbols table by table, in ascending order; then the raw low bits of those tables that have
+    some; then the escapes: 5 bits for the length of a number, and the number, in zigzag.
     """
     order = TableOrder(tables)
     sorted_residuals = residuals[order.order]
@@ -199,7 +200,7 @@ def read_residuals(decoder: Decoder, tables: NDArray[np.uint16]) -> NDArray[np.i
 
 
 def ideal_bits(residuals: NDArray[np.int32], tables: NDArray[np.uint16]) -> float:
-    """Cross-entropy of residuals under the very tables that they are coded with, raw and escape bits included."""
+    """Cross-entropy of residuals under their own coding tables, raw and escape bits included."""
     order = TableOrder(tables)
     sorted_residuals = residuals[order.order]
     total = 0.0

@@ -1,7 +1,7 @@
 """The container of a bitstream: a table of sections, each with its length and checksum (docs/bitstream.md).
 
-Nothing is read beyond what the table announces, nothing announced is believed before it fits the data's length,
-and a section whose checksum differs is never looked into.
+Nothing is read beyond what the table announces, nothing announced is believed before it fits the data's
+length, and a section whose checksum differs is never looked into.
 """
 
 from __future__ import annotations
@@ -79,7 +79,9 @@ def read_container(data: bytes, what: str) -> list[Section]:
     if len(data) < _HEADER.size or not data.startswith(MAGIC):
         if MAGIC.startswith(data[: len(MAGIC)]):
             raise DataError(what, f"it ends after {len(data)} bytes, within its header", ANEW)
-        raise DataError(what, "it is not a stream of this program (its first bytes differ)", "Name another file")
+        raise DataError(
+            what, "it is not a stream of this program (its first bytes differ)", "Name another file"
+        )
     _, version, count, whole = _HEADER.unpack_from(data)
     if version != VERSION:
         # The checksum cannot tell damage from a later version's other layout.

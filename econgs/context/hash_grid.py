@@ -1,8 +1,8 @@
 """Binary hash grids: the context of an anchor is looked up at its position (BiRF, Shin and Park 2023; HAC).
 
-Entries are ±1, the signs of trained parameters. Interpolation weights are products of fractions of 7 bits, so that
-every interpolated value is a multiple of 2⁻²¹ in [−1, 1], which float32 holds exactly: the order of the sum, the
-number of threads and the device cannot change a bit of it, and the entropy coder may rely on it.
+Entries are ±1, the signs of trained parameters. Interpolation weights are products of fractions of 7 bits, so
+that every interpolated value is a multiple of 2⁻²¹ in [−1, 1], which float32 holds exactly: the order of the
+sum, the number of threads and the device cannot change a bit of it, and the entropy coder may rely on it.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from econgs.splat.rasterise import choose_backend
 
 FRACTION_BITS = 7
 VALUE_BITS = 3 * FRACTION_BITS  # interpolated values are multiples of 2^-VALUE_BITS
+MOST_BITS = 1 << 25
 _PRIMES = (1, 2654435761, 805459861)  # spatial hash of Müller et al. 2022 (instant NGP), equation 4
 _PLANES = ((0, 1), (1, 2), (2, 0))
 
@@ -31,7 +32,7 @@ class GridConfig:
     Attributes:
         volume: vertices per axis of each 3-D level, ascending.
         planes: vertices per axis of each level of the three planes xy, yz and zx.
-        volume_log2: logarithm of the number of entries that a 3-D level has at most; larger levels are hashed.
+        volume_log2: logarithm of the most entries that a 3-D level has; larger levels are hashed.
         planes_log2: the same of a plane's level.
         features: values per entry.
     """
@@ -48,6 +49,8 @@ class GridConfig:
             raise ValueError(f"levels of 2 to 4096 vertices, 1 to 32 of them, are possible, not {levels}")
         if not (1 <= self.volume_log2 <= 19 and 1 <= self.planes_log2 <= 19 and 1 <= self.features <= 8):
             raise ValueError("tables of at most 2^19 entries of 1 to 8 features are possible")
+        if self.bits > MOST_BITS:
+            raise ValueError(f"a grid of {self.bits} bits; at most {MOST_BITS} are possible")
 
     @property
     def levels(self) -> list[tuple[tuple[int, ...], int, int]]:
@@ -292,7 +295,7 @@ class HashGrid(nn.Module):
             rows: (M,) indices (int64) of those asked for; default all, in order.
 
         Returns:
-            (M, outputs), multiples of 2⁻²¹ in [−1, 1]: level after level, ``features`` values each; and the bits of
-            the whole grid coded at the measured share of +1 per level, a scalar (L_hash of the paper).
+            (M, outputs), multiples of 2⁻²¹ in [−1, 1]: level after level, ``features`` values each;
+            and the bits of the grid coded at the measured share of +1 per level, a scalar (the paper's L_hash).
         """
         return interpolate(self.table, lookup, rows)

@@ -1,10 +1,10 @@
 """The context model in integer arithmetic, as the entropy coder needs it.
 
-Weights are 8-bit integers with one power of two per row, biases 32-bit integers of 2⁻¹⁶, activations integers of
-2⁻¹⁶, looked-up values integers of 2⁻²¹; steps and spreads come from tables. Every sum stays below 2⁵³, so that
-the fast path may multiply matrices in float64: each partial sum is a whole number that float64 holds, and neither
-the order nor the number of threads nor the instruction set can change the result. ``reference`` does the same in
-int64 only.
+Weights are 8-bit integers with one power of two per row, biases 32-bit integers of 2⁻¹⁶, activations integers
+of 2⁻¹⁶, looked-up values integers of 2⁻²¹; steps and spreads come from tables. Every sum stays below 2⁵³, so
+that the fast path may multiply matrices in float64: each partial sum is a whole number that float64 holds,
+and neither the order nor the number of threads nor the instruction set can change the result. With ``exact`` the
+same is done in int64 only.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def row_exponents(weight: Tensor) -> Tensor:
 
 
 def rounded_weight(weight: Tensor) -> Tensor:
-    """The weight as the coder will use it; the gradient passes straight through (quantisation-aware training)."""
+    """The weight as the coder will use it; the gradient passes straight through."""
     with torch.no_grad():
         scale = torch.exp2(row_exponents(weight).to(weight.dtype))[:, None]
         whole = (weight * scale).round().clamp_(-WEIGHT_LIMIT, WEIGHT_LIMIT)
@@ -166,7 +166,9 @@ class IntegerHead:
         total, groups = sum(self.widths), len(self.widths)
         refinements = outputs[:, 2 * total :]
         half = 1 << (ACTIVATION_BITS - 6)  # 1/32 is 2^11 units of 2^-16
-        index = np.clip((refinements + half) >> (ACTIVATION_BITS - 5), -REFINEMENT_LIMIT, REFINEMENT_LIMIT - 1)
+        index = np.clip(
+            (refinements + half) >> (ACTIVATION_BITS - 5), -REFINEMENT_LIMIT, REFINEMENT_LIMIT - 1
+        )
         index += REFINEMENT_LIMIT
         steps, logs = step_table()[index], step_log_table()[index]
         center = np.empty((len(outputs), total), np.int32)
@@ -195,5 +197,5 @@ def whole_values(values: Tensor) -> NDArray[np.float64]:
 
 
 def step_sizes(steps: Ints, base: float) -> NDArray[np.float32]:
-    """q in float32: Q rounded to float32 times the table's integer, rounded once, times 2⁻¹⁶ (exact)."""
+    """Step q in float32: Q rounded to float32 times the table's integer, rounded once, times 2⁻¹⁶ (exact)."""
     return steps.astype(np.float32) * np.float32(base) * np.float32(1.0 / 65536.0)

@@ -2,9 +2,8 @@
 
 A binary hash grid is looked up at the anchor's position; a head of one hidden layer gives, for each of the D
 attribute elements, mean and standard deviation of a normal distribution, and for each attribute group one
-refinement r, from which the step is q = Q (1 + tanh r) (HAC, Chen et al. 2024, equations 6 to 8, with the grids
-of BiRF). While it is trained, attributes carry uniform noise of one step; afterwards they are rounded to
-multiples of the step.
+refinement r, from which the step is q = Q (1 + tanh r) (HAC, Chen et al. 2024, with the grids of BiRF). While
+it is trained, attributes carry uniform noise of one step; afterwards they are rounded to multiples of it.
 """
 
 from __future__ import annotations
@@ -21,8 +20,9 @@ from econgs.context.integer import MOST_INPUTS, IntegerHead, IntegerLayer, round
 from econgs.splat.rasterise import choose_backend
 
 STEPS = {"features": 0.1, "offset_scalings": 0.001, "gaussian_scalings": 0.001, "offsets": 0.2}
-"""Base steps Q. The paper's are these with 1 for features, which rounds nearly all trained features to zero."""
+"""Base steps Q. The paper's are these with 1 for features, which rounds nearly all of them to zero."""
 
+MOST_ELEMENTS = 1024  # per anchor: bounds what a reader of a stream allocates
 LEAST_PROBABILITY = 1e-6
 LEAST_SIGMA = 1e-9
 
@@ -51,7 +51,7 @@ class ContextConfig:
     Attributes:
         features: F, of an anchor.
         offsets: K.
-        steps: base step Q of features, of the three scalings of offsets, of the three of Gaussians, of offsets.
+        steps: base steps Q of features, scalings of offsets, scalings of Gaussians, offsets.
         grid: the hash grids.
         hidden: width of the head's hidden layer.
     """
@@ -65,6 +65,10 @@ class ContextConfig:
     def __post_init__(self) -> None:
         if self.features < 1 or self.offsets < 1 or not all(0.0 < one < 1e6 for one in self.steps):
             raise ValueError("features, offsets and steps must be positive")
+        if self.total > MOST_ELEMENTS:
+            raise ValueError(
+                f"{self.total} attribute elements per anchor; at most {MOST_ELEMENTS} are possible"
+            )
         if not 1 <= self.hidden <= MOST_INPUTS:
             raise ValueError(f"a hidden layer of 1 to {MOST_INPUTS} is possible")
 
@@ -142,11 +146,12 @@ def normal_bits(values: Tensor, mean: Tensor, sigma: Tensor, step: Tensor) -> Te
     # By symmetry taken on the lower side, where a difference of erfc keeps its digits.
     low = middle.abs() - half
     probability = 0.5 * (torch.erfc(low) - torch.erfc(low + 2.0 * half))
-    return -_AtLeast.apply(probability, LEAST_PROBABILITY).log2()
+    bounded: Tensor = _AtLeast.apply(probability, LEAST_PROBABILITY)
+    return -bounded.log2()
 
 
 class Noise:
-    """Uniform noise on (−½, ½), drawn once and handed out from random places: fresh draws cost more than all else.
+    """Uniform noise on (−½, ½), drawn once and handed out from random places: fresh draws are slow.
 
     Args:
         size: numbers in store; larger requests are drawn afresh.
@@ -169,7 +174,7 @@ class Noise:
 
 
 class _Head(torch.autograd.Function):
-    """Hidden layer and refinements of all rows, hidden activations of the last ones: no dense gradient of a part."""
+    """Hidden layer and refinements of all rows, hidden activations of the last; no dense gradient of parts."""
 
     @staticmethod
     def forward(  # type: ignore[override]
@@ -231,7 +236,7 @@ class _AddNoise(torch.autograd.Function):
 
 
 def draw_sample(count: int, generator: torch.Generator, share: float = 0.05) -> Tensor:
-    """Which of ``count`` visible anchors are sampled for the rate (with replacement); at least 16 if there are."""
+    """Which of ``count`` visible anchors are sampled for the rate (with replacement), at least 16."""
     many = max(round(share * count), min(count, 16))
     return torch.randint(max(count, 1), (many,), generator=generator)
 
@@ -241,8 +246,8 @@ class ContextModel(nn.Module):
 
     Attributes:
         config: its sizes.
-        coder_exact: evaluate with the weights and steps rounded as the coder will use them, with straight-through
-            gradients; for the last phase of training and whatever is measured without coding.
+        coder_exact: evaluate with the weights and steps rounded as the coder will use them, with
+            straight-through gradients; for the last phase of training and for measuring.
 
     Parameters for the optimiser: ``grid.table``, and :attr:`head`.
     """
@@ -299,7 +304,7 @@ class ContextModel(nn.Module):
         self.spreads.bias.copy_(spread.log2())
 
     def lookup(self, codes: Tensor, extent: Any) -> Lookup:
-        """Vertices and weights of anchor positions (``PositionGrid.codes``, ``PositionGrid.extent``), kept for reuse."""
+        """Vertices and weights of anchor positions (``PositionGrid``: its codes and extent), for reuse."""
         return self.grid.lookup(codes.to(self.device), extent)
 
     def forward(self, lookup: Lookup, rows: Tensor | None = None, sample: Tensor | None = None) -> Context:
@@ -372,7 +377,7 @@ class ContextModel(nn.Module):
         )
 
     def bits(self, values: Tensor, hidden: Tensor, steps: Tensor) -> Tensor:
-        """(S, D) bits of noisy or rounded attributes (S, D) under hidden activations (S, H) and steps (S, 4)."""
+        """(S, D) bits of noisy or rounded attributes (S, D), from hidden activations (S, H), steps (S, 4)."""
         mean, sigma = self.distribution(hidden)
         return normal_bits(values, mean, sigma, self.element_steps(steps))
 

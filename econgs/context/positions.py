@@ -1,9 +1,9 @@
 """Anchor positions: whole numbers on a grid, sorted along a Morton curve and coded as an octree.
 
-Every node's eight children are flags, coded level by level with adaptive integer frequencies. The context of a
-flag: the child's place, how many of its siblings are known to be occupied, how many of the three nodes that it
-touches outside its own are occupied, and whether its node was an only child. Counts are brought up to date after blocks of nodes that
-both sides know, so that a block is coded by a few calls.
+Every node's eight children are flags, coded level by level with adaptive integer frequencies. The context of
+a flag: the child's place, how many of its siblings are known to be occupied, how many of the three nodes that
+it touches outside its own are occupied, and whether its node was an only child. Counts are brought up to date
+after blocks of nodes, so that a block is coded by a few calls.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class PositionGrid:
     extent: tuple[int, int, int]
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.origin).all() and np.isfinite(self.cell).all() and min(self.cell) > 0.0):
+        sizes = np.abs([*self.origin, *self.cell])
+        if not (np.isfinite(sizes).all() and sizes.max() < 1e30 and min(self.cell) > 0.0):
             raise ValueError("a grid of positions needs a finite origin and cells of positive size")
         if not all(1 <= one <= EXTENT_LIMIT for one in self.extent):
             raise ValueError(f"a grid of positions spans 1 to {EXTENT_LIMIT} cells per axis")
@@ -74,7 +75,8 @@ class PositionGrid:
 
     def positions(self, codes: Codes) -> NDArray[np.float32]:
         """(N, 3) positions of codes."""
-        return (np.asarray(self.origin) + codes * np.asarray(self.cell)).astype(np.float32)
+        places: NDArray[np.float64] = np.asarray(self.origin) + codes * np.asarray(self.cell)
+        return places.astype(np.float32)
 
     @property
     def bits(self) -> int:

@@ -1,8 +1,8 @@
 """Scenes that share decoders and a context model, as one self-contained stream of bytes and back.
 
-``decode_group(encode_group(group).data)`` gives the attributes rounded to multiples of their steps, bit for bit
-the same wherever it runs: whole-number symbols times steps from a table, in float32. The format is described in
-docs/bitstream.md.
+``decode_group(encode_group(group).data)`` gives the attributes rounded to multiples of their steps, bit for
+bit the same wherever it runs: whole-number symbols times steps from a table, in float32. docs/bitstream.md
+describes the format.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,10 +32,12 @@ from econgs.context.coder import (
 from econgs.context.container import Kind, Reader, Section, overhead, read_container, write_container
 from econgs.context.hash_grid import GridConfig, interpolate, make_lookup
 from econgs.context.integer import Coding, IntegerHead, IntegerLayer, step_sizes, whole_values
-from econgs.context.model import ContextConfig, ContextModel
+from econgs.context.model import MOST_ELEMENTS, ContextConfig, ContextModel
 from econgs.context.positions import PositionGrid, decode_positions, encode_positions, morton_order
 
-ANCHORS_PER_BYTE = 4  # a scene has at most that many per byte of its positions: bounds what a reader allocates
+ANCHORS_PER_BYTE = (
+    4  # a scene has at most that many per byte of its positions: bounds what a reader allocates
+)
 _PIECE = 8192  # anchors looked up at a time
 _KINDS = (Kind.FEATURES, Kind.SCALINGS, Kind.OFFSETS)
 _PARTS = {
@@ -67,9 +70,9 @@ class CodedContext:
     @classmethod
     def of(cls, model: ContextModel) -> CodedContext:
         """Of a trained model, which may lie on any device."""
-        steps = tuple(float(np.float32(one)) for one in model.config.steps)
+        a, b, c, d = (float(np.float32(one)) for one in model.config.steps)
         positive = (model.grid.table.detach() >= 0.0).cpu().numpy()
-        return cls(replace(model.config, steps=steps), model.integer_head(), positive)
+        return cls(replace(model.config, steps=(a, b, c, d)), model.integer_head(), positive)
 
     def coding(self, codes: NDArray[np.int64], grid: PositionGrid) -> Coding:
         """How each attribute of anchors at (N, 3) position codes is coded."""
@@ -81,7 +84,9 @@ class CodedContext:
                 lookup = make_lookup(self.config.grid, piece, grid.extent)
                 values, _ = interpolate(table, lookup)
                 parts.append(self.head(whole_values(values)))
-        join = [np.concatenate(one) for one in zip(*((p.steps, p.center, p.table) for p in parts), strict=True)]
+        join = [
+            np.concatenate(one) for one in zip(*((p.steps, p.center, p.table) for p in parts), strict=True)
+        ]
         return Coding(*join)
 
     def steps(self, coding: Coding) -> NDArray[np.float32]:
@@ -149,7 +154,7 @@ class Encoded:
     Attributes:
         data: the bytes.
         ledger: bytes by part, summing to ``len(data)``.
-        ideal_bits: cross-entropy of features, scalings and offsets under their coding tables; 0 without context.
+        ideal_bits: cross-entropy of the attributes under their coding tables; 0 without context.
         weight_error: largest absolute error of any decoder weight by its precision.
     """
 
@@ -166,7 +171,7 @@ class Encoded:
 
 @dataclass(frozen=True)
 class _Quantised:
-    """A scene in Morton order: position codes, symbols (N, D), their steps and coding (None without context)."""
+    """A scene in Morton order: position codes, symbols (N, D) and their coding (None without context)."""
 
     scene: SceneAttributes
     codes: NDArray[np.int64]
@@ -197,15 +202,17 @@ def _quantise(scene: SceneAttributes, group: GroupAttributes) -> _Quantised:
         worst = np.unravel_index(np.abs(symbols).argmax(), symbols.shape)
         raise DataError(
             f"scene {scene.name}",
-            f"attribute {worst[1]} of an anchor is {ordered.values[worst]:g}, beyond 2^24 steps of {steps[worst]:g}",
+            f"an attribute ({worst[1]}) is {ordered.values[worst]:g}, over 2^24 steps of {steps[worst]:g}",
             "Training has diverged, or the base step is too small",
         )
     whole = symbols.astype(np.int32)
-    return _Quantised(_with_values(ordered, whole.astype(np.float32) * steps), codes, whole, coding)
+    rounded = _with_values(ordered, whole.astype(np.float32) * steps, features.shape[1], offsets.shape[1])
+    return _Quantised(rounded, codes, whole, coding)
 
 
-def _with_values(scene: SceneAttributes, values: NDArray[np.float32]) -> SceneAttributes:
-    width, many = scene.features.shape[1], scene.offsets.shape[1]
+def _with_values(
+    scene: SceneAttributes, values: NDArray[np.float32], width: int, many: int
+) -> SceneAttributes:
     return replace(
         scene,
         features=values[:, :width],
@@ -219,7 +226,12 @@ def _checked(scene: SceneAttributes, group: GroupAttributes) -> NDArray[np.int64
     count = len(scene)
     first = group.scenes[0]
     width, many = first.features.shape[1], first.offsets.shape[1]
-    shapes = {"positions": (count, 3), "features": (count, width), "scalings": (count, 6), "offsets": (count, many, 3)}
+    shapes = {
+        "positions": (count, 3),
+        "features": (count, width),
+        "scalings": (count, 6),
+        "offsets": (count, many, 3),
+    }
     remedy = "Training has gone wrong before"
     for name, shape in shapes.items():
         array = getattr(scene, name)
@@ -249,8 +261,8 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
 
     Args:
         group: what to encode; anchors come back in Morton order.
-        weights: precision of the decoders' weights: "float32", "float16", or "int8" (8 bits with a scale per row of
-            a matrix, 16 for vectors).
+        weights: precision of the decoders' weights: "float32", "float16", or "int8" (8 bits with a scale
+            per row of a matrix, 16 for vectors).
 
     Raises:
         DataError: values that are not finite or far beyond their steps, or an anchor outside the grid.
@@ -264,6 +276,7 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
     decoders, error = write_arrays(group.decoders, weights)
     shared.append(Section(Kind.DECODERS, 0, decoders))
     sections, ideal = list(shared), 0.0
+    columns_of = _columns(group.scenes[0].features.shape[1], group.scenes[0].offsets.shape[1])
     for index, scene in enumerate(group.scenes):
         quantised = _quantise(scene, group)
         positions = encode_positions(quantised.codes, group.grid) if len(scene) else b""
@@ -272,7 +285,7 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
         header += write_arrays(scene.parameters, "float32")[0]
         sections.append(Section(Kind.SCENE, index, header))
         sections.append(Section(Kind.POSITIONS, index, positions + padding))
-        for kind, columns in zip(_KINDS, _columns(group.scenes[0]), strict=True):
+        for kind, columns in zip(_KINDS, columns_of, strict=True):
             payload, bits = _write_attributes(quantised, columns)
             sections.append(Section(kind, index, payload))
             ideal += bits
@@ -302,34 +315,30 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
             raise DataError(what, reason, "Fetch or encode it anew") from None
 
     grid, coded, count, width, many, metadata = _guarded(reader(Kind.GROUP), _read_group)
-    context = None
+    context: CodedContext | None = None
     if coded:
         context = _guarded(reader(Kind.CONTEXT), _read_context)
         if (context.config.features, context.config.offsets) != (width, many):
             raise DataError(what, "its context model is for other attributes", "Fetch or encode it anew")
-        context = _guarded(reader(Kind.GRID), lambda one: _read_grid(one, context))
+        context = _guarded(reader(Kind.GRID), partial(_read_grid, context=context))
     decoders = _guarded(reader(Kind.DECODERS), read_arrays)
     scenes = []
     for index in range(count):
         name, anchors, length, parameters = _guarded(reader(Kind.SCENE, index), _read_scene)
-        codes = _guarded(reader(Kind.POSITIONS, index), lambda one: _read_positions(one, anchors, length, grid))
-        empty = SceneAttributes(
-            name,
-            grid.positions(codes),
-            np.empty((anchors, width), np.float32),
-            np.empty((anchors, 6), np.float32),
-            np.empty((anchors, many, 3), np.float32),
-            parameters,
-        )
+        place = reader(Kind.POSITIONS, index)
+        codes = _guarded(place, partial(_read_positions, anchors=anchors, length=length, grid=grid))
+        none = np.empty((0, 0), np.float32)
+        empty = SceneAttributes(name, grid.positions(codes), none, none, none, parameters)
         coding = None if context is None else context.coding(codes, grid)
+        read = partial(_read_attributes, coding=coding, anchors=anchors)
         parts = [
-            _guarded(reader(kind, index), lambda one, c=columns: _read_attributes(one, coding, anchors, c))
-            for kind, columns in zip(_KINDS, _columns(empty), strict=True)
+            _guarded(reader(kind, index), partial(read, columns=columns))
+            for kind, columns in zip(_KINDS, _columns(width, many), strict=True)
         ]
         values = np.concatenate(parts, 1)
         if context is not None and coding is not None:
             values = values.astype(np.float32) * context.steps(coding)
-        scenes.append(_with_values(empty, values))
+        scenes.append(_with_values(empty, values, width, many))
     if sections:
         raise DataError(what, "it has sections that belong to nothing", "Fetch or encode it anew")
     return GroupAttributes(tuple(scenes), grid, context, decoders, metadata)
@@ -345,9 +354,9 @@ def _guarded(reader: Reader, read: Callable[[Reader], Any]) -> Any:
     return result
 
 
-def _columns(scene: SceneAttributes) -> list[slice]:
-    width, total = scene.features.shape[1], scene.features.shape[1] + 6 + 3 * scene.offsets.shape[1]
-    return [slice(0, width), slice(width, width + 6), slice(width + 6, total)]
+def _columns(width: int, many: int) -> list[slice]:
+    """Where features, scalings and offsets stand among the D elements."""
+    return [slice(0, width), slice(width, width + 6), slice(width + 6, width + 6 + 3 * many)]
 
 
 def _text(text: str) -> bytes:
@@ -374,8 +383,8 @@ def _write_group(group: GroupAttributes) -> bytes:
 def _read_group(reader: Reader) -> tuple:
     count, width, many, coded, *extent = reader.unpack("7H")
     numbers = reader.unpack("6d")
-    if not (count and width and many and coded in (0, 1)):
-        raise ValueError("no scenes, features or offsets")
+    if not (count and width and many and coded in (0, 1) and width + 6 + 3 * many <= MOST_ELEMENTS):
+        raise ValueError(f"no scenes, features or offsets, or more than {MOST_ELEMENTS} elements per anchor")
     grid = PositionGrid(numbers[:3], numbers[3:], tuple(extent))
     metadata = json.loads(_read_text(reader))
     if not isinstance(metadata, dict):

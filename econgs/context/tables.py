@@ -97,11 +97,12 @@ def _normal(x: NDArray[np.int64]) -> NDArray[np.int64]:
     cell = np.minimum(scaled >> 16, len(table) - 2)
     rest = np.minimum(scaled - (cell << 16), 1 << 16)
     upper = table[cell] + ((table[cell + 1] - table[cell]) * rest >> 16)
-    return np.where(x >= 0, upper, (1 << _CDF_BITS) - upper)
+    value: NDArray[np.int64] = np.where(x >= 0, upper, (1 << _CDF_BITS) - upper)
+    return value
 
 
 def table_index(spread: NDArray[np.int64], part: NDArray[np.int64]) -> NDArray[np.uint16]:
-    """Table for a spread (0 to SPREADS - 1) and a mean of ``part`` (-8 to 7) sixteenths above a lattice point."""
+    """Table for a spread (0 to SPREADS - 1) and a mean ``part`` (-8 to 7) sixteenths from a lattice point."""
     fine = spread * MEAN_PARTS + (part + MEAN_PARTS // 2)
     return np.where(spread < _FINE, fine, _FINE * (MEAN_PARTS - 1) + spread).astype(np.uint16)
 

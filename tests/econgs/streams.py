@@ -65,7 +65,9 @@ def scene(name: str, count: int, grid: PositionGrid, config: ContextConfig, seed
     )
 
 
-def group(counts: tuple[int, ...] = (60, 0, 25), context: CodedContext | None = None, **more: Any) -> GroupAttributes:
+def group(
+    counts: tuple[int, ...] = (60, 0, 25), context: CodedContext | None = None, **more: Any
+) -> GroupAttributes:
     """Scenes of so many anchors, by default with a context model."""
     grid = PositionGrid((-0.5, -0.25, 0.0), (1 / 1024, 1 / 1024, 1 / 512), (1000, 700, 300))
     context = context or coded_context()

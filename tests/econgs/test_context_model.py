@@ -1,4 +1,4 @@
-"""The context model: probabilities, noise, gradients, agreement with the integer model, and what context is worth."""
+"""The context model: probabilities, noise, gradients, agreement with the integers, what context is worth."""
 
 from __future__ import annotations
 
@@ -84,7 +84,9 @@ def test_noise_stands_for_rounding(backend: Any, monkeypatch: pytest.MonkeyPatch
     rounded = model.round(values.of(rows), context.steps)
     whole = rounded.flat / model.element_steps(context.steps)
     assert (whole - whole.round()).abs().max() < 1e-3
-    assert ((rounded.flat - values.of(rows).flat).abs() <= 0.5001 * model.element_steps(context.steps) + 1e-7).all()
+    assert (
+        (rounded.flat - values.of(rows).flat).abs() <= 0.5001 * model.element_steps(context.steps) + 1e-7
+    ).all()
 
 
 def test_gradients_of_noise_and_head() -> None:
@@ -97,7 +99,8 @@ def test_gradients_of_noise_and_head() -> None:
     sample, noise = torch.tensor([3, 0, 3]), draw(5, 2, 3).detach()
     for first, groups in ((0, 1), (1, 2)):
         assert torch.autograd.gradcheck(
-            lambda v, s, f=first, g=groups: _AddNoise.apply(v, s, noise, sample, f, g), (draw(5, 2, 3), draw(5, 4))
+            lambda v, s, f=first, g=groups: _AddNoise.apply(v, s, noise, sample, f, g),
+            (draw(5, 2, 3), draw(5, 4)),
         )
     inputs = (draw(7, 5), draw(6, 5), draw(6), draw(4, 6), draw(4))
     assert torch.autograd.gradcheck(lambda *a: _Head.apply(*a, 3), inputs)
@@ -107,7 +110,9 @@ def test_native_noise_has_the_gradients_of_the_torch_one(splat: Any, monkeypatch
     if splat.native is None:
         pytest.skip("econgs._native is not compiled here")
     random = np.random.default_rng(0)
-    values, noise, outer = (torch.from_numpy(random.normal(size=(2000, 54)).astype(np.float32)) for _ in range(3))
+    values, noise, outer = (
+        torch.from_numpy(random.normal(size=(2000, 54)).astype(np.float32)) for _ in range(3)
+    )
     steps = torch.from_numpy(random.uniform(0.5, 1, (2000, 4)).astype(np.float32))
     sample = torch.from_numpy(random.integers(0, 2000, 99))
     results = {}
@@ -161,7 +166,7 @@ def test_context_is_worth_its_bits(trained: tuple[ContextModel, torch.Tensor, At
 
 def test_twin_agrees_with_the_integer_model(trained: tuple[ContextModel, torch.Tensor, Attributes]) -> None:
     """With the coder's rounding switched on, the float model says what the integers say."""
-    model, codes, values = trained
+    model, codes, _ = trained
     with torch.no_grad():
         model.refinements.weight.normal_(std=0.5, generator=torch.Generator().manual_seed(0))
     model.coder_exact = True

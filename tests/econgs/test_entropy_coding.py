@@ -29,9 +29,9 @@ from econgs.context.hash_grid import interpolate, make_lookup
 from econgs.context.integer import (
     EXPONENT_RANGE,
     IntegerLayer,
-    row_exponents,
     rounded_steps,
     rounded_weight,
+    row_exponents,
     step_sizes,
     whole_values,
 )
@@ -61,7 +61,10 @@ def test_tables_are_the_same_everywhere() -> None:
 def test_tables_are_right() -> None:
     index = np.arange(-128, 128)
     assert np.abs(tables.step_table() / 65536 - 1 - np.tanh(index / 32)).max() <= 0.5 / 65536 + 1e-12
-    assert np.abs(tables.step_log_table() / 65536 - np.log2(tables.step_table() / 65536)).max() <= 0.5 / 65536 + 1e-12
+    assert (
+        np.abs(tables.step_log_table() / 65536 - np.log2(tables.step_table() / 65536)).max()
+        <= 0.5 / 65536 + 1e-12
+    )
     for table in range(tables.TABLES):
         sigma, mean = spread_of(table)
         low, frequencies = tables.coding_table(table)
@@ -79,7 +82,11 @@ def test_tables_are_right() -> None:
 
 def test_frequencies_are_exact() -> None:
     """The first word of a stream of one symbol lies in that symbol's own part of the unit interval."""
-    for frequencies in ([1, 3, (1 << 24) - 5, 1], [7, 1, 1, (1 << 24) - 9], tables.coding_table(500)[1].tolist()):
+    for frequencies in (
+        [1, 3, (1 << 24) - 5, 1],
+        [7, 1, 1, (1 << 24) - 9],
+        tables.coding_table(500)[1].tolist(),
+    ):
         model = exact_model(np.array(frequencies))
         first = 0
         for symbol, frequency in enumerate(frequencies):
@@ -127,7 +134,9 @@ def test_length_is_the_cross_entropy() -> None:
     residuals[:20] = 1 << 20  # escapes
     encoder = Encoder()
     write_residuals(encoder, residuals, index)
-    exact = -np.log2(np.maximum(norm.cdf(residuals + 0.5, mean, sigma) - norm.cdf(residuals - 0.5, mean, sigma), 1e-300))
+    exact = -np.log2(
+        np.maximum(norm.cdf(residuals + 0.5, mean, sigma) - norm.cdf(residuals - 0.5, mean, sigma), 1e-300)
+    )
     ideal = ideal_bits(residuals, index)
     assert 0 <= 8 * len(encoder.finish()) - ideal < 100
     assert ideal_bits(residuals[20:], index[20:]) == pytest.approx(exact[20:].sum(), rel=0.003)
@@ -180,7 +189,9 @@ def test_integer_model_is_bit_identical(wild: bool, splat: Any, monkeypatch: pyt
         native = splat.native
         ways = [("torch", None, 1), ("torch", None, 2)]
         if native is not None:
-            ways += [("native", isa, count) for isa in native.available_isas(testing=True) for count in (1, 2, 3)]
+            ways += [
+                ("native", isa, count) for isa in native.available_isas(testing=True) for count in (1, 2, 3)
+            ]
             before = native.threads(), native.isa()
         for name, isa, threads in ways:
             monkeypatch.setenv("ECONGS_BACKEND", name)

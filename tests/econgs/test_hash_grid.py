@@ -23,7 +23,7 @@ def codes_of(count: int, seed: int = 0) -> torch.Tensor:
 
 
 def slowly(config: GridConfig, binary: np.ndarray, code: np.ndarray) -> list[Fraction]:
-    """Interpolation at one position with fractions: weights of 1/128, hashing in 32-bit unsigned arithmetic."""
+    """Interpolation at one position by fractions: weights of 1/128, hashing in unsigned 32 bits."""
     values, first = [], 0
     planes = [(0, 1), (1, 2), (2, 0)]
     levels = [((0, 1, 2), size, 1 << config.volume_log2) for size in config.volume]

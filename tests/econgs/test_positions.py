@@ -26,7 +26,8 @@ def grid_of(*extent: int) -> PositionGrid:
 def test_morton_places() -> None:
     codes = np.random.default_rng(0).integers(0, 65536, (500, 3))
     expected = [
-        sum(((int(c[axis]) >> bit) & 1) << (3 * bit + axis) for bit in range(16) for axis in range(3)) for c in codes
+        sum(((int(c[axis]) >> bit) & 1) << (3 * bit + axis) for bit in range(16) for axis in range(3))
+        for c in codes
     ]
     assert morton(codes).tolist() == expected
     assert (unmorton(morton(codes)) == codes).all()

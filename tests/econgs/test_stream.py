@@ -116,7 +116,7 @@ def test_encoder_makes_the_golden_stream() -> None:
 
 
 def trained_group(count: int = 1500) -> tuple[GroupAttributes, ContextModel]:
-    """Normally distributed attributes around a field of the position, and a context model that knows the field."""
+    """Attributes strewn around a field of the position, and a context model for them."""
     config = ContextConfig(features=12, offsets=4, grid=GridConfig((4, 8, 16), (16,), 12, 8), hidden=16)
     random = np.random.default_rng(0)
     grid = PositionGrid.box([-0.5] * 3, [0.5] * 3)
@@ -233,7 +233,7 @@ def spoiled(name: str, value: float) -> GroupAttributes:
     [
         (lambda: spoiled("features", np.nan), "features hold a value that is not finite"),
         (lambda: spoiled("offsets", np.inf), "offsets hold a value"),
-        (lambda: spoiled("scalings", 1e9), "beyond 2\\^24 steps"),
+        (lambda: spoiled("scalings", 1e9), "over 2\\^24 steps"),
         (lambda: spoiled("positions", 7.0), "outside the grid"),
         (lambda: replace(group(), scenes=()), "without scenes"),
         (lambda: replace(group(), scenes=(replace(group().scenes[0], scalings=np.zeros((3, 6))),)), "shape"),
@@ -252,4 +252,6 @@ def test_a_stream_says_what_it_costs() -> None:
         "container", "metadata", "context head", "hash grid", "decoders", "scene parameters", "positions",
         "features", "scalings", "offsets",
     }  # fmt: skip
-    assert encoded.attribute_bits == 8 * sum(encoded.ledger[one] for one in ("features", "scalings", "offsets"))
+    assert encoded.attribute_bits == 8 * sum(
+        encoded.ledger[one] for one in ("features", "scalings", "offsets")
+    )
