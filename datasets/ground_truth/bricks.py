@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
-BRICK = 8
+BRICK = 4
 """Voxels along a brick's side."""
 
 
 class Bricks:
     """Value ranges of the bricks of a field; made once per volume.
 
-    Brick b along an axis covers grid indices [8 b, 8 b + 8] and its range takes in one voxel more on
+    Brick b along an axis covers grid indices [4 b, 4 b + 4] and its range takes in one voxel more on
     either side, so that rounding at a border can never hide a visible sample.
 
     Args:

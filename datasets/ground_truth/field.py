@@ -5,7 +5,7 @@ min and max are written as select throughout: LLVM 15 and 16 cannot compile Dr.J
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import drjit as dr
@@ -17,19 +17,37 @@ from numpy.typing import NDArray
 class Field:
     """A grid of values, and where they count.
 
+    Each value is stored with its neighbour along x, at twice the memory: both are needed, and Dr.Jit fetches two
+    adjacent floats faster than one, without a branch for each ray.
+
     Args:
-        values: (nz, ny, nx).
-        mask: the same shape, or None.
+        slices: (ny, nx) values for each z.
+        shape: nz, ny, nx.
+        mask: of that shape, or None.
+
+    Attributes:
+        values: (nz, ny, nx) view of the values.
     """
 
-    def __init__(self, values: NDArray[np.float32], mask: NDArray[np.bool_] | None = None) -> None:
-        self.values = mi.Float(aligned(values))
+    def __init__(
+        self,
+        slices: Iterable[NDArray[np.float32]],
+        shape: tuple[int, ...],
+        mask: NDArray[np.bool_] | None = None,
+    ) -> None:
+        pairs = aligned_empty((*shape, 2), np.float32)
+        for values, out in zip(slices, pairs, strict=True):
+            out[..., 0] = values
+            out[:, :-1, 1] = values[:, 1:]
+            out[:, -1, 1] = values[:, -1]
+        self.values = pairs[..., 0]
+        self.pairs = mi.Float(aligned(pairs))  # Dr.Jit reads it where it lies
         self.mask = None if mask is None else _bytes()(aligned(mask.view(np.uint8)))
-        self.dims = [dr.opaque(mi.Int32, n) for n in reversed(values.shape)]
+        self.dims = [dr.opaque(mi.Int32, n) for n in reversed(shape)]
         self.stride = [
             dr.opaque(mi.Int32, 1),
             self.dims[0],
-            dr.opaque(mi.Int32, values.shape[2] * values.shape[1]),
+            dr.opaque(mi.Int32, shape[2] * shape[1]),
         ]
 
     def cell(self, at: Any) -> Cell:
@@ -50,13 +68,14 @@ class Cell:
 
     def __init__(self, field: Field, lower: list[Any], weight: list[Any]) -> None:
         self._field, self._lower, self._weight = field, lower, weight
-        x, y, z = field.stride
+        _, y, z = field.stride
         self._base = lower[2] * z + lower[1] * y + lower[0]
         # Corner numbers count x fastest: bit a of the number is the side along axis a.
-        self._corners = [self._fetch(o + side) for o in (mi.Int32(0), y, z, y + z) for side in (0, x)]
+        self._corners = [value for row in (mi.Int32(0), y, z, y + z) for value in self._fetch(row)]
 
     def _fetch(self, offset: Any) -> Any:
-        return dr.gather(mi.Float, self._field.values, self._base + offset)
+        """The value there and its neighbour along x."""
+        return dr.gather(mi.Vector2f, self._field.pairs, mi.UInt32(self._base + offset))
 
     def value(self) -> Any:
         """Trilinear interpolation."""
@@ -82,23 +101,26 @@ class Cell:
         """Half of f(x + 1) - f(x - 1) along each axis, in values per grid index.
 
         As interpolation is linear, both terms need only the corners of this cell and of its neighbours:
-        24 fetches more instead of 48.
+        16 fetches more instead of 24.
         """
+        _, y, z = self._field.stride
         result = []
         for axis in range(3):
             stride, first, second = self._field.stride[axis], *(a for a in range(3) if a != axis)
-            u, v = self._field.stride[first], self._field.stride[second]
+            inside = self._lower[axis] < self._field.dims[axis] - 2
             below = dr.select(self._lower[axis] > 0, -stride, 0)
-            above = dr.select(self._lower[axis] < self._field.dims[axis] - 2, 2 * stride, stride)
-            at_low, at_high = [], []
-            for offset, corner in (
-                (mi.Int32(0), 0),
-                (u, 1 << first),
-                (v, 1 << second),
-                (u + v, (1 << first) + (1 << second)),
-            ):
-                at_low.append(self._corners[corner + (1 << axis)] - self._fetch(offset + below))
-                at_high.append(self._fetch(offset + above) - self._corners[corner])
+            if axis == 0:
+                outer_low = [self._fetch(row + below)[0] for row in (mi.Int32(0), y, z, y + z)]
+                right = dr.select(inside, 1, 0)
+                outer_high = [self._fetch(row + right)[1] for row in (mi.Int32(0), y, z, y + z)]
+            else:
+                rows = (mi.Int32(0), z if axis == 1 else y)
+                above = dr.select(inside, 2 * stride, stride)
+                outer_low = [value for row in rows for value in self._fetch(row + below)]
+                outer_high = [value for row in rows for value in self._fetch(row + above)]
+            near = [corner for corner in range(8) if not corner & (1 << axis)]
+            at_low = [self._corners[c + (1 << axis)] - o for c, o in zip(near, outer_low, strict=True)]
+            at_high = [o - self._corners[c] for c, o in zip(near, outer_high, strict=True)]
             weights = self._weight[first], self._weight[second]
             low, high = bilinear(at_low, *weights), bilinear(at_high, *weights)
             result.append(0.5 * lerp(low, high, self._weight[axis]))
@@ -127,8 +149,15 @@ def aligned(array: NDArray[Any]) -> NDArray[Any]:
     """
     if array.ctypes.data % 64 == 0 and array.flags.c_contiguous:
         return array.reshape(-1)
-    room = np.empty(array.nbytes + 64, dtype=np.uint8)
-    start = -room.ctypes.data % 64
-    flat = room[start : start + array.nbytes].view(array.dtype)
+    flat = aligned_empty((array.size,), array.dtype)
     flat[:] = array.ravel()
     return flat
+
+
+def aligned_empty(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """An array that starts at a multiple of 64 bytes."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    room = np.empty(size + 64, dtype=np.uint8)
+    start = -room.ctypes.data % 64
+    array: NDArray[Any] = room[start : start + size].view(dtype).reshape(shape)
+    return array

@@ -223,7 +223,7 @@ class SceneData:
         self._volumes = list(volumes.values())
         self._occlusion = None
         if occlusion is not None:
-            self._occlusion = Field(occlusion.values)
+            self._occlusion = Field(occlusion.values, occlusion.values.shape)
             self._scale = dr.opaque(mi.Float, occlusion.scale)
             self._offset = dr.opaque(mi.Float, occlusion.offset)
 

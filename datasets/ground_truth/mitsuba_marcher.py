@@ -27,6 +27,9 @@ from datasets.transfer import TransferFunction
 from datasets.volume import Volume
 
 _RAYS_PER_LAUNCH = 2**20
+_TILE = 16
+"""Pixels along the side of a tile: rays that run together share what they fetch."""
+
 _CAMERA_WIDTH = 16  # position, rotation, focal lengths, principal point
 
 
@@ -52,12 +55,12 @@ class MitsubaMarcher:
         self._volumes = same_grid((volume,) if isinstance(volume, Volume) else volume)
         self._settings = settings
         self._leap = leap
-        self._values, self._bricks, self._fields = [], [], []
+        self._bricks, self._fields = [], []
         for each in self._volumes:
-            values = each.normalised()
-            self._values.append(values)  # Dr.Jit reads it where it lies
-            self._bricks.append(Bricks(values, each.mask))
-            self._fields.append(Field(values, each.mask))
+            slices = (each.normalise(values) for values in each.values)
+            field = Field(slices, each.values.shape, each.mask)
+            self._fields.append(field)
+            self._bricks.append(Bricks(field.values, each.mask))
         first = self._volumes[0]
         self._scale, self._offset = index_transform(first)
         self._half = 0.5 * first.extent
@@ -103,7 +106,7 @@ class MitsubaMarcher:
                 channels = (color.x, color.y, color.z, 1.0 - transmitted)
                 dr.eval(channels)  # together: apart, the loop would run once for each channel
             for i, channel in enumerate(channels):
-                images[start : start + batch, ..., i] = np.array(channel).reshape(-1, height, width)
+                images[start : start + batch, ..., i] = _untiled(np.array(channel), width, height)
             if progress:
                 progress(start + len(part), len(cameras))
         return images
@@ -121,13 +124,13 @@ class MitsubaMarcher:
                 empty &= self._bricks[n].empty(table[:, 3])
         occlusion = None
         if any(layer.depth_enhancement > 0.0 for layer in layers):
-            occlusion = bake(layers, [self._values[n] for n in numbers], size)
+            occlusion = bake(layers, [self._fields[n].values for n in numbers], size)
         fields = [self._fields[n] for n in numbers]
         per_voxel = self._scale * self._voxel
         return SceneData(layers, fields, tables, leaps(empty), self._dt, per_voxel, occlusion)
 
     def _rays(self, cameras: Sequence[Camera]) -> tuple[Any, ...]:
-        """Rays of all pixels in grid indices.
+        """Rays of all pixels in grid indices, tile by tile.
 
         Returns:
             start: where the ray enters the box; step: one ray step; whole: number of whole steps (-1: the
@@ -136,11 +139,17 @@ class MitsubaMarcher:
         width, height = cameras[0].width, cameras[0].height
         packed = np.stack([_pack(c) for c in cameras])
         opaque_width, opaque_height = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
-        index = dr.arange(mi.UInt32, len(cameras) * width * height)
-        row = index // opaque_width
-        column = index - row * opaque_width
-        number = row // opaque_height
-        row -= number * opaque_height
+        across, down = _tiles(width), _tiles(height)
+        opaque_across, opaque_down = dr.opaque(mi.UInt32, across), dr.opaque(mi.UInt32, down)
+        index = dr.arange(mi.UInt32, len(cameras) * down * across * _TILE**2)
+        row = index // _TILE**2 // opaque_across
+        column = index // _TILE**2 - row * opaque_across
+        number = row // opaque_down
+        row -= number * opaque_down
+        within = dr.gather(mi.UInt32, mi.UInt32(aligned(_ORDER)), index % _TILE**2)
+        row = row * _TILE + within // _TILE
+        column = column * _TILE + within % _TILE
+        shown = (column < opaque_width) & (row < opaque_height)
         camera = mi.Float64(aligned(packed))
         entry = [dr.gather(mi.Float64, camera, number * _CAMERA_WIDTH + k) for k in range(_CAMERA_WIDTH)]
 
@@ -158,7 +167,7 @@ class MitsubaMarcher:
             enter, leave = dr.select(swapped, other, one), dr.select(swapped, one, other)
             near, far = dr.select(enter > near, enter, near), dr.select(leave < far, leave, far)
         dt = dr.opaque(mi.Float64, self._dt)
-        steps = dr.select(far > near, (far - near) / dt, -1.0)
+        steps = dr.select(shown & (far > near), (far - near) / dt, -1.0)
         whole = dr.floor(steps)
         scale = [dr.opaque(mi.Float64, float(s)) for s in self._scale]
         offset = [dr.opaque(mi.Float64, float(o)) for o in self._offset]
@@ -177,3 +186,27 @@ def _pack(camera: Camera) -> NDArray[np.float64]:
     """The 16 numbers of a camera."""
     rotation = camera.camera_to_world[:3, :3].ravel()
     return np.concatenate([camera.position, rotation, [camera.fx, camera.fy, camera.cx, camera.cy]])
+
+
+def _tile_order() -> NDArray[np.uint32]:
+    """Pixel numbers (row x side + column) of a tile in the order of its rays: blocks of 4 x 2, of 8 x 8."""
+    n = np.arange(_TILE**2, dtype=np.uint32)
+    column = n & 3 | (n >> 3 & 1) << 2 | (n >> 6 & 1) << 3
+    row = n >> 2 & 1 | (n >> 4 & 3) << 1 | (n >> 7 & 1) << 3
+    return row * np.uint32(_TILE) + column
+
+
+_ORDER = _tile_order()
+
+
+def _tiles(pixels: int) -> int:
+    return -(-pixels // _TILE)
+
+
+def _untiled(rays: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
+    """(n, height, width) pictures from what the rays of :meth:`MitsubaMarcher._rays` brought."""
+    down, across = _tiles(height), _tiles(width)
+    tiles = np.empty((rays.size // (down * across * _TILE**2), down, across, _TILE**2), dtype=np.float32)
+    tiles[..., _ORDER] = rays.reshape(tiles.shape)
+    pictures = tiles.reshape(-1, down, across, _TILE, _TILE).swapaxes(2, 3)
+    return pictures.reshape(-1, down * _TILE, across * _TILE)[:, :height, :width]
