@@ -136,12 +136,14 @@ def _torch_decode(
         return torch.addmm(network.second_bias, hidden[place], network.second_weight.T)
 
     raw = torch.tanh(outputs(0))
-    slots = (raw.detach() > 0.0).reshape(-1).nonzero()[:, 0]
+    kept = raw.detach() > 0.0 if factors.opacity > 0.0 else torch.zeros_like(raw, dtype=torch.bool)
+    slots = kept.reshape(-1).nonzero()[:, 0]
     anchor = slots // many
 
     def surviving(place: int) -> Tensor:
-        by_slot = outputs(place).view(count, -1, many).transpose(1, 2).reshape(count * many, -1)
-        return by_slot.index_select(0, slots)
+        attributes = networks[place].second_bias.numel() // many
+        by_slot = outputs(place).view(count, attributes, many).transpose(1, 2)
+        return by_slot.reshape(count * many, attributes).index_select(0, slots)
 
     opacities = raw.reshape(-1).index_select(0, slots)
     if factors.opacity != 1.0:
@@ -151,15 +153,9 @@ def _torch_decode(
     means = anchors.index_select(0, anchor) + offset * scale[:, :3]
     covariance, shading, normals = surviving(1), surviving(2), surviving(3)
     activate = torch.tanh if decoders.offset_color == "tanh" else torch.sigmoid
-    linear, bounded = shading[:, 3:5], torch.sigmoid(shading[:, 5:7])
-    ranges = torch.tensor([MAX_SPECULAR * factors.specular, MAX_SHININESS * factors.shininess])
-    coefficients = torch.cat(
-        [
-            linear * torch.tensor([factors.ambient, factors.diffuse]).to(linear),
-            bounded * ranges.to(bounded),
-        ],
-        dim=1,
-    )
+    linear = shading[:, 3:5] * shading.new_tensor([factors.ambient, factors.diffuse])
+    ranges = shading.new_tensor([MAX_SPECULAR * factors.specular, MAX_SHININESS * factors.shininess])
+    coefficients = torch.cat([linear, torch.sigmoid(shading[:, 5:7]) * ranges], dim=1)
     base = palette + activate(shading[:, :3])
     return Decoded(
         means,
@@ -210,7 +206,7 @@ def _native() -> Any:
 
 
 def _vector(value: Vector, like: Tensor, name: str) -> Tensor:
-    vector = torch.as_tensor(value).detach().to(like)
+    vector = torch.as_tensor(value, dtype=like.dtype, device=like.device).detach()
     if vector.shape != (3,) or not bool(torch.isfinite(vector).all()):
         raise ValueError(f"{name} must be three finite numbers, not {vector.tolist()}")
     return vector

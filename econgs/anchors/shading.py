@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -21,6 +22,9 @@ class Factors:
     Attributes:
         opacity: on opacities, which stay at most 1.
         ambient, diffuse, specular, shininess: on k_a, k_d, k_s and β.
+
+    Raises:
+        ValueError: a factor that is negative or not finite.
     """
 
     opacity: float = 1.0
@@ -28,6 +32,11 @@ class Factors:
     diffuse: float = 1.0
     specular: float = 1.0
     shininess: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"the factor on {name} is {value}; it must be finite and at least 0")
 
 
 def unit(vectors: Tensor) -> Tensor:
