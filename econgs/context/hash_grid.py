@@ -7,16 +7,18 @@ sum, the number of threads and the device cannot change a bit of it, and the ent
 
 from __future__ import annotations
 
+import importlib.util
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from econgs.splat.rasterise import choose_backend
 
 FRACTION_BITS = 7
 VALUE_BITS = 3 * FRACTION_BITS  # interpolated values are multiples of 2^-VALUE_BITS
@@ -238,6 +240,17 @@ class _CodedBits(torch.autograd.Function):
         return torch.cat([part * (one * grad) for part, one in zip(parts, ctx.slopes, strict=True)]), None
 
 
+def compiled(like: Tensor) -> bool:
+    """Whether the compiled kernels take this tensor. ``ECONGS_BACKEND=torch`` forbids them."""
+    fits = like.device.type == "cpu" and like.dtype == torch.float32
+    return fits and os.environ.get("ECONGS_BACKEND") != "torch" and _built()
+
+
+@cache
+def _built() -> bool:
+    return importlib.util.find_spec("econgs._native") is not None
+
+
 def native() -> Any:
     """The compiled module, with its threads and instruction set chosen."""
     import econgs._native
@@ -254,7 +267,7 @@ def interpolate(table: Tensor, lookup: Lookup, rows: Tensor | None = None) -> tu
     config = lookup.config
     if table.shape != (config.entries, config.features):
         raise ValueError("the lookup was made for another grid")
-    if choose_backend(table) == "native" and config.features == 4:
+    if compiled(table) and config.features == 4:
         looked_up: tuple[Tensor, Tensor] = _NativeLookup.apply(table, lookup, rows)
         return looked_up
     index, weights = lookup.index, lookup.weights
@@ -296,6 +309,6 @@ class HashGrid(nn.Module):
 
         Returns:
             (M, outputs), multiples of 2⁻²¹ in [−1, 1]: level after level, ``features`` values each;
-            and the bits of the grid coded at the measured share of +1 per level, a scalar (the paper's L_hash).
+            and the bits of the grid coded at the measured share of +1 per level, a scalar (L_hash).
         """
         return interpolate(self.table, lookup, rows)

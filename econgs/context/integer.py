@@ -3,8 +3,8 @@
 Weights are 8-bit integers with one power of two per row, biases 32-bit integers of 2⁻¹⁶, activations integers
 of 2⁻¹⁶, looked-up values integers of 2⁻²¹; steps and spreads come from tables. Every sum stays below 2⁵³, so
 that the fast path may multiply matrices in float64: each partial sum is a whole number that float64 holds,
-and neither the order nor the number of threads nor the instruction set can change the result. With ``exact`` the
-same is done in int64 only.
+and neither the order nor the number of threads nor the instruction set can change the result.
+With ``exact`` the same is done in int64 only.
 """
 
 from __future__ import annotations

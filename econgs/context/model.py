@@ -15,9 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from econgs.context.hash_grid import SMALL_GRID, GridConfig, HashGrid, Lookup, native
+from econgs.context.hash_grid import SMALL_GRID, GridConfig, HashGrid, Lookup, compiled, native
 from econgs.context.integer import MOST_INPUTS, IntegerHead, IntegerLayer, rounded_steps, rounded_weight
-from econgs.splat.rasterise import choose_backend
 
 STEPS = {"features": 0.1, "offset_scalings": 0.001, "gaussian_scalings": 0.001, "offsets": 0.2}
 """Base steps Q. The paper's are these with 1 for features, which rounds nearly all of them to zero."""
@@ -174,7 +173,7 @@ class Noise:
 
 
 class _Head(torch.autograd.Function):
-    """Hidden layer and refinements of all rows, hidden activations of the last; no dense gradient of parts."""
+    """Hidden layer and refinements of all rows, hidden activations of the last: no dense gradients."""
 
     @staticmethod
     def forward(  # type: ignore[override]
@@ -204,7 +203,7 @@ class _AddNoise(torch.autograd.Function):
         ctx: Any, values: Tensor, steps: Tensor, noise: Tensor, sample: Tensor, first: int, groups: int
     ) -> tuple[Tensor, Tensor]:
         flat, noise = values.detach().flatten(1), noise.flatten(1)
-        ctx.native = choose_backend(flat) == "native"
+        ctx.native = compiled(flat)
         ctx.groups = first, groups
         ctx.save_for_backward(noise, steps, sample)
         if ctx.native:

@@ -1,0 +1,198 @@
+"""Bitstream and context model: time, bits against the ideal, cost of an iteration.
+
+    python tests/benchmarks/bench_bitstream.py [--anchors N] [--scenes N] [--repeats N] [--threads N]
+                                               [--clouds FOLDER] [--json FILE]
+
+``--clouds`` also reports bits per position of every points3d.ply under a folder. What is compared runs in
+turns in one process and the shortest times are shown: other work on the machine makes them longer, never shorter.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from econgs.context.hash_grid import HAC_GRID, SMALL_GRID
+from econgs.context.model import Attributes, ContextConfig, ContextModel, Noise, draw_sample
+from econgs.context.positions import PositionGrid, encode_positions, morton_order
+from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, decode_group, encode_group
+from econgs.splat import native
+
+VOXEL = 0.001
+
+
+def shortest(ways: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Shortest seconds of each way, called in turns after one warm-up each."""
+    best = dict.fromkeys(ways, float("inf"))
+    for turn in range(repeats + 1):
+        for name, call in ways.items():
+            start = time.perf_counter()
+            call()
+            if turn:
+                best[name] = min(best[name], time.perf_counter() - start)
+    return best
+
+
+def scenes_of(count: int, anchors: int) -> list[SceneAttributes]:
+    """Anchors on wavy sheets, attributes that follow the position, as far as noise lets them."""
+    random = np.random.default_rng(0)
+    made = []
+    for index in range(count):
+        x, y = random.integers(-500, 500, (2, anchors))
+        z = np.rint(300 * np.sin(x / 150 + index) * np.cos(y / 120)).astype(np.int64)
+        positions = (np.unique(np.stack([x, y, z], 1), axis=0) * VOXEL).astype(np.float32)
+        n = len(positions)
+        wave = np.sin(6 * positions[:, :1] + np.arange(86)) * np.cos(5 * positions[:, 1:2])
+        values = (wave + random.normal(size=(n, 86))).astype(np.float32)
+        made.append(
+            SceneAttributes(
+                f"TF{index:02}",
+                positions,
+                0.2 * values[:, :50],
+                (0.01 * np.exp(0.4 * values[:, 50:56])).astype(np.float32),
+                values[:, 56:].reshape(n, 10, 3),
+                {"palette": np.ones(3, np.float32), "embedding": np.zeros(50, np.float32)},
+            )
+        )
+    return made
+
+
+def attributes(scene: SceneAttributes) -> Attributes:
+    return Attributes(*map(torch.from_numpy, (scene.features, scene.scalings, scene.offsets)))
+
+
+def stream(count: int, anchors: int, repeats: int) -> dict[str, Any]:
+    """Encoding and decoding of a group of scenes."""
+    scenes = scenes_of(count, anchors)
+    grid = PositionGrid.lattice(VOXEL, np.concatenate([one.positions for one in scenes]))
+    model = ContextModel(ContextConfig(), torch.Generator().manual_seed(0))
+    model.calibrate(*map(attributes, scenes))
+    with torch.no_grad():
+        model.refinements.weight.normal_(std=0.2, generator=torch.Generator().manual_seed(1))
+    weights = np.random.default_rng(1).normal(size=29_980).astype(np.float32)
+    group = GroupAttributes(tuple(scenes), grid, CodedContext.of(model), {"decoders": weights})
+    encoded = encode_group(group)
+    times = shortest(
+        {"encode": lambda: encode_group(group), "decode": lambda: decode_group(encoded.data)}, repeats
+    )
+    model.coder_exact = True
+    estimate = sum(
+        float(
+            model.rounded(
+                attributes(s), model.lookup(torch.from_numpy(grid.codes(s.positions)), grid.extent)
+            )[1].sum()
+        )
+        for s in scenes
+    )
+    return {
+        "scenes": count,
+        "anchors": sum(map(len, scenes)),
+        "encode s": times["encode"],
+        "decode s": times["decode"],
+        "bytes": len(encoded.data),
+        "above the cross-entropy, %": 100 * (encoded.attribute_bits / encoded.ideal_bits - 1),
+        "cross-entropy above the float model's estimate, %": 100 * (encoded.ideal_bits / estimate - 1),
+        "bits per position": 8 * encoded.ledger["positions"] / sum(map(len, scenes)),
+        **{f"ledger: {name}": size for name, size in encoded.ledger.items()},
+    }
+
+
+def iteration(visible: int, anchors: int, repeats: int) -> dict[str, float]:
+    """Milliseconds that the context model adds to an iteration of stage 2, forward and backward."""
+    generator = torch.Generator().manual_seed(0)
+    codes = torch.randint(0, 1000, (anchors, 3), generator=generator)
+    rows = torch.randperm(anchors, generator=generator)[:visible].sort().values
+    every = Attributes(torch.randn(visible, 50), 0.02 * torch.rand(visible, 6), torch.randn(visible, 10, 3))
+    outer = [torch.randn_like(one) for one in every]
+    noise = Noise(generator=generator)
+    leaves = Attributes(*(one.requires_grad_(True) for one in every))
+
+    def step(model: ContextModel, lookup: Any, exact: bool, backend: str | None) -> Callable[[], None]:
+        def call() -> None:
+            os.environ.pop("ECONGS_BACKEND", None)
+            if backend:
+                os.environ["ECONGS_BACKEND"] = backend
+            model.coder_exact = exact
+            model.zero_grad()
+            context = model(lookup, rows, draw_sample(visible, generator))
+            noisy = model.perturb(leaves, context, noise)
+            rate = model.rate(noisy, context, anchors=anchors)
+            # The rest of the loss is a gradient from outside.
+            torch.autograd.backward([rate.attributes + rate.grid, *noisy.values], [None, *outer])
+            os.environ.pop("ECONGS_BACKEND", None)
+
+        return call
+
+    ways = {}
+    for name, grid in (("small", SMALL_GRID), ("HAC", HAC_GRID)):
+        model = ContextModel(ContextConfig(grid=grid, hidden=50 if name == "small" else 100), generator)
+        lookup = model.lookup(codes, (999, 999, 999))
+        for exact in (False, True):
+            ways[f"{name} grid{', rounded as coded' if exact else ''}"] = step(model, lookup, exact, None)
+        ways[f"{name} grid, lookups by torch"] = step(model, lookup, False, "torch")
+    return {name: 1e3 * seconds for name, seconds in shortest(ways, repeats).items()}
+
+
+def points_of(path: Path) -> np.ndarray:
+    """Positions of a binary little-endian .ply of vertices that begin with x, y, z as floats."""
+    data = path.read_bytes()
+    end = data.index(b"end_header\n") + 11
+    lines = data[:end].decode().splitlines()
+    count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
+    sizes = {"float": "<f4", "uchar": "u1", "double": "<f8"}
+    fields = [(line.split()[2], sizes[line.split()[1]]) for line in lines if line.startswith("property")]
+    vertices = np.frombuffer(data[end:], np.dtype(fields), count)
+    return np.stack([vertices[axis] for axis in "xyz"], 1)
+
+
+def clouds(folder: Path) -> dict[str, float]:
+    """Bits per position of clouds, in the box at 16 bits per axis (48 raw) and on the lattice of anchors."""
+    found = {}
+    for path in sorted(folder.rglob("points3d.ply")):
+        points = points_of(path)
+        for name, grid in (
+            ("16 bits per axis", PositionGrid.box(points.min(0), points.max(0))),
+            (f"cells of {VOXEL:g}", PositionGrid.lattice(VOXEL, points)),
+        ):
+            codes = np.unique(grid.codes(points), axis=0)
+            codes = codes[morton_order(codes)]
+            found[f"{path.parent.name}, {name}"] = 8 * len(encode_positions(codes, grid)) / len(codes)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--anchors", type=int, default=14_000, help="per scene")
+    parser.add_argument("--scenes", type=int, default=4)
+    parser.add_argument("--visible", type=int, default=10_000, help="anchors in view in an iteration")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--clouds", type=Path)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    native.set_threads(options.threads)
+    results: dict[str, dict[str, Any]] = {
+        "stream": stream(options.scenes, options.anchors, options.repeats),
+        "iteration, ms": iteration(options.visible, options.anchors, 3 * options.repeats),
+    }
+    if options.clouds:
+        results["bits per position"] = clouds(options.clouds)
+    for title, numbers in results.items():
+        print(title)
+        for name, value in numbers.items():
+            print(f"  {name:50} {value:12.4g}" if isinstance(value, float) else f"  {name:50} {value:12}")
+    if options.json:
+        options.json.write_text(json.dumps(results, indent=1))
+
+
+if __name__ == "__main__":
+    main()
