@@ -74,7 +74,8 @@ def transfer(name: str, opacity: float, *ranges: tuple[float, float]) -> Transfe
 
 NARROW = transfer("narrow", 0.5, (0.55, 0.65))
 THIN = transfer("thin", 0.3, (0.3, 0.32), (0.5, 0.52), (0.7, 0.72), (0.9, 0.92))
-WIDE = transfer("wide", 0.2, (0.3, 0.9))
+WIDE = transfer("wide", 0.05, (0.3, 0.9))
+DENSE = transfer("wide, dense", 0.2, (0.3, 0.9))
 ALL = transfer("all > 0", 0.02, (-0.5, 2.0))
 
 
@@ -149,6 +150,7 @@ def against_vtk(size: int, pixels: int, turns: int) -> None:
         (shell, NARROW, LIGHT, "≥ 2"),
         (shell, THIN, LIGHT, ""),
         (shell, WIDE, LIGHT, "≥ 1.5"),
+        (shell, DENSE, LIGHT, ""),
         (rough, ALL, LIGHT, ""),
         (shell, NARROW, None, ""),
         (shell, WIDE, None, ""),
@@ -184,6 +186,9 @@ def against_vtk(size: int, pixels: int, turns: int) -> None:
             f"{our_setup:.2f}, {their_setup:.2f}",
             alike,
         )
+    print(
+        "\nVTK stops rays at a transmittance of 0.8 %, we at 1e-6: of the dense one it takes half the samples."
+    )
 
 
 def fastest_caster(
@@ -225,7 +230,7 @@ def modes(size: int, pixels: int, turns: int) -> None:
         "TF", "step", "unshaded", "shaded", "shaded without bricks", "bricks save",
     )  # fmt: skip
     for step in (1.0, 0.5):
-        for tf in (NARROW, WIDE, ALL):
+        for tf in (NARROW, DENSE, ALL):
             draws = [
                 ours(volume, tf, None, step),
                 ours(volume, tf, Light(), step),
