@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 class Field:
     """A grid of values, and where they count.
 
-    Each value is stored with its neighbour along x, at twice the memory: both are needed, and Dr.Jit fetches two
-    adjacent floats faster than one, without a branch for each ray.
+    Each value is stored with its neighbour along x, at twice the memory: both are needed, and Dr.Jit fetches
+    two adjacent floats faster than one, without a branch for each ray.
 
     Args:
         slices: (ny, nx) values for each z.
