@@ -19,7 +19,6 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-
 FRACTION_BITS = 7
 VALUE_BITS = 3 * FRACTION_BITS  # interpolated values are multiples of 2^-VALUE_BITS
 MOST_BITS = 1 << 25

@@ -4,8 +4,8 @@
                                                [--clouds FOLDER] [--json FILE]
 
 ``--clouds`` also reports bits per position of every points3d.ply under a folder. What is compared runs in
-turns in one process and the shortest times are shown: other work on the machine only makes them longer, the sum
-over all threads ("CPU") less so.
+turns in one process and the shortest times are shown: other work on the machine only makes them longer, the
+sum over all threads ("CPU") less so.
 """
 
 from __future__ import annotations
