@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 
 def results(options: Namespace) -> int:
-    """Print the table ``results`` of a store."""
+    """Print a table of a store."""
     store = Store(Path(options.runs))
-    tables = build_tables(store, _sources(options), write=False)
-    print_as(tables["results"], options.format)
+    tables = build_tables(store, current(options), write=False)
+    print_as(tables[options.table], options.format)
     return 0
 
 
 def report(options: Namespace) -> int:
     """Write the HTML report of a store."""
     store = Store(Path(options.runs))
-    tables = build_tables(store, _sources(options))
+    tables = build_tables(store, current(options))
     print(write_html(tables, store, Path(options.out) if options.out else None))
     return 0
 
@@ -53,15 +53,34 @@ def print_as(table: pd.DataFrame, form: str) -> None:
         print(writer(table))
 
 
-def print_table(table: pd.DataFrame) -> None:
+def print_results(table: pd.DataFrame) -> None:
     """The rows of a run, for people."""
-    from rich.console import Console
-    from rich.table import Table
-
     from reports.tables import terminal_rows
 
-    console = Console(width=None if sys.stdout.isatty() else 200)
-    header, *lines = terminal_rows(table, console.width)
+    width = _console().width
+    header, *lines = terminal_rows(table, width)
+    _print(header, lines)
+
+
+def print_table(table: pd.DataFrame) -> None:
+    """A table made for people; columns that hold nothing are left out."""
+    from reports.tables import cell, title
+
+    names = [name for name in table.columns if table[name].notna().any()]
+    lines = [[cell(name, row[name]) for name in names] for _, row in table.iterrows()]
+    _print([title(name) for name in names], lines)
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() else 200)
+
+
+def _print(header: list[str], lines: list[list[str]]) -> None:
+    from rich.table import Table
+
+    console = _console()
     whole = sum(max(map(len, column)) + 2 for column in zip(header, *lines, strict=True)) - 2
     shown = Table(box=None, pad_edge=False)
     for i, head in enumerate(header):
@@ -76,7 +95,8 @@ def print_table(table: pd.DataFrame) -> None:
     console.print(shown, markup=False, highlight=False)
 
 
-def _sources(options: Namespace) -> dict[str, str]:
+def current(options: Namespace) -> dict[str, str]:
+    """Method -> hash of its source now, plugins included: what makes rows stale."""
     from bench.provenance import current_sources
     from methods.registry import Registry
 

@@ -38,11 +38,15 @@ def run(options: Namespace) -> int:
     outcome = executor.run()
     tables = build_tables(store, sources)
     ids = {record.job.id for record in outcome.records}
-    shown = tables["results"][tables["results"]["job"].isin(ids)]
-    if len(shown):
-        from bench.commands.results import print_table, write_html
+    shown = {name: tables[name][tables[name]["job"].isin(ids)] for name in ("results", "dvr")}
+    if any(map(len, shown.values())):
+        from bench.commands.results import print_results, print_table, write_html
+        from reports.datasets import costs
 
-        print_table(shown)
+        if len(shown["results"]):
+            print_results(shown["results"])
+        if len(shown["dvr"]):
+            print_table(costs(shown["dvr"]))
         page = store.root / "report.html"
         if not options.no_report:
             if outcome.ran or not page.is_file():

@@ -9,6 +9,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.commands.results import current
 from bench.store import Store
 from bench.tables import METRICS, build_tables
 from datasets.errors import DataError
@@ -41,7 +42,7 @@ def merge(options: Namespace) -> int:
                 finally:
                     shutil.rmtree(aside, ignore_errors=True)
                 taken += 1
-    build_tables(target)
+    build_tables(target, current(options))
     print(f"{target.root}: {taken} jobs taken, {kept} there already")
     return 0
 

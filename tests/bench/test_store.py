@@ -8,6 +8,7 @@ import shutil
 import pandas as pd
 import pytest
 
+from bench.__main__ import TABLES
 from bench.commands.stores import paired
 from bench.records import EncodeResult, Job, Record, Request, derived_seed, hash_of
 from bench.stages import check_ledger
@@ -101,6 +102,10 @@ def test_seeds_depend_on_each_axis() -> None:
 def test_wrong_ledgers(ledger, words: str) -> None:
     with pytest.raises(RuntimeError, match=words):
         check_ledger(ledger, 10, ("a",))
+
+
+def test_every_table_can_be_printed() -> None:
+    assert set(TABLES) == set(COLUMNS)
 
 
 def test_empty_tables_have_their_columns() -> None:
