@@ -93,7 +93,7 @@ def decode(
     _check_shapes(inputs, decoders)
     view = _vector(eye, anchors, "eye")
     toward = None if light is None else _vector(light, anchors, "light")
-    if toward is not None and abs(float(toward.norm()) - 1.0) > 1e-3:
+    if toward is not None and abs(math.hypot(*toward.tolist()) - 1.0) > 1e-3:
         raise ValueError(f"light is {toward.tolist()}, not a unit vector")
     factors = factors or Factors()
     if choose_backend(anchors, backend) == "native":
@@ -192,13 +192,13 @@ def visible_anchors(camera: Camera, anchors: Tensor, scalings: Tensor, *, near: 
     local = torch.addmm(pose[:3, 3:], pose[:3, :3], anchors.T)
     depth = local[2]
     reach = 3.0 * scalings[:, :3].amax(1)
-    # Compared at the anchor's depth: |x| may exceed the image's half width there by the reach.
-    right, down = (camera.width - camera.cx) / camera.fx, (camera.height - camera.cy) / camera.fy
-    left, up = camera.cx / camera.fx, camera.cy / camera.fy
-    x, y = local[0], local[1]
-    inside = (x - reach <= right * depth) & (-x - reach <= left * depth)
-    inside &= (y - reach <= down * depth) & (-y - reach <= up * depth)
-    return inside & (depth > near)
+    # Compared at the anchor's depth: how far it lies from the image's middle, and how far it may.
+    inside = depth > near
+    middle = ((camera.cx, camera.width, camera.fx), (camera.cy, camera.height, camera.fy))
+    for place, (center, pixels, focal) in zip(local, middle, strict=False):
+        apart = torch.add(place, depth, alpha=(center - 0.5 * pixels) / focal).abs()
+        inside &= apart <= torch.add(reach, depth, alpha=0.5 * pixels / focal)
+    return inside
 
 
 def _native() -> Any:
@@ -207,8 +207,9 @@ def _native() -> Any:
 
 def _vector(value: Vector, like: Tensor, name: str) -> Tensor:
     vector = torch.as_tensor(value, dtype=like.dtype, device=like.device).detach()
-    if vector.shape != (3,) or not bool(torch.isfinite(vector).all()):
-        raise ValueError(f"{name} must be three finite numbers, not {vector.tolist()}")
+    numbers = vector.tolist()
+    if vector.shape != (3,) or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{name} must be three finite numbers, not {numbers}")
     return vector
 
 
