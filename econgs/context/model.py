@@ -297,6 +297,8 @@ class ContextModel(nn.Module):
         Call it once, when the context model is switched on. Without it training has to find them first.
         """
         values = torch.cat([one.flat for one in scenes]) / self.base_steps()
+        if not len(values):  # everything was pruned: there is nothing to start from
+            return
         mean, spread = values.mean(0), values.std(0, correction=0).clamp(2.0**-3, 2.0**16)
         self.unit.copy_(torch.exp2(spread.log2().round()))
         self.means.bias.copy_(mean / self.unit)

@@ -1,0 +1,1 @@
+"""ECoNGS: efficient compressive neural Gaussian splats (Tang and Wang)."""

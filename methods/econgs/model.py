@@ -1,0 +1,299 @@
+"""A trained ECoNGS representation: groups of scenes that share decoders, rendered alone or composed."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from datasets.camera import Camera
+from datasets.errors import DataError
+from datasets.names import unknown
+from datasets.scene import RGB
+from econgs.anchors.decode import Decoded, decode, visible_anchors
+from econgs.anchors.decoders import Decoders
+from econgs.anchors.shading import Factors
+from econgs.context.container import Kind, overhead, read_container
+from econgs.context.stream import GroupAttributes, SceneAttributes, decode_group, encode_group
+from econgs.splat.composite import over
+from econgs.splat.rasterise import Rasterised, rasterise
+from methods.interface import Edit, Refused, edits_by_scene
+
+Direction = tuple[float, float, float]
+SUFFIX = ".econgs"
+
+
+@dataclass(frozen=True, eq=False)
+class SceneAnchors:
+    """The anchors of one scene, ready to be decoded.
+
+    Attributes:
+        background: of the scene, as recorded.
+        light: unit vector to its directional light, or None for a headlight.
+        positions: (N, 3).
+        features: (N, F).
+        scalings: (N, 6) activated.
+        offsets: (N, K, 3).
+        palette: (3,).
+        embedding: (E,).
+    """
+
+    background: RGB
+    light: Direction | None
+    positions: Tensor
+    features: Tensor
+    scalings: Tensor
+    offsets: Tensor
+    palette: Tensor
+    embedding: Tensor
+
+
+class Group:
+    """Scenes that were learned together, as their stream gives them back.
+
+    Args:
+        coded: the group; values are those that decoding its stream gives.
+        device: where it renders.
+
+    Raises:
+        DataError: decoders or scene parameters are missing or have other shapes than the metadata say.
+    """
+
+    def __init__(self, coded: GroupAttributes, device: str, what: str = "group") -> None:
+        self.coded = coded
+        try:
+            self.decoders = _decoders(coded).to(device)
+            self.scenes = {
+                scene.name: SceneAnchors(
+                    background=_triple(coded.metadata["scenes"][scene.name]["background"]),
+                    light=_light(coded.metadata["scenes"][scene.name]["light"]),
+                    **{
+                        name: torch.from_numpy(np.ascontiguousarray(values)).to(device)
+                        for name, values in {**_arrays(scene), **scene.parameters}.items()
+                    },
+                )
+                for scene in coded.scenes
+            }
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            reason = f"its networks or scene parameters are not those of a model ({error})"
+            raise DataError(what, reason, "Encode the model anew") from error
+
+
+def _arrays(scene: SceneAttributes) -> dict[str, np.ndarray]:
+    return {name: getattr(scene, name) for name in ("positions", "features", "scalings", "offsets")}
+
+
+def _decoders(coded: GroupAttributes) -> Decoders:
+    said = coded.metadata["decoders"]
+    decoders = Decoders(
+        int(said["features"]),
+        int(said["offsets"]),
+        int(said["embedding"]),
+        hidden=int(said["hidden"]),
+        view_direction=bool(said["view_direction"]),
+        offset_color=said["offset_color"],
+    )
+    decoders.load_state_dict({name: torch.from_numpy(np.array(v)) for name, v in coded.decoders.items()})
+    return decoders.requires_grad_(False)
+
+
+def decoders_metadata(decoders: Decoders) -> dict[str, int | bool | str]:
+    """What a reader needs to make the networks again."""
+    names = ("features", "offsets", "embedding", "hidden", "view_direction", "offset_color")
+    return {name: getattr(decoders, name) for name in names}
+
+
+def _triple(values: Sequence[float]) -> RGB:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _light(values: Sequence[float] | None) -> Direction | None:
+    return None if values is None else _triple(values)
+
+
+class EcongsModel:
+    """Groups of scenes; what is rendered together is decoded scene by scene, concatenated and sorted once.
+
+    Args:
+        groups: at least one; no two scenes share a name.
+    """
+
+    def __init__(self, groups: Sequence[Group]) -> None:
+        self.groups = tuple(groups)
+        self._where = {name: (group, scene) for group in groups for name, scene in group.scenes.items()}
+        if len(self._where) != sum(len(group.scenes) for group in groups):
+            raise Refused("two of the scenes to compose have the same name")
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the scenes it holds."""
+        return tuple(self._where)
+
+    def anchors(self, scene: str) -> SceneAnchors:
+        """The anchors of one scene.
+
+        Raises:
+            UnknownName: it does not hold that scene.
+        """
+        return self._find(scene)[1]
+
+    def primitives(self, scene: str | None = None) -> int:
+        """Number of anchors of one scene or of all."""
+        names = self.scenes if scene is None else (scene,)
+        return sum(len(self.anchors(name).positions) for name in names)
+
+    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
+        """Write the stream of each group, ``<place>.econgs``.
+
+        Raises:
+            Refused: ``rate`` is given; the rate is set by training.
+        """
+        if rate is not None:
+            raise Refused("econgs has one size: set rate_weight and train")
+        ledger: dict[str, dict[str, int]] = {}
+        for place, group in enumerate(self.groups):
+            data = encode_group(group.coded).data
+            (folder / f"{place}{SUFFIX}").write_bytes(data)
+            for scene, parts in _ledger(data, tuple(group.scenes)).items():
+                into = ledger.setdefault(scene, {})
+                for part, count in parts.items():
+                    into[part] = into.get(part, 0) + count
+        return ledger
+
+    def render(
+        self,
+        camera: Camera,
+        scenes: Sequence[str] | None = None,
+        edit: Mapping[str, Edit] | None = None,
+        background: RGB | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Render scenes together; see :class:`methods.interface.Model`.
+
+        Raises:
+            Refused: an edit out of range.
+            UnknownName: it does not hold such a scene.
+        """
+        names = self.scenes if scenes is None else tuple(scenes)
+        back = self.anchors(names[0]).background if background is None else background
+        edits = edits_by_scene(edit, names)
+        with torch.inference_mode():
+            decoded = [self._decode(name, camera, edits.get(name)) for name in names]
+            splats = _rasterise(decoded, camera)
+            rgb = over(splats.features, splats.alpha, back)
+            return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
+
+    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
+        """Seconds of one frame of these scenes by part; shading is fused with decoding ("decode")."""
+        names = self.scenes if scenes is None else tuple(scenes)
+        with torch.inference_mode():
+            like = self.anchors(names[0]).positions
+            start = _now(like)
+            decoded = [self._decode(name, camera, None) for name in names]
+            middle = _now(like)
+            _rasterise(decoded, camera)
+            return {"decode": middle - start, "shade": 0.0, "rasterise": _now(like) - middle}
+
+    def _find(self, scene: str) -> tuple[Group, SceneAnchors]:
+        if scene not in self._where:
+            raise unknown("scene", scene, self._where, of="this model")
+        return self._where[scene]
+
+    def _decode(self, name: str, camera: Camera, edit: Edit | None) -> Decoded:
+        group, scene = self._find(name)
+        palette, light, factors = scene.palette, scene.light, None
+        if edit is not None:
+            palette, light, factors = _edited(name, scene, edit)
+        tensors = (scene.positions, scene.features, scene.scalings, scene.offsets)
+        seen = visible_anchors(camera, scene.positions, scene.scalings)
+        if not bool(seen.all()):
+            rows = seen.nonzero()[:, 0]
+            tensors = tuple(tensor.index_select(0, rows) for tensor in tensors)  # type: ignore[assignment]
+        return decode(
+            *tensors, group.decoders, scene.embedding, palette, camera.position, light=light, factors=factors
+        )
+
+
+def _ledger(data: bytes, scenes: Sequence[str]) -> dict[str, dict[str, int]]:
+    """Bytes of a stream by scene ("" for what all share) and part."""
+    sections = read_container(data, "stream")
+    ledger: dict[str, dict[str, int]] = {"": {"container": overhead(len(sections))}}
+    for section in sections:
+        scene = scenes[section.scene] if section.kind >= Kind.SCENE else ""
+        parts = ledger.setdefault(scene, {})
+        part = section.kind.name.lower()
+        parts[part] = parts.get(part, 0) + len(section.payload)
+    return ledger
+
+
+def load_model(folder: Path, device: str) -> EcongsModel:
+    """Read what :meth:`EcongsModel.save` wrote.
+
+    Raises:
+        DataError: a stream is missing, damaged or of another kind.
+    """
+    files = sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else []
+    if not files:
+        raise DataError(folder, "no saved econgs model in it", "Give the folder that Model.save wrote")
+    groups = []
+    for file in files:
+        try:
+            data = file.read_bytes()
+        except OSError as error:
+            raise DataError(
+                file, f"cannot be read ({error})", "Check the file and its permissions"
+            ) from error
+        groups.append(Group(decode_group(data, str(file)), device, str(file)))
+    return EcongsModel(groups)
+
+
+def _edited(name: str, scene: SceneAnchors, edit: Edit) -> tuple[Tensor, Direction | None, Factors]:
+    numbers = {
+        part: 1.0 if value is None else float(value)
+        for part in ("opacity", "ambient", "diffuse", "specular", "shininess")
+        for value in (getattr(edit, part),)
+    }
+    for part, value in numbers.items():
+        if not (math.isfinite(value) and value >= 0.0):
+            raise Refused(f"{part} factor {value} of scene {name!r} is not a finite number >= 0")
+    palette, light = scene.palette, scene.light
+    if edit.palette is not None:
+        if not all(math.isfinite(value) and 0.0 <= value <= 1.0 for value in edit.palette):
+            raise Refused(f"palette color {edit.palette} of scene {name!r} is not in [0, 1]")
+        palette = torch.tensor(edit.palette).to(scene.palette)
+    if edit.light == "headlight":
+        light = None
+    elif edit.light is not None:
+        direction = np.asarray(edit.light, dtype=np.float64)
+        length = float(np.linalg.norm(direction))
+        if direction.shape != (3,) or not math.isfinite(length) or length < 1e-6:
+            raise Refused(f"light {edit.light} of scene {name!r} is no direction")
+        x, y, z = (direction / length).tolist()
+        light = (x, y, z)
+    return palette, light, Factors(**numbers)
+
+
+def _rasterise(decoded: Sequence[Decoded], camera: Camera) -> Rasterised:
+    if len(decoded) == 1:
+        one = decoded[0]
+        return rasterise(one.means, one.quats, one.scales, one.opacities, one.colors, camera)
+    return rasterise(
+        torch.cat([one.means for one in decoded]),
+        torch.cat([one.quats for one in decoded]),
+        torch.cat([one.scales for one in decoded]),
+        torch.cat([one.opacities for one in decoded]),
+        torch.cat([one.colors for one in decoded]),
+        camera,
+    )
+
+
+def _now(like: Tensor) -> float:
+    if like.is_cuda:
+        torch.cuda.synchronize(like.device)
+    return time.perf_counter()

@@ -1,0 +1,72 @@
+"""ECoNGS: what it can do and how it is set."""
+
+from methods.interface import MethodSpec, Option, RateKnob
+
+SPEC = MethodSpec(
+    name="econgs",
+    title="ECoNGS: efficient compressive neural Gaussian splats",
+    reference=(
+        "K. Tang, C. Wang: ECoNGS: Efficient Compressive Neural Gaussian Splats for Volume Visualization"
+    ),
+    version="1",
+    implementation="methods.econgs.method:Econgs",
+    source=("methods.econgs", "econgs"),
+    joint=True,
+    composable=True,
+    edits=frozenset({"palette", "opacity", "light", "shading"}),
+    needs_volume=False,
+    uses_alpha="views are composited on the scene's background; alpha is no target of its own",
+    devices=("cpu", "cuda"),
+    options={
+        # Start
+        "start": Option("cloud", "where the first anchors come from", choices=("cloud", "random")),
+        "random_points": Option(10_000, "number of points of a random start", minimum=1, maximum=10_000_000),
+        "random_half_extent": Option(
+            0.5, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
+        ),
+        # Joint learning
+        "joint": Option(True, "learn similar scenes of a dataset together"),
+        "threshold": Option(0.01, "Chamfer distance up to which clusters of scenes merge", minimum=0.0),
+        "linkage": Option("average", "linkage of the clustering", choices=("average", "single", "complete")),
+        "chamfer": Option(
+            "mean", "how the two directions of the Chamfer distance combine", choices=("mean", "sum")
+        ),
+        "group_memory_mb": Option(
+            0, "groups estimated to need more host memory are split (MiB); 0 = what is free", minimum=0
+        ),
+        # Representation
+        "features": Option(50, "values of an anchor's feature", minimum=4, maximum=256),
+        "offsets": Option(10, "Gaussians of an anchor (K)", minimum=1, maximum=64),
+        "embedding": Option(50, "values of a scene's TF embedding", minimum=0, maximum=256),
+        "hidden": Option(50, "hidden units of each decoder", minimum=8, maximum=256),
+        "view_direction": Option(True, "decoders see the viewing direction"),
+        "offset_color": Option("tanh", "activation of offset colors", choices=("sigmoid", "tanh")),
+        "shading_bias": Option(
+            0.5, "first value of the ambient and diffuse coefficients", minimum=0.0, maximum=1.0
+        ),
+        "voxel": Option(0.001, "lattice of anchors, scene units", minimum=1e-5, maximum=0.1),
+        "init_factor": Option(16, "coarsest growth cell, in lattice cells", minimum=16, maximum=4096),
+        "growth_gradient": Option(
+            2e-4, "mean screen-space gradient (NDC) from which an offset grows an anchor", minimum=0.0
+        ),
+        "growth_stop": Option(0.5, "share of the budget after which nothing grows", minimum=0.0, maximum=1.0),
+        "max_anchors": Option(200_000, "growth of a scene stops at this number; 0 = no limit", minimum=0),
+        # Losses
+        "ssim_weight": Option(0.2, "weight of 1 - SSIM against L1", minimum=0.0, maximum=1.0),
+        "scale_loss": Option(
+            "mean", "regulariser of the product of scales over drawn Gaussians", choices=("mean", "sum")
+        ),
+        "scale_weight": Option(0.01, "its weight (the paper's 0.001 belongs to the sum)", minimum=0.0),
+        "palette_lr": Option(1e-4, "learning rate of palette colors", minimum=0.0, maximum=1.0),
+        # Context model
+        "context": Option(True, "second stage with the context model"),
+        "rate_weight": Option(1e-4, "weight of the estimated bits (lambda_e)", minimum=0.0, maximum=1.0),
+        "grid": Option("small", "size of the binary hash grids", choices=("small", "hac")),
+        "feature_step": Option(0.1, "quantisation step Q of features", minimum=1e-6),
+        "scaling_step": Option(0.001, "quantisation step Q of scalings", minimum=1e-8),
+        "offset_step": Option(0.2, "quantisation step Q of offsets", minimum=1e-6),
+    },
+    presets={"quick": {}, "standard": {}, "paper": {}},
+    iterations={"quick": 2_400, "standard": 8_000, "paper": 20_000},
+    rate_knobs=(RateKnob("rate_weight", (1e-4, 5e-4, 1e-3, 5e-3, 1e-2), refit=True),),
+)

@@ -1,0 +1,369 @@
+"""Training a group of scenes together: ECoNGS's two stages, resumable bit for bit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from datasets.cloud import random_cloud
+from econgs.anchors.anchor_set import AnchorSet
+from econgs.anchors.decode import decode, visible_anchors
+from econgs.anchors.decoders import NETWORKS, Decoders, OffsetColor
+from econgs.anchors.growing import AnchorRules
+from econgs.context.model import Attributes
+from econgs.context.positions import PositionGrid
+from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, round_group
+from econgs.losses import photometric_loss
+from econgs.optim import Adam
+from econgs.splat.composite import over
+from econgs.splat.rasterise import rasterise
+from methods.econgs.coding import Coding
+from methods.econgs.model import EcongsModel, Group, decoders_metadata
+from methods.econgs.schedule import Schedule
+from methods.interface import Checkpoint, Diverged, Monitor, OptionValue, Refused, SceneInput
+
+_CHECK_EVERY = 100
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A learning rate that decays log-linearly over the budget."""
+
+    first: float
+    last: float
+
+
+DECODER_RATES = {
+    "opacity": Rate(2e-3, 2e-5),
+    "covariance": Rate(4e-3, 4e-3),
+    "shading": Rate(8e-3, 5e-5),
+    "normal": Rate(8e-3, 5e-5),
+}
+ANCHOR_RATES = {"features": Rate(1e-2, 1e-4), "log_scalings": Rate(1e-2, 1e-4)}
+OFFSET_RATE = Rate(1e-2, 1e-4)
+"""Times the extent."""
+CONTEXT_RATE = Rate(5e-3, 1e-5)
+EMBEDDING_RATE = Rate(2e-3, 2e-5)
+_EMBEDDING_SPREAD = 0.01
+
+
+class _Scene:
+    """One scene of the group: its views and its anchors."""
+
+    def __init__(
+        self, key: str, given: SceneInput, options: Mapping[str, OptionValue], seed: int, device: str
+    ) -> None:
+        if len(given.train) == 0:
+            raise Refused(f"scene {given.name!r} has no training views")
+        cloud = given.cloud
+        if options["start"] == "random":
+            cloud = random_cloud(int(options["random_points"]), float(options["random_half_extent"]), seed)
+        if len(cloud) == 0:
+            raise Refused(f"the initial cloud of scene {given.name!r} is empty; set start=random")
+        self.key, self.given, self.name = key, given, given.name
+        self.anchors = AnchorSet(
+            key,
+            torch.from_numpy(np.array(cloud.points, dtype=np.float32)),
+            voxel=float(options["voxel"]),
+            features=int(options["features"]),
+            offsets=int(options["offsets"]),
+            fallback=0.01 * given.extent,
+            device=device,
+        )
+        self.palette = torch.from_numpy(np.array(cloud.colors, dtype=np.float32).mean(axis=0))
+        self.images = torch.from_numpy(given.train.images)
+        light = given.scene.light
+        self.light = None if light is None else light.direction
+
+
+class Trainer:
+    """State of a fit: anchors of every scene, shared networks, optimiser, order of views, random state.
+
+    Args:
+        group: the scenes to train together.
+        options: resolved options of the spec.
+        iterations: the budget of the whole group; each step sees one view of one scene.
+        seed: of the one generator that every choice is drawn from.
+        device: "cpu" or "cuda".
+
+    Raises:
+        Refused: a scene without views or points.
+    """
+
+    def __init__(
+        self,
+        group: Sequence[SceneInput],
+        options: Mapping[str, OptionValue],
+        iterations: int,
+        seed: int,
+        device: str,
+    ) -> None:
+        self.options, self.device = options, device
+        self.schedule = Schedule(iterations, float(options["growth_stop"]), bool(options["context"]))
+        self.generator = torch.Generator().manual_seed(seed)
+        self.scenes = [_Scene(str(i), given, options, seed, device) for i, given in enumerate(group)]
+        self.rules = AnchorRules(
+            voxel=float(options["voxel"]),
+            init_factor=int(options["init_factor"]),
+            gradient=float(options["growth_gradient"]),
+            offset_visits=self.schedule.visits(40.0),
+            anchor_visits=self.schedule.visits(80.0),
+            limit=int(options["max_anchors"]),
+        )
+        bias = float(options["shading_bias"])
+        self.decoders = Decoders(
+            int(options["features"]),
+            int(options["offsets"]),
+            int(options["embedding"]),
+            hidden=int(options["hidden"]),
+            view_direction=bool(options["view_direction"]),
+            offset_color=cast("OffsetColor", options["offset_color"]),
+            shading_bias=(bias, bias, 0.0, 0.0),
+            generator=self.generator,
+        ).to(device)
+        self.iteration = 0
+        self.pending: list[tuple[int, int]] = []  # (scene, view) pairs not yet drawn in this round
+        self.limited = False
+        groups: dict[str, Tensor | Sequence[Tensor]] = {}
+        for scene in self.scenes:
+            groups |= scene.anchors.groups()
+            embedding = torch.randn(int(options["embedding"]), generator=self.generator)
+            groups[f"{scene.key}/palette"] = scene.palette.to(device)
+            groups[f"{scene.key}/embedding"] = (_EMBEDDING_SPREAD * embedding).to(device)
+        groups |= {name: list(self.decoders.network(name).tensors()) for name in NETWORKS}
+        self.coding = (
+            Coding(options, self.schedule, self.generator, device) if self.schedule.context else None
+        )
+        if self.coding is not None:
+            groups |= self.coding.groups()
+        self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
+
+    @property
+    def count(self) -> int:
+        """Number of anchors of all scenes."""
+        return sum(len(scene.anchors) for scene in self.scenes)
+
+    def run(self, monitor: Monitor) -> None:
+        """Train to the end of the budget.
+
+        Raises:
+            Diverged: a loss or a parameter is not finite.
+        """
+        stage = ""
+        while self.iteration < self.schedule.iterations:
+            if stage != (stage := self._stage()):
+                monitor.stage(stage)
+            losses = self.step()
+            monitor.progress(self.iteration, losses, self.count)
+            if monitor.due(self.iteration):
+                monitor.pause(self.iteration, self.model, self.checkpoint)
+        self._check_finite()
+
+    def _stage(self) -> str:
+        stage = self.schedule.stage(self.iteration + 1)
+        return f"{stage}, stopped at {self.rules.limit} anchors" if self.limited else stage
+
+    def step(self) -> dict[str, float]:
+        """One step of the optimiser on one view of one scene, and what the schedule adds to it.
+
+        Returns:
+            The loss ("loss") and its parts.
+
+        Raises:
+            Diverged: a loss or a parameter is not finite.
+        """
+        self.iteration += 1
+        if self.coding is not None and self.iteration == self.schedule.context_start + 1:
+            self.coding.place([scene.anchors for scene in self.scenes])
+            self.coding.begin([self._attributes(scene) for scene in self.scenes])
+        scene, view = self._next_view()
+        camera = scene.given.train.cameras[view]
+        truth = scene.images[view].to(self.device)
+        target = over(truth[..., :3], truth[..., 3], scene.given.train.background)
+        now, anchors = self.optimiser, scene.anchors
+        values = self._attributes(scene)
+        rows = visible_anchors(camera, anchors.positions, values.scalings).nonzero()[:, 0]
+        positions = anchors.positions
+        if len(rows) < len(positions):
+            positions = positions.index_select(0, rows)
+            values = values.of(rows)
+        rate = None
+        if self.coding is not None:
+            values, rate = self.coding.apply(anchors, values, rows, self.count, self.iteration)
+        decoded = decode(
+            positions,
+            values.features,
+            values.scalings,
+            values.offsets,
+            self.decoders,
+            now[f"{scene.key}/embedding"],
+            now[f"{scene.key}/palette"],
+            camera.position,
+            light=scene.light,
+        )
+        collects = self.schedule.collects(self.iteration)
+        offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
+        splats = rasterise(
+            decoded.means,
+            decoded.quats,
+            decoded.scales,
+            decoded.opacities,
+            decoded.colors,
+            camera,
+            screen_offset=offset,
+        )
+        image = over(splats.features, splats.alpha, scene.given.train.background)
+        parts = {"image": photometric_loss(image, target, float(self.options["ssim_weight"]))}
+        parts["scale"] = self._scale_loss(decoded.scales)
+        if rate is not None:
+            parts["rate"] = float(self.options["rate_weight"]) * (rate.attributes + rate.grid)
+        loss = sum(parts.values(), torch.zeros((), device=self.device))
+        shown = {name: float(part.detach()) for name, part in parts.items()}
+        for name, value in shown.items():
+            if not math.isfinite(value):
+                raise Diverged(f"the {name} loss is {value} at iteration {self.iteration}")
+        if loss.requires_grad:
+            now.zero_grad()
+            loss.backward()
+            if offset is not None and offset.grad is not None:
+                size = (camera.width, camera.height)
+                anchors.statistics.record(
+                    rows, decoded.raw_opacities, decoded.slots, offset.grad, splats.radii, size
+                )
+            self._set_rates(scene)
+            now.step()
+        if self.schedule.grows(self.iteration):
+            self._grow()
+        if self.iteration % _CHECK_EVERY == 0:
+            self._check_finite()
+        return {"loss": sum(shown.values()), **shown}
+
+    def _attributes(self, scene: _Scene) -> Attributes:
+        """The scene's attributes as they are optimised, scalings activated."""
+        features, scalings, offsets = (self.optimiser[name] for name in scene.anchors.names)
+        return Attributes(features, scalings.exp(), offsets)
+
+    def _scale_loss(self, scales: Tensor) -> Tensor:
+        """The regulariser of the product of scales, over the Gaussians drawn."""
+        products = scales.prod(dim=1)
+        if not len(products):
+            return scales.new_zeros(())
+        total = products.mean() if self.options["scale_loss"] == "mean" else products.sum()
+        return float(self.options["scale_weight"]) * total
+
+    def _next_view(self) -> tuple[_Scene, int]:
+        """Pairs of scene and view come in random order, none twice before all were seen."""
+        if not self.pending:
+            pairs = [(i, view) for i, scene in enumerate(self.scenes) for view in range(len(scene.images))]
+            self.pending = [pairs[i] for i in torch.randperm(len(pairs), generator=self.generator).tolist()]
+        place, view = self.pending.pop()
+        return self.scenes[place], view
+
+    def _set_rates(self, scene: _Scene) -> None:
+        def now(rate: Rate, factor: float = 1.0) -> float:
+            return factor * self.schedule.decayed(self.iteration, rate.first, rate.last)
+
+        rates = self.optimiser.rates
+        for name, rate in DECODER_RATES.items():
+            rates[name] = now(rate)
+        for parameter, rate in ANCHOR_RATES.items():
+            rates[scene.anchors.name(parameter)] = now(rate)
+        rates[scene.anchors.name("offsets")] = now(OFFSET_RATE, scene.given.extent)
+        rates[f"{scene.key}/embedding"] = now(EMBEDDING_RATE)
+        rates[f"{scene.key}/palette"] = float(self.options["palette_lr"])
+        if self.coding is not None:
+            rates["grid"] = rates["head"] = now(CONTEXT_RATE)
+
+    def _grow(self) -> None:
+        self._check_finite()
+        for scene in self.scenes:
+            self.limited |= scene.anchors.grow_and_prune(self.optimiser, self.rules, self.generator).limited
+        if self.coding is not None and self.schedule.coded(self.iteration):
+            self.coding.place([scene.anchors for scene in self.scenes])
+
+    @torch.no_grad()
+    def _check_finite(self) -> None:
+        for name, group in self.optimiser.parameters.items():
+            for tensor in group:
+                values = tensor.exp() if name.endswith("log_scalings") else tensor
+                if not math.isfinite(float(values.sum())):
+                    raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
+
+    # ------------------------------------------------------------------ what comes out
+
+    @torch.no_grad()
+    def model(self) -> EcongsModel:
+        """The present state as a model of its own: rounded as its stream would be, in the second stage."""
+        now = self.optimiser
+        positions = np.concatenate([_numpy(scene.anchors.positions) for scene in self.scenes])
+        scenes = tuple(
+            SceneAttributes(
+                name=scene.name,
+                positions=_numpy(scene.anchors.positions),
+                **{name: _numpy(v) for name, v in self._attributes(scene)._asdict().items()},
+                parameters={
+                    "palette": _numpy(now[f"{scene.key}/palette"]),
+                    "embedding": _numpy(now[f"{scene.key}/embedding"]),
+                },
+            )
+            for scene in self.scenes
+        )
+        coded = self.coding is not None and self.schedule.coded(self.iteration)
+        group = GroupAttributes(
+            scenes,
+            PositionGrid.lattice(float(self.options["voxel"]), positions),
+            context=CodedContext.of(self.coding.model) if coded and self.coding is not None else None,
+            decoders={name: _numpy(v) for name, v in self.decoders.state_dict().items()},
+            metadata={
+                "decoders": decoders_metadata(self.decoders),
+                "scenes": {
+                    scene.name: {
+                        "background": list(scene.given.train.background),
+                        "light": None if scene.light is None else list(scene.light),
+                    }
+                    for scene in self.scenes
+                },
+            },
+        )
+        return EcongsModel([Group(round_group(group), self.device)])
+
+    def checkpoint(self) -> Checkpoint:
+        """All that :meth:`restore` needs to go on as if nothing had happened."""
+        arrays = {f"optimiser/{name}": values.clone() for name, values in self.optimiser.state().items()}
+        for scene in self.scenes:
+            arrays |= {f"anchors/{name}": v.clone() for name, v in scene.anchors.state().items()}
+        arrays["generator"] = self.generator.get_state()
+        if self.coding is not None:
+            arrays |= self.coding.state()
+        scalars = {"pending": [list(pair) for pair in self.pending], "limited": self.limited}
+        return Checkpoint(self.iteration, arrays, scalars)
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Continue from a checkpoint of the same fit."""
+        arrays = {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
+        self.optimiser.load_state(_under("optimiser/", arrays))
+        for scene in self.scenes:
+            scene.anchors.load_state(_under("anchors/", arrays))
+        self.generator.set_state(checkpoint.arrays["generator"].cpu())
+        self.pending = [(int(scene), int(view)) for scene, view in checkpoint.scalars["pending"]]
+        self.limited = bool(checkpoint.scalars["limited"])
+        self.iteration = checkpoint.iteration
+        if self.coding is not None:
+            self.coding.load_state(arrays)
+            if self.schedule.coded(self.iteration):
+                self.coding.place([scene.anchors for scene in self.scenes])
+
+
+def _numpy(tensor: Tensor) -> NDArray[np.float32]:
+    return tensor.detach().cpu().numpy().copy()
+
+
+def _under(prefix: str, arrays: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): v for name, v in arrays.items() if name.startswith(prefix)}

@@ -1,0 +1,237 @@
+"""ECoNGS on a tiny scene of known Gaussians: what is learned, stored, edited, composed and refused."""
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import methods
+from datasets.errors import DataError
+from datasets.scene import Light
+from methods.econgs.method import Econgs
+from methods.econgs.spec import SPEC
+from methods.econgs.training import Trainer
+from methods.interface import Budget, Diverged, Edit, Refused
+from methods.options import resolve
+
+ROOT = Path(methods.__file__).parents[1]
+SMALL = {"features": 16, "hidden": 24, "embedding": 8, "offsets": 4, "voxel": 0.01, "rate_weight": 1e-3}
+
+
+def options(**changed):
+    return resolve(SPEC, "quick", {**SMALL, **changed}).options
+
+
+def renamed(scene, name):
+    return replace(scene, scene=replace(scene.scene, name=name))
+
+
+def pictures(model, views, **keywords):
+    return [model.render(camera, **keywords)[0] for camera in views.cameras]
+
+
+@pytest.fixture(scope="module")
+def fitted(tiny, scene):
+    """Two scenes learned together (the second with its views' colors swapped) through both stages."""
+    other = renamed(scene, "swapped")
+    images = other.train.images[..., [2, 1, 0, 3]]
+    other = replace(other, train=replace(other.train, images=images))
+    recorder = tiny.Recorder()
+    model = Econgs().fit([scene, other], options(), Budget(700), 0, "cpu", recorder)
+    return model, recorder
+
+
+def test_a_fit_approaches_the_truth(tiny, scene, fitted):
+    model, recorder = fitted
+    rgb = [model.render(camera, ["tiny"])[0] for camera in scene.validation.cameras]
+    errors = [
+        np.mean((np.round(a.numpy() * 255) - np.round(scene.validation.composited(i) * 255)) ** 2)
+        for i, a in enumerate(rgb)
+    ]
+    assert np.mean([10 * math.log10(255**2 / e) for e in errors]) > 22.0  # a white picture: 12
+    assert np.mean(recorder.losses[-50:]) < 0.5 * np.mean(recorder.losses[:50])
+    assert recorder.stages[0] == "warm-up"
+    assert recorder.stages[-2:] == ["context model", "rounding"]
+
+
+def test_scenes_of_a_group_keep_their_own_colors(scene, fitted):
+    model, _ = fitted
+    own, others = [], []
+    for i, camera in enumerate(scene.validation.cameras):
+        truth = torch.from_numpy(scene.validation.composited(i))
+        for name, mine, theirs in (("tiny", truth, truth.flip(-1)), ("swapped", truth.flip(-1), truth)):
+            rgb = model.render(camera, [name])[0]
+            own.append(float((rgb - mine).abs().mean()))
+            others.append(float((rgb - theirs).abs().mean()))
+    assert all(a < b for a, b in zip(own, others, strict=True))
+
+
+def test_the_saved_stream_gives_the_same_picture_in_a_new_process(tmp_path, scene, fitted):
+    model, _ = fitted
+    folder = tmp_path / "model"
+    folder.mkdir()
+    ledger = model.save(folder)
+    written = sum(file.stat().st_size for file in folder.iterdir())
+    assert sum(count for parts in ledger.values() for count in parts.values()) == written
+    assert set(ledger) == {"", "tiny", "swapped"}
+    assert {"positions", "features", "scalings", "offsets"} <= set(ledger["tiny"])
+    code = (
+        "import sys, numpy as np\n"
+        "from pathlib import Path\n"
+        "from methods.econgs.model import load_model\n"
+        "from datasets.camera import Camera\n"
+        "p = np.load(sys.argv[2])\n"
+        "c = Camera.with_fov(p, 0.5, 32, 32)\n"
+        "model = load_model(Path(sys.argv[1]), 'cpu')\n"
+        "np.save(sys.argv[3], model.render(c)[0].numpy())\n"
+    )
+    camera = scene.validation.cameras[0]
+    np.save(tmp_path / "pose.npy", camera.camera_to_world)
+    command = [sys.executable, "-c", code, str(folder), str(tmp_path / "pose.npy"), str(tmp_path / "out.npy")]
+    subprocess.run(command, check=True, cwd=ROOT)
+    # Anchors were sorted by encoding and by the rounding of the model alike.
+    np.testing.assert_array_equal(np.load(tmp_path / "out.npy"), model.render(camera)[0].numpy())
+
+
+def test_damaged_and_missing_files_are_named(tmp_path, fitted):
+    model, _ = fitted
+    with pytest.raises(DataError, match="no saved econgs model"):
+        Econgs().load(tmp_path, "cpu")
+    model.save(tmp_path)
+    (file,) = tmp_path.glob("*.econgs")
+    file.write_bytes(file.read_bytes()[:-100])
+    with pytest.raises(DataError, match=file.name):
+        Econgs().load(tmp_path, "cpu")
+
+
+def test_resumed_is_the_same_as_uninterrupted(tiny, scene):
+    budget, interrupted = Budget(120), (30, 75, 115)
+    whole = tiny.Recorder(interrupted)
+    expected = Econgs().fit([scene], options(), budget, 3, "cpu", whole)
+    for at in interrupted:
+        checkpoint = whole.checkpoints[at]
+        resumed = Econgs().fit([scene], options(), budget, 3, "cpu", tiny.Recorder(), resume=checkpoint)
+        for mine, theirs in zip(
+            pictures(resumed, scene.validation), pictures(expected, scene.validation), strict=True
+        ):
+            assert torch.equal(mine, theirs)
+
+
+def test_two_fits_with_one_seed_agree_and_seeds_differ(tiny, scene):
+    first, again, other = (
+        Econgs().fit([scene], options(), Budget(60), seed, "cpu", tiny.Recorder()) for seed in (1, 1, 2)
+    )
+    camera = scene.validation.cameras[0]
+    assert torch.equal(first.render(camera)[0], again.render(camera)[0])
+    assert not torch.equal(first.render(camera)[0], other.render(camera)[0])
+
+
+def test_edits_change_what_they_name(scene, fitted):
+    model, _ = fitted
+    camera = scene.validation.cameras[0]
+    plain, alpha = model.render(camera, ["tiny"])
+    covered = alpha > 0.5
+
+    def edited(**changes):
+        return model.render(camera, ["tiny"], edit={"tiny": Edit(**changes)})
+
+    assert torch.equal(edited()[0], plain)
+    palette = model.anchors("tiny").palette
+    redder = tuple((palette + torch.tensor([0.4, -0.2, -0.2])).clamp(0, 1).tolist())
+    recolored = edited(palette=redder)
+    assert torch.equal(recolored[1], alpha)
+    assert (recolored[0] - plain)[covered].abs().mean() > 0.02
+    assert edited(opacity=0.3)[1].sum() < 0.7 * alpha.sum()
+    assert not torch.equal(edited(light=(0.0, 0.0, 1.0))[0], plain)
+    assert torch.equal(edited(light="headlight")[0], plain)
+    darker = edited(ambient=0.0, diffuse=0.0, specular=0.0)[0]
+    torch.testing.assert_close(darker, (1.0 - alpha)[..., None].expand(-1, -1, 3), atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (Edit(opacity=-1.0), "opacity factor"),
+        (Edit(specular=math.nan), "specular factor"),
+        (Edit(palette=(2.0, 0.0, 0.0)), "palette"),
+        (Edit(light=(0.0, 0.0, 0.0)), "no direction"),
+    ],
+)
+def test_edits_out_of_range_are_refused(scene, fitted, edit, words):
+    with pytest.raises(Refused, match=words):
+        fitted[0].render(scene.validation.cameras[0], edit={"tiny": edit})
+
+
+def test_composition_of_groups(tiny, scene, fitted):
+    alone = Econgs().fit([renamed(scene, "alone")], options(), Budget(60), 0, "cpu", tiny.Recorder())
+    both = Econgs().compose([fitted[0], alone])
+    assert both.scenes == ("tiny", "swapped", "alone")
+    assert both.primitives() == fitted[0].primitives() + alone.primitives()
+    camera = scene.validation.cameras[0]
+    assert torch.equal(both.render(camera, ["alone"])[0], alone.render(camera)[0])
+    together = both.render(camera)[1]
+    assert (together >= alone.render(camera)[1] - 1e-3).all()
+    with pytest.raises(Refused, match="same name"):
+        Econgs().compose([alone, alone])
+
+
+def test_near_scenes_share_a_group(tiny, scene):
+    far = renamed(tiny.with_cloud(scene, scene.cloud.points + np.float32(3.0)), "far")
+    near = renamed(scene, "near")
+    names = [[s.name for s in g] for g in Econgs().partition([scene, far, near], options())]
+    assert names == [["tiny", "near"], ["far"]]
+    apart = Econgs().partition([scene, near], options(joint=False))
+    assert [len(group) for group in apart] == [1, 1]
+
+
+def test_what_cannot_be_fitted_is_refused(tiny, scene):
+    empty = tiny.with_cloud(scene, np.zeros((0, 3)))
+    with pytest.raises(Refused, match="empty"):
+        Trainer([empty], options(), 10, 0, "cpu")
+    assert Trainer([empty], options(start="random", random_points=50), 10, 0, "cpu").count > 0
+    with pytest.raises(Refused, match="no initial cloud"):
+        Econgs().partition([empty, scene], options())
+
+
+def test_edge_cases_of_a_scene(tiny, scene):
+    """One point, one view, and views that show nothing at all."""
+    single = tiny.with_cloud(scene, [[0.0, 0.0, 0.0]])
+    one_view = replace(
+        single, train=replace(scene.train, cameras=scene.train.cameras[:1], images=scene.train.images[:1])
+    )
+    empty = replace(scene, train=replace(scene.train, images=np.zeros_like(scene.train.images)))
+    for given in (one_view, empty):
+        model = Econgs().fit([given], options(), Budget(40), 0, "cpu", tiny.Recorder())
+        for rgb in pictures(model, scene.validation):
+            assert torch.isfinite(rgb).all()
+    away = tiny.look_at([3.0, 0.0, 0.0])
+    turned = replace(away, camera_to_world=away.camera_to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    rgb, alpha = model.render(turned)  # nothing is in front of the camera
+    assert alpha.max() == 0.0
+    assert rgb.min() == 1.0
+
+
+def test_growth_stops_at_the_limit(tiny, scene):
+    recorder = tiny.Recorder()
+    limit = len(np.unique(np.round(scene.cloud.points / 0.01), axis=0)) + 5
+    Econgs().fit([scene], options(max_anchors=limit, growth_gradient=0.0), Budget(300), 0, "cpu", recorder)
+    assert max(recorder.counts) == limit
+    assert any("stopped at" in stage for stage in recorder.stages)
+
+
+def test_a_loss_that_is_not_finite_is_named(scene):
+    trainer = Trainer([scene], options(), 10, 0, "cpu")
+    trainer.scenes[0].images = torch.full_like(trainer.scenes[0].images, math.nan)
+    with pytest.raises(Diverged, match=r"image loss.*iteration 1"):
+        trainer.step()
+
+
+def test_a_fixed_light_is_learned_as_such(tiny, scene):
+    lit = replace(scene, scene=replace(scene.scene, light=Light(direction=(0.0, 0.0, 1.0))))
+    model = Econgs().fit([lit], options(), Budget(30), 0, "cpu", tiny.Recorder())
+    assert model.anchors("tiny").light == (0.0, 0.0, 1.0)
