@@ -30,7 +30,7 @@ methods = ["fake"]
 preset = "quick"
 {more}
 [datasets]
-"vortices@16" = []
+"argon_bubble_like@32" = []
 [presets.quick]
 train_views = 12
 test_views = 4
@@ -60,28 +60,28 @@ def measured(jobs) -> list[str]:
 
 
 def test_compositions_are_measured_only_where_they_are_wanted(suite) -> None:
-    assert measured(plan(suite())) == ["cores", "sheaths"]
-    assert measured(plan(suite(), composed=True)) == ["cores", "sheaths", "all"]
-    assert measured(plan(suite('compositions = "all"'))) == ["cores", "sheaths", "all"]
-    assert measured(plan(suite('compositions = ["all"]'))) == ["cores", "sheaths", "all"]
-    assert measured(plan(suite(), scenes=("all",))) == ["cores", "sheaths", "all"]
+    assert measured(plan(suite())) == ["shock", "bubble"]
+    assert measured(plan(suite(), composed=True)) == ["shock", "bubble", "all"]
+    assert measured(plan(suite('compositions = "all"'))) == ["shock", "bubble", "all"]
+    assert measured(plan(suite('compositions = ["all"]'))) == ["shock", "bubble", "all"]
+    assert measured(plan(suite(), scenes=("all",))) == ["shock", "bubble", "all"]
     # Only those whose scenes are all there.
-    assert measured(plan(suite('compositions = "all"'), scenes=("cores",))) == ["cores"]
+    assert measured(plan(suite('compositions = "all"'), scenes=("shock",))) == ["shock"]
     with pytest.raises(UnknownName, match="composition 'al'"):
         plan(suite('compositions = ["al"]'))
-    with pytest.raises(UnknownName, match="scene 'corse'"):
-        plan(suite(), scenes=("corse", "all"))
+    with pytest.raises(UnknownName, match="scene 'shok'"):
+        plan(suite(), scenes=("shok", "all"))
     with pytest.raises(DataError, match='Write "all", or a list of names'):
-        plan(suite('compositions = "cores"'))
+        plan(suite('compositions = "shock"'))
 
 
 def test_a_composition_needs_its_views_and_every_model_that_holds_its_scenes(suite) -> None:
     jobs = {job.id: job for job in plan(suite(), composed=True)}
     (composed,) = [job for job in jobs.values() if job.kind == "measure" and job.composition]
     views, *encodes = (jobs[need] for need in composed.needs)
-    assert (views.kind, views.shows, views.scenes) == ("views", "all", ("cores", "sheaths"))
-    assert [encode.scenes for encode in encodes] == [("cores",), ("sheaths",)]
-    assert composed.group == "cores,sheaths"
+    assert (views.kind, views.shows, views.scenes) == ("views", "all", ("shock", "bubble"))
+    assert [encode.scenes for encode in encodes] == [("shock",), ("bubble",)]
+    assert composed.group == "shock,bubble"
     # Jobs come after those they need, and what a basic scene is measured by does not change.
     order = list(jobs)
     assert all(order.index(need) < order.index(job.id) for job in jobs.values() for need in job.needs)
@@ -123,12 +123,12 @@ def _result(job) -> dict:
     if job.kind == "partition":
         return {"partition": PartitionResult(groups=[[scene] for scene in job.scenes], seconds=4.0)}
     if job.kind == "fit":
-        seconds = {"cores": 10.0, "sheaths": 20.0}[job.group]
+        seconds = {"shock": 10.0, "bubble": 20.0}[job.group]
         fit = FitResult(seconds=seconds, iterations=1, primitives={}, train_views=12, curve=[], resumed=0,
                         reference_seconds=None)  # fmt: skip
         return {"fit": fit}
     if job.kind == "encode":
-        own = {"cores": 100, "sheaths": 200}[job.group]
+        own = {"shock": 100, "bubble": 200}[job.group]
         return {"encode": EncodeResult(seconds=1.0, total_bytes=own + 7,
                                        ledger={job.group: {"own": own}, "": {"net": 7}})}  # fmt: skip
     view = ViewResult(view="0", metrics={"psnr": 30.0}, identical=False, truth_file="t", render_file="r")
@@ -143,7 +143,7 @@ def test_costs_of_a_composition_are_those_of_its_scenes(suite, tmp_path) -> None
     tables = rows(_records(suite(), tmp_path))
     found = {row["scene"]: row for row in tables["results"]}
     assert [row["kind"] for row in tables["results"]] == ["basic", "basic", "composed"]
-    a, b, both = found["cores"], found["sheaths"], found["all"]
+    a, b, both = found["shock"], found["bubble"], found["all"]
     for name in (
         "size_bytes",
         "train_seconds",
@@ -156,16 +156,16 @@ def test_costs_of_a_composition_are_those_of_its_scenes(suite, tmp_path) -> None
     assert both["size_bytes"] == 314
     assert both["train_seconds"] == 10.0 + 20.0 + 2 * 1.0 + 4.0
     assert {row["background"] for row in tables["views"]} == {"#ff8000"}
-    assert {row["scene"] for row in tables["timing"]} == {"cores", "sheaths", "all"}
+    assert {row["scene"] for row in tables["timing"]} == {"shock", "bubble", "all"}
 
 
 def test_a_composition_of_part_of_a_group(suite, tmp_path) -> None:
     """Shares count once for each scene, what the group shares once for each group."""
     records = _records(suite(), tmp_path)
-    by_kind = {record.job.kind: record for record in records if record.job.group != "sheaths"}
-    scenes = ("cores", "sheaths", "third")
+    by_kind = {record.job.kind: record for record in records if record.job.group != "bubble"}
+    scenes = ("shock", "bubble", "third")
     encode = by_kind["encode"]
-    ledger = {"": {"net": 10}, "cores": {"own": 100}, "sheaths": {"own": 200}, "third": {"own": 400}}
+    ledger = {"": {"net": 10}, "shock": {"own": 100}, "bubble": {"own": 200}, "third": {"own": 400}}
     group = encode.model_copy(update={
         "job": encode.job.model_copy(update={"scenes": scenes}),
         "encode": EncodeResult(seconds=3.0, total_bytes=710, ledger=ledger),
