@@ -111,10 +111,6 @@ def test_every_machine_decodes_the_golden_stream(
     assert sum(len(scene) for scene in decoded.scenes) == 150
 
 
-def test_encoder_makes_the_golden_stream() -> None:
-    assert encode_group(group((100, 0, 50))).data == GOLDEN.read_bytes()
-
-
 def trained_group(count: int = 1500) -> tuple[GroupAttributes, ContextModel]:
     """Attributes strewn around a field of the position, and a context model for them."""
     config = ContextConfig(features=12, offsets=4, grid=GridConfig((4, 8, 16), (16,), 12, 8), hidden=16)
