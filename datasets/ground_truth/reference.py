@@ -175,23 +175,21 @@ class ReferenceMarcher:
         length = (far[:, None] - start).clamp(0.0, self._dt)
         ray, step = torch.nonzero(length > 0.0, as_tuple=True)
         start, length = start[ray, step], length[ray, step]
+        middle = (origin + (start + 0.5 * length)[:, None] * rays[ray]) * self._scale + self._offset
+        seen, extinction, color = self._sample(scene, middle, rays, ray)
+        depth = extinction * length[seen]
+        if not any(part.levels for part in scene.parts):
+            return _composite(ray[seen], -torch.expm1(-depth), color, len(rays))
         first = (origin + start[:, None] * rays[ray]) * self._scale + self._offset
-        stride = length[:, None] * rays[ray] * self._scale
-        extinction, color = self._sample(scene, first + 0.5 * stride, -rays[ray])
-        depth = extinction * length
-        hits = self._hits(scene, first, stride, -rays[ray])
-        if len(hits.segment):
-            segment, depth, opacity, color = _split(hits, depth, color)
-            ray = ray[segment]
-            alpha = torch.where(torch.isnan(opacity), -torch.expm1(-depth), opacity)
-        else:
-            alpha = -torch.expm1(-depth)
-        return _composite(ray, alpha, color, len(rays))
+        hits = self._hits(scene, first, length[:, None] * rays[ray] * self._scale, rays, ray)
+        segment, depth, opacity, color = _split(hits, seen, depth, color, len(ray))
+        alpha = torch.where(torch.isnan(opacity), -torch.expm1(-depth), opacity)
+        return _composite(ray[segment], alpha, color, len(rays))
 
-    def _sample(self, scene: _Scene, index: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
-        """Extinction and color (S, 3) of the layers together at grid indices (S, 3)."""
+    def _sample(self, scene: _Scene, index: Tensor, rays: Tensor, ray: Tensor) -> tuple[Tensor, ...]:
+        """Which of the grid indices (S, 3) show anything; the layers' extinction and color (., 3) there."""
         total = torch.zeros(len(index), dtype=self._dtype)
-        mixed = torch.zeros(len(index), 3, dtype=self._dtype)
+        found = []
         for part in scene.parts:
             if part.table is None:
                 continue
@@ -200,12 +198,18 @@ class ReferenceMarcher:
             weight, color, at = classified[seen, 3], classified[seen, :3], index[seen]
             if part.mask is not None:
                 weight = weight * _value(part.mask, at)
-            color = self._shade(scene, part, color, at, view[seen])
+            color = self._shade(scene, part, color, at, -rays[ray[seen]])
             total[seen] += weight
+            found.append((seen, weight, color))
+        if len(found) == 1:
+            return found[0]
+        shown = torch.nonzero(total > 0.0)[:, 0]
+        mixed = torch.zeros(len(index), 3, dtype=self._dtype)
+        for seen, weight, color in found:
             mixed[seen] += weight[:, None] * color
-        return total, mixed / torch.where(total > 0.0, total, 1.0)[:, None]
+        return shown, total[shown], mixed[shown] / total[shown, None]
 
-    def _hits(self, scene: _Scene, first: Tensor, stride: Tensor, view: Tensor) -> _Hits:
+    def _hits(self, scene: _Scene, first: Tensor, stride: Tensor, rays: Tensor, ray: Tensor) -> _Hits:
         """Crossings in segments, by segment, layer and order along the ray."""
         found = []
         for n, part in enumerate(scene.parts):
@@ -227,11 +231,8 @@ class ReferenceMarcher:
                 alpha = torch.full_like(share, opacity)
                 if part.mask is not None:
                     alpha = torch.where(_value(part.mask, at) < 0.5, 0.0, alpha)
-                shaded = self._shade(scene, part, color.expand(len(at), 3), at, view[segment])
+                shaded = self._shade(scene, part, color.expand(len(at), 3), at, -rays[ray[segment]])
                 found.append((segment, torch.full_like(segment, n), share, alpha, shaded))
-        if not found:
-            none = torch.zeros(0, dtype=self._dtype)
-            return _Hits(none.long(), none, none, none[:, None])
         segment, number, share, alpha, shaded = (torch.cat(column) for column in zip(*found, strict=True))
         order = torch.from_numpy(np.lexsort((share.numpy(), number.numpy(), segment.numpy())))
         return _Hits(segment[order], share[order], alpha[order], shaded[order])
@@ -288,30 +289,36 @@ def _classify(values: Tensor, table: Tensor) -> Tensor:
     return low + (at - cell)[:, None] * (table[cell.long() + 1] - low)
 
 
-def _split(hits: _Hits, depth: Tensor, color: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _split(
+    hits: _Hits, seen: Tensor, depth: Tensor, color: Tensor, n: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Segments cut at their crossings.
 
     Args:
         hits: sorted by segment.
-        depth: (S,) optical depth of each segment.
-        color: (S, 3).
+        seen: which segments hold volume.
+        depth: optical depth of each of these.
+        color: (., 3) of each of these.
+        n: number of all segments.
 
     Returns:
         By segment and order along the ray: number of the segment, optical depth of the piece, opacity of the
         crossing (NaN for pieces of volume), color.
     """
-    n = len(depth)
+    depth = torch.zeros(n, dtype=depth.dtype).index_copy(0, seen, depth)
+    color = torch.zeros(n, 3, dtype=color.dtype).index_copy(0, seen, color)
     done = torch.zeros_like(depth)
     rank = torch.arange(len(hits.segment)) - torch.searchsorted(hits.segment, hits.segment)
     before = torch.zeros_like(hits.share)
-    for r in range(int(rank.max()) + 1):  # crossings of a segment one after the other
+    most = int(rank.max()) + 1 if len(rank) else 0
+    for r in range(most):  # crossings of a segment one after the other
         now = torch.nonzero(rank == r)[:, 0]
         there = hits.segment[now]
         before[now] = (hits.share[now] - done[there]).clamp_min(0.0)
         done[there] += before[now]
     nothing, nan = torch.zeros_like(hits.share), torch.full_like(depth, torch.nan)
     segment = torch.cat([hits.segment, hits.segment, torch.arange(n)])
-    slot = torch.cat([2 * rank, 2 * rank + 1, torch.full((n,), 2 * int(rank.max()) + 2)])
+    slot = torch.cat([2 * rank, 2 * rank + 1, torch.full((n,), 2 * most)])
     depth = torch.cat([depth[hits.segment] * before, nothing, depth * (1.0 - done)])
     opacity = torch.cat([nan[hits.segment], hits.opacity, nan])
     color = torch.cat([color[hits.segment], hits.color, color])
