@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from econgs.grouping import chamfer_distances, cluster
+from methods.econgs.memory import fit_to_memory
 from methods.econgs.model import EcongsModel, load_model
 from methods.econgs.training import Trainer
 from methods.interface import Budget, Checkpoint, Model, Monitor, OptionValue, Refused, SceneInput
@@ -17,13 +18,13 @@ class Econgs:
     def partition(
         self, scenes: Sequence[SceneInput], options: Mapping[str, OptionValue]
     ) -> list[list[SceneInput]]:
-        """Scenes whose clouds are near each other share a group.
+        """Scenes whose clouds are near each other share a group, as far as memory allows.
 
         Raises:
-            Refused: a scene without an initial cloud.
+            Refused: a scene without an initial cloud, or one that does not fit into memory.
         """
         if not options["joint"] or len(scenes) < 2:
-            return [[scene] for scene in scenes]
+            return fit_to_memory([[scene] for scene in scenes], options)
         empty = [scene.name for scene in scenes if len(scene.cloud) == 0]
         if empty:
             raise Refused(f"no initial cloud to compare scene {empty[0]!r} by; set joint=false")
@@ -31,7 +32,7 @@ class Econgs:
             [scene.cloud.points for scene in scenes], direction=str(options["chamfer"])
         )
         groups = cluster(distances, float(options["threshold"]), str(options["linkage"]))
-        return [[scenes[i] for i in group] for group in groups]
+        return fit_to_memory([[scenes[i] for i in group] for group in groups], options)
 
     def fit(
         self,

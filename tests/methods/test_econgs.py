@@ -13,6 +13,7 @@ import torch
 import methods
 from datasets.errors import DataError
 from datasets.scene import Light
+from methods.econgs.memory import group_bytes
 from methods.econgs.method import Econgs
 from methods.econgs.spec import SPEC
 from methods.econgs.training import Trainer
@@ -187,6 +188,20 @@ def test_near_scenes_share_a_group(tiny, scene):
     assert names == [["tiny", "near"], ["far"]]
     apart = Econgs().partition([scene, near], options(joint=False))
     assert [len(group) for group in apart] == [1, 1]
+
+
+def test_groups_that_do_not_fit_into_memory_are_split_or_refused(scene):
+    group = [renamed(scene, name) for name in "abcd"]
+    given = options()
+    one, four = group_bytes(group[:1], given), group_bytes(group, given)
+    assert one < group_bytes(group[:2], given) < four
+    sizes = {
+        limit: [len(g) for g in Econgs().partition(group, options(group_memory_mb=limit))]
+        for limit in (4 * four // 2**20, (four - 1) // 2**20)
+    }
+    assert list(sizes.values()) == [[4], [2, 2]]
+    with pytest.raises(Refused, match=r"needs about \d+ MiB and 100 MiB"):
+        Econgs().partition(group, options(group_memory_mb=100))
 
 
 def test_what_cannot_be_fitted_is_refused(tiny, scene):

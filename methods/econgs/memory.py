@@ -1,0 +1,72 @@
+"""What a group will need of memory, estimated before it is trained."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+
+from methods.interface import OptionValue, Refused, SceneInput
+
+MIB = 2**20
+PROCESS = 600 * MIB
+"""Python, torch and the kernels, before any scene."""
+GROWTH = 2.0
+"""Anchors after growing over those of the initial cloud, at most, as a rule (``max_anchors`` bounds them)."""
+COPIES = 6
+"""Value, gradient, two moments, the visible rows and their noisy copy."""
+
+
+def group_bytes(group: Sequence[SceneInput], options: Mapping[str, OptionValue]) -> int:
+    """Peak host memory of training a group: its views, its anchors and what belongs to them, one frame."""
+    values = int(options["features"]) + 6 + 3 * int(options["offsets"])
+    views = sum(scene.train.images.nbytes + scene.validation.images.nbytes for scene in group)
+    anchors = [_anchors(scene, options) for scene in group]
+    held = sum(anchors) * values * 4 * COPIES
+    # One frame decodes and splats the Gaussians of one scene: about 200 bytes each with their gradients.
+    frame = max(anchors) * int(options["offsets"]) * 200
+    return int(PROCESS + views + held + frame)
+
+
+def fit_to_memory(
+    groups: Sequence[Sequence[SceneInput]], options: Mapping[str, OptionValue]
+) -> list[list[SceneInput]]:
+    """Groups that will not fit are halved, in the order of their scenes, until they do.
+
+    Raises:
+        Refused: a scene that does not fit alone; names the estimate.
+    """
+    limit = int(options["group_memory_mb"]) * MIB or available()
+    fitting: list[list[SceneInput]] = []
+    waiting = [list(group) for group in reversed(groups)]
+    while waiting:
+        group = waiting.pop()
+        needed = group_bytes(group, options)
+        if needed <= limit:
+            fitting.append(group)
+        elif len(group) == 1:
+            raise Refused(
+                f"scene {group[0].name!r} needs about {needed // MIB} MiB and {limit // MIB} MiB are free: "
+                "use fewer or smaller views, or set group_memory_mb"
+            )
+        else:
+            middle = len(group) // 2
+            waiting += [group[middle:], group[:middle]]
+    return fitting
+
+
+def available() -> int:
+    """Bytes of host memory that a new process may take."""
+    try:
+        with open("/proc/meminfo", encoding="ascii") as file:
+            for line in file:
+                if line.startswith("MemAvailable:"):
+                    return int(line.split()[1]) * 1024
+    except OSError:
+        pass
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def _anchors(scene: SceneInput, options: Mapping[str, OptionValue]) -> int:
+    start = int(options["random_points"]) if options["start"] == "random" else len(scene.cloud)
+    limit = int(options["max_anchors"])
+    return min(int(GROWTH * start), limit) if limit else int(GROWTH * start)
