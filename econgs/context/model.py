@@ -8,6 +8,7 @@ it is trained, attributes carry uniform noise of one step; afterwards they are r
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -124,29 +125,42 @@ class Rate:
     groups: Tensor
 
 
-class _AtLeast(torch.autograd.Function):
-    """Lower bound whose gradient passes where it would lift the value."""
+class _NormalBits(torch.autograd.Function):
+    """See :func:`normal_bits`. Written out: autograd's many small steps cost more than the mathematics."""
 
     @staticmethod
-    def forward(ctx: Any, values: Tensor, least: float) -> Tensor:  # type: ignore[override]
-        ctx.save_for_backward(values >= least)
-        return values.clamp_min(least)
+    def forward(ctx: Any, values: Tensor, mean: Tensor, sigma: Tensor, step: Tensor) -> Tensor:  # type: ignore[override]
+        scale = sigma.clamp_min(LEAST_SIGMA).reciprocal_()
+        middle, half = (values - mean).mul_(scale), (0.5 * step).mul_(scale)
+        # By symmetry taken on the lower side, where a difference of erfc keeps its digits.
+        low = middle.abs().sub_(half)
+        root = 0.5**0.5
+        probability = torch.erfc(low * root).sub_(torch.erfc((low + 2.0 * half).mul_(root))).mul_(0.5)
+        probability.clamp_min_(LEAST_PROBABILITY)
+        ctx.save_for_backward(scale, middle, half, probability)
+        return probability.log2().neg_()
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:  # type: ignore[override]
-        (above,) = ctx.saved_tensors
-        return torch.where(above | (grad < 0.0), grad, 0.0), None
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # type: ignore[override]
+        scale, middle, half, probability = ctx.saved_tensors
+        outer = (grad * scale).div_(probability).mul_(-1.0 / (math.log(2.0) * math.sqrt(2.0 * math.pi)))
+        upper, lower = middle + half, middle - half
+        above, below = (upper * upper).mul_(-0.5).exp_(), (lower * lower).mul_(-0.5).exp_()
+        to_values = (above - below).mul_(outer)
+        to_sigma = (lower.mul_(below)).sub_(upper.mul_(above)).mul_(outer)
+        to_step = above.add_(below).mul_(outer).mul_(0.5)
+        return to_values, -to_values, to_sigma, to_step
 
 
 def normal_bits(values: Tensor, mean: Tensor, sigma: Tensor, step: Tensor) -> Tensor:
-    """−log2 of the normal probability of the interval of one step around each value, at most 19.9 bits."""
-    scale = (sigma.clamp_min(LEAST_SIGMA) * 2.0**0.5).reciprocal()
-    middle, half = (values - mean) * scale, 0.5 * step * scale
-    # By symmetry taken on the lower side, where a difference of erfc keeps its digits.
-    low = middle.abs() - half
-    probability = 0.5 * (torch.erfc(low) - torch.erfc(low + 2.0 * half))
-    bounded: Tensor = _AtLeast.apply(probability, LEAST_PROBABILITY)
-    return -bounded.log2()
+    """−log2 of the normal probability of the interval of one step around each value, at most 19.9 bits.
+
+    All of one shape. Where the probability is below its least, the gradient is that of the probability itself
+    over the least one, so that a wrong mean is still pulled.
+    """
+    bits: Tensor = _NormalBits.apply(values, mean, sigma, step)
+    return bits
 
 
 class Noise:

@@ -63,6 +63,19 @@ def test_bits_are_those_of_the_normal_distribution() -> None:
     assert far.item() == pytest.approx(-np.log2(1e-6), rel=1e-6)
 
 
+def test_gradients_of_bits() -> None:
+    """By finite differences where the probability is above its least; below it, the mean is still pulled."""
+    random = torch.Generator().manual_seed(0)
+    values, mean = (torch.randn(30, generator=random, dtype=torch.float64) for _ in range(2))
+    sigma, step = (torch.rand(30, generator=random, dtype=torch.float64) + 0.4 for _ in range(2))
+    leaves = [one.requires_grad_(True) for one in (values, mean, sigma, step)]
+    assert torch.autograd.gradcheck(normal_bits, leaves)
+    far = [torch.tensor([one], dtype=torch.float64, requires_grad=True) for one in (6.0, 0.0, 1.0, 0.5)]
+    normal_bits(*far).sum().backward()
+    assert far[1].grad < 0 < far[0].grad
+    assert far[2].grad < 0
+
+
 def test_noise_stands_for_rounding(backend: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ECONGS_BACKEND", "torch" if backend.name == "gsplat" else backend.name)
     codes, values = scene(300)
