@@ -132,6 +132,14 @@ def _parser() -> _Parser:
     )
     render.add_argument("--out", default="pictures", metavar="DIR", help="default: pictures")
     render.add_argument("--model", metavar="JOB", help="an encode or measure job of --runs: render its model")
+    render.add_argument(
+        "--edit", action="append", default=[], metavar="SCENE.WHAT=VALUE",
+        help="show it edited: palette=#ff8800, light=headlight or x,y,z, or a factor: opacity, ambient, "
+        "diffuse, specular, shininess (repeatable)",
+    )  # fmt: skip
+    render.add_argument(
+        "--truth", action="store_true", help="with --model: the ground truth beside, and PSNR"
+    )
     _add_device(render)
     score = command("score", "apply the metrics to two folders of images")
     score.add_argument("renders", metavar="RENDERS")

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from bench.records import Record
+from bench.measure import premultiplied
+from bench.monitor import as_numpy
 from bench.store import Store
 from datasets.errors import DataError
+from datasets.names import unknown
+
+if TYPE_CHECKING:
+    from datasets.camera import Camera
+    from datasets.edits import Edit
+    from datasets.scene import RGB
+    from methods.interface import Model
 
 
 def render(options: Namespace) -> int:
@@ -16,6 +26,8 @@ def render(options: Namespace) -> int:
         from bench.commands.sheets import contact_sheets
 
         return contact_sheets(options)
+    if options.truth and not options.model:
+        raise DataError("--truth", "is for pictures of a model", "Add --model, or leave it out")
     if options.automatic:
         raise DataError("--automatic", "is for contact sheets", "Add --contact-sheet")
     if not options.dataset:
@@ -26,59 +38,90 @@ def render(options: Namespace) -> int:
 
 
 def _render(options: Namespace, dataset_name: str) -> None:
-    from bench.inputs import open_dataset, views
-    from bench.measure import premultiplied
-    from bench.monitor import as_numpy
+    from bench.edits import parse_edits
+    from bench.inputs import open_dataset, view_request
+    from bench.metrics import evaluate
     from bench.records import Request
     from datasets.png import write_png
+    from datasets.render_views import cameras_of, views_of
 
     dataset = open_dataset(dataset_name)
     count, (width, height) = options.views or 8, options.size or (256, 256)
-    wanted = Request(train_views=12, test_views=count, width=width, height=height)
-    model, held = _model(options) if options.model else (None, ())
-    for name in options.scene or held or [scene.name for scene in dataset.scenes]:
-        scene = dataset.scene(name)
-        if held and name not in held:
-            raise DataError(options.model, f"has no scene {name!r}", f"It holds {', '.join(held)}")
-        truth = views(dataset, scene.name, wanted, "test")
+    wanted = view_request(Request(train_views=12, test_views=count, width=width, height=height), "test")
+    model, shown = _model(options) if options.model else (None, ())
+    names = options.scene or shown or [scene.name for scene in dataset.scenes]
+    parts = {name: [scene.name for scene in dataset.parts(name)] for name in names}
+    edits = parse_edits(options.edit)
+    for scene in edits:
+        if not any(scene in part for part in parts.values()):
+            raise unknown("edited scene", scene, [scene for part in parts.values() for scene in part])
+    for name, scenes in parts.items():
+        if model is not None and (lacking := [scene for scene in scenes if scene not in model.scenes]):
+            raise DataError(
+                options.model, f"has no scene {', '.join(lacking)}", f"It holds {', '.join(model.scenes)}"
+            )
+        edit = {scene: edits[scene] for scene in scenes if scene in edits}
         folder = Path(options.out) / dataset.name / name
         folder.mkdir(parents=True, exist_ok=True)
-        for index in range(min(count, len(truth))):
-            image = truth.images[index]
-            if model is not None:
-                rgb, alpha = model.render(truth.cameras[index], scenes=[name], background=truth.background)
-                image = premultiplied(as_numpy(rgb), as_numpy(alpha), truth.background)
-            write_png(folder / f"{index:04d}.png", image)
+        truth = views_of(dataset, name, wanted, edit=edit) if options.truth or model is None else None
+        if truth is not None:
+            beside = folder if model is None else folder / "truth"
+            beside.mkdir(exist_ok=True)
+            for index, image in enumerate(truth.images):
+                write_png(beside / f"{index:04d}.png", image)
+        if model is not None:
+            background = dataset.parts(name)[0].background
+            psnr = []
+            for index, camera in enumerate(cameras_of(dataset, name, wanted)):
+                rgb, alpha = _picture(model, camera, scenes, edit, background)
+                write_png(folder / f"{index:04d}.png", premultiplied(rgb, alpha, background))
+                if truth is not None:
+                    values, _ = evaluate(truth.images[index], rgb, alpha, background, ["psnr"])
+                    psnr.append(float(values["psnr"] or 0.0))
+            if psnr:
+                low, high = min(psnr), max(psnr)
+                mean = sum(psnr) / len(psnr)
+                print(f"PSNR {mean:.2f} dB ({low:.2f} to {high:.2f}) against {folder / 'truth'}")
         print(folder)
 
 
+def _picture(model: Model, camera: Camera, scenes: list[str], edit: Mapping[str, Edit], background: RGB):  # type: ignore[no-untyped-def]
+    """RGB and alpha of one view as arrays."""
+    from methods.interface import Refused
+
+    try:
+        rgb, alpha = model.render(camera, scenes=scenes, edit=edit, background=background)
+    except Refused as error:
+        raise DataError("bench render", str(error), "Leave out what this method refuses") from error
+    return as_numpy(rgb), as_numpy(alpha)
+
+
 def _model(options: Namespace):  # type: ignore[no-untyped-def]
-    """The model of a finished encode or measure job, and its scenes."""
+    """The model of a finished encode or measure job, and what it is to show if nobody says."""
+    from bench.measure import load_models
     from bench.worker import prepare_device
     from methods.interface import Refused
     from methods.registry import Registry, load_method
 
     store = Store(Path(options.runs))
     record = store.record(options.model)
-    if record is not None and record.job.kind == "measure":
-        record = _encode_of(store, record)
-    if record is None or record.job.kind != "encode" or not record.ok:
+    needs = record.job.needs if record is not None and record.job.kind == "measure" else (options.model,)
+    encodes = [store.record(need) for need in needs if need.startswith("encode-")]
+    if record is None or not encodes or not all(encode is not None and encode.ok for encode in encodes):
         raise DataError(
             options.model,
             f"is no finished encode or measure job of {store.root}",
             "`bench results` names the jobs in its column `job`",
         )
-    spec = Registry(options.plugins).spec(str(record.job.method))
+    job = record.job
+    spec = Registry(options.plugins).spec(str(job.method))
     try:
         prepare_device(options.device, spec)
+        folders = [store.jobs / encode.job.id / "model" for encode in encodes if encode is not None]
+        model = load_models(load_method(spec), folders, options.device)
     except Refused as error:
-        raise DataError(f"--device {options.device}", str(error), "Render on another device") from error
-    model = load_method(spec).load(store.jobs / record.job.id / "model", options.device)
-    return model, tuple(record.job.scenes)
-
-
-def _encode_of(store: Store, record: Record) -> Record | None:
-    return next((store.record(need) for need in record.job.needs if need.startswith("encode-")), None)
+        raise DataError(options.model, str(error), "Render another model, or on another device") from error
+    return model, (job.composition,) if job.composition else job.scenes
 
 
 def score(options: Namespace) -> int:

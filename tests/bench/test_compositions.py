@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -21,6 +22,7 @@ from bench.store import Store
 from bench.suites import load_suite
 from bench.tables import build_tables, rows
 from datasets.errors import DataError, UnknownName
+from datasets.png import read_png
 
 from .conftest import PLUGINS
 
@@ -200,3 +202,55 @@ def test_scenes_are_composed_measured_and_refused(bench, suite) -> None:
     assert views.views.cost["test"]["peak_host_bytes"] > 2**20
     again = bench(*common, "--method", "fake")
     assert "nothing to run" in again.stderr
+
+    render = ("render", "argon_bubble_like@32", "--plugins", bench.plugins, "--runs", bench.store)
+    render += ("--size", "16", "--views", "4", "--model", results.loc[("fake", "all"), "job"])
+    plain = bench(*render, "--truth", "--out", bench.store.parent / "plain")
+    assert plain.returncode == 0, plain.stderr
+    # The same views as were measured, both scenes together.
+    told = float(re.search(r"PSNR (\S+) dB", plain.stdout)[1])
+    assert told == pytest.approx(results.loc[("fake", "all"), "psnr"], abs=0.01)
+    edit = ("--edit", "shock.palette=#ff0000", "--edit", "bubble.palette=#ff0000")
+    red = bench(*render, *edit, "--truth", "--out", bench.store.parent / "red")
+    assert red.returncode == 0, red.stderr
+    picture = bench.store.parent / "red" / "argon_bubble_like@32" / "all" / "0000.png"
+    assert (read_png(picture)[..., :3] == [1.0, 0.0, 0.0]).all()
+    before, after = (
+        read_png(bench.store.parent / name / "argon_bubble_like@32" / "all" / "truth" / "0000.png")
+        for name in ("plain", "red")
+    )
+    assert after[..., 1:3].sum() < 0.9 * before[..., 1:3].sum()  # the truth is edited too
+
+
+@pytest.mark.slow
+def test_3dgs_is_composed_and_edited(bench, suite) -> None:
+    common = ("--plugins", bench.plugins)
+    done = bench(
+        "run", suite(), "--composed", "--method", "3dgs", "--out", bench.store, "--no-report", *common
+    )
+    assert done.returncode == 0, done.stderr
+    results = build_tables(Store(bench.store), write=False)["results"].set_index("scene")
+    assert results.loc["all", "kind"] == "composed"
+    assert results.loc["all", "psnr"] > 15
+    assert results.loc["all", "primitives"] == results.loc[["shock", "bubble"], "primitives"].sum()
+    render = (
+        "render",
+        "argon_bubble_like@32",
+        "--runs",
+        bench.store,
+        "--size",
+        "16",
+        "--views",
+        "4",
+        *common,
+    )
+    render += ("--model", results.loc["all", "job"], "--out", bench.store.parent / "out")
+    psnr = [
+        float(re.search(r"PSNR (\S+) dB", bench(*render, "--truth", *edit).stdout)[1])
+        for edit in ((), ("--edit", "shock.opacity=0"))
+    ]
+    assert psnr[1] > 15  # the other scene alone against its own truth
+    assert psnr[0] != psnr[1]
+    refused = bench(*render, "--edit", "bubble.palette=#00ff00")
+    assert refused.returncode == 2
+    assert "3dgs cannot edit palette of scene 'bubble': only opacity" in refused.stderr

@@ -10,6 +10,7 @@ import pytest
 
 from bench.store import Store
 from bench.tables import COLUMNS, build_tables
+from datasets.png import read_png
 
 
 def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
@@ -190,6 +191,12 @@ def test_pictures_of_truth_and_model_can_be_scored(finished) -> None:
     unknown = bench(*common, "--runs", bench.store, "--model", "fit-nowhere", "--out", out / "x")
     assert unknown.returncode == 2
     assert "is no finished encode or measure job" in unknown.stderr
+    edited = (*common, "--runs", bench.store, "--model", measure.job.id, "--edit", "a.palette=#0000ff")
+    assert bench(*edited, "--out", out / "blue").returncode == 0
+    assert (read_png(out / "blue" / "tiny" / "a" / "0003.png") == [0.0, 0.0, 1.0, 1.0]).all()
+    no_truth = bench(*edited, "--truth")
+    assert no_truth.returncode == 2
+    assert "rendered elsewhere, so there is no truth for edits" in no_truth.stderr
     missing = bench(*common, "--runs", bench.store, "--model", measure.job.id, "--device", "cuda")
     assert missing.returncode == 2
     assert "fake runs on cpu, not on cuda" in missing.stderr

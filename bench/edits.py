@@ -1,0 +1,55 @@
+"""Edits as the command line writes them: ``a.palette=#ff8800``, ``a.opacity=0.5``, ``a.light=1,0,0``."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import fields, replace
+from typing import Any
+
+from datasets.edits import Edit
+from datasets.errors import DataError
+from datasets.names import unknown
+
+KINDS = tuple(field.name for field in fields(Edit))
+
+
+def parse_edits(texts: Iterable[str]) -> dict[str, Edit]:
+    """Scene -> its edit.
+
+    Raises:
+        DataError: a text is not of the form scene.what=value, or its value cannot be read.
+        UnknownName: there is no such edit.
+    """
+    edits: dict[str, Edit] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        scene, dot, kind = key.rpartition(".")
+        if not (equals and dot and scene and value):
+            raise DataError(f"--edit {text}", "is not of the form scene.what=value", "Write skin.opacity=0.5")
+        if kind not in KINDS:
+            raise unknown("edit", kind, KINDS)
+        edits[scene] = replace(edits.get(scene, Edit()), **{kind: _value(text, kind, value)})
+    return edits
+
+
+def _value(text: str, kind: str, value: str) -> Any:
+    if kind == "palette":
+        if not re.fullmatch(r"#[0-9a-fA-F]{6}", value):
+            raise DataError(f"--edit {text}", f"{value!r} is no color", "Write it as #ff8800")
+        return tuple(int(value[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    if kind == "light" and value == "headlight":
+        return value
+    try:
+        numbers = [float(part) for part in value.split(",")]
+    except ValueError:
+        numbers = []
+    length = math.hypot(*numbers)
+    if kind == "light":
+        if len(numbers) != 3 or not 0.0 < length < math.inf:
+            raise DataError(f"--edit {text}", f"{value!r} is no direction", "Write headlight, or x,y,z")
+        return tuple(number / length for number in numbers)
+    if len(numbers) != 1 or not math.isfinite(numbers[0]) or numbers[0] < 0.0:
+        raise DataError(f"--edit {text}", f"{value!r} is no factor", "Give a number of at least 0")
+    return numbers[0]
