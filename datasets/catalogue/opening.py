@@ -81,7 +81,9 @@ def _procedural(name: str, said: dict[str, Any], resolution: int | None) -> Data
     def together() -> dict[str, Volume]:  # variables share most of their computation
         return procedural.make_volumes(name, n)
 
-    volumes = {variable: partial(_one, together, variable) for variable in procedural.FIELDS[name]}
+    volumes: dict[str, Callable[[], Volume]] = {
+        variable: partial(_one, together, variable) for variable in procedural.FIELDS[name]
+    }
     return Dataset(full, said["title"], "volume", _scenes(said), entries.compositions_of(said), volumes)
 
 

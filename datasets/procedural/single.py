@@ -68,9 +68,7 @@ class Beetle:
                 hip = (side * 0.15, start, -0.1)
                 for a, b in ((hip, knee), (knee, foot)):
                     legs = np.minimum(legs, _to_segment(x, y, z, a, b))
-            legs = np.minimum(
-                legs, _to_segment(x, y, z, (side * 0.04, 0.36, 0.0), (side * 0.12, 0.48, 0.08))
-            )
+            legs = np.minimum(legs, _to_segment(x, y, z, (side * 0.04, 0.36, 0.0), (side * 0.12, 0.48, 0.08)))
         limb = np.exp(-((legs / 0.012) ** 2))
         value = 0.06 + np.maximum(tissue, 0.66 * np.maximum(shell, limb))
         return {"beetle_like": value + 0.02 * self._grain(at)}

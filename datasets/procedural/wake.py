@@ -30,7 +30,8 @@ class ShipWake:
         phase = 2.0 * np.pi * x / 0.22
         if axis == 0:
             near = np.exp(-((x / 0.07) ** 2) - (y / 0.05) ** 2 - (z / 0.07) ** 2)
-            return np.asarray(1.0 - 0.7 * wake - 0.95 * near + turbulent - 0.5 * wake * np.sin(phase) * y / width)
+            meander = 0.5 * wake * np.sin(phase) * y / width
+            return np.asarray(1.0 - 0.7 * wake - 0.95 * near + turbulent - meander)
         if axis == 1:
             around = 5.0 * y * np.exp(-((x + 0.03) ** 2 + y**2 + z**2) / 0.006)
             return np.asarray(turbulent + around + 0.6 * wake * np.cos(phase))

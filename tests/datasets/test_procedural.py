@@ -10,9 +10,18 @@ from datasets import procedural
 from datasets.errors import DataError
 
 
+def _doubles(name: str, n: int) -> bool:
+    if name not in procedural._FAMILIES:
+        return True
+    family = procedural._FAMILIES[name]
+    return all(2 * a - 1 == b for a, b in zip(family.dims(n), family.dims(2 * n - 1), strict=True))
+
+
 @pytest.mark.parametrize("name", procedural.FIELDS)
 def test_same_field_at_any_resolution(name: str) -> None:
-    coarse, fine = procedural.make_volume(name, 17), procedural.make_volume(name, 33)
+    # Sides are whole numbers of steps, at both resolutions, only for some numbers of samples.
+    n = next(n for n in range(13, 40) if _doubles(name, n))
+    coarse, fine = procedural.make_volume(name, n), procedural.make_volume(name, 2 * n - 1)
     difference = coarse.values.astype(int) - fine.values[::2, ::2, ::2].astype(int)
     assert np.abs(difference).max() <= 1
 
