@@ -12,6 +12,8 @@ from econgs.optim import Adam
 from econgs.points import neighbour_distances
 
 PARAMETERS = ("features", "log_scalings", "offsets")
+MASKS = "masks"
+FIRST_MASK = 1.0  # before the sigmoid (HAC)
 SCALE_CAP = 0.05
 
 
@@ -43,6 +45,7 @@ class AnchorSet:
         features: F.
         offsets: K.
         fallback: scaling of a lone anchor, scene units.
+        masks: train ``masks`` (N, K) too, one number per offset (HAC).
     """
 
     def __init__(
@@ -54,8 +57,10 @@ class AnchorSet:
         features: int,
         offsets: int,
         fallback: float,
+        masks: bool = False,
         device: torch.device | str = "cpu",
     ) -> None:
+        self.parameters = (*PARAMETERS, MASKS) if masks else PARAMETERS
         self.key = key
         self.voxel = voxel
         self.offsets = offsets
@@ -68,6 +73,8 @@ class AnchorSet:
             "log_scalings": log_scalings.to(device),
             "offsets": torch.zeros((count, offsets, 3), device=device),
         }
+        if masks:
+            self.initial[MASKS] = torch.full((count, offsets), FIRST_MASK, device=device)
         self.statistics = AnchorStatistics.zeros(count, offsets, device)
 
     def __len__(self) -> int:
@@ -80,7 +87,7 @@ class AnchorSet:
     @property
     def names(self) -> list[str]:
         """Names of its parameters in the optimiser."""
-        return [self.name(parameter) for parameter in PARAMETERS]
+        return [self.name(parameter) for parameter in self.parameters]
 
     def groups(self) -> dict[str, Tensor]:
         """The first parameters by their names in the optimiser, to make it with; given out once."""
@@ -91,17 +98,17 @@ class AnchorSet:
     @torch.no_grad()
     def grow_and_prune(self, optimiser: Adam, rules: AnchorRules, generator: torch.Generator) -> GrowthEvent:
         """One growth event (Scaffold-GS: growing first, then pruning)."""
-        features, log_scalings, offsets = (optimiser[name] for name in self.names)
+        features, log_scalings, offsets = (optimiser[self.name(parameter)] for parameter in PARAMETERS)
         grown = grow(self.positions, log_scalings, features, offsets, self.statistics, rules, generator)
         added = len(grown.anchors)
         if added:
-            optimiser.append(
-                {
-                    self.name("features"): grown.features,
-                    self.name("log_scalings"): grown.log_scalings,
-                    self.name("offsets"): offsets.new_zeros((added, *offsets.shape[1:])),
-                }
-            )
+            new = {
+                "features": grown.features,
+                "log_scalings": grown.log_scalings,
+                "offsets": offsets.new_zeros((added, *offsets.shape[1:])),
+                MASKS: offsets.new_full((added, self.offsets), FIRST_MASK),
+            }
+            optimiser.append({self.name(parameter): new[parameter] for parameter in self.parameters})
             self.positions = torch.cat([self.positions, grown.anchors])
             self.statistics = self.statistics.extended(added)
         faint = prunable(self.statistics, rules)

@@ -159,7 +159,7 @@ def _torch_decode(
     base = palette + activate(shading[:, :3])
     return Decoded(
         means,
-        _rotation(covariance[:, 3:]),
+        rotation(covariance[:, 3:]),
         scale[:, 3:] * torch.sigmoid(covariance[:, :3]),
         opacities,
         shade(means, normals, base, coefficients, eye, light),
@@ -168,7 +168,8 @@ def _torch_decode(
     )
 
 
-def _rotation(quats: Tensor) -> Tensor:
+def rotation(quats: Tensor) -> Tensor:
+    """(M, 4) unit quaternions; one without a length is the identity."""
     length = torch.linalg.vector_norm(quats, dim=-1, keepdim=True)
     sound = length > MIN_QUATERNION
     identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0])

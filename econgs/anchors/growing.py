@@ -25,6 +25,7 @@ class AnchorRules:
         anchor_visits: an anchor is judged once it was visible in more views than this.
         prune_opacity: mean summed opacity per visit under which an anchor is pruned.
         limit: number of anchors at which growing stops; 0 = none.
+        levels: number of cell sizes, from the coarsest.
     """
 
     voxel: float = 0.001
@@ -34,12 +35,14 @@ class AnchorRules:
     anchor_visits: float = 80.0
     prune_opacity: float = 0.005
     limit: int = 0
+    levels: int = LEVELS
 
     def __post_init__(self) -> None:
-        if self.voxel <= 0.0 or self.init_factor // HIERARCHY ** (LEVELS - 1) < 1:
+        finest = HIERARCHY ** (self.levels - 1)
+        if self.voxel <= 0.0 or self.init_factor // finest < 1:
             raise ValueError(
-                f"voxel {self.voxel:g} with init_factor {self.init_factor}: cells of level {LEVELS - 1} "
-                f"would have no size; init_factor must be at least {HIERARCHY ** (LEVELS - 1)}"
+                f"voxel {self.voxel:g} with init_factor {self.init_factor}: cells of level {self.levels - 1} "
+                f"would have no size; init_factor must be at least {finest}"
             )
 
     def cell(self, level: int) -> float:
@@ -162,7 +165,7 @@ def grow(
     added: list[tuple[Tensor, Tensor, Tensor]] = []
     room = rules.limit - count if rules.limit else math.inf
     limited = False
-    for level in range(LEVELS):
+    for level in range(rules.levels):
         chance = torch.rand((count, many), generator=generator).to(gradients.device)
         wanted = judged & (gradients >= rules.gradient * 2.0**level) & (chance > 0.5 ** (level + 1))
         asking = wanted.reshape(-1).nonzero()[:, 0]

@@ -5,6 +5,7 @@ Results and gradients do not depend on the number of threads.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -87,3 +88,20 @@ def decode(
         decoders.view_direction, sigmoid, eye, light, numbers, *inputs, *decoders.tensors()
     )
     return Decoded(*outputs)
+
+
+def decode_plain(
+    inputs: Sequence[Tensor], weights: Sequence[Tensor], eye: Tensor, factors: list[float]
+) -> Decoded:
+    """The kernel itself, for networks that :mod:`econgs.anchors.direct` lays out: sigmoid colors, headlight.
+
+    Args:
+        inputs: as of :func:`decode`.
+        weights: first weight and bias, second weight and bias of the four networks.
+        eye: (3,) camera centre.
+        factors: on opacity, ambient, diffuse, specular and shininess.
+
+    Raises:
+        ValueError: NaN or infinity among the inputs.
+    """
+    return Decoded(*_Decode.apply(True, True, eye, None, factors, *inputs, *weights))

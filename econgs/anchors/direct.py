@@ -1,0 +1,172 @@
+"""Anchors whose colors are decoded as they are, without shading (Scaffold-GS, Lu et al. 2024; HAC)."""
+
+from __future__ import annotations
+
+import importlib
+import math
+
+import torch
+from torch import Tensor, nn
+
+from econgs.anchors.decode import Decoded, Vector, rotation
+from econgs.anchors.decoders import Decoder
+from econgs.anchors.shading import unit
+from econgs.splat.rasterise import choose_backend
+
+NETWORKS = {"opacity": 1, "covariance": 7, "color": 3}
+"""Network → what it puts out per Gaussian."""
+
+
+class ColorDecoders(nn.Module):
+    """Three networks: opacity (tanh), scale and quaternion, color (sigmoid).
+
+    Each takes anchor feature (‖ distance camera → anchor) ‖ unit vector camera → anchor.
+
+    Args:
+        features: F, of an anchor; also the width of the hidden layers.
+        offsets: K, Gaussians per anchor.
+        distance: whether the distance is an input (HAC).
+        generator: of the first weights, on the CPU.
+
+    Raises:
+        ValueError: a width that is not positive.
+    """
+
+    def __init__(
+        self, features: int, offsets: int, *, distance: bool, generator: torch.Generator | None = None
+    ) -> None:
+        super().__init__()
+        if min(features, offsets) < 1:
+            raise ValueError(f"decoders of {features} features and {offsets} offsets are not possible")
+        self.features = features
+        self.offsets = offsets
+        self.distance = distance
+        inputs = features + int(distance) + 3
+        for name, attributes in NETWORKS.items():
+            self.add_module(name, Decoder(inputs, features, attributes * offsets, generator))
+
+    def network(self, name: str) -> Decoder:
+        """One of :data:`NETWORKS`."""
+        found = self.get_submodule(name)
+        assert isinstance(found, Decoder)
+        return found
+
+
+def decode_colors(
+    anchors: Tensor,
+    features: Tensor,
+    scalings: Tensor,
+    offsets: Tensor,
+    decoders: ColorDecoders,
+    eye: Vector,
+    *,
+    opacity: float = 1.0,
+    backend: str | None = None,
+) -> Decoded:
+    """The Gaussians of N anchors as one camera sees them; see :func:`econgs.anchors.decode.decode`.
+
+    Means, culling, scales and quaternions are those of ECoNGS, which took them from here; the color is the
+    sigmoid of the color network. No gradient reaches the anchors' positions.
+
+    Args:
+        anchors: (N, 3) positions.
+        features: (N, F).
+        scalings: (N, 6) activated, >= 0.
+        offsets: (N, K, 3).
+        decoders: the three networks.
+        eye: camera centre.
+        opacity: factor on opacities, which stay at most 1.
+        backend: "native" or "torch", as in :func:`econgs.splat.rasterise`.
+
+    Raises:
+        ValueError: a wrong shape, or NaN or infinity among the inputs.
+    """
+    count = len(anchors)
+    wanted = {
+        "anchors": (anchors, (count, 3)),
+        "features": (features, (count, decoders.features)),
+        "scalings": (scalings, (count, 6)),
+        "offsets": (offsets, (count, decoders.offsets, 3)),
+    }
+    for name, (tensor, shape) in wanted.items():
+        if tuple(tensor.shape) != shape:
+            raise ValueError(f"{name} has shape {tuple(tensor.shape)}, not {shape}, for {count} anchors")
+    anchors = anchors.detach()
+    view = torch.as_tensor(eye, dtype=anchors.dtype, device=anchors.device).detach()
+    if decoders.distance:
+        away = torch.linalg.vector_norm(anchors - view, dim=1, keepdim=True)
+        features = torch.cat([features, away], 1)
+    if choose_backend(anchors, backend) == "native":
+        return _native_decode(anchors, features, scalings, offsets, decoders, view, opacity)
+    inputs = (anchors, features, scalings, offsets, *decoders.parameters())
+    if not math.isfinite(float(torch.stack([one.detach().sum() for one in inputs]).sum())):
+        raise ValueError("decode: every value must be finite")
+    return _torch_decode(anchors, features, scalings, offsets, decoders, view, opacity)
+
+
+def _torch_decode(
+    anchors: Tensor,
+    features: Tensor,
+    scalings: Tensor,
+    offsets: Tensor,
+    decoders: ColorDecoders,
+    eye: Tensor,
+    opacity: float,
+) -> Decoded:
+    count, many = offsets.shape[:2]
+    inputs = torch.cat([features, unit(anchors - eye)], dim=1)
+
+    def outputs(name: str) -> Tensor:
+        first, first_bias, second, second_bias = decoders.network(name).tensors()
+        return torch.addmm(second_bias, torch.relu(torch.addmm(first_bias, inputs, first.T)), second.T)
+
+    raw = torch.tanh(outputs("opacity"))
+    kept = raw.detach() > 0.0 if opacity > 0.0 else torch.zeros_like(raw, dtype=torch.bool)
+    slots = kept.reshape(-1).nonzero()[:, 0]
+    anchor = slots // many
+
+    def surviving(name: str) -> Tensor:
+        by_slot = outputs(name).view(count, NETWORKS[name], many).transpose(1, 2)
+        return by_slot.reshape(count * many, NETWORKS[name]).index_select(0, slots)
+
+    covariance = surviving("covariance")
+    scale = scalings.index_select(0, anchor)
+    moved = offsets.reshape(-1, 3).index_select(0, slots) * scale[:, :3]
+    return Decoded(
+        anchors.index_select(0, anchor) + moved,
+        rotation(covariance[:, 3:]),
+        scale[:, 3:] * torch.sigmoid(covariance[:, :3]),
+        (raw.reshape(-1).index_select(0, slots) * opacity).clamp_max(1.0),
+        torch.sigmoid(surviving("color")),
+        slots,
+        raw.detach(),
+    )
+
+
+def _native_decode(
+    anchors: Tensor,
+    features: Tensor,
+    scalings: Tensor,
+    offsets: Tensor,
+    decoders: ColorDecoders,
+    eye: Tensor,
+    opacity: float,
+) -> Decoded:
+    """By the kernel of ECoNGS's decoders: ambient light alone, with coefficient 1, leaves the color as it is.
+
+    The outputs that only shading needs are constant: zero weights, which cost a quarter of the kernel's time.
+    """
+    many, hidden = decoders.offsets, decoders.features
+    tensors = [one for name in ("opacity", "covariance") for one in decoders.network(name).tensors()]
+    first, first_bias, second, second_bias = decoders.network("color").tensors()
+    constant = torch.cat([second_bias.new_ones(many), second_bias.new_zeros(3 * many)])
+    tensors += [first, first_bias, torch.cat([second, second.new_zeros(4 * many, hidden)])]
+    tensors += [torch.cat([second_bias, constant])]
+    tensors += [torch.zeros_like(first), torch.zeros_like(first_bias)]
+    tensors += [second.new_zeros(3 * many, hidden), second.new_zeros(3 * many)]
+    none, palette = anchors.new_zeros(0), anchors.new_zeros(3)
+    native = importlib.import_module("econgs.anchors.native")
+    factors = [opacity, 1.0, 0.0, 0.0, 0.0]
+    inputs = (anchors, features, scalings, offsets, none, palette)
+    decoded: Decoded = native.decode_plain(inputs, tensors, eye, factors)
+    return decoded
