@@ -89,7 +89,7 @@ class Coding:
         if not self.schedule.noisy(iteration):
             return values, None
         if not self.schedule.coded(iteration):
-            return self.model.perturb(values, self._plain(len(rows)), self.noise).values, None
+            return _sizes(self.model.perturb(values, self._plain(len(rows)), self.noise).values), None
         exact = self.model.coder_exact = self.schedule.exact(iteration)
         context = self.model(self.lookup(anchors), rows, draw_sample(len(rows), self.generator))
         if exact:
@@ -97,7 +97,7 @@ class Coding:
             noisy = Noisy(rounded, rounded.of(context.sample).flat)
         else:
             noisy = self.model.perturb(values, context, self.noise)
-        return noisy.values, self.model.rate(noisy, context, anchors=total)
+        return _sizes(noisy.values), self.model.rate(noisy, context, anchors=total)
 
     def _plain(self, count: int) -> Context:
         """The base steps for all, nothing sampled."""
@@ -123,3 +123,8 @@ class Coding:
         """Continue from :meth:`state`."""
         self.noise.pool.copy_(saved["coding/noise"])
         self.model.unit.copy_(saved["coding/unit"])
+
+
+def _sizes(values: Attributes) -> Attributes:
+    """Noise may take a small scaling below zero, which rounding never does."""
+    return values._replace(scalings=values.scalings.clamp_min(0.0))

@@ -246,6 +246,14 @@ def test_a_loss_that_is_not_finite_is_named(scene):
         trainer.step()
 
 
+def test_noise_leaves_no_negative_scaling(tiny, scene):
+    """Scalings much smaller than the step, which noise would take below zero."""
+    trainer = Trainer([scene], options(scaling_step=1.0), 60, 0, "cpu")
+    values = [trainer.step() for _ in range(60)]
+    assert all(math.isfinite(one["loss"]) for one in values)
+    assert trainer.model().primitives() > 0
+
+
 def test_a_fixed_light_is_learned_as_such(tiny, scene):
     lit = replace(scene, scene=replace(scene.scene, light=Light(direction=(0.0, 0.0, 1.0))))
     model = Econgs().fit([lit], options(), Budget(30), 0, "cpu", tiny.Recorder())
