@@ -64,6 +64,19 @@ class RateKnob:
 
 
 @dataclass(frozen=True)
+class Configuration:
+    """A named way to run a method: the settings that its authors published, those of a fair comparison.
+
+    Attributes:
+        options: option values that differ; they come on top of a preset's.
+        iterations: preset name -> training iterations that differ.
+    """
+
+    options: Mapping[str, OptionValue] = field(default_factory=dict)
+    iterations: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class MethodSpec:
     """What a method is and can do; pure data, imports nothing heavy.
 
@@ -86,6 +99,7 @@ class MethodSpec:
             "standard", "paper".
         iterations: preset name -> training iterations per group.
         rate_knobs: empty if the method has one size only.
+        configurations: name -> settings, chosen like an option (``--set name.configuration=paper``).
     """
 
     name: str
@@ -104,6 +118,7 @@ class MethodSpec:
     presets: Mapping[str, Mapping[str, OptionValue]]
     iterations: Mapping[str, int]
     rate_knobs: tuple[RateKnob, ...] = ()
+    configurations: Mapping[str, Configuration] = field(default_factory=dict)
 
 
 class Refused(Exception):

@@ -13,6 +13,9 @@ from methods.interface import MethodSpec, Option, OptionValue
 ITERATIONS = "iterations"
 """Settable for every method like an option: the budget, which a preset otherwise gives."""
 
+CONFIGURATION = "configuration"
+"""Settable like an option where a method has configurations: the name of one."""
+
 _TRUE = ("true", "yes", "on", "1")
 _FALSE = ("false", "no", "off", "0")
 
@@ -34,15 +37,16 @@ class Settings:
 
 
 def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] | None = None) -> Settings:
-    """Defaults, overlaid by the preset, overlaid by what the user set.
+    """Defaults, overlaid by the preset, by the configuration, and by what the user set.
 
     Args:
         spec: the method.
         preset: one of the spec's presets.
-        overrides: option (or "iterations") -> value; strings are parsed by the option's type.
+        overrides: option (or "iterations", "configuration") -> value; strings are parsed by the option's
+            type.
 
     Raises:
-        UnknownName: no such preset or option; near matches are listed.
+        UnknownName: no such preset, configuration or option; near matches are listed.
         DataError: a value of the wrong type, out of range or not among the choices.
     """
     if preset not in spec.presets:
@@ -51,7 +55,17 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
     options.update(spec.presets[preset])
     iterations = spec.iterations[preset]
     changed: dict[str, OptionValue] = {}
-    for name, given in (overrides or {}).items():
+    wanted = dict(overrides or {})
+    if spec.configurations and CONFIGURATION in wanted:
+        chosen = str(wanted.pop(CONFIGURATION))
+        if chosen not in spec.configurations:
+            raise unknown("configuration", chosen, spec.configurations, of=f"method {spec.name}")
+        configuration = spec.configurations[chosen]
+        if configuration.options or configuration.iterations:
+            changed[CONFIGURATION] = chosen
+        options.update(configuration.options)
+        iterations = configuration.iterations.get(preset, iterations)
+    for name, given in wanted.items():
         if name == ITERATIONS:
             value = check(spec.name, name, Option(iterations, "budget", minimum=1), given)
             if value != iterations:
@@ -63,7 +77,8 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
                 changed[name] = value
                 options[name] = value
         else:
-            raise unknown("option", name, [*spec.options, ITERATIONS], of=f"method {spec.name}")
+            known = [*spec.options, ITERATIONS, *([CONFIGURATION] if spec.configurations else [])]
+            raise unknown("option", name, known, of=f"method {spec.name}")
     variant = ",".join(f"{name}={_text(changed[name])}" for name in sorted(changed))
     return Settings(options, iterations, variant)
 

@@ -20,7 +20,7 @@ import methods
 from datasets.errors import DataError
 from datasets.names import unknown
 from methods.interface import MethodSpec
-from methods.options import ITERATIONS, check
+from methods.options import CONFIGURATION, ITERATIONS, check
 
 if TYPE_CHECKING:
     from methods.interface import Method
@@ -159,13 +159,23 @@ def check_spec(spec: Any, origin: str) -> None:
         raise wrong("iterations do not cover the presets", "Give each preset a number of iterations >= 1")
     if ITERATIONS in spec.options:
         raise wrong(f"an option called {ITERATIONS!r}", "Leave it out: the budget is settable as it is")
+    if CONFIGURATION in spec.options:
+        raise wrong(f"an option called {CONFIGURATION!r}", "Declare MethodSpec.configurations")
     for name, option in spec.options.items():
         check(spec.name, name, option, option.default)
-    for preset, values in spec.presets.items():
+    overlays = {f"preset {name}": values for name, values in spec.presets.items()}
+    overlays |= {f"configuration {name}": one.options for name, one in spec.configurations.items()}
+    for overlay, values in overlays.items():
         for name, value in values.items():
             if name not in spec.options:
-                raise unknown("option", name, spec.options, of=f"preset {preset} of {spec.name}")
+                raise unknown("option", name, spec.options, of=f"{overlay} of {spec.name}")
             check(spec.name, name, spec.options[name], value)
+    for name, one in spec.configurations.items():
+        for preset, iterations in one.iterations.items():
+            if preset not in spec.presets:
+                raise unknown("preset", preset, spec.presets, of=f"configuration {name} of {spec.name}")
+            if iterations < 1:
+                raise wrong(f"{iterations} iterations in configuration {name}", "Give it at least 1")
     for knob in spec.rate_knobs:
         if knob.refit and knob.name not in spec.options:
             raise unknown("rate knob", knob.name, spec.options, of=f"method {spec.name}")

@@ -256,3 +256,26 @@ def refuse_non_finite(inputs: dict[str, Tensor], decoders: Decoders) -> None:
         if len(bad):
             index = bad[0].tolist()
             raise ValueError(f"{name}{index} is {tensor[tuple(index)].item()}: every value must be finite")
+
+
+def masked(decoded: Decoded, masks: Tensor) -> Decoded:
+    """Without the Gaussians whose mask is 0; opacities and scales of the others carry its gradient (HAC).
+
+    Args:
+        decoded: of N anchors.
+        masks: (N, K), of 0 and 1.
+    """
+    each = masks.to(decoded.opacities.dtype).reshape(-1)
+    drawn = each.detach() > 0.0
+    stay = drawn.index_select(0, decoded.slots).nonzero()[:, 0]
+    slots = decoded.slots.index_select(0, stay)
+    factor = each.index_select(0, slots)
+    return Decoded(
+        decoded.means.index_select(0, stay),
+        decoded.quats.index_select(0, stay),
+        decoded.scales.index_select(0, stay) * factor[:, None],
+        decoded.opacities.index_select(0, stay) * factor,
+        decoded.colors.index_select(0, stay),
+        slots,
+        decoded.raw_opacities * drawn.view(decoded.raw_opacities.shape),
+    )

@@ -1,4 +1,4 @@
-"""PLY tables of float32; by default the standard one of 3D Gaussian splats, 62 per Gaussian, for splat viewers."""
+"""PLY tables of float32; by default the 62 columns per Gaussian that splat viewers read."""
 
 from __future__ import annotations
 

@@ -1,0 +1,1 @@
+"""Scaffold-GS (Lu et al. 2024): Gaussians decoded from anchors."""

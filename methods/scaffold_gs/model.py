@@ -1,0 +1,306 @@
+"""Trained anchors of one or several scenes, rendered; and the folder that Scaffold-GS saves them in."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as to_safetensors
+from torch import Tensor
+
+from datasets.camera import Camera
+from datasets.errors import DataError
+from datasets.names import unknown
+from datasets.scene import RGB
+from econgs.anchors.decode import Decoded, masked, visible_anchors
+from econgs.anchors.direct import ColorDecoders, decode_colors
+from econgs.splat.composite import over
+from econgs.splat.rasterise import Rasterised, rasterise
+from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
+from methods.interface import Edit, Refused, edits_by_scene
+
+FORMAT = "econgs-bench scaffold-gs 1"
+
+
+@dataclass(frozen=True, eq=False)
+class SceneAnchors:
+    """The anchors of one scene, ready to be decoded.
+
+    Attributes:
+        name: of the scene.
+        background: its recorded background.
+        decoders: the scene's networks.
+        positions: (N, 3).
+        features: (N, F).
+        scalings: (N, 6) activated.
+        offsets: (N, K, 3).
+        masks: (N, K) which offsets there are; None: all.
+    """
+
+    name: str
+    background: RGB
+    decoders: ColorDecoders
+    positions: Tensor
+    features: Tensor
+    scalings: Tensor
+    offsets: Tensor
+    masks: Tensor | None = None
+
+
+class AnchorModel:
+    """Scenes of anchors; what is rendered together is decoded scene by scene, concatenated and sorted once.
+
+    Args:
+        method: name, for messages.
+        scenes: at least one, with distinct names, on one device.
+    """
+
+    def __init__(self, method: str, scenes: Sequence[SceneAnchors]) -> None:
+        self.method = method
+        self._scenes = {scene.name: scene for scene in scenes}
+        if len(self._scenes) != len(scenes):
+            raise Refused("two of the scenes to compose have the same name")
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the scenes it holds."""
+        return tuple(self._scenes)
+
+    def anchors(self, scene: str) -> SceneAnchors:
+        """The anchors of one scene.
+
+        Raises:
+            UnknownName: it does not hold that scene.
+        """
+        if scene not in self._scenes:
+            raise unknown("scene", scene, self._scenes, of="this model")
+        return self._scenes[scene]
+
+    def primitives(self, scene: str | None = None) -> int:
+        """Number of anchors of one scene or of all."""
+        names = self.scenes if scene is None else (scene,)
+        return sum(len(self.anchors(name).positions) for name in names)
+
+    def render(
+        self,
+        camera: Camera,
+        scenes: Sequence[str] | None = None,
+        edit: Mapping[str, Edit] | None = None,
+        background: RGB | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Render scenes together; see :class:`methods.interface.Model`.
+
+        Raises:
+            Refused: an edit of anything but opacity.
+            UnknownName: it does not hold such a scene.
+        """
+        names = self.scenes if scenes is None else tuple(scenes)
+        back = self.anchors(names[0]).background if background is None else background
+        factors = self._opacity_factors(names, edit)
+        with torch.inference_mode():
+            decoded = [self._decode(name, camera, factors.get(name, 1.0)) for name in names]
+            splats = _rasterise(decoded, camera)
+            rgb = over(splats.features, splats.alpha, back)
+            return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
+
+    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
+        """Seconds of one frame of these scenes by part; colors are decoded, nothing is shaded."""
+        names = self.scenes if scenes is None else tuple(scenes)
+        with torch.inference_mode():
+            like = self.anchors(names[0]).positions
+            start = _now(like)
+            decoded = [self._decode(name, camera, 1.0) for name in names]
+            middle = _now(like)
+            _rasterise(decoded, camera)
+            return {"decode": middle - start, "shade": 0.0, "rasterise": _now(like) - middle}
+
+    def _decode(self, name: str, camera: Camera, opacity: float) -> Decoded:
+        scene = self.anchors(name)
+        rows = visible_anchors(camera, scene.positions, scene.scalings).nonzero()[:, 0]
+        tensors = (scene.positions, scene.features, scene.scalings, scene.offsets)
+        positions, *attributes = (tensor.index_select(0, rows) for tensor in tensors)
+        decoded = decode_colors(positions, *attributes, scene.decoders, camera.position, opacity=opacity)
+        return decoded if scene.masks is None else masked(decoded, scene.masks.index_select(0, rows))
+
+    def _opacity_factors(self, names: Sequence[str], edit: Mapping[str, Edit] | None) -> dict[str, float]:
+        factors = {}
+        for name, wanted in edits_by_scene(edit, names).items():
+            refused = [k for k, v in vars(wanted).items() if v is not None and k != "opacity"]
+            if refused:
+                raise Refused(
+                    f"{self.method} cannot edit {', '.join(refused)} of scene {name!r}: only opacity"
+                )
+            factor = 1.0 if wanted.opacity is None else wanted.opacity
+            if not (math.isfinite(factor) and factor >= 0.0):
+                raise Refused(f"opacity factor {factor} of scene {name!r} is not a finite number >= 0")
+            factors[name] = factor
+        return factors
+
+
+def _rasterise(decoded: Sequence[Decoded], camera: Camera) -> Rasterised:
+    if len(decoded) == 1:
+        one = decoded[0]
+        return rasterise(one.means, one.quats, one.scales, one.opacities, one.colors, camera)
+    columns = ("means", "quats", "scales", "opacities", "colors")
+    return rasterise(*(torch.cat([getattr(one, name) for one in decoded]) for name in columns), camera)
+
+
+def _now(like: Tensor) -> float:
+    if like.is_cuda:
+        torch.cuda.synchronize(like.device)
+    return time.perf_counter()
+
+
+# --------------------------------------------------------------------------- Scaffold-GS's own folder
+
+
+@dataclass(frozen=True, eq=False)
+class StoredScene:
+    """One scene as it is stored.
+
+    Attributes:
+        name: of the scene.
+        background: its recorded background.
+        decoders: the scene's networks.
+        rows: (N, columns) float32, columns as in ``properties(parts_of(F, K))``.
+    """
+
+    name: str
+    background: RGB
+    decoders: ColorDecoders
+    rows: NDArray[np.float32]
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        background: RGB,
+        decoders: ColorDecoders,
+        positions: NDArray[np.float32],
+        features: NDArray[np.float32],
+        log_scalings: NDArray[np.float32],
+        offsets: NDArray[np.float32],
+    ) -> StoredScene:
+        """From the arrays of a trained scene; unused columns get what the released code writes."""
+        count = len(positions)
+        by_axis = offsets.transpose(0, 2, 1).reshape(count, 3 * decoders.offsets)
+        unused = np.zeros((count, 3), np.float32), np.full((count, 1), -2.1972246, np.float32)  # logit of 0.1
+        rotation = np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
+        columns = (positions, unused[0], by_axis, features, unused[1], log_scalings, rotation)
+        return cls(name, background, decoders, np.concatenate(columns, 1, dtype=np.float32))
+
+    def ready(self, device: str) -> SceneAnchors:
+        """Its anchors on a device."""
+        f, k, count = self.decoders.features, self.decoders.offsets, len(self.rows)
+        table = torch.from_numpy(self.rows).to(device)
+        ends = np.cumsum([3, 3, 3 * k, f, 1, 6]).tolist()
+        positions, _, by_axis, features, _, log_scalings, _ = table.tensor_split(ends, dim=1)
+        return SceneAnchors(
+            self.name,
+            self.background,
+            self.decoders,
+            positions.contiguous(),
+            features.contiguous(),
+            log_scalings.contiguous().exp(),
+            by_axis.reshape(count, 3, k).transpose(1, 2).contiguous(),
+        )
+
+
+def parts_of(features: int, offsets: int) -> Parts:
+    """Columns of the PLY: those of the released code, of which eight are never used."""
+    return {
+        "positions": ("x", "y", "z"),
+        "unused normals": ("nx", "ny", "nz"),
+        "offsets": tuple(f"f_offset_{i}" for i in range(3 * offsets)),
+        "features": tuple(f"f_anchor_feat_{i}" for i in range(features)),
+        "unused opacity": ("opacity",),
+        "scalings": tuple(f"scale_{i}" for i in range(6)),
+        "unused rotation": tuple(f"rot_{i}" for i in range(4)),
+    }
+
+
+class ScaffoldModel(AnchorModel):
+    """A model of Scaffold-GS: everything in float32, each scene with its own networks.
+
+    Args:
+        stored: at least one scene.
+        device: where it renders.
+    """
+
+    def __init__(self, stored: Sequence[StoredScene], device: str) -> None:
+        self.stored, self.device = tuple(stored), device
+        super().__init__("scaffold-gs", [scene.ready(device) for scene in stored])
+
+    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
+        """Write ``<scene>.ply`` (anchors) and ``<scene>.safetensors`` (networks) per scene.
+
+        Raises:
+            Refused: ``rate`` is given; this method has one size.
+        """
+        if rate is not None:
+            raise Refused("scaffold-gs has no rate knob")
+        ledger: dict[str, dict[str, int]] = {}
+        for scene in self.stored:
+            stem = quote(scene.name, safe=" ")
+            decoders = scene.decoders
+            parts = write_ply(
+                folder / f"{stem}.ply", scene.rows, parts_of(decoders.features, decoders.offsets)
+            )
+            about = {
+                "format": FORMAT,
+                "scene": scene.name,
+                "background": " ".join(repr(float(value)) for value in scene.background),
+                "features": str(decoders.features),
+                "offsets": str(decoders.offsets),
+                "distance": str(int(decoders.distance)),
+            }
+            weights = {name: one.cpu().contiguous() for name, one in decoders.state_dict().items()}
+            data = to_safetensors(weights, metadata=about)
+            (folder / f"{stem}.safetensors").write_bytes(data)
+            numbers = 4 * sum(one.numel() for one in weights.values())
+            ledger[scene.name] = parts | {"decoders": numbers, "metadata": len(data) - numbers}
+        return ledger
+
+
+def load_model(folder: Path, device: str) -> ScaffoldModel:
+    """Read what :meth:`ScaffoldModel.save` wrote.
+
+    Raises:
+        DataError: a file is missing, damaged or of another kind.
+    """
+    files = sorted(folder.glob("*.safetensors")) if folder.is_dir() else []
+    if not files:
+        raise DataError(folder, "no saved scaffold-gs model in it", "Give the folder that Model.save wrote")
+    return ScaffoldModel([_load_scene(file, device) for file in files], device)
+
+
+def _load_scene(file: Path, device: str) -> StoredScene:
+    try:
+        with safe_open(file, framework="pt") as opened:
+            about = opened.metadata() or {}
+            if about.get("format") != FORMAT:
+                raise ValueError(f"format {about.get('format')!r} instead of {FORMAT!r}")
+            features, offsets = int(about["features"]), int(about["offsets"])
+            if not (1 <= features <= 1024 and 1 <= offsets <= 256):
+                raise ValueError(f"{features} features and {offsets} offsets")
+            decoders = ColorDecoders(features, offsets, distance=bool(int(about["distance"])))
+            weights = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+        if not all(bool(torch.isfinite(one).all()) for one in weights.values()):
+            raise ValueError("a weight is not finite")
+        decoders.load_state_dict(weights)
+        red, green, blue = (float(value) for value in about["background"].split())
+        name = about["scene"]
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        reason = f"not the networks of a scaffold-gs scene ({error})"
+        raise DataError(file, reason, "Save the model again") from error
+    rows = read_ply(file.with_suffix(".ply"), parts_of(features, offsets))
+    decoders.requires_grad_(False)
+    return StoredScene(name, (red, green, blue), decoders.to(device), rows)

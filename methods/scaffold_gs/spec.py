@@ -1,0 +1,76 @@
+"""Scaffold-GS: what it can do and how it is set."""
+
+from methods.interface import Configuration, MethodSpec, Option
+
+OPTIONS = {
+    # Start
+    "start": Option("cloud", "where the first anchors come from", choices=("cloud", "random")),
+    "random_points": Option(10_000, "number of points of a random start", minimum=1, maximum=10_000_000),
+    "random_half_extent": Option(
+        1.3, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
+    ),
+    "background": Option(
+        "scene",
+        "what training views are composited on: the scene's own, or another",
+        choices=("scene", "white", "black", "random"),
+    ),
+    # Representation
+    "features": Option(
+        32, "values of an anchor's feature, and hidden units of each decoder", minimum=4, maximum=256
+    ),
+    "offsets": Option(10, "Gaussians of an anchor (K)", minimum=1, maximum=64),
+    "voxel": Option(
+        0.001,
+        "lattice of anchors, scene units; 0 = median distance to the nearest point",
+        minimum=0.0,
+        maximum=0.1,
+    ),
+    "init_factor": Option(16, "coarsest growth cell, in lattice cells", minimum=1, maximum=4096),
+    "growth_levels": Option(
+        3, "number of growth cell sizes, each a quarter of the one before", minimum=1, maximum=3
+    ),
+    "growth_gradient": Option(
+        2e-4, "mean screen-space gradient (NDC) from which an offset grows an anchor", minimum=0.0
+    ),
+    "max_anchors": Option(200_000, "growth stops at this number; 0 = no limit", minimum=0),
+    # Losses
+    "ssim_weight": Option(0.2, "weight of 1 - SSIM against L1", minimum=0.0, maximum=1.0),
+    "scale_weight": Option(0.01, "weight of the mean product of scales of drawn Gaussians", minimum=0.0),
+}
+"""What HAC has in common with it."""
+
+PUBLISHED = {"start": "random", "background": "white", "max_anchors": 0}
+"""How the released code starts on scenes without a cloud of their own."""
+
+SPEC = MethodSpec(
+    name="scaffold-gs",
+    title="Scaffold-GS",
+    reference=(
+        "T. Lu, M. Yu, L. Xu, Y. Xiangli, L. Wang, D. Lin, B. Dai: Scaffold-GS: Structured 3D Gaussians for "
+        "View-Adaptive Rendering. CVPR 2024"
+    ),
+    version="1",
+    implementation="methods.scaffold_gs.method:ScaffoldGS",
+    source=(
+        "methods.scaffold_gs",
+        "methods.gaussian_splatting.ply",
+        "econgs.anchors",
+        "econgs.splat",
+        "econgs.losses",
+        "econgs.optim",
+        "econgs.points",
+    ),
+    joint=False,
+    composable=True,
+    edits=frozenset({"opacity"}),
+    needs_volume=False,
+    uses_alpha="views are composited on the training background; alpha is no target of its own",
+    devices=("cpu", "cuda"),
+    options=OPTIONS,
+    presets={"quick": {}, "standard": {}, "paper": {}},
+    iterations={"quick": 2_400, "standard": 8_000, "paper": 20_000},
+    configurations={
+        "fair": Configuration(),
+        "paper": Configuration(PUBLISHED, {"paper": 30_000}),
+    },
+)

@@ -1,0 +1,332 @@
+"""Training the anchors of one scene, resumable bit for bit: all of Scaffold-GS, and what HAC builds on."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from datasets.cloud import random_cloud
+from econgs.anchors.anchor_set import AnchorSet
+from econgs.anchors.decode import masked, visible_anchors
+from econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
+from econgs.anchors.growing import AnchorRules
+from econgs.context.model import Attributes
+from econgs.losses import photometric_loss
+from econgs.optim import Adam
+from econgs.points import median_neighbour_distance
+from econgs.splat.composite import over
+from econgs.splat.rasterise import rasterise
+from methods.interface import Checkpoint, Diverged, Model, Monitor, OptionValue, Refused, SceneInput
+from methods.scaffold_gs.model import ScaffoldModel, StoredScene
+from methods.scaffold_gs.schedule import Schedule
+
+_CHECK_EVERY = 100
+Rate = tuple[float, float]
+"""First and last learning rate; between them it decays log-linearly."""
+DECODER_RATES: dict[str, Rate] = {"opacity": (2e-3, 2e-5), "covariance": (4e-3, 4e-3), "color": (8e-3, 5e-5)}
+FEATURE_RATE, SCALING_RATE = 7.5e-3, 7e-3
+OFFSET_RATE: Rate = (1e-2, 1e-4)
+"""Times the extent."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What the decoders are to see of the visible anchors, and what that adds to the loss.
+
+    Attributes:
+        values: attributes, scalings activated.
+        masks: (V, K) of 0 and 1, or None.
+        losses: further terms of the loss, with their weights.
+    """
+
+    values: Attributes
+    masks: Tensor | None = None
+    losses: Mapping[str, Tensor] = field(default_factory=dict)
+
+
+class Trainer:
+    """State of a fit: anchors, networks, optimiser, order of views, random state.
+
+    Args:
+        scene: the scene to train.
+        options: resolved options of the spec.
+        iterations: the budget.
+        seed: of the one generator that every choice is drawn from.
+        device: "cpu" or "cuda".
+
+    Raises:
+        Refused: no views, no points to start from, or more than ``max_anchors``.
+    """
+
+    distance = False
+    coding = False
+    masks = False
+
+    def __init__(
+        self,
+        scene: SceneInput,
+        options: Mapping[str, OptionValue],
+        iterations: int,
+        seed: int,
+        device: str,
+    ) -> None:
+        if len(scene.train) == 0:
+            raise Refused(f"scene {scene.name!r} has no training views")
+        self.scene, self.options, self.device = scene, options, device
+        self.schedule = Schedule(iterations, self.coding)
+        self.generator = torch.Generator().manual_seed(seed)
+        points = torch.from_numpy(_start(scene, options, seed))
+        voxel = float(options["voxel"]) or median_neighbour_distance(points, 0.01 * scene.extent)
+        self.anchors = AnchorSet(
+            "scene",
+            points,
+            voxel=voxel,
+            features=int(options["features"]),
+            offsets=int(options["offsets"]),
+            fallback=0.01 * scene.extent,
+            masks=self.masks,
+            device=device,
+        )
+        limit = int(options["max_anchors"])
+        if 0 < limit < len(self.anchors):
+            raise Refused(f"{len(self.anchors)} initial anchors are more than max_anchors = {limit}")
+        self.rules = AnchorRules(
+            voxel=voxel,
+            init_factor=int(options["init_factor"]),
+            levels=int(options["growth_levels"]),
+            gradient=float(options["growth_gradient"]),
+            offset_visits=self.schedule.visits(40.0),
+            anchor_visits=self.schedule.visits(80.0),
+            limit=limit,
+        )
+        self.decoders = ColorDecoders(
+            int(options["features"]),
+            int(options["offsets"]),
+            distance=self.distance,
+            generator=self.generator,
+        ).to(device)
+        self.background = _background(scene, str(options["background"]))
+        self.images = torch.from_numpy(scene.train.images)
+        self.iteration = 0
+        self.pending: list[int] = []  # views not yet drawn in this round
+        self.limited = False
+        groups = self.groups()
+        self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
+
+    # ------------------------------------------------------------------ what HAC changes
+
+    def groups(self) -> dict[str, Tensor | Sequence[Tensor]]:
+        """What the optimiser trains."""
+        networks = {name: list(self.decoders.network(name).tensors()) for name in NETWORKS}
+        return {**self.anchors.groups(), **networks}
+
+    def rates(self) -> dict[str, float]:
+        """Learning rates of this iteration."""
+        offsets = self.decayed(OFFSET_RATE) * self.scene.extent
+        anchors = {"features": FEATURE_RATE, "log_scalings": SCALING_RATE, "offsets": offsets}
+        rates = {self.anchors.name(name): rate for name, rate in anchors.items()}
+        return rates | {name: self.decayed(rate) for name, rate in DECODER_RATES.items()}
+
+    def visible(self, values: Attributes) -> Tensor:
+        """(N,) anchors that may show in the view of :attr:`camera`."""
+        return visible_anchors(self.camera, self.anchors.positions, values.scalings)
+
+    def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
+        """What is done to attributes before they are decoded: nothing here.
+
+        Args:
+            values: attributes of the visible anchors.
+            rows: (V,) which of all anchors they are.
+        """
+        return Prepared(values)
+
+    @torch.no_grad()
+    def model(self) -> Model:
+        """The present state as a model of its own."""
+        features, log_scalings, offsets = (
+            _numpy(self.optimiser[self.anchors.name(name)])
+            for name in ("features", "log_scalings", "offsets")
+        )
+        decoders = copy.deepcopy(self.decoders).requires_grad_(False)
+        stored = StoredScene.of(
+            self.scene.name,
+            self.scene.train.background,
+            decoders,
+            _numpy(self.anchors.positions),
+            features,
+            log_scalings,
+            offsets,
+        )
+        return ScaffoldModel([stored], self.device)
+
+    # ------------------------------------------------------------------ the loop
+
+    def run(self, monitor: Monitor) -> None:
+        """Train to the end of the budget.
+
+        Raises:
+            Diverged: a loss or a parameter is not finite.
+        """
+        stage = ""
+        while self.iteration < self.schedule.iterations:
+            if stage != (stage := self._stage()):
+                monitor.stage(stage)
+            losses = self.step()
+            monitor.progress(self.iteration, losses, len(self.anchors))
+            if monitor.due(self.iteration):
+                monitor.pause(self.iteration, self.model, self.checkpoint)
+        self._check_finite()
+
+    def step(self) -> dict[str, float]:
+        """One step of the optimiser on one view, and what the schedule adds to it.
+
+        Returns:
+            The loss ("loss") and its parts.
+
+        Raises:
+            Diverged: a loss or a parameter is not finite.
+        """
+        self.iteration += 1
+        view = self._next_view()
+        camera = self.camera = self.scene.train.cameras[view]
+        background = self._background_now()
+        truth = self.images[view].to(self.device)
+        target = over(truth[..., :3], truth[..., 3], background)
+        values = self.attributes()
+        rows = self.visible(values).nonzero()[:, 0]
+        prepared = self.prepare(values.of(rows), rows)
+        decoded = decode_colors(
+            self.anchors.positions.index_select(0, rows), *prepared.values, self.decoders, camera.position
+        )
+        if prepared.masks is not None:
+            decoded = masked(decoded, prepared.masks)
+        collects = self.schedule.collects(self.iteration)
+        offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
+        splats = rasterise(
+            decoded.means,
+            decoded.quats,
+            decoded.scales,
+            decoded.opacities,
+            decoded.colors,
+            camera,
+            screen_offset=offset,
+        )
+        image = over(splats.features, splats.alpha, background)
+        losses = {"image": photometric_loss(image, target, float(self.options["ssim_weight"]))}
+        if len(decoded.scales):
+            losses["scale"] = float(self.options["scale_weight"]) * decoded.scales.prod(dim=1).mean()
+        losses |= prepared.losses
+        shown = {name: float(part.detach()) for name, part in losses.items()}
+        for name, value in shown.items():
+            if not math.isfinite(value):
+                raise Diverged(f"the {name} loss is {value} at iteration {self.iteration}")
+        loss = torch.stack(list(losses.values())).sum()
+        if loss.requires_grad:
+            self.optimiser.zero_grad()
+            loss.backward()
+            if offset is not None and offset.grad is not None:
+                self.anchors.statistics.record(
+                    rows,
+                    decoded.raw_opacities,
+                    decoded.slots,
+                    offset.grad,
+                    splats.radii,
+                    (camera.width, camera.height),
+                )
+            self.optimiser.rates.update(self.rates())
+            self.optimiser.step()
+        if self.schedule.grows(self.iteration):
+            self.grow()
+        if self.iteration % _CHECK_EVERY == 0:
+            self._check_finite()
+        return {"loss": sum(shown.values()), **shown}
+
+    def attributes(self) -> Attributes:
+        """Attributes of all anchors as they are optimised, scalings activated."""
+        names = ("features", "log_scalings", "offsets")
+        features, log_scalings, offsets = (self.optimiser[self.anchors.name(name)] for name in names)
+        return Attributes(features, log_scalings.exp(), offsets)
+
+    def decayed(self, rate: Rate) -> float:
+        """A learning rate at this iteration."""
+        return self.schedule.decayed(self.iteration, *rate)
+
+    def grow(self) -> None:
+        """One growth event."""
+        self._check_finite()
+        self.limited |= self.anchors.grow_and_prune(self.optimiser, self.rules, self.generator).limited
+
+    def _stage(self) -> str:
+        stage = self.schedule.stage(self.iteration + 1)
+        if len(self.anchors) == 0:
+            return f"{stage}, no anchors left"
+        return f"{stage}, stopped at {self.rules.limit} anchors" if self.limited else stage
+
+    def _next_view(self) -> int:
+        """Views come in random order, none twice before all were seen."""
+        if not self.pending:
+            self.pending = torch.randperm(len(self.images), generator=self.generator).tolist()
+        return self.pending.pop()
+
+    def _background_now(self) -> tuple[float, float, float]:
+        if self.background is not None:
+            return self.background
+        red, green, blue = torch.rand(3, generator=self.generator).tolist()
+        return red, green, blue
+
+    @torch.no_grad()
+    def _check_finite(self) -> None:
+        for name, group in self.optimiser.parameters.items():
+            for tensor in group:
+                values = tensor.exp() if name.endswith("log_scalings") else tensor
+                if not math.isfinite(float(values.sum())):
+                    raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
+
+    # ------------------------------------------------------------------ checkpoints
+
+    def checkpoint(self) -> Checkpoint:
+        """All that :meth:`restore` needs to go on as if nothing had happened."""
+        arrays = {f"optimiser/{name}": values.clone() for name, values in self.optimiser.state().items()}
+        arrays |= {f"anchors/{name}": values.clone() for name, values in self.anchors.state().items()}
+        arrays["generator"] = self.generator.get_state()
+        return Checkpoint(self.iteration, arrays, {"pending": list(self.pending), "limited": self.limited})
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Continue from a checkpoint of the same fit."""
+        arrays = {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
+        self.optimiser.load_state(_under("optimiser/", arrays))
+        self.anchors.load_state(_under("anchors/", arrays))
+        self.generator.set_state(checkpoint.arrays["generator"].cpu())
+        self.pending = [int(view) for view in checkpoint.scalars["pending"]]
+        self.limited = bool(checkpoint.scalars["limited"])
+        self.iteration = checkpoint.iteration
+
+
+def _start(scene: SceneInput, options: Mapping[str, OptionValue], seed: int) -> NDArray[np.float32]:
+    cloud = scene.cloud
+    if options["start"] == "random":
+        cloud = random_cloud(int(options["random_points"]), float(options["random_half_extent"]), seed)
+    if len(cloud) == 0:
+        raise Refused(f"the initial cloud of scene {scene.name!r} is empty; set start=random")
+    return np.array(cloud.points, dtype=np.float32)
+
+
+def _background(scene: SceneInput, wanted: str) -> tuple[float, float, float] | None:
+    """What views are composited on; None: a random color each time."""
+    fixed = {"scene": scene.train.background, "white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
+    return fixed.get(wanted)
+
+
+def _numpy(tensor: Tensor) -> NDArray[np.float32]:
+    return tensor.detach().cpu().numpy().copy()
+
+
+def _under(prefix: str, arrays: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): v for name, v in arrays.items() if name.startswith(prefix)}
