@@ -396,7 +396,7 @@ class ContextModel(nn.Module):
         mean, sigma = self.distribution(hidden)
         return normal_bits(values, mean, sigma, self.element_steps(steps))
 
-    def rate(self, noisy: Noisy, context: Context, *, anchors: int) -> Rate:
+    def rate(self, noisy: Noisy, context: Context, *, anchors: int, share: Tensor | None = None) -> Rate:
         """The rate terms of the loss, from the sampled anchors.
 
         The paper's loss is L_rec + λ_e (L_entropy + L_hash) / (N d_A): add λ_e · (attributes + grid).
@@ -405,11 +405,14 @@ class ContextModel(nn.Module):
             noisy: of :meth:`perturb`.
             context: of :meth:`forward`, with a sample.
             anchors: N, number of anchors of all scenes that share this model.
+            share: (S, D) by how much the bits of each element of the sample count; default 1.
         """
         grid = context.grid_bits / float(max(anchors, 1) * self.config.total)
         if len(context.sample) == 0:
             return Rate(grid.new_zeros(()), grid, grid.new_zeros(4))
         bits = self.bits(noisy.sample, context.sample_hidden, context.sample_steps)
+        if share is not None:
+            bits = bits * share
         per_element = bits.detach().mean(0)
         groups = torch.stack([one.mean() for one in per_element.split(self.config.widths)])
         return Rate(bits.mean(), grid, groups)

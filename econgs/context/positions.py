@@ -73,6 +73,12 @@ class PositionGrid:
         points = np.asarray(positions, np.float64).reshape(-1, 3)
         return np.clip(np.rint((points - self.origin) / self.cell), 0, self.extent).astype(np.int64)
 
+    def holds(self, positions: ArrayLike) -> bool:
+        """Whether no position would be moved to the border."""
+        points = np.asarray(positions, np.float64).reshape(-1, 3)
+        whole = np.rint((points - self.origin) / self.cell)
+        return bool(((whole >= 0) & (whole <= self.extent)).all())
+
     def positions(self, codes: Codes) -> NDArray[np.float32]:
         """(N, 3) positions of codes."""
         places: NDArray[np.float64] = np.asarray(self.origin) + codes * np.asarray(self.cell)

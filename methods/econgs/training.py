@@ -14,17 +14,18 @@ from torch import Tensor
 
 from datasets.cloud import random_cloud
 from econgs.anchors.anchor_set import AnchorSet
+from econgs.anchors.coding import Coding
 from econgs.anchors.decode import decode, visible_anchors
 from econgs.anchors.decoders import NETWORKS, Decoders, OffsetColor
 from econgs.anchors.growing import AnchorRules
-from econgs.context.model import Attributes
+from econgs.context.hash_grid import HAC_GRID, SMALL_GRID
+from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
 from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, round_group
 from econgs.losses import photometric_loss
 from econgs.optim import Adam
 from econgs.splat.composite import over
 from econgs.splat.rasterise import rasterise
-from methods.econgs.coding import Coding
 from methods.econgs.model import EcongsModel, Group, decoders_metadata
 from methods.econgs.schedule import Schedule
 from methods.interface import Checkpoint, Diverged, Monitor, OptionValue, Refused, SceneInput
@@ -52,6 +53,7 @@ OFFSET_RATE = Rate(1e-2, 1e-4)
 CONTEXT_RATE = Rate(5e-3, 1e-5)
 EMBEDDING_RATE = Rate(2e-3, 2e-5)
 _EMBEDDING_SPREAD = 0.01
+_GRIDS = {"small": SMALL_GRID, "hac": HAC_GRID}
 
 
 class _Scene:
@@ -139,7 +141,9 @@ class Trainer:
             groups[f"{scene.key}/embedding"] = (_EMBEDDING_SPREAD * embedding).to(device)
         groups |= {name: list(self.decoders.network(name).tensors()) for name in NETWORKS}
         self.coding = (
-            Coding(options, self.schedule, self.generator, device) if self.schedule.context else None
+            Coding(_context(options), self.schedule, self.generator, device)
+            if self.schedule.context
+            else None
         )
         if self.coding is not None:
             groups |= self.coding.groups()
@@ -359,6 +363,16 @@ class Trainer:
             self.coding.load_state(arrays)
             if self.schedule.coded(self.iteration):
                 self.coding.place([scene.anchors for scene in self.scenes])
+
+
+def _context(options: Mapping[str, OptionValue]) -> ContextConfig:
+    scaling = float(options["scaling_step"])
+    return ContextConfig(
+        features=int(options["features"]),
+        offsets=int(options["offsets"]),
+        steps=(float(options["feature_step"]), scaling, scaling, float(options["offset_step"])),
+        grid=_GRIDS[str(options["grid"])],
+    )
 
 
 def _numpy(tensor: Tensor) -> NDArray[np.float32]:

@@ -1,15 +1,16 @@
-"""What quantisation does to a fit: noise, the context model and the rate in the loss."""
+"""What quantisation does to a fit: noise, the context model and the rate in the loss (HAC)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from econgs.anchors.anchor_set import AnchorSet
-from econgs.context.hash_grid import HAC_GRID, SMALL_GRID, Lookup
+from econgs.context.hash_grid import Lookup
 from econgs.context.model import (
     Attributes,
     Context,
@@ -21,43 +22,60 @@ from econgs.context.model import (
     draw_sample,
 )
 from econgs.context.positions import PositionGrid
-from methods.econgs.schedule import Schedule
-from methods.interface import OptionValue
 
-_GRIDS = {"small": SMALL_GRID, "hac": HAC_GRID}
+
+class Phases(Protocol):
+    """When what begins; iterations count from 1."""
+
+    def noisy(self, iteration: int) -> bool:
+        """Whether attributes carry quantisation noise."""
+
+    def coded(self, iteration: int) -> bool:
+        """Whether steps and probabilities come from the context model, and the rate counts."""
+
+    def exact(self, iteration: int) -> bool:
+        """Whether attributes are rounded as the coder will round them."""
 
 
 class Coding:
     """Noise of the base steps first, of the context model's steps in the second stage.
 
     Args:
-        options: resolved options of the spec.
+        config: of the context model.
         schedule: when what begins.
         generator: CPU generator of noise and samples.
+        margin: by how much the grid of positions exceeds the anchors when it is made, as a share of their
+            box: it then stays as it is while they grow within it. 0: it is made anew each time.
     """
 
     def __init__(
         self,
-        options: Mapping[str, OptionValue],
-        schedule: Schedule,
+        config: ContextConfig,
+        schedule: Phases,
         generator: torch.Generator,
         device: torch.device | str,
+        *,
+        margin: float = 0.0,
     ) -> None:
-        scaling = float(options["scaling_step"])
-        steps = (float(options["feature_step"]), scaling, scaling, float(options["offset_step"]))
-        config = ContextConfig(
-            features=int(options["features"]),
-            offsets=int(options["offsets"]),
-            steps=steps,
-            grid=_GRIDS[str(options["grid"])],
-        )
         self.schedule = schedule
         self.generator = generator
+        self.margin = margin
         self.model = ContextModel(config, generator).to(device)
         self.noise = Noise(generator=generator, device=device)
-        self._base = torch.tensor([steps], device=device)
+        self._base = torch.tensor([config.steps], device=device)
         self._grid: PositionGrid | None = None
         self._lookups: dict[str, Lookup] = {}
+
+    @property
+    def grid(self) -> PositionGrid:
+        """Where the positions of all anchors lie.
+
+        Raises:
+            RuntimeError: they were not placed.
+        """
+        if self._grid is None:
+            raise RuntimeError("the anchors were not placed")
+        return self._grid
 
     def groups(self) -> dict[str, Sequence[Tensor]]:
         """What the optimiser trains in the second stage."""
@@ -72,10 +90,22 @@ class Coding:
         """Anchors have come or gone: one grid for all scenes, so that the same place has the same context."""
         self._lookups.clear()
         positions = np.concatenate([anchors.positions.cpu().numpy() for anchors in scenes])
+        if self.margin and len(positions):
+            if self._grid is not None and self._grid.holds(positions):
+                return
+            low, high = positions.min(0), positions.max(0)
+            room = self.margin * (high - low)
+            positions = np.stack([low - room, high + room])
         self._grid = PositionGrid.lattice(scenes[0].voxel, positions)
 
     def apply(
-        self, anchors: AnchorSet, values: Attributes, rows: Tensor, total: int, iteration: int
+        self,
+        anchors: AnchorSet,
+        values: Attributes,
+        rows: Tensor,
+        total: int,
+        iteration: int,
+        masks: Tensor | None = None,
     ) -> tuple[Attributes, Rate | None]:
         """Attributes as the decoders are to see them in training, and the rate where it counts.
 
@@ -85,6 +115,7 @@ class Coding:
             rows: indices of those.
             total: number of anchors of all scenes.
             iteration: decides between nothing, noise of the base steps and the context model.
+            masks: (V, K) of 0 and 1; offsets whose mask is 0 cost nothing.
         """
         if not self.schedule.noisy(iteration):
             return values, None
@@ -97,7 +128,8 @@ class Coding:
             noisy = Noisy(rounded, rounded.of(context.sample).flat)
         else:
             noisy = self.model.perturb(values, context, self.noise)
-        return _sizes(noisy.values), self.model.rate(noisy, context, anchors=total)
+        share = None if masks is None else _shares(values, masks[context.sample])
+        return _sizes(noisy.values), self.model.rate(noisy, context, anchors=total, share=share)
 
     def _plain(self, count: int) -> Context:
         """The base steps for all, nothing sampled."""
@@ -108,23 +140,34 @@ class Coding:
     def lookup(self, anchors: AnchorSet) -> Lookup:
         """Where the scene's anchors fall in the grid, kept for reuse."""
         if anchors.key not in self._lookups:
-            if self._grid is None:
-                raise RuntimeError("the anchors were not placed")
-            codes = torch.from_numpy(self._grid.codes(anchors.positions.cpu().numpy()))
-            self._lookups[anchors.key] = self.model.lookup(codes, self._grid.extent)
+            codes = torch.from_numpy(self.grid.codes(anchors.positions.cpu().numpy()))
+            self._lookups[anchors.key] = self.model.lookup(codes, self.grid.extent)
         return self._lookups[anchors.key]
 
     def state(self) -> dict[str, Tensor]:
         """What a checkpoint needs beside the optimiser's state."""
-        return {"coding/noise": self.noise.pool, "coding/unit": self.model.unit.clone()}
+        saved = {"coding/noise": self.noise.pool, "coding/unit": self.model.unit.clone()}
+        if self._grid is not None:
+            numbers = (*self._grid.origin, *self._grid.cell, *self._grid.extent)
+            saved["coding/grid"] = torch.tensor(numbers, dtype=torch.float64)
+        return saved
 
     @torch.no_grad()
     def load_state(self, saved: Mapping[str, Tensor]) -> None:
         """Continue from :meth:`state`."""
         self.noise.pool.copy_(saved["coding/noise"])
         self.model.unit.copy_(saved["coding/unit"])
+        if "coding/grid" in saved:
+            x, y, z, a, b, c, *extent = saved["coding/grid"].tolist()
+            self._grid = PositionGrid((x, y, z), (a, b, c), (int(extent[0]), int(extent[1]), int(extent[2])))
 
 
 def _sizes(values: Attributes) -> Attributes:
     """Noise may take a small scaling below zero, which rounding never does."""
     return values._replace(scalings=values.scalings.clamp_min(0.0))
+
+
+def _shares(values: Attributes, masks: Tensor) -> Tensor:
+    """(S, D) by how much the bits of each element count."""
+    before = masks.new_ones((len(masks), values.features.shape[1] + values.scalings.shape[1]))
+    return torch.cat([before, masks.repeat_interleave(3, 1)], 1)
