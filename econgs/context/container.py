@@ -37,6 +37,7 @@ class Kind(IntEnum):
     FEATURES = 18
     SCALINGS = 19
     OFFSETS = 20
+    MASKS = 21
 
 
 @dataclass(frozen=True)

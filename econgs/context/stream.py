@@ -19,21 +19,21 @@ from numpy.typing import NDArray
 
 from datasets.errors import DataError
 from econgs.context.arrays import Arrays, Precision, read_arrays, write_arrays
-from econgs.context.coder import (
-    SYMBOL_LIMIT,
-    Decoder,
-    Encoder,
-    ideal_bits,
-    read_bits,
-    read_residuals,
-    write_bits,
-    write_residuals,
-)
+from econgs.context.coder import SYMBOL_LIMIT, Decoder, Encoder, read_bits, write_bits
 from econgs.context.container import Kind, Reader, Section, overhead, read_container, write_container
 from econgs.context.hash_grid import GridConfig, interpolate, make_lookup
 from econgs.context.integer import Coding, IntegerHead, IntegerLayer, step_sizes, whole_values
 from econgs.context.model import MOST_ELEMENTS, ContextConfig, ContextModel
 from econgs.context.positions import PositionGrid, decode_positions, encode_positions, morton_order
+from econgs.context.symbols import (
+    Present,
+    columns_of,
+    present_of,
+    read_masks,
+    read_symbols,
+    write_masks,
+    write_symbols,
+)
 
 ANCHORS_PER_BYTE = (
     4  # a scene has at most that many per byte of its positions: bounds what a reader allocates
@@ -50,6 +50,7 @@ _PARTS = {
     Kind.FEATURES: "features",
     Kind.SCALINGS: "scalings",
     Kind.OFFSETS: "offsets",
+    Kind.MASKS: "masks",
 }
 
 
@@ -109,6 +110,7 @@ class SceneAttributes:
         scalings: (N, 6) float32, activated.
         offsets: (N, K, 3) float32.
         parameters: further float32 arrays by name: palette, embedding.
+        masks: (N, K) which offsets there are; the others become 0 and take no bits. None: all.
     """
 
     name: str
@@ -117,6 +119,7 @@ class SceneAttributes:
     scalings: NDArray[np.float32]
     offsets: NDArray[np.float32]
     parameters: Arrays = field(default_factory=dict)
+    masks: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -145,6 +148,11 @@ class GroupAttributes:
     context: CodedContext | None = None
     decoders: Arrays = field(default_factory=dict)
     metadata: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def masked(self) -> bool:
+        """Whether its scenes have masks."""
+        return self.scenes[0].masks is not None
 
 
 @dataclass(frozen=True)
@@ -185,6 +193,9 @@ def _quantise(scene: SceneAttributes, group: GroupAttributes) -> _Quantised:
     codes = codes[order]
     arrays = (scene.features, scene.scalings, scene.offsets)
     features, scalings, offsets = (np.ascontiguousarray(one[order], np.float32) for one in arrays)
+    masks = None if scene.masks is None else scene.masks[order]
+    if masks is not None:
+        offsets = np.where(masks[..., None], offsets, np.float32(0))
     ordered = replace(
         scene,
         positions=group.grid.positions(codes),
@@ -192,6 +203,7 @@ def _quantise(scene: SceneAttributes, group: GroupAttributes) -> _Quantised:
         scalings=scalings,
         offsets=offsets,
         parameters={name: np.asarray(one, np.float32) for name, one in scene.parameters.items()},
+        masks=masks,
     )
     if group.context is None:
         return _Quantised(ordered, codes, None, None)
@@ -239,6 +251,9 @@ def _checked(scene: SceneAttributes, group: GroupAttributes) -> NDArray[np.int64
             raise DataError(f"scene {scene.name}", f"{name} have shape {array.shape}, not {shape}", remedy)
         if not np.isfinite(array).all():
             raise DataError(f"scene {scene.name}", f"{name} hold a value that is not finite", remedy)
+    if scene.masks is not None and scene.masks.shape != (count, many):
+        reason = f"masks have shape {scene.masks.shape}, not {(count, many)}"
+        raise DataError(f"scene {scene.name}", reason, remedy)
     context = group.context
     if context is not None and (context.config.features, context.config.offsets) != (width, many):
         raise DataError(f"scene {scene.name}", "the context model is for other features or offsets", remedy)
@@ -269,6 +284,8 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
     """
     if not group.scenes:
         raise DataError("stream", "a group without scenes", "Add at least one")
+    if any((scene.masks is not None) != group.masked for scene in group.scenes):
+        raise DataError("stream", "only some of the scenes have masks", "Give masks to all or to none")
     shared = [Section(Kind.GROUP, 0, _write_group(group))]
     if group.context is not None:
         shared.append(Section(Kind.CONTEXT, 0, _write_context(group.context)))
@@ -276,7 +293,7 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
     decoders, error = write_arrays(group.decoders, weights)
     shared.append(Section(Kind.DECODERS, 0, decoders))
     sections, ideal = list(shared), 0.0
-    columns_of = _columns(group.scenes[0].features.shape[1], group.scenes[0].offsets.shape[1])
+    columns_each = columns_of(group.scenes[0].features.shape[1], group.scenes[0].offsets.shape[1])
     for index, scene in enumerate(group.scenes):
         quantised = _quantise(scene, group)
         positions = encode_positions(quantised.codes, group.grid) if len(scene) else b""
@@ -285,13 +302,16 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
         header += write_arrays(scene.parameters, "float32")[0]
         sections.append(Section(Kind.SCENE, index, header))
         sections.append(Section(Kind.POSITIONS, index, positions + padding))
-        for kind, columns in zip(_KINDS, columns_of, strict=True):
-            payload, bits = _write_attributes(quantised, columns)
+        if quantised.scene.masks is not None:
+            sections.append(Section(Kind.MASKS, index, write_masks(quantised.scene.masks)))
+        present_each = present_of(quantised.scene.masks)
+        for kind, columns, present in zip(_KINDS, columns_each, present_each, strict=True):
+            payload, bits = _write_attributes(quantised, columns, present)
             sections.append(Section(kind, index, payload))
             ideal += bits
-    ledger = {"container": overhead(len(sections))} | dict.fromkeys(_PARTS.values(), 0)
+    ledger = {"container": overhead(len(sections))}
     for one in sections:
-        ledger[_PARTS[one.kind]] += len(one.payload)
+        ledger[_PARTS[one.kind]] = ledger.get(_PARTS[one.kind], 0) + len(one.payload)
     return Encoded(write_container(sections), ledger, ideal, error)
 
 
@@ -314,7 +334,7 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
             reason = f"section {kind.name} of scene {scene} is missing"
             raise DataError(what, reason, "Fetch or encode it anew") from None
 
-    grid, coded, count, width, many, metadata = _guarded(reader(Kind.GROUP), _read_group)
+    grid, coded, with_masks, count, width, many, metadata = _guarded(reader(Kind.GROUP), _read_group)
     context: CodedContext | None = None
     if coded:
         context = _guarded(reader(Kind.CONTEXT), _read_context)
@@ -328,16 +348,20 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
         place = reader(Kind.POSITIONS, index)
         codes = _guarded(place, partial(_read_positions, anchors=anchors, length=length, grid=grid))
         none = np.empty((0, 0), np.float32)
-        empty = SceneAttributes(name, grid.positions(codes), none, none, none, parameters)
+        places = grid.positions(codes)
         coding = None if context is None else context.coding(codes, grid)
+        masks: Present | None = None
+        if with_masks:
+            masks = _guarded(reader(Kind.MASKS, index), partial(read_masks, anchors=anchors, many=many))
         read = partial(_read_attributes, coding=coding, anchors=anchors)
         parts = [
-            _guarded(reader(kind, index), partial(read, columns=columns))
-            for kind, columns in zip(_KINDS, _columns(width, many), strict=True)
+            _guarded(reader(kind, index), partial(read, columns=columns, present=present))
+            for kind, columns, present in zip(_KINDS, columns_of(width, many), present_of(masks), strict=True)
         ]
         values = np.concatenate(parts, 1)
         if context is not None and coding is not None:
             values = values.astype(np.float32) * context.steps(coding)
+        empty = SceneAttributes(name, places, none, none, none, parameters, masks)
         scenes.append(_with_values(empty, values, width, many))
     if sections:
         raise DataError(what, "it has sections that belong to nothing", "Fetch or encode it anew")
@@ -354,11 +378,6 @@ def _guarded(reader: Reader, read: Callable[[Reader], Any]) -> Any:
     return result
 
 
-def _columns(width: int, many: int) -> list[slice]:
-    """Where features, scalings and offsets stand among the D elements."""
-    return [slice(0, width), slice(width, width + 6), slice(width + 6, width + 6 + 3 * many)]
-
-
 def _text(text: str) -> bytes:
     data = text.encode()
     return np.array([len(data)], "<u4").tobytes() + data
@@ -371,25 +390,24 @@ def _read_text(reader: Reader) -> str:
 
 def _write_group(group: GroupAttributes) -> bytes:
     first = group.scenes[0]
-    sizes = [
-        len(group.scenes), first.features.shape[1], first.offsets.shape[1], int(group.context is not None),
-        *group.grid.extent,
-    ]  # fmt: skip
+    kinds = int(group.context is not None) + 2 * int(group.masked)
+    shape = (len(group.scenes), first.features.shape[1], first.offsets.shape[1], kinds)
+    sizes = [*shape, *group.grid.extent]
     places = np.array([*group.grid.origin, *group.grid.cell], "<f8").tobytes()
     text = json.dumps(group.metadata, separators=(",", ":"), sort_keys=True)
     return np.array(sizes, "<u2").tobytes() + places + _text(text)
 
 
 def _read_group(reader: Reader) -> tuple:
-    count, width, many, coded, *extent = reader.unpack("7H")
+    count, width, many, kinds, *extent = reader.unpack("7H")
     numbers = reader.unpack("6d")
-    if not (count and width and many and coded in (0, 1) and width + 6 + 3 * many <= MOST_ELEMENTS):
+    if not (count and width and many and kinds < 4 and width + 6 + 3 * many <= MOST_ELEMENTS):
         raise ValueError(f"no scenes, features or offsets, or more than {MOST_ELEMENTS} elements per anchor")
     grid = PositionGrid(numbers[:3], numbers[3:], tuple(extent))
     metadata = json.loads(_read_text(reader))
     if not isinstance(metadata, dict):
         raise ValueError("metadata is no object")
-    return grid, bool(coded), count, width, many, metadata
+    return grid, bool(kinds & 1), bool(kinds & 2), count, width, many, metadata
 
 
 def _write_context(context: CodedContext) -> bytes:
@@ -457,26 +475,21 @@ def _read_positions(reader: Reader, anchors: int, length: int, grid: PositionGri
     return decode_positions(payload[:length], anchors, grid)
 
 
-def _write_attributes(quantised: _Quantised, columns: slice) -> tuple[bytes, float]:
+def _write_attributes(quantised: _Quantised, columns: slice, present: Present | None) -> tuple[bytes, float]:
     """Bytes of some columns and their ideal bits."""
     if quantised.symbols is None or quantised.coding is None:
         return np.ascontiguousarray(quantised.scene.values[:, columns]).astype("<f4").tobytes(), 0.0
-    residuals = (quantised.symbols[:, columns] - quantised.coding.center[:, columns]).ravel()
-    tables = quantised.coding.table[:, columns].ravel()
-    encoder = Encoder()
-    write_residuals(encoder, residuals, tables)
-    return encoder.finish(), ideal_bits(residuals, tables)
+    return write_symbols(quantised.symbols, quantised.coding, columns, present)
 
 
-def _read_attributes(reader: Reader, coding: Coding | None, anchors: int, columns: slice) -> NDArray:
+def _read_attributes(
+    reader: Reader, coding: Coding | None, anchors: int, columns: slice, present: Present | None
+) -> NDArray:
     """Symbols (or values, without context) of some columns."""
+    if coding is not None:
+        return read_symbols(reader, coding, columns, present)
     width = columns.stop - columns.start
-    if coding is None:
-        values = np.frombuffer(reader.take(4 * anchors * width), "<f4").astype(np.float32)
-        if not np.isfinite(values).all():
-            raise ValueError("a value that is not finite")
-        return values.reshape(anchors, width)
-    decoder = Decoder(reader.rest())
-    residuals = read_residuals(decoder, coding.table[:, columns].ravel())
-    decoder.finish()
-    return residuals.reshape(anchors, width) + coding.center[:, columns]
+    values = np.frombuffer(reader.take(4 * anchors * width), "<f4").astype(np.float32)
+    if not np.isfinite(values).all():
+        raise ValueError("a value that is not finite")
+    return values.reshape(anchors, width)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -92,3 +93,14 @@ def arrays_of(one: GroupAttributes) -> list[np.ndarray]:
 def attribute_tensors(one: SceneAttributes) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Features, scalings and offsets as tensors."""
     return tuple(torch.from_numpy(a.copy()) for a in (one.features, one.scalings, one.offsets))  # type: ignore[return-value]
+
+
+def with_masks(one: GroupAttributes) -> GroupAttributes:
+    """The group with about a third of its offsets masked, and all of one anchor's."""
+    random = np.random.default_rng(9)
+    scenes = []
+    for scene in one.scenes:
+        masks = random.integers(0, 3, scene.offsets.shape[:2]) > 0
+        masks[:1] = False
+        scenes.append(replace(scene, masks=masks))
+    return replace(one, scenes=tuple(scenes))

@@ -25,7 +25,7 @@ from econgs.context.stream import (
     encode_group,
     round_group,
 )
-from tests.econgs.streams import arrays_of, attribute_tensors, group
+from tests.econgs.streams import arrays_of, attribute_tensors, group, with_masks
 
 GOLDEN = Path(__file__).parent / "data" / "golden_v1.econgs"
 GOLDEN_SHA = "00772faa9b7de7b958d9b7003b75236f6ec82daf4bd92738df5230133f9cfebc"
@@ -73,6 +73,33 @@ def test_decoding_gives_what_was_rounded() -> None:
     for layers in ("first", "second"):
         ours, theirs = getattr(decoded.context.head, layers), getattr(original.context.head, layers)
         assert all((vars(ours)[name] == vars(theirs)[name]).all() for name in vars(ours))
+
+
+def test_masked_offsets_are_zero_and_cost_nothing() -> None:
+    plain, masked = group(), with_masks(group())
+    encoded = encode_group(masked)
+    decoded = decode_group(encoded.data)
+    same(decoded, round_group(masked))
+    for ours, theirs in zip(decoded.scenes, round_group(masked).scenes, strict=True):
+        assert ours.masks is not None
+        assert (ours.masks == theirs.masks).all()
+        assert not ours.offsets[~ours.masks].any()
+        assert ours.offsets[ours.masks].any() or not len(ours)
+    whole = encode_group(plain)
+    assert encoded.ledger["masks"] > 0
+    assert encoded.ledger["offsets"] < 0.8 * whole.ledger["offsets"]
+    assert encoded.ledger["features"] == whole.ledger["features"]
+    assert "masks" not in whole.ledger
+    assert encode_group(decoded).data == encoded.data
+
+
+def test_masks_of_some_scenes_only_and_of_another_shape_are_refused() -> None:
+    masked = with_masks(group())
+    first, *others = masked.scenes
+    with pytest.raises(DataError, match="only some"):
+        encode_group(replace(masked, scenes=(first, replace(others[0], masks=None))))
+    with pytest.raises(DataError, match="masks have shape"):
+        encode_group(replace(masked, scenes=(replace(first, masks=np.ones((3, 1), np.bool_)), *others)))
 
 
 def test_rounding_keeps_within_half_a_step() -> None:

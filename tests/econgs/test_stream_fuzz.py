@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from datasets.errors import DataError
 from econgs.context.container import Kind, Section, overhead, read_container, write_container
 from econgs.context.stream import decode_group, encode_group
-from tests.econgs.streams import group
+from tests.econgs.streams import group, with_masks
 
-DATA = encode_group(group((30, 12))).data
+DATA = encode_group(with_masks(group((30, 12)))).data
 SECTIONS = read_container(DATA, "test")
 RAW = encode_group(group((5,)).__class__(**{**vars(group((5,))), "context": None})).data
 SLOW = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])

@@ -1,0 +1,76 @@
+"""The attributes of a scene as sections of a stream: symbols of some columns, and which offsets there are."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from econgs.context.coder import (
+    Decoder,
+    Encoder,
+    ideal_bits,
+    read_bits,
+    read_residuals,
+    write_bits,
+    write_residuals,
+)
+from econgs.context.container import Reader
+from econgs.context.integer import Coding
+
+Present = NDArray[np.bool_]
+
+
+def columns_of(width: int, many: int) -> list[slice]:
+    """Where features, scalings and offsets stand among the D elements."""
+    return [slice(0, width), slice(width, width + 6), slice(width + 6, width + 6 + 3 * many)]
+
+
+def present_of(masks: Present | None) -> list[Present | None]:
+    """Of the columns of :func:`columns_of`, (N, columns) which symbols are coded; None: all."""
+    return [None, None, None if masks is None else masks.repeat(3, 1)]
+
+
+def write_masks(masks: Present) -> bytes:
+    """Bytes of (N, K) masks: the frequency of ones in 2⁻¹⁶, then the bits coded at it."""
+    encoder = Encoder()
+    share = write_bits(encoder, masks)
+    return np.array([share], "<u2").tobytes() + encoder.finish()
+
+
+def read_masks(reader: Reader, anchors: int, many: int) -> Present:
+    """Inverse of :func:`write_masks`."""
+    (share,) = reader.unpack("H")
+    decoder = Decoder(reader.rest())
+    masks = read_bits(decoder, anchors * many, share).reshape(anchors, many)
+    decoder.finish()
+    return masks
+
+
+def write_symbols(
+    symbols: NDArray[np.int32], coding: Coding, columns: slice, present: Present | None
+) -> tuple[bytes, float]:
+    """Bytes of some columns and their ideal bits; symbols that are not present must be 0."""
+    residuals = _picked(symbols[:, columns] - coding.center[:, columns], present)
+    tables = _picked(coding.table[:, columns], present)
+    encoder = Encoder()
+    write_residuals(encoder, residuals, tables)
+    return encoder.finish(), ideal_bits(residuals, tables)
+
+
+def read_symbols(
+    reader: Reader, coding: Coding, columns: slice, present: Present | None
+) -> NDArray[np.int32]:
+    """Inverse of :func:`write_symbols`."""
+    center = coding.center[:, columns]
+    decoder = Decoder(reader.rest())
+    residuals = read_residuals(decoder, _picked(coding.table[:, columns], present))
+    decoder.finish()
+    if present is None:
+        return residuals.reshape(center.shape) + center
+    symbols = np.zeros(center.shape, np.int32)
+    symbols[present] = residuals + center[present]
+    return symbols
+
+
+def _picked(values: NDArray, present: Present | None) -> NDArray:
+    return values.ravel() if present is None else values[present]
