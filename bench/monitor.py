@@ -17,7 +17,7 @@ from bench.checkpoints import read_checkpoint, write_checkpoint
 from bench.metrics.image import Pair, psnr, to_8bit
 from bench.records import CurvePoint
 from datasets.views import ViewSet
-from methods.interface import Checkpoint, Diverged, Model
+from methods.interface import Checkpoint, Diverged, EstimatesBytes, Model
 
 CHECKPOINT_SECONDS = 30.0
 CURVE_POINTS = 8
@@ -93,6 +93,7 @@ class FitMonitor:
         self._clock = 0.0
         self._since: float | None = None
         self._loss: float | None = None
+        self._parts: dict[str, float] = {}
         self._primitives = 0
         self._psnr: float | None = None
         self._stage = "fit"
@@ -142,11 +143,12 @@ class FitMonitor:
 
     def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
         self.iteration, self._primitives = iteration, primitives
-        total = losses.get("total", sum(losses.values())) if losses else None
+        total = losses.get("loss", sum(losses.values())) if losses else None
         if total is not None and not math.isfinite(total):
             named = ", ".join(f"{name} = {value}" for name, value in losses.items())
             raise Diverged(f"loss is not finite at iteration {iteration}: {named}")
         self._loss = total
+        self._parts = {name: float(value) for name, value in losses.items() if name != "loss"}
         self._tell()
 
     def due(self, iteration: int) -> bool:
@@ -195,6 +197,7 @@ class FitMonitor:
             values.append(_psnr(as_numpy(rgb), views.composited(index)))
         self._psnr = float(np.mean(values)) if values else None
         self._primitives = model.primitives()
+        size = model.bytes_estimate() if isinstance(model, EstimatesBytes) else None
         self.curve.append(
             CurvePoint(
                 iteration=iteration,
@@ -202,6 +205,8 @@ class FitMonitor:
                 loss=self._loss,
                 psnr_val=self._psnr,
                 primitives=self._primitives,
+                bytes_estimate=size,
+                loss_parts=self._parts,
             )
         )
         self._tell(force=True)
@@ -225,6 +230,7 @@ class FitMonitor:
             iteration=self.iteration,
             iterations=self._iterations,
             loss=self._loss,
+            parts=self._parts,
             psnr=self._psnr,
             primitives=self._primitives,
             left=left,

@@ -125,6 +125,7 @@ class CurvePoint(_Model):
     psnr_val: float | None
     primitives: int
     bytes_estimate: int | None = None
+    loss_parts: dict[str, float] = Field(default_factory=dict)
 
 
 class ViewsResult(_Model):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import uuid
@@ -9,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bench.records import EncodeResult, FitResult, Job, Record
+from bench.records import CurvePoint, EncodeResult, FitResult, Job, Record
 from bench.store import Store
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "views": ("job", *_AXES, "rate", "preset", "split", "seed", "view", *METRICS, "identical", "truth_file",
               "render_file", "alpha_file", "background"),
     "curve": ("job", *_AXES, "preset", "seed", "iteration", "train_seconds", "loss", "psnr_val", "primitives",
-              "bytes_estimate"),
+              "bytes_estimate", "loss_parts"),
     "ledger": ("job", *_AXES, "rate", "preset", "seed", "part", "bytes"),
     "timing": ("job", *_AXES, "rate", "preset", "seed", "part", "seconds"),
     "features": ("job", *_AXES, "name", "values"),
@@ -42,6 +43,7 @@ _TEXT = {
     "dataset", "scene", "kind", "method", "variant", "preset", "split", "status", "reason", "group", "device",
     "machine", "job", "stage", "commit", "view", "truth_file", "render_file", "alpha_file", "part", "name",
     "background", "variables", "dtype", "renderer", "version", "backend",
+    "loss_parts",
 }  # fmt: skip
 _WHOLE = {
     "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes",
@@ -81,7 +83,7 @@ def rows(
             tables["dvr"].append(_dvr(record))
         elif job.kind == "fit" and record.fit is not None:
             tables["curve"] += [
-                {"job": job.id, **_axes(job), **point.model_dump(), "scene": scene}
+                {"job": job.id, **_axes(job), **_point(point), "scene": scene}
                 for scene in job.scenes
                 for point in record.fit.curve
             ]
@@ -94,6 +96,10 @@ def rows(
     for table in tables.values():
         table.sort(key=_order)
     return tables
+
+
+def _point(point: CurvePoint) -> dict[str, Any]:
+    return point.model_dump() | {"loss_parts": json.dumps(point.loss_parts)}
 
 
 def build_tables(

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 from datasets.edits import Edit as Edit
 
@@ -193,6 +193,11 @@ class Monitor(Protocol):
     def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
         """Report at every iteration: cheap, and throttled by the monitor.
 
+        Args:
+            iteration: just done, from 1.
+            losses: "loss", which is minimised, and by other names its parts and further figures to show.
+            primitives: number of primitives of the group.
+
         Raises:
             Diverged: a loss is not finite.
         """
@@ -246,6 +251,14 @@ class Model(Protocol):
 
     def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
         """Seconds of one frame of scenes (default: all) by part ("decode", "shade", "rasterise")."""
+
+
+@runtime_checkable
+class EstimatesBytes(Protocol):
+    """A model that can say what it would take on disk; for the curves of training."""
+
+    def bytes_estimate(self) -> int:
+        """Bytes that :meth:`Model.save` would write, at the default rate."""
 
 
 class Method(Protocol):

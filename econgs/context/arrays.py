@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs.context.container import Reader
+from econgs.context.container import Kind, Reader, Section
 
 Arrays = dict[str, NDArray[np.float32]]
 Precision = Literal["float32", "float16", "int8"]
@@ -44,6 +44,11 @@ def write_arrays(arrays: Mapping[str, NDArray], precision: Precision) -> tuple[b
         parts.append(struct.pack("<BBB", len(label), kind, values.ndim) + label)
         parts.append(struct.pack(f"<{values.ndim}I", *values.shape) + payload)
     return b"".join(parts), error
+
+
+def round_arrays(arrays: Mapping[str, NDArray], precision: Precision) -> Arrays:
+    """What :func:`read_arrays` makes of arrays written with this precision."""
+    return read_arrays(Reader(Section(Kind.DECODERS, 0, write_arrays(arrays, precision)[0]), "arrays"))
 
 
 def read_arrays(reader: Reader) -> Arrays:
@@ -85,7 +90,9 @@ def _pack(values: NDArray[np.float32], kind: int) -> tuple[bytes, NDArray[np.flo
             halves = values.astype("<f2")
         return halves.tobytes(), halves.astype(np.float32)
     rows = values.reshape(len(values), math.prod(values.shape[1:]))
-    scales = (np.abs(rows).max(1, initial=0.0) / 127.0).astype(np.float32)
+    # With few digits, so that 127 scales is exact and what was restored is packed to the same bytes again.
+    mantissa, exponent = np.frexp(np.abs(rows).max(1, initial=0.0) / 127.0)
+    scales = np.ldexp(np.ceil(mantissa * 2048.0) / 2048.0, exponent).astype(np.float32)
     safe = np.where(scales > 0, scales, np.float32(1))
     whole = np.clip(np.rint(rows / safe[:, None]), -127, 127).astype(np.int8)
     restored = whole.astype(np.float32) * scales[:, None]

@@ -19,6 +19,7 @@ from datasets.scene import RGB
 from econgs.anchors.decode import Decoded, decode, visible_anchors
 from econgs.anchors.decoders import Decoders
 from econgs.anchors.shading import Factors
+from econgs.context.arrays import Precision
 from econgs.context.container import Kind, overhead, read_container
 from econgs.context.stream import GroupAttributes, SceneAttributes, decode_group, encode_group
 from econgs.splat.composite import over
@@ -103,10 +104,10 @@ def _decoders(coded: GroupAttributes) -> Decoders:
     return decoders.requires_grad_(False)
 
 
-def decoders_metadata(decoders: Decoders) -> dict[str, int | bool | str]:
-    """What a reader needs to make the networks again."""
+def decoders_metadata(decoders: Decoders, precision: Precision) -> dict[str, int | bool | str]:
+    """What a reader needs to make the networks again, and to write them as they were."""
     names = ("features", "offsets", "embedding", "hidden", "view_direction", "offset_color")
-    return {name: getattr(decoders, name) for name in names}
+    return {name: getattr(decoders, name) for name in names} | {"precision": precision}
 
 
 def _triple(values: Sequence[float]) -> RGB:
@@ -144,6 +145,10 @@ class EcongsModel:
         """
         return self._find(scene)[1]
 
+    def bytes_estimate(self) -> int:
+        """Bytes that :meth:`save` would write."""
+        return sum(len(_encode(group)) for group in self.groups)
+
     def primitives(self, scene: str | None = None) -> int:
         """Number of anchors of one scene or of all."""
         names = self.scenes if scene is None else (scene,)
@@ -159,7 +164,7 @@ class EcongsModel:
             raise Refused("econgs has one size: set rate_weight and train")
         ledger: dict[str, dict[str, int]] = {}
         for place, group in enumerate(self.groups):
-            data = encode_group(group.coded).data
+            data = _encode(group)
             (folder / f"{place}{SUFFIX}").write_bytes(data)
             for scene, parts in _ledger(data, tuple(group.scenes)).items():
                 into = ledger.setdefault(scene, {})
@@ -218,6 +223,10 @@ class EcongsModel:
         return decode(
             *tensors, group.decoders, scene.embedding, palette, camera.position, light=light, factors=factors
         )
+
+
+def _encode(group: Group) -> bytes:
+    return encode_group(group.coded, weights=group.coded.metadata["decoders"]["precision"]).data
 
 
 def _ledger(data: bytes, scenes: Sequence[str]) -> dict[str, dict[str, int]]:
@@ -279,10 +288,22 @@ def _edited(name: str, scene: SceneAnchors, edit: Edit) -> tuple[Tensor, Directi
     return palette, light, Factors(**numbers)
 
 
+def draw(decoded: Decoded, camera: Camera, screen_offset: Tensor | None = None) -> Rasterised:
+    """Splat the Gaussians of one scene."""
+    return rasterise(
+        decoded.means,
+        decoded.quats,
+        decoded.scales,
+        decoded.opacities,
+        decoded.colors,
+        camera,
+        screen_offset=screen_offset,
+    )
+
+
 def _rasterise(decoded: Sequence[Decoded], camera: Camera) -> Rasterised:
     if len(decoded) == 1:
-        one = decoded[0]
-        return rasterise(one.means, one.quats, one.scales, one.opacities, one.colors, camera)
+        return draw(decoded[0], camera)
     return rasterise(
         torch.cat([one.means for one in decoded]),
         torch.cat([one.quats for one in decoded]),

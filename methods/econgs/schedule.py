@@ -81,6 +81,20 @@ class Schedule:
         """Whether attributes are rounded as the coder will round them: the last tenth of the second stage."""
         return self.coded(iteration) and iteration > self._scaled(19_000)
 
+    def settles_rent(self, iteration: int) -> bool:
+        """Whether anchors that add nothing go before this iteration: nothing grows after the first time."""
+        begin = max(self.growth_stop, self.context_start if self.context else 0)
+        return iteration in (begin + 1, begin + 1 + (self.iterations - begin) // 2)
+
+    def corrects_rate(self, iteration: int, steps: int) -> bool:
+        """Whether lambda_e is corrected after this iteration: so many times before rounding begins."""
+        every = max(1, (self._scaled(19_000) - self.context_start) // steps)
+        return (
+            self.coded(iteration)
+            and not self.exact(iteration)
+            and (iteration - self.context_start) % every == 0
+        )
+
     def stage(self, iteration: int) -> str:
         """Name of the stage, for people."""
         if self.exact(iteration):

@@ -1,6 +1,6 @@
 """ECoNGS: what it can do and how it is set."""
 
-from methods.interface import MethodSpec, Option, RateKnob
+from methods.interface import Configuration, MethodSpec, Option, RateKnob
 
 SPEC = MethodSpec(
     name="econgs",
@@ -65,8 +65,39 @@ SPEC = MethodSpec(
         "feature_step": Option(0.1, "quantisation step Q of features", minimum=1e-6),
         "scaling_step": Option(0.001, "quantisation step Q of scalings", minimum=1e-8),
         "offset_step": Option(0.2, "quantisation step Q of offsets", minimum=1e-6),
+        "decoder_precision": Option(
+            "int8", "precision of stored decoder weights", choices=("float32", "float16", "int8")
+        ),
+        # No more than the scene needs
+        "rent": Option(
+            0.01,
+            "PSNR (dB) that may go with anchors that add least, twice in a fit",
+            minimum=0.0,
+            maximum=10.0,
+        ),
+        "target_bytes": Option(
+            0, "size per scene that lambda_e is steered to, shared parts included; 0 = none", minimum=0
+        ),
+        "target_psnr": Option(
+            0.0,
+            "PSNR (dB) on validation (else training) views that lambda_e is steered to; 0 = none",
+            minimum=0.0,
+        ),
     },
     presets={"quick": {}, "standard": {}, "paper": {}},
     iterations={"quick": 2_400, "standard": 8_000, "paper": 20_000},
+    configurations={
+        # What the paper states and what its code base implies where it is silent (docs/econgs.md).
+        "paper": Configuration(
+            {
+                "feature_step": 1.0,
+                "scale_loss": "sum",
+                "scale_weight": 0.001,
+                "offset_color": "sigmoid",
+                "decoder_precision": "float32",
+                "rent": 0.0,
+            }
+        ),
+    },
     rate_knobs=(RateKnob("rate_weight", (1e-4, 5e-4, 1e-3, 5e-3, 1e-2), refit=True),),
 )

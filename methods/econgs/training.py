@@ -12,12 +12,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets.camera import Camera
 from datasets.cloud import random_cloud
 from econgs.anchors.anchor_set import AnchorSet
 from econgs.anchors.coding import Coding
-from econgs.anchors.decode import decode, visible_anchors
+from econgs.anchors.decode import Decoded, decode, visible_anchors
 from econgs.anchors.decoders import NETWORKS, Decoders, OffsetColor
 from econgs.anchors.growing import AnchorRules
+from econgs.context.arrays import Precision, round_arrays
 from econgs.context.hash_grid import HAC_GRID, SMALL_GRID
 from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
@@ -25,8 +27,9 @@ from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes
 from econgs.losses import photometric_loss
 from econgs.optim import Adam
 from econgs.splat.composite import over
-from econgs.splat.rasterise import rasterise
-from methods.econgs.model import EcongsModel, Group, decoders_metadata
+from methods.econgs.control import STEPS, RateControl
+from methods.econgs.model import EcongsModel, Group, decoders_metadata, draw
+from methods.econgs.rent import contributions, some_views, who_stays
 from methods.econgs.schedule import Schedule
 from methods.interface import Checkpoint, Diverged, Monitor, OptionValue, Refused, SceneInput
 
@@ -148,6 +151,9 @@ class Trainer:
         if self.coding is not None:
             groups |= self.coding.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
+        self.control = RateControl(
+            float(options["target_bytes"]) * len(self.scenes), float(options["target_psnr"])
+        )
 
     @property
     def count(self) -> int:
@@ -184,6 +190,8 @@ class Trainer:
             Diverged: a loss or a parameter is not finite.
         """
         self.iteration += 1
+        if self.schedule.settles_rent(self.iteration):
+            self._settle_rent()
         if self.coding is not None and self.iteration == self.schedule.context_start + 1:
             self.coding.place([scene.anchors for scene in self.scenes])
             self.coding.begin([self._attributes(scene) for scene in self.scenes])
@@ -201,33 +209,15 @@ class Trainer:
         rate = None
         if self.coding is not None:
             values, rate = self.coding.apply(anchors, values, rows, self.count, self.iteration)
-        decoded = decode(
-            positions,
-            values.features,
-            values.scalings,
-            values.offsets,
-            self.decoders,
-            now[f"{scene.key}/embedding"],
-            now[f"{scene.key}/palette"],
-            camera.position,
-            light=scene.light,
-        )
+        decoded = self._decode(scene, camera, positions, values)
         collects = self.schedule.collects(self.iteration)
         offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
-        splats = rasterise(
-            decoded.means,
-            decoded.quats,
-            decoded.scales,
-            decoded.opacities,
-            decoded.colors,
-            camera,
-            screen_offset=offset,
-        )
+        splats = draw(decoded, camera, screen_offset=offset)
         image = over(splats.features, splats.alpha, scene.given.train.background)
         parts = {"image": photometric_loss(image, target, float(self.options["ssim_weight"]))}
         parts["scale"] = self._scale_loss(decoded.scales)
         if rate is not None:
-            parts["rate"] = float(self.options["rate_weight"]) * (rate.attributes + rate.grid)
+            parts["rate"] = self._rate_weight * (rate.attributes + rate.grid)
         loss = sum(parts.values(), torch.zeros((), device=self.device))
         shown = {name: float(part.detach()) for name, part in parts.items()}
         for name, value in shown.items():
@@ -245,9 +235,30 @@ class Trainer:
             now.step()
         if self.schedule.grows(self.iteration):
             self._grow()
+        if self.control.active and self.schedule.corrects_rate(self.iteration, STEPS):
+            model = self.model()
+            self.control.correct(model.bytes_estimate(), self._psnr(model))
         if self.iteration % _CHECK_EVERY == 0:
             self._check_finite()
-        return {"loss": sum(shown.values()), **shown}
+        bits = {} if rate is None else {"bits per attribute": float(rate.attributes.detach())}
+        return {"loss": sum(shown.values()), **shown, **bits}
+
+    @property
+    def _rate_weight(self) -> float:
+        """Present lambda_e."""
+        return float(self.options["rate_weight"]) * self.control.factor
+
+    def _decode(self, scene: _Scene, camera: Camera, positions: Tensor, values: Attributes) -> Decoded:
+        """Gaussians of these anchors of a scene."""
+        return decode(
+            positions,
+            *values,
+            self.decoders,
+            self.optimiser[f"{scene.key}/embedding"],
+            self.optimiser[f"{scene.key}/palette"],
+            camera.position,
+            light=scene.light,
+        )
 
     def _attributes(self, scene: _Scene) -> Attributes:
         """The scene's attributes as they are optimised, scalings activated."""
@@ -269,6 +280,56 @@ class Trainer:
             self.pending = [pairs[i] for i in torch.randperm(len(pairs), generator=self.generator).tolist()]
         place, view = self.pending.pop()
         return self.scenes[place], view
+
+    def _settle_rent(self) -> None:
+        """Anchors whose removal the pictures hardly show go; what is left learns to do without them."""
+        allowance = float(self.options["rent"])
+        if not allowance:
+            return
+        for scene in self.scenes:
+            scene.anchors.keep(self.optimiser, self._who_stays(scene, allowance))
+        if self.coding is not None and self.schedule.coded(self.iteration - 1):
+            self.coding.place([scene.anchors for scene in self.scenes])
+
+    def _who_stays(self, scene: _Scene, allowance: float) -> Tensor:
+        positions, values = scene.anchors.positions, self._attributes(scene)
+        cameras, background = scene.given.train.cameras, scene.given.train.background
+
+        def frame(camera: Camera, kept: Tensor) -> tuple[Decoded, Tensor]:
+            rows = (kept & visible_anchors(camera, positions, values.scalings)).nonzero()[:, 0]
+            decoded = self._decode(scene, camera, positions.index_select(0, rows), values.of(rows))
+            return decoded, rows[decoded.slots // scene.anchors.offsets]
+
+        @torch.no_grad()
+        def measure(views: Sequence[int], kept: Tensor) -> float:
+            errors = []
+            for view in views:
+                decoded, _ = frame(cameras[view], kept)
+                splats = draw(decoded, cameras[view])
+                truth = scene.images[view].to(self.device)
+                target = over(truth[..., :3], truth[..., 3], background)
+                errors.append(
+                    float((over(splats.features, splats.alpha, background) - target).square().mean())
+                )
+            return sum(errors) / len(errors)
+
+        views = some_views(len(cameras))
+        weights = contributions(len(positions), [cameras[view] for view in views], frame, positions.device)
+        return who_stays(weights, allowance, views[::3], measure)
+
+    def _psnr(self, model: EcongsModel) -> float:
+        """Mean of the scenes' PSNR on validation views, or on some training views where there are none."""
+        values = []
+        for scene in self.scenes:
+            views = scene.given.validation if len(scene.given.validation) else scene.given.train
+            chosen = some_views(len(views), 8)
+            error = 0.0
+            for view in chosen:
+                rgb, _ = model.render(views.cameras[view], [scene.name], background=views.background)
+                truth = torch.from_numpy(views.composited(view)).to(rgb.device)
+                error += float((rgb - truth).square().mean()) / len(chosen)
+            values.append(-10.0 * math.log10(max(error, 1e-10)))
+        return sum(values) / len(values)
 
     def _set_rates(self, scene: _Scene) -> None:
         def now(rate: Rate, factor: float = 1.0) -> float:
@@ -320,13 +381,16 @@ class Trainer:
             for scene in self.scenes
         )
         coded = self.coding is not None and self.schedule.coded(self.iteration)
+        precision = cast("Precision", self.options["decoder_precision"])
         group = GroupAttributes(
             scenes,
             PositionGrid.lattice(float(self.options["voxel"]), positions),
             context=CodedContext.of(self.coding.model) if coded and self.coding is not None else None,
-            decoders={name: _numpy(v) for name, v in self.decoders.state_dict().items()},
+            decoders=round_arrays(
+                {name: _numpy(v) for name, v in self.decoders.state_dict().items()}, precision
+            ),
             metadata={
-                "decoders": decoders_metadata(self.decoders),
+                "decoders": decoders_metadata(self.decoders, precision),
                 "scenes": {
                     scene.name: {
                         "background": list(scene.given.train.background),
@@ -347,6 +411,7 @@ class Trainer:
         if self.coding is not None:
             arrays |= self.coding.state()
         scalars = {"pending": [list(pair) for pair in self.pending], "limited": self.limited}
+        scalars["rate_factor"] = self.control.factor
         return Checkpoint(self.iteration, arrays, scalars)
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -358,6 +423,7 @@ class Trainer:
         self.generator.set_state(checkpoint.arrays["generator"].cpu())
         self.pending = [(int(scene), int(view)) for scene, view in checkpoint.scalars["pending"]]
         self.limited = bool(checkpoint.scalars["limited"])
+        self.control.factor = float(checkpoint.scalars["rate_factor"])
         self.iteration = checkpoint.iteration
         if self.coding is not None:
             self.coding.load_state(arrays)

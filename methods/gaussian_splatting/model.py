@@ -137,6 +137,10 @@ class GaussianModel:
         names = self.scenes if scene is None else (scene,)
         return sum(len(self.gaussians(name).means) for name in names)
 
+    def bytes_estimate(self) -> int:
+        """Bytes of the Gaussians; headers and metadata add a few hundred."""
+        return sum(scene.rows().nbytes for scene in self._scenes.values())
+
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
         """Write ``<scene>.ply`` and ``<scene>.json`` (background, degree) per scene.
 

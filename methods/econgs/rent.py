@@ -1,0 +1,76 @@
+"""Anchors that pay no rent: what can go without the picture showing it (model no more than a scene needs)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from datasets.camera import Camera
+from econgs.anchors.decode import Decoded
+from econgs.splat.rasterise import rasterise
+
+VIEWS = 24
+"""Training views that are asked, at most."""
+_HALVINGS = 6
+
+Decode = Callable[[Camera, Tensor], tuple[Decoded, Tensor]]
+"""(camera, kept anchors) -> the decoded Gaussians, and the anchor of each."""
+Measure = Callable[[Sequence[int], Tensor], float]
+"""(views, kept anchors) -> mean squared error."""
+
+
+def some_views(count: int, most: int = VIEWS) -> list[int]:
+    """At most so many of ``count`` views, evenly spread."""
+    shown = min(count, most)
+    return [round(i * (count - 1) / max(shown - 1, 1)) for i in range(shown)]
+
+
+def contributions(anchors: int, cameras: Sequence[Camera], decode: Decode, device: torch.device) -> Tensor:
+    """(N,) by how much each anchor's Gaussians weigh in the pixels of these views, summed.
+
+    The weight of a Gaussian in a pixel is its share of the blended color; its sum over pixels is the
+    derivative of the picture's sum with respect to the Gaussian's color.
+    """
+    weights = torch.zeros(anchors, device=device)
+    every = torch.ones(anchors, dtype=torch.bool, device=device)
+    for camera in cameras:
+        with torch.no_grad():
+            decoded, owner = decode(camera, every)
+        if not len(owner):
+            continue
+        gray = torch.ones_like(decoded.colors[:, :1]).requires_grad_(True)
+        geometry = (decoded.means, decoded.quats, decoded.scales, decoded.opacities)
+        rasterise(*geometry, gray, camera).features.sum().backward()  # type: ignore[no-untyped-call]
+        if gray.grad is not None:
+            weights.index_add_(0, owner, gray.grad[:, 0])
+    return weights
+
+
+def who_stays(weights: Tensor, allowance: float, views: Sequence[int], measure: Measure) -> Tensor:
+    """(N,) which anchors stay: as many of the lightest go as the allowance lets go.
+
+    Args:
+        weights: (N,) of :func:`contributions`.
+        allowance: dB of PSNR over the views together that may be lost.
+        views: that are compared.
+        measure: error of those views.
+    """
+    order = weights.argsort()
+    kept = torch.ones(len(weights), dtype=torch.bool, device=weights.device)
+    limit = measure(views, kept) * 10.0 ** (allowance / 10.0)
+    low, high = 0, len(weights) - 1  # at least one stays
+    for _ in range(min(_HALVINGS, max(high, 1).bit_length())):
+        middle = math.ceil((low + high) / 2)
+        tried = kept.clone()
+        tried[order[:middle]] = False
+        if measure(views, tried) <= limit:
+            low = middle
+        else:
+            high = middle - 1
+        if low >= high:
+            break
+    kept[order[:low]] = False
+    return kept

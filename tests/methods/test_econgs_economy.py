@@ -1,0 +1,134 @@
+"""No more than a scene needs: rent of anchors, rate control, precision of decoders."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from econgs.context.arrays import round_arrays, write_arrays
+from methods.econgs.control import RateControl
+from methods.econgs.rent import some_views, who_stays
+from methods.econgs.schedule import Schedule
+from methods.econgs.spec import SPEC
+from methods.econgs.training import Trainer
+from methods.options import resolve
+
+SMALL = {"features": 16, "hidden": 24, "embedding": 8, "offsets": 4, "voxel": 0.01}
+
+
+def options(**changed):
+    return resolve(SPEC, "quick", {**SMALL, **changed}).options
+
+
+def trained(scene, iterations, **changed):
+    trainer = Trainer([scene], options(**changed), iterations, 0, "cpu")
+    for _ in range(iterations):
+        trainer.step()
+    return trainer
+
+
+@pytest.mark.parametrize(
+    ("allowance", "gone"),
+    [
+        (0.0, {0, 1}),  # these add nothing at all
+        (10 * math.log10(1.5), {0, 1, 2}),
+        (10 * math.log10(3.0), {0, 1, 2, 3}),
+    ],
+)
+def test_the_lightest_go_as_far_as_the_allowance_reaches(allowance, gone):
+    weights = torch.tensor([0.0, 0.1, 0.2, 0.3, 5.0])
+    costs = torch.tensor([0.0, 0.0, 0.5, 1.4, 100.0])
+
+    def measure(views, kept):
+        assert views == [3, 4]
+        return 1.0 + float(costs[~kept].sum())
+
+    kept = who_stays(weights, allowance, [3, 4], measure)
+    assert set((~kept).nonzero()[:, 0].tolist()) == gone
+
+
+def test_one_anchor_always_stays():
+    kept = who_stays(torch.zeros(7), 10.0, [0], lambda views, kept: 1.0)
+    assert kept.sum() == 1
+    assert who_stays(torch.zeros(1), 10.0, [0], lambda views, kept: 1.0).all()
+
+
+def test_views_are_spread():
+    assert some_views(5, 24) == [0, 1, 2, 3, 4]
+    assert some_views(101, 5) == [0, 25, 50, 75, 100]
+    assert some_views(1, 5) == [0]
+
+
+def test_rent_is_settled_twice_after_growth():
+    for share, context in ((0.5, True), (0.75, True), (0.5, False)):
+        schedule = Schedule(2_000, share, context)
+        when = [i for i in range(1, 2_001) if schedule.settles_rent(i)]
+        assert len(when) == 2
+        assert not any(schedule.grows(i) for i in range(when[0], 2_001))
+
+
+def test_anchors_that_add_nothing_go_and_the_picture_stays(tiny, scene):
+    """Points far from the object are never seen to add anything."""
+    far = np.concatenate([scene.cloud.points, np.float32([[0.0, 0.0, z] for z in np.linspace(3.0, 4.0, 40)])])
+    wide = tiny.with_cloud(scene, far)
+    with_rent, without = trained(wide, 160, rent=0.01), trained(wide, 160, rent=0.0)
+    assert with_rent.count < without.count
+    psnr = [one._psnr(one.model()) for one in (with_rent, without)]
+    assert psnr[0] > psnr[1] - 0.5
+
+
+def test_rate_control_moves_towards_its_target():
+    """A model whose size falls with lambda_e: sizes end at the target, quality likewise."""
+    control = RateControl(target_bytes=10_000)
+    for _ in range(20):
+        control.correct(int(20_000 * control.factor**-0.4), 30.0)
+    assert 20_000 * control.factor**-0.4 == pytest.approx(10_000, rel=0.03)
+    control = RateControl(target_psnr=35.0)
+    for _ in range(20):
+        control.correct(0, 38.0 - math.log10(control.factor))
+    assert 38.0 - math.log10(control.factor) == pytest.approx(35.0, abs=0.1)
+    assert not RateControl().active
+    control = RateControl(target_bytes=1.0)
+    for _ in range(50):
+        control.correct(10_000, 0.0)
+    assert control.factor <= 1e3
+
+
+def test_a_smaller_target_gives_a_smaller_stream(scene):
+    free = trained(scene, 400).model().bytes_estimate()
+    steered = trained(scene, 400, target_bytes=int(0.8 * free)).model().bytes_estimate()
+    assert steered < 0.95 * free
+
+
+def test_rate_control_resumes(scene):
+    whole = trained(scene, 300, target_psnr=20.0)
+    first = Trainer([scene], options(target_psnr=20.0), 300, 0, "cpu")
+    for _ in range(220):
+        first.step()
+    second = Trainer([scene], options(target_psnr=20.0), 300, 0, "cpu")
+    second.restore(first.checkpoint())
+    assert second.control.factor == first.control.factor != 1.0
+    for _ in range(80):
+        second.step()
+    assert second.model().bytes_estimate() == whole.model().bytes_estimate()
+
+
+@pytest.mark.parametrize("precision", ["float32", "float16", "int8"])
+def test_rounded_weights_are_written_as_the_same_bytes_again(precision):
+    random = np.random.default_rng(0)
+    arrays = {
+        "matrix": (random.normal(size=(50, 103)) * np.exp2(random.integers(-9, 9, (50, 1)))).astype(
+            np.float32
+        ),
+        "vector": random.normal(size=50).astype(np.float32),
+        "zero": np.zeros((3, 4), np.float32),
+    }
+    once = round_arrays(arrays, precision)
+    assert all(
+        np.array_equal(a, b)
+        for a, b in zip(round_arrays(once, precision).values(), once.values(), strict=True)
+    )
+    assert write_arrays(once, precision)[0] == write_arrays(arrays, precision)[0]
+    error = np.abs(once["matrix"] - arrays["matrix"]).max(1) / np.abs(arrays["matrix"]).max(1)
+    assert error.max() <= {"float32": 0.0, "float16": 2**-11, "int8": 0.5 / 126}[precision]
