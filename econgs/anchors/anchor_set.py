@@ -96,10 +96,24 @@ class AnchorSet:
         return groups
 
     @torch.no_grad()
-    def grow_and_prune(self, optimiser: Adam, rules: AnchorRules, generator: torch.Generator) -> GrowthEvent:
-        """One growth event (Scaffold-GS: growing first, then pruning)."""
+    def grow_and_prune(
+        self,
+        optimiser: Adam,
+        rules: AnchorRules,
+        generator: torch.Generator,
+        decoded_offsets: Tensor | None = None,
+    ) -> GrowthEvent:
+        """One growth event (Scaffold-GS: growing first, then pruning).
+
+        Args:
+            optimiser: holds the parameters.
+            rules: thresholds.
+            generator: of the random thinning.
+            decoded_offsets: (N, K, 3) where Gaussians are, if not by the parameter ``offsets``.
+        """
         features, log_scalings, offsets = (optimiser[self.name(parameter)] for parameter in PARAMETERS)
-        grown = grow(self.positions, log_scalings, features, offsets, self.statistics, rules, generator)
+        places = offsets if decoded_offsets is None else decoded_offsets
+        grown = grow(self.positions, log_scalings, features, places, self.statistics, rules, generator)
         added = len(grown.anchors)
         if added:
             new = {

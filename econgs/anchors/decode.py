@@ -73,9 +73,9 @@ def decode(
 
     Args:
         anchors: (N, 3) positions.
-        features: (N, F).
+        features: (N, ``decoders.width``).
         scalings: (N, 6) activated, > 0.
-        offsets: (N, K, 3).
+        offsets: (N, K, 3); not read where ``decoders`` decode them.
         decoders: the four networks.
         embedding: (E,) TF embedding of the scene.
         palette: (3,) its palette color.
@@ -96,6 +96,11 @@ def decode(
     if toward is not None and abs(math.hypot(*toward.tolist()) - 1.0) > 1e-3:
         raise ValueError(f"light is {toward.tolist()}, not a unit vector")
     factors = factors or Factors()
+    if decoders.storage == "implicit":
+        refuse_non_finite(inputs, decoders)
+        inputs["offsets"] = decoders.implicit_offsets(features, embedding)
+    elif decoders.storage != "hybrid":
+        backend = "torch"
     if choose_backend(anchors, backend) == "native":
         try:
             decoded: Decoded = _native().decode(
@@ -123,27 +128,37 @@ def _torch_decode(
     factors: Factors,
 ) -> Decoded:
     count, many = offsets.shape[:2]
-    inputs = torch.cat([features, unit(anchors - eye)], dim=1) if decoders.view_direction else features
+    stored = features[:, decoders.features :]
+    inputs = features[:, : decoders.features]
+    if decoders.view_direction:
+        inputs = torch.cat([inputs, unit(anchors - eye)], dim=1)
     width = inputs.shape[1]
-    networks = [decoders.network(name) for name in NETWORKS]
+    names = [name for name in NETWORKS if name in decoders.names]
+    networks = [decoders.network(name) for name in names]
     # One product for the first layers of all four. What the embedding adds is the same for every anchor.
     first = torch.cat([network.first_weight for network in networks])
     bias = torch.cat([network.first_bias for network in networks]) + first[:, width:] @ embedding
-    hidden = torch.relu(torch.addmm(bias, inputs, first[:, :width].T)).split(decoders.hidden, dim=1)
+    first_layers = torch.relu(torch.addmm(bias, inputs, first[:, :width].T)).split(decoders.hidden, dim=1)
+    hidden = dict(zip(names, first_layers, strict=True))
 
-    def outputs(place: int) -> Tensor:
-        network = networks[place]
-        return torch.addmm(network.second_bias, hidden[place], network.second_weight.T)
+    def outputs(name: str) -> Tensor:
+        network = decoders.network(name)
+        return torch.addmm(network.second_bias, hidden[name], network.second_weight.T)
 
-    raw = torch.tanh(outputs(0))
+    raw = torch.tanh(outputs("opacity"))
     kept = raw.detach() > 0.0 if factors.opacity > 0.0 else torch.zeros_like(raw, dtype=torch.bool)
     slots = kept.reshape(-1).nonzero()[:, 0]
     anchor = slots // many
 
-    def surviving(place: int) -> Tensor:
-        attributes = networks[place].second_bias.numel() // many
-        by_slot = outputs(place).view(count, attributes, many).transpose(1, 2)
-        return by_slot.reshape(count * many, attributes).index_select(0, slots)
+    def surviving(name: str) -> Tensor:
+        attributes = NETWORKS[name]
+        if name not in hidden:  # stored: normals first
+            begin = 0 if name == "normal" else 3 * many
+            by_slot = stored[:, begin : begin + attributes * many].reshape(count * many, attributes)
+        else:
+            by_slot = outputs(name).view(count, attributes, many).transpose(1, 2)
+            by_slot = by_slot.reshape(count * many, attributes)
+        return by_slot.index_select(0, slots)
 
     opacities = raw.reshape(-1).index_select(0, slots)
     if factors.opacity != 1.0:
@@ -151,7 +166,7 @@ def _torch_decode(
     scale = scalings.index_select(0, anchor)
     offset = offsets.reshape(-1, 3).index_select(0, slots)
     means = anchors.index_select(0, anchor) + offset * scale[:, :3]
-    covariance, shading, normals = surviving(1), surviving(2), surviving(3)
+    covariance, shading, normals = surviving("covariance"), surviving("shading"), surviving("normal")
     activate = torch.tanh if decoders.offset_color == "tanh" else torch.sigmoid
     linear = shading[:, 3:5] * shading.new_tensor([factors.ambient, factors.diffuse])
     ranges = shading.new_tensor([MAX_SPECULAR * factors.specular, MAX_SHININESS * factors.shininess])
@@ -219,7 +234,7 @@ def _check_shapes(inputs: dict[str, Tensor], decoders: Decoders) -> None:
     count = anchors.shape[0] if anchors.ndim else 0
     wanted = {
         "anchors": (count, 3),
-        "features": (count, decoders.features),
+        "features": (count, decoders.width),
         "scalings": (count, 6),
         "offsets": (count, decoders.offsets, 3),
         "embedding": (decoders.embedding,),

@@ -12,8 +12,11 @@ from torch import Tensor, nn
 from datasets.names import unknown
 
 OffsetColor = Literal["tanh", "sigmoid"]
+Storage = Literal["hybrid", "implicit", "partial", "explicit"]
 NETWORKS = {"opacity": 1, "covariance": 7, "shading": 7, "normal": 3}
 """Network (F_o, F_cov, F_s and F_n of the paper) → what it puts out per Gaussian."""
+_EXPLICIT = {"hybrid": 0, "implicit": 0, "partial": 3, "explicit": 10}
+"""Storage → values per Gaussian that stand in the anchor's feature instead of being decoded."""
 
 
 class Decoder(nn.Module):
@@ -51,6 +54,10 @@ class Decoders(nn.Module):
         view_direction: whether the view direction is an input.
         offset_color: activation of the offset color: "tanh" is signed and starts near the palette color;
             "sigmoid" is that of iVR-GS, starts at 0.5 and is never negative.
+        storage: what anchors store (the paper's ablation): "hybrid" is ECoNGS, offsets stored and all else
+            decoded; "implicit" decodes offsets too, by a fifth network of feature and embedding; "partial"
+            stores normals, "explicit" normals and what F_s gives, behind the feature's F values (K normals,
+            then K times Δc, k_a, k_d, k_s, β before activation). Only "hybrid" and "implicit" have kernels.
         shading_bias: what is added to the first biases of k_a, k_d (linear), k_s (before sigmoid × 5) and β
             (before sigmoid × 50). Without it the linear ones start near 0, which is black.
         generator: of the first weights, on the CPU.
@@ -69,6 +76,7 @@ class Decoders(nn.Module):
         hidden: int = 50,
         view_direction: bool = True,
         offset_color: OffsetColor = "tanh",
+        storage: Storage = "hybrid",
         shading_bias: Sequence[float] = (0.5, 0.5, 0.0, 0.0),
         generator: torch.Generator | None = None,
     ) -> None:
@@ -80,18 +88,58 @@ class Decoders(nn.Module):
             )
         if offset_color not in get_args(OffsetColor):
             raise unknown("activation", offset_color, get_args(OffsetColor), of="the offset color")
+        if storage not in _EXPLICIT:
+            raise unknown("storage", storage, _EXPLICIT)
         self.features = features
         self.offsets = offsets
         self.embedding = embedding
         self.hidden = hidden
         self.view_direction = view_direction
         self.offset_color = offset_color
+        self.storage = storage
+        self._bias = tuple(shading_bias)
         inputs = features + self.directions + embedding
         for name, attributes in NETWORKS.items():
-            self.add_module(name, Decoder(inputs, hidden, attributes * offsets, generator))
-        with torch.no_grad():
-            bias = self.network("shading").second_bias.view(7, offsets)
-            bias[3:] += torch.tensor(list(shading_bias), dtype=bias.dtype)[:, None]
+            if name in self.names:
+                self.add_module(name, Decoder(inputs, hidden, attributes * offsets, generator))
+        if "shading" in self.names:
+            with torch.no_grad():
+                bias = self.network("shading").second_bias.view(7, offsets)
+                bias[3:] += torch.tensor(self._bias, dtype=bias.dtype)[:, None]
+        if storage == "implicit":
+            self.add_module("offset", Decoder(features + embedding, hidden, 3 * offsets, generator))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Networks that there are."""
+        left_out = {"partial": ("normal",), "explicit": ("shading", "normal")}.get(self.storage, ())
+        more = ("offset",) if self.storage == "implicit" else ()
+        return tuple(name for name in NETWORKS if name not in left_out) + more
+
+    @property
+    def width(self) -> int:
+        """Values of an anchor's feature with all that is stored behind it."""
+        return self.features + _EXPLICIT[self.storage] * self.offsets
+
+    def first_stored(self, count: int, generator: torch.Generator | None) -> Tensor:
+        """(count, width - F) first values of what is stored: normals in random directions, first biases."""
+        normals = torch.randn((count, self.offsets, 3), generator=generator)
+        normals = normals / torch.linalg.vector_norm(normals, dim=-1, keepdim=True)
+        if self.storage == "partial":
+            return normals.flatten(1)  # type: ignore[no-any-return]
+        if self.storage == "explicit":
+            shading = torch.tensor((0.0, 0.0, 0.0, *self._bias)).expand(count, self.offsets, 7)
+            return torch.cat([normals.flatten(1), shading.flatten(1)], 1)
+        return torch.empty((count, 0))
+
+    def implicit_offsets(self, features: Tensor, embedding: Tensor) -> Tensor:
+        """(N, K, 3) offsets as "implicit" decodes them, from features (N, F) and the embedding (E,)."""
+        first, bias, second, second_bias = self.network("offset").tensors()
+        width = self.features
+        hidden = torch.relu(torch.addmm(bias + first[:, width:] @ embedding, features, first[:, :width].T))
+        out = torch.addmm(second_bias, hidden, second.T).view(len(features), 3, self.offsets)
+        offsets: Tensor = out.transpose(1, 2).contiguous()
+        return offsets
 
     @property
     def directions(self) -> int:
@@ -105,8 +153,8 @@ class Decoders(nn.Module):
         return found
 
     def tensors(self) -> list[Tensor]:
-        """The 16 weights and biases, network by network in the order of :data:`NETWORKS`."""
-        return [tensor for name in NETWORKS for tensor in self.network(name).tensors()]
+        """The weights and biases of :data:`NETWORKS` that there are, network by network."""
+        return [one for name in NETWORKS if name in self.names for one in self.network(name).tensors()]
 
 
 def _uniform(shape: tuple[int, ...], fan_in: int, generator: torch.Generator | None) -> nn.Parameter:

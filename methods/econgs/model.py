@@ -99,6 +99,7 @@ def _decoders(coded: GroupAttributes) -> Decoders:
         hidden=int(said["hidden"]),
         view_direction=bool(said["view_direction"]),
         offset_color=said["offset_color"],
+        storage=said["storage"],
     )
     decoders.load_state_dict({name: torch.from_numpy(np.array(v)) for name, v in coded.decoders.items()})
     return decoders.requires_grad_(False)
@@ -106,7 +107,7 @@ def _decoders(coded: GroupAttributes) -> Decoders:
 
 def decoders_metadata(decoders: Decoders, precision: Precision) -> dict[str, int | bool | str]:
     """What a reader needs to make the networks again, and to write them as they were."""
-    names = ("features", "offsets", "embedding", "hidden", "view_direction", "offset_color")
+    names = ("features", "offsets", "embedding", "hidden", "view_direction", "offset_color", "storage")
     return {name: getattr(decoders, name) for name in names} | {"precision": precision}
 
 

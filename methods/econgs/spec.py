@@ -19,7 +19,13 @@ SPEC = MethodSpec(
     devices=("cpu", "cuda"),
     options={
         # Start
-        "start": Option("cloud", "where the first anchors come from", choices=("cloud", "random")),
+        "start": Option(
+            "cloud",
+            "first anchors: the cloud and its mean color as the palette; its positions, the palette gray; "
+            "random points",
+            choices=("cloud", "positions", "random"),
+        ),
+        "cloud_points": Option(0, "points drawn from the initial cloud; 0 = all", minimum=0),
         "random_points": Option(10_000, "number of points of a random start", minimum=1, maximum=10_000_000),
         "random_half_extent": Option(
             0.5, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
@@ -40,6 +46,11 @@ SPEC = MethodSpec(
         "embedding": Option(50, "values of a scene's TF embedding", minimum=0, maximum=256),
         "hidden": Option(50, "hidden units of each decoder", minimum=8, maximum=256),
         "view_direction": Option(True, "decoders see the viewing direction"),
+        "storage": Option(
+            "hybrid",
+            "what anchors store: offsets; nothing but the feature; also normals; also all of the shading",
+            choices=("hybrid", "implicit", "partial", "explicit"),
+        ),
         "offset_color": Option("tanh", "activation of offset colors", choices=("sigmoid", "tanh")),
         "shading_bias": Option(
             0.5, "first value of the ambient and diffuse coefficients", minimum=0.0, maximum=1.0

@@ -17,7 +17,7 @@ from datasets.cloud import random_cloud
 from econgs.anchors.anchor_set import AnchorSet
 from econgs.anchors.coding import Coding
 from econgs.anchors.decode import Decoded, decode, visible_anchors
-from econgs.anchors.decoders import NETWORKS, Decoders, OffsetColor
+from econgs.anchors.decoders import Decoders, OffsetColor, Storage
 from econgs.anchors.growing import AnchorRules
 from econgs.context.arrays import Precision, round_arrays
 from econgs.context.hash_grid import HAC_GRID, SMALL_GRID
@@ -49,6 +49,7 @@ DECODER_RATES = {
     "covariance": Rate(4e-3, 4e-3),
     "shading": Rate(8e-3, 5e-5),
     "normal": Rate(8e-3, 5e-5),
+    "offset": Rate(2e-3, 2e-5),
 }
 ANCHOR_RATES = {"features": Rate(1e-2, 1e-4), "log_scalings": Rate(1e-2, 1e-4)}
 OFFSET_RATE = Rate(1e-2, 1e-4)
@@ -63,7 +64,14 @@ class _Scene:
     """One scene of the group: its views and its anchors."""
 
     def __init__(
-        self, key: str, given: SceneInput, options: Mapping[str, OptionValue], seed: int, device: str
+        self,
+        key: str,
+        given: SceneInput,
+        options: Mapping[str, OptionValue],
+        seed: int,
+        decoders: Decoders,
+        generator: torch.Generator,
+        device: str,
     ) -> None:
         if len(given.train) == 0:
             raise Refused(f"scene {given.name!r} has no training views")
@@ -72,17 +80,27 @@ class _Scene:
             cloud = random_cloud(int(options["random_points"]), float(options["random_half_extent"]), seed)
         if len(cloud) == 0:
             raise Refused(f"the initial cloud of scene {given.name!r} is empty; set start=random")
+        points = np.array(cloud.points, dtype=np.float32)
+        if options["start"] != "random" and 0 < int(options["cloud_points"]) < len(points):
+            points = points[
+                np.random.default_rng(seed).permutation(len(points))[: int(options["cloud_points"])]
+            ]
         self.key, self.given, self.name = key, given, given.name
         self.anchors = AnchorSet(
             key,
-            torch.from_numpy(np.array(cloud.points, dtype=np.float32)),
+            torch.from_numpy(points),
             voxel=float(options["voxel"]),
-            features=int(options["features"]),
-            offsets=int(options["offsets"]),
+            features=decoders.width,
+            offsets=decoders.offsets,
             fallback=0.01 * given.extent,
             device=device,
         )
-        self.palette = torch.from_numpy(np.array(cloud.colors, dtype=np.float32).mean(axis=0))
+        stored = decoders.first_stored(len(self.anchors), generator)
+        self.anchors.initial["features"][:, decoders.features :] = stored.to(device)
+        colors = np.array(cloud.colors, dtype=np.float32)
+        if options["start"] == "positions":
+            colors = np.full((1, 3), 0.5, np.float32)
+        self.palette = torch.from_numpy(colors.mean(axis=0))
         self.images = torch.from_numpy(given.train.images)
         light = given.scene.light
         self.light = None if light is None else light.direction
@@ -113,15 +131,6 @@ class Trainer:
         self.options, self.device = options, device
         self.schedule = Schedule(iterations, float(options["growth_stop"]), bool(options["context"]))
         self.generator = torch.Generator().manual_seed(seed)
-        self.scenes = [_Scene(str(i), given, options, seed, device) for i, given in enumerate(group)]
-        self.rules = AnchorRules(
-            voxel=float(options["voxel"]),
-            init_factor=int(options["init_factor"]),
-            gradient=float(options["growth_gradient"]),
-            offset_visits=self.schedule.visits(40.0),
-            anchor_visits=self.schedule.visits(80.0),
-            limit=int(options["max_anchors"]),
-        )
         bias = float(options["shading_bias"])
         self.decoders = Decoders(
             int(options["features"]),
@@ -130,9 +139,20 @@ class Trainer:
             hidden=int(options["hidden"]),
             view_direction=bool(options["view_direction"]),
             offset_color=cast("OffsetColor", options["offset_color"]),
+            storage=cast("Storage", options["storage"]),
             shading_bias=(bias, bias, 0.0, 0.0),
             generator=self.generator,
         ).to(device)
+        shared = (options, seed, self.decoders, self.generator, device)
+        self.scenes = [_Scene(str(i), given, *shared) for i, given in enumerate(group)]
+        self.rules = AnchorRules(
+            voxel=float(options["voxel"]),
+            init_factor=int(options["init_factor"]),
+            gradient=float(options["growth_gradient"]),
+            offset_visits=self.schedule.visits(40.0),
+            anchor_visits=self.schedule.visits(80.0),
+            limit=int(options["max_anchors"]),
+        )
         self.iteration = 0
         self.pending: list[tuple[int, int]] = []  # (scene, view) pairs not yet drawn in this round
         self.limited = False
@@ -142,9 +162,9 @@ class Trainer:
             embedding = torch.randn(int(options["embedding"]), generator=self.generator)
             groups[f"{scene.key}/palette"] = scene.palette.to(device)
             groups[f"{scene.key}/embedding"] = (_EMBEDDING_SPREAD * embedding).to(device)
-        groups |= {name: list(self.decoders.network(name).tensors()) for name in NETWORKS}
+        groups |= {name: list(self.decoders.network(name).tensors()) for name in self.decoders.names}
         self.coding = (
-            Coding(_context(options), self.schedule, self.generator, device)
+            Coding(_context(options, self.decoders.width), self.schedule, self.generator, device)
             if self.schedule.context
             else None
         )
@@ -336,8 +356,8 @@ class Trainer:
             return factor * self.schedule.decayed(self.iteration, rate.first, rate.last)
 
         rates = self.optimiser.rates
-        for name, rate in DECODER_RATES.items():
-            rates[name] = now(rate)
+        for name in self.decoders.names:
+            rates[name] = now(DECODER_RATES[name])
         for parameter, rate in ANCHOR_RATES.items():
             rates[scene.anchors.name(parameter)] = now(rate)
         rates[scene.anchors.name("offsets")] = now(OFFSET_RATE, scene.given.extent)
@@ -349,9 +369,20 @@ class Trainer:
     def _grow(self) -> None:
         self._check_finite()
         for scene in self.scenes:
-            self.limited |= scene.anchors.grow_and_prune(self.optimiser, self.rules, self.generator).limited
+            event = scene.anchors.grow_and_prune(
+                self.optimiser, self.rules, self.generator, self._implicit_offsets(scene)
+            )
+            self.limited |= event.limited
         if self.coding is not None and self.schedule.coded(self.iteration):
             self.coding.place([scene.anchors for scene in self.scenes])
+
+    @torch.no_grad()
+    def _implicit_offsets(self, scene: _Scene) -> Tensor | None:
+        """Offsets where they are decoded instead of stored."""
+        if self.decoders.storage != "implicit":
+            return None
+        features = self.optimiser[scene.anchors.name("features")]
+        return self.decoders.implicit_offsets(features, self.optimiser[f"{scene.key}/embedding"])
 
     @torch.no_grad()
     def _check_finite(self) -> None:
@@ -431,10 +462,10 @@ class Trainer:
                 self.coding.place([scene.anchors for scene in self.scenes])
 
 
-def _context(options: Mapping[str, OptionValue]) -> ContextConfig:
+def _context(options: Mapping[str, OptionValue], features: int) -> ContextConfig:
     scaling = float(options["scaling_step"])
     return ContextConfig(
-        features=int(options["features"]),
+        features=features,
         offsets=int(options["offsets"]),
         steps=(float(options["feature_step"]), scaling, scaling, float(options["offset_step"])),
         grid=_GRIDS[str(options["grid"])],

@@ -258,3 +258,26 @@ def test_a_fixed_light_is_learned_as_such(tiny, scene):
     lit = replace(scene, scene=replace(scene.scene, light=Light(direction=(0.0, 0.0, 1.0))))
     model = Econgs().fit([lit], options(), Budget(30), 0, "cpu", tiny.Recorder())
     assert model.anchors("tiny").light == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("storage", ["implicit", "partial", "explicit"])
+def test_storage(tiny, scene, tmp_path, storage):
+    """The paper's ablation: it learns, growth goes on, and the stream gives the same picture."""
+    recorder = tiny.Recorder()
+    given = options(storage=storage)
+    model = Econgs().fit([scene], given, Budget(200), 0, "cpu", recorder)
+    assert tiny.psnr(model, scene.validation) > 17.0
+    folder = tmp_path / storage
+    folder.mkdir()
+    model.save(folder)
+    again = Econgs().load(folder, "cpu")
+    for one, other in zip(pictures(model, scene.validation), pictures(again, scene.validation), strict=True):
+        assert torch.equal(one, other)
+    stored = {"implicit": 16, "partial": 16 + 3 * 4, "explicit": 16 + 10 * 4}[storage]
+    assert model.anchors("tiny").features.shape[1] == stored
+    names = {name.split(".")[0] for name in model.groups[0].coded.decoders}
+    assert ("normal" in names) == (storage == "implicit") == ("offset" in names)
+    assert ("shading" in names) == (storage != "explicit")
+    assert max(recorder.counts) > min(recorder.counts)  # it grew or pruned
+    with pytest.raises(DataError, match="storage"):
+        options(storage="half")
