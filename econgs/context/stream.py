@@ -119,7 +119,7 @@ class SceneAttributes:
     scalings: NDArray[np.float32]
     offsets: NDArray[np.float32]
     parameters: Arrays = field(default_factory=dict)
-    masks: NDArray[np.bool_] | None = None
+    masks: NDArray[Any] | None = None
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -22,6 +23,7 @@ from datasets.names import unknown
 from datasets.scene import RGB
 from econgs.anchors.decode import Decoded, masked, visible_anchors
 from econgs.anchors.direct import ColorDecoders, decode_colors
+from econgs.context.model import Attributes
 from econgs.splat.composite import over
 from econgs.splat.rasterise import Rasterised, rasterise
 from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
@@ -39,9 +41,7 @@ class SceneAnchors:
         background: its recorded background.
         decoders: the scene's networks.
         positions: (N, 3).
-        features: (N, F).
-        scalings: (N, 6) activated.
-        offsets: (N, K, 3).
+        values: features (N, F), activated scalings (N, 6), offsets (N, K, 3).
         masks: (N, K) which offsets there are; None: all.
     """
 
@@ -49,9 +49,7 @@ class SceneAnchors:
     background: RGB
     decoders: ColorDecoders
     positions: Tensor
-    features: Tensor
-    scalings: Tensor
-    offsets: Tensor
+    values: Attributes
     masks: Tensor | None = None
 
 
@@ -124,11 +122,11 @@ class AnchorModel:
 
     def _decode(self, name: str, camera: Camera, opacity: float) -> Decoded:
         scene = self.anchors(name)
-        rows = visible_anchors(camera, scene.positions, scene.scalings).nonzero()[:, 0]
-        tensors = (scene.positions, scene.features, scene.scalings, scene.offsets)
-        positions, *attributes = (tensor.index_select(0, rows) for tensor in tensors)
-        decoded = decode_colors(positions, *attributes, scene.decoders, camera.position, opacity=opacity)
-        return decoded if scene.masks is None else masked(decoded, scene.masks.index_select(0, rows))
+        rows = visible_anchors(camera, scene.positions, scene.values.scalings).nonzero()[:, 0]
+        decoded = decode_colors(
+            scene.positions[rows], *scene.values.of(rows), scene.decoders, camera.position, opacity=opacity
+        )
+        return decoded if scene.masks is None else masked(decoded, scene.masks[rows])
 
     def _opacity_factors(self, names: Sequence[str], edit: Mapping[str, Edit] | None) -> dict[str, float]:
         factors = {}
@@ -149,8 +147,14 @@ def _rasterise(decoded: Sequence[Decoded], camera: Camera) -> Rasterised:
     if len(decoded) == 1:
         one = decoded[0]
         return rasterise(one.means, one.quats, one.scales, one.opacities, one.colors, camera)
-    columns = ("means", "quats", "scales", "opacities", "colors")
-    return rasterise(*(torch.cat([getattr(one, name) for one in decoded]) for name in columns), camera)
+    return rasterise(
+        torch.cat([one.means for one in decoded]),
+        torch.cat([one.quats for one in decoded]),
+        torch.cat([one.scales for one in decoded]),
+        torch.cat([one.opacities for one in decoded]),
+        torch.cat([one.colors for one in decoded]),
+        camera,
+    )
 
 
 def _now(like: Tensor) -> float:
@@ -208,9 +212,11 @@ class StoredScene:
             self.background,
             self.decoders,
             positions.contiguous(),
-            features.contiguous(),
-            log_scalings.contiguous().exp(),
-            by_axis.reshape(count, 3, k).transpose(1, 2).contiguous(),
+            Attributes(
+                features.contiguous(),
+                log_scalings.contiguous().exp(),
+                by_axis.reshape(count, 3, k).transpose(1, 2).contiguous(),
+            ),
         )
 
 
@@ -257,13 +263,14 @@ class ScaffoldModel(AnchorModel):
             about = {
                 "format": FORMAT,
                 "scene": scene.name,
-                "background": " ".join(repr(float(value)) for value in scene.background),
-                "features": str(decoders.features),
-                "offsets": str(decoders.offsets),
-                "distance": str(int(decoders.distance)),
+                "background": list(scene.background),
+                "features": decoders.features,
+                "offsets": decoders.offsets,
+                "distance": decoders.distance,
             }
             weights = {name: one.cpu().contiguous() for name, one in decoders.state_dict().items()}
-            data = to_safetensors(weights, metadata=about)
+            # In one text: safetensors writes several in any order.
+            data = to_safetensors(weights, metadata={"model": json.dumps(about)})
             (folder / f"{stem}.safetensors").write_bytes(data)
             numbers = 4 * sum(one.numel() for one in weights.values())
             ledger[scene.name] = parts | {"decoders": numbers, "metadata": len(data) - numbers}
@@ -285,19 +292,19 @@ def load_model(folder: Path, device: str) -> ScaffoldModel:
 def _load_scene(file: Path, device: str) -> StoredScene:
     try:
         with safe_open(file, framework="pt") as opened:
-            about = opened.metadata() or {}
-            if about.get("format") != FORMAT:
-                raise ValueError(f"format {about.get('format')!r} instead of {FORMAT!r}")
+            about = json.loads((opened.metadata() or {})["model"])
+            if about["format"] != FORMAT:
+                raise ValueError(f"format {about['format']!r} instead of {FORMAT!r}")
             features, offsets = int(about["features"]), int(about["offsets"])
             if not (1 <= features <= 1024 and 1 <= offsets <= 256):
                 raise ValueError(f"{features} features and {offsets} offsets")
-            decoders = ColorDecoders(features, offsets, distance=bool(int(about["distance"])))
+            decoders = ColorDecoders(features, offsets, distance=bool(about["distance"]))
             weights = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
         if not all(bool(torch.isfinite(one).all()) for one in weights.values()):
             raise ValueError("a weight is not finite")
         decoders.load_state_dict(weights)
-        red, green, blue = (float(value) for value in about["background"].split())
-        name = about["scene"]
+        red, green, blue = (float(value) for value in about["background"])
+        name = str(about["scene"])
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         reason = f"not the networks of a scaffold-gs scene ({error})"
         raise DataError(file, reason, "Save the model again") from error

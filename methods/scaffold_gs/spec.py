@@ -1,6 +1,6 @@
 """Scaffold-GS: what it can do and how it is set."""
 
-from methods.interface import Configuration, MethodSpec, Option
+from methods.interface import Configuration, MethodSpec, Option, OptionValue
 
 OPTIONS = {
     # Start
@@ -39,7 +39,7 @@ OPTIONS = {
 }
 """What HAC has in common with it."""
 
-PUBLISHED = {"start": "random", "background": "white", "max_anchors": 0}
+PUBLISHED: dict[str, OptionValue] = {"start": "random", "background": "white", "max_anchors": 0}
 """How the released code starts on scenes without a cloud of their own."""
 
 SPEC = MethodSpec(

@@ -66,7 +66,7 @@ class Trainer:
     """
 
     distance = False
-    coding = False
+    quantised = False
     masks = False
 
     def __init__(
@@ -80,7 +80,7 @@ class Trainer:
         if len(scene.train) == 0:
             raise Refused(f"scene {scene.name!r} has no training views")
         self.scene, self.options, self.device = scene, options, device
-        self.schedule = Schedule(iterations, self.coding)
+        self.schedule = Schedule(iterations, self.quantised)
         self.generator = torch.Generator().manual_seed(seed)
         points = torch.from_numpy(_start(scene, options, seed))
         voxel = float(options["voxel"]) or median_neighbour_distance(points, 0.01 * scene.extent)
@@ -151,7 +151,7 @@ class Trainer:
     def model(self) -> Model:
         """The present state as a model of its own."""
         features, log_scalings, offsets = (
-            _numpy(self.optimiser[self.anchors.name(name)])
+            to_numpy(self.optimiser[self.anchors.name(name)])
             for name in ("features", "log_scalings", "offsets")
         )
         decoders = copy.deepcopy(self.decoders).requires_grad_(False)
@@ -159,7 +159,7 @@ class Trainer:
             self.scene.name,
             self.scene.train.background,
             decoders,
-            _numpy(self.anchors.positions),
+            to_numpy(self.anchors.positions),
             features,
             log_scalings,
             offsets,
@@ -324,7 +324,8 @@ def _background(scene: SceneInput, wanted: str) -> tuple[float, float, float] | 
     return fixed.get(wanted)
 
 
-def _numpy(tensor: Tensor) -> NDArray[np.float32]:
+def to_numpy(tensor: Tensor) -> NDArray[np.float32]:
+    """A copy as float32 array."""
     return tensor.detach().cpu().numpy().copy()
 
 

@@ -1,0 +1,109 @@
+"""A trained HAC representation and its self-contained stream."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+import torch
+
+from datasets.errors import DataError
+from datasets.scene import RGB
+from econgs.anchors.direct import ColorDecoders
+from econgs.context.model import Attributes
+from econgs.context.stream import GroupAttributes, decode_group, encode_group
+from methods.interface import Refused
+from methods.scaffold_gs.model import AnchorModel, SceneAnchors
+
+SUFFIX = ".hac"
+_METHOD = "hac"
+
+
+def metadata_of(background: RGB) -> dict[str, Any]:
+    """What a stream says of its scene beside names and arrays."""
+    return {"method": _METHOD, "background": list(background)}
+
+
+class HacModel(AnchorModel):
+    """Scenes as their streams give them back.
+
+    Args:
+        groups: of one scene each; values are those that decoding their streams gives.
+        device: where it renders.
+        what: file, for messages.
+
+    Raises:
+        DataError: a group is not one of this method.
+    """
+
+    def __init__(self, groups: Sequence[GroupAttributes], device: str, what: str = "group") -> None:
+        self.groups, self.device = tuple(groups), device
+        super().__init__(_METHOD, [_ready(group, device, what) for group in groups])
+
+    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
+        """Write the stream of each scene, ``<scene>.hac``.
+
+        Raises:
+            Refused: ``rate`` is given; the rate is set by training.
+        """
+        if rate is not None:
+            raise Refused("hac has one size: set rate_weight and train")
+        ledger = {}
+        for group in self.groups:
+            name = group.scenes[0].name
+            encoded = encode_group(group)
+            (folder / f"{quote(name, safe=' ')}{SUFFIX}").write_bytes(encoded.data)
+            ledger[name] = dict(encoded.ledger)
+        return ledger
+
+
+def load_model(folder: Path, device: str) -> HacModel:
+    """Read what :meth:`HacModel.save` wrote.
+
+    Raises:
+        DataError: a stream is missing, damaged or of another kind.
+    """
+    files = sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else []
+    if not files:
+        raise DataError(folder, "no saved hac model in it", "Give the folder that Model.save wrote")
+    groups = []
+    for file in files:
+        try:
+            data = file.read_bytes()
+        except OSError as error:
+            raise DataError(
+                file, f"cannot be read ({error})", "Check the file and its permissions"
+            ) from error
+        group = decode_group(data, str(file))
+        _ready(group, "cpu", str(file))
+        groups.append(group)
+    return HacModel(groups, device)
+
+
+def _ready(group: GroupAttributes, device: str, what: str) -> SceneAnchors:
+    """The scene of a group on a device."""
+    try:
+        if group.metadata["method"] != _METHOD or len(group.scenes) != 1 or not group.masked:
+            raise ValueError("it is of another method")
+        red, green, blue = (float(value) for value in group.metadata["background"])
+        (scene,) = group.scenes
+        decoders = ColorDecoders(scene.features.shape[1], scene.offsets.shape[1], distance=True)
+        decoders.load_state_dict({name: torch.from_numpy(np.array(v)) for name, v in group.decoders.items()})
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        reason = f"it is not the model of a hac scene ({error})"
+        raise DataError(what, reason, "Encode the model anew") from error
+    arrays = (scene.positions, scene.features, scene.scalings, scene.offsets, scene.masks)
+    positions, features, scalings, offsets, masks = (
+        torch.from_numpy(np.ascontiguousarray(one)).to(device) for one in arrays
+    )
+    return SceneAnchors(
+        scene.name,
+        (red, green, blue),
+        decoders.requires_grad_(False).to(device),
+        positions,
+        Attributes(features, scalings, offsets),
+        masks,
+    )

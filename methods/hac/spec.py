@@ -1,0 +1,42 @@
+"""HAC: what it can do and how it is set."""
+
+from methods.interface import Configuration, MethodSpec, Option, RateKnob
+from methods.scaffold_gs.spec import OPTIONS, PUBLISHED
+
+SPEC = MethodSpec(
+    name="hac",
+    title="HAC: hash-grid assisted context",
+    reference=(
+        "Y. Chen, Q. Wu, W. Lin, M. Harandi, J. Cai: HAC: Hash-grid Assisted Context for 3D Gaussian "
+        "Splatting Compression. ECCV 2024"
+    ),
+    version="1",
+    implementation="methods.hac.method:Hac",
+    source=("methods.hac", "methods.scaffold_gs", "econgs"),
+    joint=False,
+    composable=True,
+    edits=frozenset({"opacity"}),
+    needs_volume=False,
+    uses_alpha="views are composited on the training background; alpha is no target of its own",
+    devices=("cpu", "cuda"),
+    options={
+        **OPTIONS,
+        "features": Option(
+            50, "values of an anchor's feature, and hidden units of each decoder", minimum=4, maximum=256
+        ),
+        "rate_weight": Option(1e-3, "weight of the estimated bits (lambda)", minimum=0.0, maximum=1.0),
+        "mask_weight": Option(5e-4, "weight of the mean mask of the offsets", minimum=0.0, maximum=1.0),
+        "grid": Option("hac", "size of the binary hash grids", choices=("small", "hac")),
+        "context_hidden": Option(100, "hidden units of the context model", minimum=8, maximum=256),
+        "feature_step": Option(0.1, "quantisation step Q of features (published: 1)", minimum=1e-6),
+        "scaling_step": Option(0.001, "quantisation step Q of scalings", minimum=1e-8),
+        "offset_step": Option(0.2, "quantisation step Q of offsets", minimum=1e-6),
+    },
+    presets={"quick": {}, "standard": {}, "paper": {}},
+    iterations={"quick": 2_400, "standard": 8_000, "paper": 20_000},
+    rate_knobs=(RateKnob("rate_weight", (5e-4, 1e-3, 2e-3, 3e-3, 4e-3), refit=True),),
+    configurations={
+        "fair": Configuration(),
+        "paper": Configuration({**PUBLISHED, "rate_weight": 4e-3, "feature_step": 1.0}, {"paper": 30_000}),
+    },
+)

@@ -1,0 +1,118 @@
+"""Training HAC: Scaffold-GS under quantisation noise, with offset masks and the rate in the loss."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from econgs.anchors.anchor_set import MASKS
+from econgs.anchors.coding import Coding
+from econgs.context.hash_grid import HAC_GRID, SMALL_GRID
+from econgs.context.model import Attributes, ContextConfig
+from econgs.context.positions import PositionGrid
+from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, round_group
+from methods.hac.model import HacModel, metadata_of
+from methods.interface import Checkpoint, OptionValue
+from methods.scaffold_gs import training as scaffold_gs
+from methods.scaffold_gs.training import Prepared, to_numpy
+
+LEAST_MASK = 0.01
+"""An offset is there if the sigmoid of its mask exceeds this."""
+BOX_MARGIN = 0.1
+"""The box of the context's positions exceeds the anchors by this share on every side (published: 1.2 x)."""
+MASK_RATE, CONTEXT_RATE = (1e-2, 1e-4), (5e-3, 1e-5)
+_GRIDS = {"small": SMALL_GRID, "hac": HAC_GRID}
+
+
+class Trainer(scaffold_gs.Trainer):
+    """State of a fit; see :class:`methods.scaffold_gs.training.Trainer`."""
+
+    distance = True
+    quantised = True
+    masks = True
+
+    def groups(self) -> dict[str, Tensor | Sequence[Tensor]]:
+        """What the optimiser trains; the context model is made here, after the decoders."""
+        config = _context(self.options)
+        self.coding = Coding(config, self.schedule, self.generator, self.device, margin=BOX_MARGIN)
+        return {**super().groups(), **self.coding.groups()}
+
+    def rates(self) -> dict[str, float]:
+        """Learning rates of this iteration."""
+        context = self.decayed(CONTEXT_RATE)
+        own = {self.anchors.name(MASKS): self.decayed(MASK_RATE), "grid": context, "head": context}
+        return super().rates() | own
+
+    def visible(self, values: Attributes) -> Tensor:
+        """(N,) anchors that may show and have an offset left."""
+        return super().visible(values) & self.present().any(1)
+
+    def present(self) -> Tensor:
+        """(N, K) which offsets there are."""
+        return self.optimiser[self.anchors.name(MASKS)].detach().sigmoid() > LEAST_MASK
+
+    def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
+        """Noise or rounding, masks with straight-through gradients, and the losses of rate and masks."""
+        if self.iteration == self.schedule.context_start + 1:
+            self.coding.place([self.anchors])
+            self.coding.begin([self.attributes()])
+        soft = self.optimiser[self.anchors.name(MASKS)].sigmoid()
+        hard = (soft.detach() > LEAST_MASK).to(soft.dtype)
+        masks = (hard + (soft - soft.detach())).index_select(0, rows)
+        total = len(self.anchors)
+        values, rate = self.coding.apply(self.anchors, values, rows, total, self.iteration, masks)
+        losses: dict[str, Tensor] = {}
+        if rate is not None and total:
+            valid = float(hard.any(1).float().mean())
+            bits = rate.attributes * valid + rate.grid
+            losses["rate"] = float(self.options["rate_weight"]) * bits
+            losses["masks"] = float(self.options["mask_weight"]) * soft.mean()
+        return Prepared(values, masks, losses)
+
+    def grow(self) -> None:
+        """One growth event; what is new needs a context."""
+        super().grow()
+        if self.schedule.coded(self.iteration):
+            self.coding.place([self.anchors])
+
+    @torch.no_grad()
+    def model(self) -> HacModel:
+        """The present state as its stream would give it back: rounded once the context model is on."""
+        masks = self.present().cpu().numpy()
+        keep = masks.any(1)
+        positions = to_numpy(self.anchors.positions)[keep]
+        features, scalings, offsets = (to_numpy(one)[keep] for one in self.attributes())
+        coded = self.schedule.coded(self.iteration)
+        scene = SceneAttributes(self.scene.name, positions, features, scalings, offsets, masks=masks[keep])
+        group = GroupAttributes(
+            (scene,),
+            self.coding.grid if coded else PositionGrid.lattice(self.anchors.voxel, positions),
+            CodedContext.of(self.coding.model) if coded else None,
+            {name: to_numpy(one) for name, one in self.decoders.state_dict().items()},
+            metadata_of(self.scene.train.background),
+        )
+        return HacModel([round_group(group)], self.device)
+
+    def checkpoint(self) -> Checkpoint:
+        """All that :meth:`restore` needs to go on as if nothing had happened."""
+        checkpoint = super().checkpoint()
+        checkpoint.arrays.update(self.coding.state())
+        return checkpoint
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Continue from a checkpoint of the same fit."""
+        super().restore(checkpoint)
+        self.coding.load_state({name: values.to(self.device) for name, values in checkpoint.arrays.items()})
+
+
+def _context(options: Mapping[str, OptionValue]) -> ContextConfig:
+    scaling = float(options["scaling_step"])
+    return ContextConfig(
+        features=int(options["features"]),
+        offsets=int(options["offsets"]),
+        steps=(float(options["feature_step"]), scaling, scaling, float(options["offset_step"])),
+        grid=_GRIDS[str(options["grid"])],
+        hidden=int(options["context_hidden"]),
+    )
