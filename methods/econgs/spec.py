@@ -37,6 +37,11 @@ SPEC = MethodSpec(
         "chamfer": Option(
             "mean", "how the two directions of the Chamfer distance combine", choices=("mean", "sum")
         ),
+        "minibatch": Option(
+            "view",
+            "what a step of the optimiser sees: one view of one scene, or one of every scene of the group",
+            choices=("view", "scenes"),
+        ),
         "group_memory_mb": Option(
             0, "groups estimated to need more host memory are split (MiB); 0 = what is free", minimum=0
         ),

@@ -154,6 +154,8 @@ class Trainer:
             limit=int(options["max_anchors"]),
         )
         self.iteration = 0
+        self.batch = len(self.scenes) if options["minibatch"] == "scenes" else 1
+        self.fresh = True  # no gradients wait for the rest of a batch
         self.pending: list[tuple[int, int]] = []  # (scene, view) pairs not yet drawn in this round
         self.limited = False
         groups: dict[str, Tensor | Sequence[Tensor]] = {}
@@ -192,7 +194,7 @@ class Trainer:
                 monitor.stage(stage)
             losses = self.step()
             monitor.progress(self.iteration, losses, self.count)
-            if monitor.due(self.iteration):
+            if self.fresh and monitor.due(self.iteration):
                 monitor.pause(self.iteration, self.model, self.checkpoint)
         self._check_finite()
 
@@ -201,7 +203,7 @@ class Trainer:
         return f"{stage}, stopped at {self.rules.limit} anchors" if self.limited else stage
 
     def step(self) -> dict[str, float]:
-        """One step of the optimiser on one view of one scene, and what the schedule adds to it.
+        """One view of one scene, the optimiser's step, and what the schedule adds to it.
 
         Returns:
             The loss ("loss") and its parts.
@@ -219,8 +221,7 @@ class Trainer:
         camera = scene.given.train.cameras[view]
         truth = scene.images[view].to(self.device)
         target = over(truth[..., :3], truth[..., 3], scene.given.train.background)
-        now, anchors = self.optimiser, scene.anchors
-        values = self._attributes(scene)
+        anchors, values = scene.anchors, self._attributes(scene)
         rows = visible_anchors(camera, anchors.positions, values.scalings).nonzero()[:, 0]
         positions = anchors.positions
         if len(rows) < len(positions):
@@ -243,16 +244,20 @@ class Trainer:
         for name, value in shown.items():
             if not math.isfinite(value):
                 raise Diverged(f"the {name} loss is {value} at iteration {self.iteration}")
+        if self.fresh:
+            self.optimiser.zero_grad()
+            self.fresh = False
         if loss.requires_grad:
-            now.zero_grad()
-            loss.backward()
+            (loss / self.batch).backward()
             if offset is not None and offset.grad is not None:
                 size = (camera.width, camera.height)
                 anchors.statistics.record(
-                    rows, decoded.raw_opacities, decoded.slots, offset.grad, splats.radii, size
+                    rows, decoded.raw_opacities, decoded.slots, offset.grad * self.batch, splats.radii, size
                 )
             self._set_rates(scene)
-            now.step()
+        if self._closes_batch():
+            self.optimiser.step()
+            self.fresh = True
         if self.schedule.grows(self.iteration):
             self._grow()
         if self.control.active and self.schedule.corrects_rate(self.iteration, STEPS):
@@ -262,6 +267,12 @@ class Trainer:
             self._check_finite()
         bits = {} if rate is None else {"bits per attribute": float(rate.attributes.detach())}
         return {"loss": sum(shown.values()), **shown, **bits}
+
+    def _closes_batch(self) -> bool:
+        """Whether the optimiser steps now: when each scene had its view, or anchors are about to change."""
+        schedule, i = self.schedule, self.iteration
+        changes = schedule.grows(i) or schedule.settles_rent(i + 1) or i == schedule.context_start
+        return i % self.batch == 0 or changes or i == schedule.iterations
 
     @property
     def _rate_weight(self) -> float:
@@ -294,10 +305,23 @@ class Trainer:
         return float(self.options["scale_weight"]) * total
 
     def _next_view(self) -> tuple[_Scene, int]:
-        """Pairs of scene and view come in random order, none twice before all were seen."""
+        """Pairs of scene and view come in random order, none twice before all were seen.
+
+        With a minibatch of every scene, scenes take turns.
+        """
         if not self.pending:
-            pairs = [(i, view) for i, scene in enumerate(self.scenes) for view in range(len(scene.images))]
-            self.pending = [pairs[i] for i in torch.randperm(len(pairs), generator=self.generator).tolist()]
+            counts = [len(scene.images) for scene in self.scenes]
+            if self.batch > 1:
+                orders = [torch.randperm(count, generator=self.generator).tolist() for count in counts]
+                self.pending = [
+                    (i, order[turn % len(order)])
+                    for turn in range(max(counts))
+                    for i, order in enumerate(orders)
+                ]
+            else:
+                pairs = [(i, view) for i, count in enumerate(counts) for view in range(count)]
+                order = torch.randperm(len(pairs), generator=self.generator).tolist()
+                self.pending = [pairs[i] for i in order]
         place, view = self.pending.pop()
         return self.scenes[place], view
 

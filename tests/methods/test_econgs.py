@@ -281,3 +281,19 @@ def test_storage(tiny, scene, tmp_path, storage):
     assert max(recorder.counts) > min(recorder.counts)  # it grew or pruned
     with pytest.raises(DataError, match="storage"):
         options(storage="half")
+
+
+def test_a_minibatch_of_every_scene(tiny, scene):
+    """Scenes take turns, the optimiser steps once for all, and a resumed fit is the same."""
+    group = [scene, renamed(scene, "other")]
+    given = options(minibatch="scenes")
+    recorder = tiny.Recorder(checkpoint_at=range(91, 97))
+    whole = Econgs().fit(group, given, Budget(151), 0, "cpu", recorder)
+    assert sorted(recorder.checkpoints) == [92, 94, 96]  # never between the scenes of a batch
+    again = Econgs().fit(group, given, Budget(151), 0, "cpu", tiny.Recorder(), recorder.checkpoints[94])
+    for a, b in zip(pictures(whole, scene.validation), pictures(again, scene.validation), strict=True):
+        assert torch.equal(a, b)
+    trainer = Trainer(group, given, 300, 0, "cpu")
+    turns = [trainer._next_view()[0].name for _ in range(6)]
+    assert len(set(turns[:2])) == 2
+    assert turns[:2] * 3 == turns
