@@ -1,0 +1,46 @@
+"""Named configurations of a method."""
+
+from dataclasses import replace
+
+import pytest
+
+from datasets.errors import DataError, UnknownName
+from methods.interface import Configuration, Option
+from methods.options import resolve
+from methods.registry import check_spec
+from methods.scaffold_gs.spec import SPEC
+
+
+def test_what_is_set_overlays_the_configuration_which_overlays_the_preset():
+    spec = replace(
+        SPEC,
+        presets={**SPEC.presets, "quick": {"voxel": 0.02, "offsets": 5}},
+        configurations={"own": Configuration({"voxel": 0.03, "features": 8}, {"quick": 77})},
+    )
+    found = resolve(spec, "quick", {"features": "9", "configuration": "own"})
+    assert [found.options[name] for name in ("offsets", "voxel", "features")] == [5, 0.03, 9]
+    assert (found.iterations, found.variant) == (77, "configuration=own,features=9")
+    assert resolve(spec, "paper", {"configuration": "own"}).iterations == spec.iterations["paper"]
+    assert resolve(spec, "quick", {"configuration": "own", "iterations": 5}).iterations == 5
+
+
+def test_unknown_configurations_come_with_near_matches():
+    with pytest.raises(UnknownName, match="paper"):
+        resolve(SPEC, "quick", {"configuration": "papre"})
+    with pytest.raises(UnknownName, match="option 'configuration'"):
+        resolve(replace(SPEC, configurations={}), "quick", {"configuration": "fair"})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"configurations": {"own": Configuration({"voxl": 0.1})}}, "voxl"),
+        ({"configurations": {"own": Configuration({"voxel": 7.0})}}, "above the maximum"),
+        ({"configurations": {"own": Configuration({}, {"quik": 3})}}, "quik"),
+        ({"configurations": {"own": Configuration({}, {"quick": 0})}}, "0 iterations"),
+        ({"options": {**SPEC.options, "configuration": Option("a", "b")}}, "called 'configuration'"),
+    ],
+)
+def test_a_spec_that_contradicts_itself_is_refused(changes, words):
+    with pytest.raises(DataError, match=words):
+        check_spec(replace(SPEC, **changes), "here")
