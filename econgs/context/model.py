@@ -41,7 +41,10 @@ class Attributes(NamedTuple):
 
     def of(self, rows: Tensor) -> Attributes:
         """Those of some anchors: indices or a mask."""
-        return Attributes(self.features[rows], self.scalings[rows], self.offsets[rows])
+        if rows.dtype == torch.bool:
+            rows = rows.nonzero()[:, 0]
+        features, scalings, offsets = (one.index_select(0, rows) for one in self)  # faster than [] backward
+        return Attributes(features, scalings, offsets)
 
 
 @dataclass(frozen=True)

@@ -201,7 +201,9 @@ class Trainer:
         target = over(truth[..., :3], truth[..., 3], background)
         values = self.attributes()
         rows = self.visible(values).nonzero()[:, 0]
-        prepared = self.prepare(values.of(rows), rows)
+        if len(rows) < len(self.anchors):
+            values = values.of(rows)
+        prepared = self.prepare(values, rows)
         decoded = decode_colors(
             self.anchors.positions.index_select(0, rows), *prepared.values, self.decoders, camera.position
         )
