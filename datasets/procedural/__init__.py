@@ -56,7 +56,10 @@ _FAMILIES: dict[str, Family] = {
     "argon_bubble_like": Family(("argon_bubble_like",), single.ArgonBubble, (1.0, 0.4, 0.4), 96),
     "beetle_like": Family(("beetle_like",), single.Beetle, (1.0, 1.0, 494 / 864), 96),
     **{
-        f"blobs_{across**3}": Family((f"blobs_{across**3}",), partial(single.Blobs, across=across))
+        # Sixteen blobs across want eight samples each.
+        f"blobs_{across**3}": Family(
+            (f"blobs_{across**3}",), partial(single.Blobs, across=across), default=max(64, 8 * across)
+        )
         for across in LADDER
     },
 }

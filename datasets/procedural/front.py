@@ -14,8 +14,8 @@ _HYDROGEN = 0.76  # part of the mass
 class IonisationFront:
     """Light from the left ionises gas; clumps shade what lies behind them, so that fingers stay neutral.
 
-    Mass fractions of H, H+, H2, He, He+ sum to 1: hydrogen 0.76, helium 0.24. Temperature follows the
-    ionised part and is highest in the thin front; PD, the particle density, is that of the compressed shell.
+    Mass fractions of H, H+, H2 sum to 0.76, those of He, He+ and He++ (which is not written) to 0.24. Dense
+    clumps recombine, and near the source helium is ionised twice. Temperature follows the ionised part and is highest in the thin front; PD, the particle density, is that of the compressed shell.
     """
 
     def __init__(self, seed: int) -> None:
@@ -34,13 +34,15 @@ class IonisationFront:
         """Values in 0...1 of each variable; fractions of mass are themselves."""
         behind = self.depth(at)
         clumps = self._clumps(at)
-        ionised = 1.0 - smoothstep(behind, -0.03, 0.03)
-        helium = 1.0 - smoothstep(behind + 0.015 * clumps, -0.09, -0.01)  # needs harder light: lags
+        front = 1.0 - smoothstep(behind, -0.03, 0.03)
+        ionised = front * (1.0 - 0.35 * smoothstep(clumps, 0.5, 2.5))
+        # Harder light is needed: helium lags, the second time by more.
+        once = 1.0 - smoothstep(behind + 0.03 * clumps, -0.16, 0.0)
+        twice = 1.0 - smoothstep(behind + 0.04 * clumps, -0.42, -0.16)
         molecular = 0.8 * smoothstep(behind + 0.03 * clumps, 0.05, 0.25)
         neutral = 1.0 - ionised
         molecules = neutral * molecular
-        front = np.exp(-((behind / 0.03) ** 2))
-        heat = 0.06 + 0.5 * ionised + 0.3 * front + 0.05 * ionised * clumps
+        heat = 0.06 + 0.5 * front + 0.3 * np.exp(-((behind / 0.03) ** 2)) + 0.05 * front * clumps
         heat = heat + 0.1 * np.exp(-(((behind - 0.1) / 0.05) ** 2))
         shell = np.exp(-(((behind - 0.05) / 0.035) ** 2))
         density = 0.08 + 0.12 * neutral * np.exp(0.7 * clumps) + 0.4 * shell * np.exp(0.35 * clumps)
@@ -48,8 +50,8 @@ class IonisationFront:
             "T": heat,
             "H": _HYDROGEN * (neutral - molecules),
             "H+": _HYDROGEN * ionised,
-            "He": (1.0 - _HYDROGEN) * (1.0 - helium),
-            "He+": (1.0 - _HYDROGEN) * helium,
+            "He": (1.0 - _HYDROGEN) * (1.0 - once),
+            "He+": (1.0 - _HYDROGEN) * once * (1.0 - twice),
             "H2": _HYDROGEN * molecules,
             "PD": density,
         }

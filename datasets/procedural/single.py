@@ -20,8 +20,8 @@ class Supernova:
         coarse, fine = self._coarse(at), self._fine(at)
         r = radius + (0.03 * coarse + 0.012 * fine) * smoothstep(radius, 0.0, 0.2)
         shock = 1.0 - smoothstep(r, 0.38, 0.42)
-        shell = np.exp(-(((r - 0.33) / 0.06) ** 2)) * (0.35 + 0.1 * fine)
-        core = 0.6 * np.exp(-((r / 0.16) ** 2) * np.exp(-0.5 * coarse))
+        shell = np.exp(-(((r - 0.33) / 0.06) ** 2)) * (0.35 + 0.08 * fine)
+        core = 0.85 * np.exp(-((r / 0.2) ** 2) * np.exp(-0.5 * coarse))
         return {"supernova_like": shock * (0.12 + np.maximum(shell, 0.0) + core)}
 
 
@@ -69,7 +69,7 @@ class Beetle:
                 for a, b in ((hip, knee), (knee, foot)):
                     legs = np.minimum(legs, _to_segment(x, y, z, a, b))
             legs = np.minimum(legs, _to_segment(x, y, z, (side * 0.04, 0.36, 0.0), (side * 0.12, 0.48, 0.08)))
-        limb = np.exp(-((legs / 0.012) ** 2))
+        limb = np.exp(-((legs / 0.016) ** 2))
         value = 0.06 + np.maximum(tissue, 0.66 * np.maximum(shell, limb))
         return {"beetle_like": value + 0.02 * self._grain(at)}
 
