@@ -15,7 +15,8 @@ _CHI, _VORT = 2500.0, 60.0  # values shown as 1
 class JetFlame:
     """Fuel (MF = 1) streams along y between two streams of oxidiser (MF = -1); eddies wrinkle the layers.
 
-    From the nozzle at the lower end the jet widens, and its layers thicken and get rougher. CHI is proportional to the squared gradient of MF, VORT to the magnitude of the velocity's curl. Heat is
+    From the nozzle at the lower end the jet widens, and its layers thicken and get rougher. CHI is
+    proportional to the squared gradient of MF, VORT to the magnitude of the velocity's curl. Heat is
     released in a thin layer at the stoichiometric value, less where dissipation is high (quenching); the
     products (OH) lie in a thicker layer on the lean side of it.
     """

@@ -15,7 +15,8 @@ class IonisationFront:
     """Light from the left ionises gas; clumps shade what lies behind them, so that fingers stay neutral.
 
     Mass fractions of H, H+, H2 sum to 0.76, those of He, He+ and He++ (which is not written) to 0.24. Dense
-    clumps recombine, and near the source helium is ionised twice. Temperature follows the ionised part and is highest in the thin front; PD, the particle density, is that of the compressed shell.
+    clumps recombine, and near the source helium is ionised twice. Temperature follows the ionised part and
+    is highest in the thin front; PD, the particle density, is that of the compressed shell.
     """
 
     def __init__(self, seed: int) -> None:
