@@ -16,7 +16,7 @@ from torch import Tensor
 from datasets.camera import Camera
 from econgs.anchors.decoders import NETWORKS, Decoders
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade, unit
-from econgs.splat.rasterise import choose_backend
+from econgs.splat.rasterise import Rasterised, choose_backend, rasterise
 
 MIN_QUATERNION = 1e-12  # a shorter quaternion is no rotation: the identity stands in
 Vector = Sequence[float] | NDArray[np.float64] | Tensor
@@ -294,3 +294,16 @@ def masked(decoded: Decoded, masks: Tensor) -> Decoded:
         slots,
         decoded.raw_opacities * drawn.view(decoded.raw_opacities.shape),
     )
+
+
+def draw(decoded: Sequence[Decoded], camera: Camera, screen_offset: Tensor | None = None) -> Rasterised:
+    """Splat what was decoded of one or several scenes, concatenated and sorted once."""
+
+    def all_of(name: str) -> Tensor:
+        parts: list[Tensor] = [getattr(one, name) for one in decoded]
+        return parts[0] if len(parts) == 1 else torch.cat(parts)
+
+    means, quats, scales, opacities, colors = (
+        all_of(name) for name in ("means", "quats", "scales", "opacities", "colors")
+    )
+    return rasterise(means, quats, scales, opacities, colors, camera, screen_offset=screen_offset)

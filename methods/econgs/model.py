@@ -16,14 +16,13 @@ from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.names import unknown
 from datasets.scene import RGB
-from econgs.anchors.decode import Decoded, decode, visible_anchors
+from econgs.anchors.decode import Decoded, decode, draw, visible_anchors
 from econgs.anchors.decoders import Decoders
 from econgs.anchors.shading import Factors
 from econgs.context.arrays import Precision
 from econgs.context.container import Kind, overhead, read_container
 from econgs.context.stream import GroupAttributes, SceneAttributes, decode_group, encode_group
 from econgs.splat.composite import over
-from econgs.splat.rasterise import Rasterised, rasterise
 from methods.interface import Edit, Refused, edits_by_scene
 
 Direction = tuple[float, float, float]
@@ -191,7 +190,7 @@ class EcongsModel:
         edits = edits_by_scene(edit, names)
         with torch.inference_mode():
             decoded = [self._decode(name, camera, edits.get(name)) for name in names]
-            splats = _rasterise(decoded, camera)
+            splats = draw(decoded, camera)
             rgb = over(splats.features, splats.alpha, back)
             return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
 
@@ -203,7 +202,7 @@ class EcongsModel:
             start = _now(like)
             decoded = [self._decode(name, camera, None) for name in names]
             middle = _now(like)
-            _rasterise(decoded, camera)
+            draw(decoded, camera)
             return {"decode": middle - start, "shade": 0.0, "rasterise": _now(like) - middle}
 
     def _find(self, scene: str) -> tuple[Group, SceneAnchors]:
@@ -287,32 +286,6 @@ def _edited(name: str, scene: SceneAnchors, edit: Edit) -> tuple[Tensor, Directi
         x, y, z = (direction / length).tolist()
         light = (x, y, z)
     return palette, light, Factors(**numbers)
-
-
-def draw(decoded: Decoded, camera: Camera, screen_offset: Tensor | None = None) -> Rasterised:
-    """Splat the Gaussians of one scene."""
-    return rasterise(
-        decoded.means,
-        decoded.quats,
-        decoded.scales,
-        decoded.opacities,
-        decoded.colors,
-        camera,
-        screen_offset=screen_offset,
-    )
-
-
-def _rasterise(decoded: Sequence[Decoded], camera: Camera) -> Rasterised:
-    if len(decoded) == 1:
-        return draw(decoded[0], camera)
-    return rasterise(
-        torch.cat([one.means for one in decoded]),
-        torch.cat([one.quats for one in decoded]),
-        torch.cat([one.scales for one in decoded]),
-        torch.cat([one.opacities for one in decoded]),
-        torch.cat([one.colors for one in decoded]),
-        camera,
-    )
 
 
 def _now(like: Tensor) -> float:

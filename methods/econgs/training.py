@@ -16,7 +16,7 @@ from datasets.camera import Camera
 from datasets.cloud import random_cloud
 from econgs.anchors.anchor_set import AnchorSet
 from econgs.anchors.coding import Coding
-from econgs.anchors.decode import Decoded, decode, visible_anchors
+from econgs.anchors.decode import Decoded, decode, draw, visible_anchors
 from econgs.anchors.decoders import Decoders, OffsetColor, Storage
 from econgs.anchors.growing import AnchorRules
 from econgs.context.arrays import Precision, round_arrays
@@ -28,7 +28,7 @@ from econgs.losses import photometric_loss
 from econgs.optim import Adam
 from econgs.splat.composite import over
 from methods.econgs.control import STEPS, RateControl
-from methods.econgs.model import EcongsModel, Group, decoders_metadata, draw
+from methods.econgs.model import EcongsModel, Group, decoders_metadata
 from methods.econgs.rent import contributions, some_views, who_stays
 from methods.econgs.schedule import Schedule
 from methods.interface import Checkpoint, Diverged, Monitor, OptionValue, Refused, SceneInput
@@ -233,7 +233,7 @@ class Trainer:
         decoded = self._decode(scene, camera, positions, values)
         collects = self.schedule.collects(self.iteration)
         offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
-        splats = draw(decoded, camera, screen_offset=offset)
+        splats = draw([decoded], camera, offset)
         image = over(splats.features, splats.alpha, scene.given.train.background)
         parts = {"image": photometric_loss(image, target, float(self.options["ssim_weight"]))}
         parts["scale"] = self._scale_loss(decoded.scales)
@@ -349,7 +349,7 @@ class Trainer:
             errors = []
             for view in views:
                 decoded, _ = frame(cameras[view], kept)
-                splats = draw(decoded, cameras[view])
+                splats = draw([decoded], cameras[view])
                 truth = scene.images[view].to(self.device)
                 target = over(truth[..., :3], truth[..., 3], background)
                 errors.append(

@@ -21,11 +21,10 @@ from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.names import unknown
 from datasets.scene import RGB
-from econgs.anchors.decode import Decoded, masked, visible_anchors
+from econgs.anchors.decode import Decoded, draw, masked, visible_anchors
 from econgs.anchors.direct import ColorDecoders, decode_colors
 from econgs.context.model import Attributes
 from econgs.splat.composite import over
-from econgs.splat.rasterise import Rasterised, rasterise
 from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
 from methods.interface import Edit, Refused, edits_by_scene
 
@@ -105,7 +104,7 @@ class AnchorModel:
         factors = self._opacity_factors(names, edit)
         with torch.inference_mode():
             decoded = [self._decode(name, camera, factors.get(name, 1.0)) for name in names]
-            splats = _rasterise(decoded, camera)
+            splats = draw(decoded, camera)
             rgb = over(splats.features, splats.alpha, back)
             return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
 
@@ -117,7 +116,7 @@ class AnchorModel:
             start = _now(like)
             decoded = [self._decode(name, camera, 1.0) for name in names]
             middle = _now(like)
-            _rasterise(decoded, camera)
+            draw(decoded, camera)
             return {"decode": middle - start, "shade": 0.0, "rasterise": _now(like) - middle}
 
     def _decode(self, name: str, camera: Camera, opacity: float) -> Decoded:
@@ -141,20 +140,6 @@ class AnchorModel:
                 raise Refused(f"opacity factor {factor} of scene {name!r} is not a finite number >= 0")
             factors[name] = factor
         return factors
-
-
-def _rasterise(decoded: Sequence[Decoded], camera: Camera) -> Rasterised:
-    if len(decoded) == 1:
-        one = decoded[0]
-        return rasterise(one.means, one.quats, one.scales, one.opacities, one.colors, camera)
-    return rasterise(
-        torch.cat([one.means for one in decoded]),
-        torch.cat([one.quats for one in decoded]),
-        torch.cat([one.scales for one in decoded]),
-        torch.cat([one.opacities for one in decoded]),
-        torch.cat([one.colors for one in decoded]),
-        camera,
-    )
 
 
 def _now(like: Tensor) -> float:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from datasets.cloud import random_cloud
 from econgs.anchors.anchor_set import AnchorSet
-from econgs.anchors.decode import masked, visible_anchors
+from econgs.anchors.decode import draw, masked, visible_anchors
 from econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
 from econgs.anchors.growing import AnchorRules
 from econgs.context.model import Attributes
@@ -22,7 +22,6 @@ from econgs.losses import photometric_loss
 from econgs.optim import Adam
 from econgs.points import median_neighbour_distance
 from econgs.splat.composite import over
-from econgs.splat.rasterise import rasterise
 from methods.interface import Checkpoint, Diverged, Model, Monitor, OptionValue, Refused, SceneInput
 from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
@@ -211,15 +210,7 @@ class Trainer:
             decoded = masked(decoded, prepared.masks)
         collects = self.schedule.collects(self.iteration)
         offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
-        splats = rasterise(
-            decoded.means,
-            decoded.quats,
-            decoded.scales,
-            decoded.opacities,
-            decoded.colors,
-            camera,
-            screen_offset=offset,
-        )
+        splats = draw([decoded], camera, offset)
         image = over(splats.features, splats.alpha, background)
         losses = {"image": photometric_loss(image, target, float(self.options["ssim_weight"]))}
         if len(decoded.scales):
