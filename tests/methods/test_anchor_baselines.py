@@ -135,16 +135,17 @@ def test_a_model_of_another_method_is_refused(tmp_path, tiny, scene):
             one().load(folder, "cpu")
 
 
-@pytest.mark.parametrize("stop", [1, 30, 75, 118, 120])
-def test_interrupted_and_resumed_is_uninterrupted(kind, tiny, scene, stop):
+def test_interrupted_and_resumed_is_uninterrupted(kind, tiny, scene):
     changed = {"background": "random", "growth_gradient": 0.0}
-    recorder = tiny.Recorder(checkpoint_at=[stop])
+    stops = (1, 45, 118, 120)
+    recorder = tiny.Recorder(checkpoint_at=stops)
     whole = fit(kind, scene, recorder, 120, 3, **changed)
-    rest = tiny.Recorder()
-    resumed = fit(kind, scene, rest, 120, 3, recorder.checkpoints[stop], **changed)
-    assert rest.losses == recorder.losses[stop:]
-    for camera in scene.validation.cameras:
-        assert torch.equal(resumed.render(camera)[0], whole.render(camera)[0])
+    for stop in stops:
+        rest = tiny.Recorder()
+        resumed = fit(kind, scene, rest, 120, 3, recorder.checkpoints[stop], **changed)
+        assert rest.losses == recorder.losses[stop:]
+        for camera in scene.validation.cameras:
+            assert torch.equal(resumed.render(camera)[0], whole.render(camera)[0])
 
 
 def test_one_seed_gives_one_model_and_another_seed_another(kind, tiny, scene, tmp_path):
