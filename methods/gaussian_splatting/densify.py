@@ -87,6 +87,7 @@ def grow(
     rules: GrowthRules,
     prune_large: bool,
     generator: torch.Generator,
+    also: torch.Tensor | None = None,
 ) -> Growth:
     """Clone small and split large Gaussians with high gradients, then prune.
 
@@ -96,9 +97,12 @@ def grow(
         rules: thresholds.
         prune_large: also prune those with a radius over 20 px or a scale over 0.1 x extent.
         generator: CPU generator that places the parts of split Gaussians.
+        also: (N,) which Gaussians are cloned or split for another reason.
     """
     gradients = statistics.mean_gradients()
     hot = gradients >= rules.gradient
+    if also is not None:
+        hot = hot | also
     limited = False
     if rules.limit:
         room = max(0, rules.limit - len(gradients))

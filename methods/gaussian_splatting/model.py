@@ -104,12 +104,15 @@ class _Activated:
         )
 
 
-class GaussianModel:
+class SplatModel:
     """Gaussians of one or several scenes, rendered separately or concatenated and sorted once.
 
     Args:
         scenes: at least one, with distinct names, on one device.
     """
+
+    method = "3dgs"
+    """Name of the method, for messages."""
 
     def __init__(self, scenes: Sequence[SceneGaussians]) -> None:
         self._scenes = {scene.name: scene for scene in scenes}
@@ -136,32 +139,6 @@ class GaussianModel:
         """Number of Gaussians of one scene or of all."""
         names = self.scenes if scene is None else (scene,)
         return sum(len(self.gaussians(name).means) for name in names)
-
-    def bytes_estimate(self) -> int:
-        """Bytes of the Gaussians; headers and metadata add a few hundred."""
-        return sum(scene.rows().nbytes for scene in self._scenes.values())
-
-    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
-        """Write ``<scene>.ply`` and ``<scene>.json`` (background, degree) per scene.
-
-        Raises:
-            Refused: ``rate`` is given; this method has one size.
-        """
-        if rate is not None:
-            raise Refused("3dgs has no rate knob")
-        ledger: dict[str, dict[str, int]] = {}
-        for name, scene in self._scenes.items():
-            stem = quote(name, safe=" ")
-            parts = write_ply(folder / f"{stem}.ply", scene.rows())
-            about = {
-                "format": FORMAT,
-                "scene": name,
-                "background": list(scene.background),
-                "sh_degree": scene.sh_degree,
-            }
-            parts["metadata"] = (folder / f"{stem}.json").write_bytes(json.dumps(about).encode())
-            ledger[name] = parts
-        return ledger
 
     def render(
         self,
@@ -213,7 +190,9 @@ class GaussianModel:
         for name, wanted in edits.items():
             refused = [k for k, v in vars(wanted).items() if v is not None and k != "opacity"]
             if refused:
-                raise Refused(f"3dgs cannot edit {', '.join(refused)} of scene {name!r}: only opacity")
+                raise Refused(
+                    f"{self.method} cannot edit {', '.join(refused)} of scene {name!r}: only opacity"
+                )
             factor = wanted.opacity
             if factor is not None and not (math.isfinite(factor) and factor >= 0.0):
                 raise Refused(f"opacity factor {factor} of scene {name!r} is not a finite number >= 0")
@@ -226,6 +205,36 @@ class GaussianModel:
             for o, factor in zip(opacities.split(sizes), factors, strict=True)
         ]
         return torch.cat(pieces).clamp(0.0, 1.0)
+
+
+class GaussianModel(SplatModel):
+    """A model of 3DGS: every attribute in float32."""
+
+    def bytes_estimate(self) -> int:
+        """Bytes of the Gaussians; headers and metadata add a few hundred."""
+        return sum(scene.rows().nbytes for scene in self._scenes.values())
+
+    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
+        """Write ``<scene>.ply`` and ``<scene>.json`` (background, degree) per scene.
+
+        Raises:
+            Refused: ``rate`` is given; this method has one size.
+        """
+        if rate is not None:
+            raise Refused("3dgs has no rate knob")
+        ledger: dict[str, dict[str, int]] = {}
+        for name, scene in self._scenes.items():
+            stem = quote(name, safe=" ")
+            parts = write_ply(folder / f"{stem}.ply", scene.rows())
+            about = {
+                "format": FORMAT,
+                "scene": name,
+                "background": list(scene.background),
+                "sh_degree": scene.sh_degree,
+            }
+            parts["metadata"] = (folder / f"{stem}.json").write_bytes(json.dumps(about).encode())
+            ledger[name] = parts
+        return ledger
 
 
 def load_model(folder: Path, device: str) -> GaussianModel:

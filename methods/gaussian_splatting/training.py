@@ -12,7 +12,7 @@ from datasets.scene import RGB, WHITE
 from econgs.losses import photometric_loss
 from econgs.optim import Adam
 from econgs.splat.composite import over
-from econgs.splat.rasterise import rasterise
+from econgs.splat.rasterise import Rasterised, rasterise
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, capped_logits, grow
 from methods.gaussian_splatting.initialise import initial_parameters
@@ -33,6 +33,8 @@ _CHECK_EVERY = 100
 class Trainer:
     """State of a fit: parameters, optimiser, densification statistics, order of views, random state.
 
+    Methods that begin as 3DGS build on it: vq-3dgs, ivr-gs.
+
     Args:
         scene: what is trained.
         options: resolved options of the spec.
@@ -52,12 +54,7 @@ class Trainer:
         self.scene, self.options, self.device = scene, options, device
         choice = str(options["background"])
         self.background = scene.train.background if choice == "scene" else _BACKGROUNDS.get(choice)
-        self.schedule = Schedule(
-            iterations,
-            sh_degree=int(options["sh_degree"]),
-            resets=bool(options["opacity_reset"]),
-            early_reset=self.background == WHITE,
-        )
+        self.schedule = self._schedule(iterations)
         self.rules = GrowthRules(
             gradient=float(options["growth_gradient"]),
             dense_scale=float(options["dense_fraction"]) * scene.extent,
@@ -70,19 +67,42 @@ class Trainer:
         self.iteration = 0
         self.pending: list[int] = []  # views not yet drawn in this round
         self.limited = False
-        parameters = initial_parameters(scene, options, self.generator)
+        parameters, rates = self._start()
+        self.optimiser = Adam({name: values.to(device) for name, values in parameters.items()}, rates)
+        self.statistics = GrowthStatistics.zeros(self.count, device)
+
+    def _schedule(self, iterations: int) -> Schedule:
+        return Schedule(
+            iterations,
+            sh_degree=int(self.options["sh_degree"]),
+            resets=bool(self.options["opacity_reset"]),
+            early_reset=self.background == WHITE,
+        )
+
+    def _start(self) -> tuple[dict[str, torch.Tensor], dict[str, float]]:
+        """First parameters, one row per Gaussian, and their learning rates."""
+        parameters = initial_parameters(self.scene, self.options, self.generator)
         rates = LEARNING_RATES | {
             "means": 0.0,
-            "logits": float(options["opacity_lr"]),
-            "sh_rest": float(options["sh_rest_lr"]),
+            "logits": float(self.options["opacity_lr"]),
+            "sh_rest": float(self.options["sh_rest_lr"]),
         }
-        self.optimiser = Adam({name: parameters[name].to(device) for name in PARAMETERS}, rates)
-        self.statistics = GrowthStatistics.zeros(self.count, device)
+        return {name: parameters[name] for name in PARAMETERS}, rates
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters that are optimised now."""
+        return tuple(self.optimiser.parameters)
 
     @property
     def count(self) -> int:
         """Number of Gaussians."""
         return len(self.optimiser["means"])
+
+    @property
+    def iterations(self) -> int:
+        """The whole budget."""
+        return self.schedule.iterations
 
     def run(self, monitor: Monitor) -> None:
         """Train to the end of the budget.
@@ -91,7 +111,7 @@ class Trainer:
             Diverged: a loss or a parameter is not finite.
         """
         stage = ""
-        while self.iteration < self.schedule.iterations:
+        while self.iteration < self.iterations:
             if stage != (stage := self._stage()):
                 monitor.stage(stage)
             loss = self.step()
@@ -120,9 +140,7 @@ class Trainer:
         view = self._next_view()
         camera = self.scene.train.cameras[view]
         back = self._background_color()
-        truth = self.images[view].to(self.device)
-        target = over(truth[..., :3], truth[..., 3], back)
-        loss, offset, radii = self._loss(camera, target, back)
+        loss, offset, radii = self._loss(camera, self.images[view].to(self.device), back)
         value = float(loss.detach())
         if not math.isfinite(value):
             raise Diverged(f"the loss is {value} at iteration {self.iteration}")
@@ -130,7 +148,7 @@ class Trainer:
             self.optimiser.zero_grad()
             loss.backward()
             if offset is not None and offset.grad is not None:
-                self.statistics.record(offset.grad, radii, camera.width, camera.height)
+                self._record(offset.grad, radii, camera)
             self.optimiser.rates["means"] = self._position_rate()
             self.optimiser.step()
         if self.schedule.grows(self.iteration):
@@ -142,9 +160,15 @@ class Trainer:
         return value
 
     def _loss(
-        self, camera: Camera, target: torch.Tensor, back: RGB | torch.Tensor
+        self, camera: Camera, truth: torch.Tensor, back: RGB | torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor | None, torch.Tensor]:
-        """Loss of one view, screen offsets whose gradient densification reads, radii."""
+        """Loss against a view (H, W, 4), screen offsets whose gradient densification reads, radii."""
+        splats, offset = self._splat(self._colors(camera), camera)
+        loss = self._image_loss(splats.features, splats.alpha, truth, back)
+        return loss, offset, splats.radii
+
+    def _splat(self, features: torch.Tensor, camera: Camera) -> tuple[Rasterised, torch.Tensor | None]:
+        """Features splatted, and the screen offsets of :meth:`_loss`."""
         now = self.optimiser
         offset = None
         if self.schedule.collects(self.iteration):
@@ -155,16 +179,25 @@ class Trainer:
                 now["quats"],
                 now["log_scales"].exp(),
                 now["logits"].sigmoid(),
-                self._colors(camera),
+                features,
                 camera,
                 screen_offset=offset,
             )
         except ValueError:
             self._check_finite()  # the usual reason; any other is a fault of the program
             raise
-        image = over(splats.features, splats.alpha, back)
-        loss = photometric_loss(image, target, float(self.options["ssim_weight"]))
-        return loss, offset, splats.radii
+        return splats, offset
+
+    def _image_loss(
+        self, colors: torch.Tensor, alpha: torch.Tensor, truth: torch.Tensor, back: RGB | torch.Tensor
+    ) -> torch.Tensor:
+        """Loss of premultiplied colors over the background."""
+        target = over(truth[..., :3], truth[..., 3], back)
+        return photometric_loss(over(colors, alpha, back), target, float(self.options["ssim_weight"]))
+
+    def _record(self, gradients: torch.Tensor, radii: torch.Tensor, camera: Camera) -> None:
+        """Keep what densification wants to know of a view."""
+        self.statistics.record(gradients, radii, camera.width, camera.height)
 
     def _colors(self, camera: Camera) -> torch.Tensor:
         now, degree = self.optimiser, self.schedule.degree(self.iteration)
@@ -184,23 +217,24 @@ class Trainer:
         first = float(self.options["position_lr"]) * self.scene.extent
         return self.schedule.decayed(self.iteration, first, POSITION_DECAY * first)
 
-    def _grow(self) -> None:
+    def _grow(self, also: torch.Tensor | None = None) -> None:
         self._check_finite()
         growth = grow(
-            {name: self.optimiser[name].detach() for name in PARAMETERS},
+            {name: self.optimiser[name].detach() for name in self.names},
             self.statistics,
             self.rules,
             self.schedule.prunes_large(self.iteration),
             self.generator,
+            also,
         )
-        self.optimiser.keep(growth.keep, PARAMETERS)
+        self.optimiser.keep(growth.keep, self.names)
         self.optimiser.append(growth.added)
         self.statistics = GrowthStatistics.zeros(self.count, self.device)
         self.limited |= growth.limited
 
     def _check_finite(self) -> None:
         with torch.no_grad():
-            for name in PARAMETERS:
+            for name in self.names:
                 values = self.optimiser[name]
                 # A logarithm may be finite and its exponential not.
                 total = values.exp().sum() if name == "log_scales" else values.sum()

@@ -1,0 +1,488 @@
+"""The contract kit: what every plugin promises to the harness, checked on a tiny scene.
+
+``bench check-plugin`` runs it, and so do the tests of the methods that come with the harness. Each check is a
+function that takes a :class:`Subject` and returns what it saw in a few words, or raises ``AssertionError``
+with what is wrong.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from datasets.camera import Camera
+from datasets.errors import DataError
+from methods.contract_scene import away, cameras, tiny_scene
+from methods.interface import (
+    Budget,
+    Checkpoint,
+    Edit,
+    Method,
+    MethodSpec,
+    Model,
+    OptionValue,
+    Refused,
+    SceneInput,
+)
+from methods.options import CONFIGURATION, resolve
+from methods.registry import PRESETS, check_spec
+
+TOLERANCE = 1e-6  # of colors and alpha: a model must not depend on the process that renders it
+EDITS: Mapping[str, tuple[Edit, ...]] = {
+    "palette": (Edit(palette=(0.9, 0.1, 0.1)),),
+    "opacity": (Edit(opacity=0.3),),
+    "light": (Edit(light=(0.0, 0.6, 0.8)),),
+    "shading": (Edit(ambient=0.5), Edit(diffuse=0.5), Edit(specular=3.0), Edit(shininess=0.5)),
+}
+
+
+class Recorder:
+    """A monitor that keeps what it is told, and checkpoints where it is asked to."""
+
+    def __init__(self, checkpoint_at: Sequence[int] = ()) -> None:
+        self.wanted = set(checkpoint_at)
+        self.iterations: list[int] = []
+        self.losses: list[float] = []
+        self.checkpoints: dict[int, Checkpoint] = {}
+
+    def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
+        self.iterations.append(iteration)
+        self.losses.append(losses["loss"])
+
+    def due(self, iteration: int) -> bool:
+        return iteration in self.wanted
+
+    def pause(self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]) -> None:
+        model().primitives()
+        given = checkpoint()
+        # As if written and read: what training goes on with must not be shared.
+        arrays = {name: values.clone() for name, values in given.arrays.items()}
+        self.checkpoints[iteration] = Checkpoint(given.iteration, arrays, dict(given.scalars))
+
+    def stage(self, name: str) -> None:
+        pass
+
+
+class Subject:
+    """A plugin under examination.
+
+    Args:
+        spec: of the method.
+        method: its implementation.
+        folder: empty, for models.
+        iterations: of each fit.
+        overrides: options that differ from those of the preset "quick".
+        plugins: folders that a new process must know to find the method.
+        device: "cpu" or "cuda".
+    """
+
+    def __init__(
+        self,
+        spec: MethodSpec,
+        method: Method,
+        folder: Path,
+        iterations: int = 60,
+        overrides: Mapping[str, OptionValue] | None = None,
+        plugins: Sequence[Path] = (),
+        device: str = "cpu",
+    ) -> None:
+        self.spec, self.method, self.folder, self.device = spec, method, folder, device
+        self.iterations, self.plugins = iterations, tuple(plugins)
+        self.overrides = dict(overrides or {})
+        self.scene = tiny_scene("tiny")
+        self.stops = sorted({max(1, iterations * part // 8) for part in (1, 3, 5, 7)} | {iterations})
+        self._first: tuple[Model, Recorder] | None = None
+
+    def fit(
+        self,
+        scenes: Sequence[SceneInput] | None = None,
+        recorder: Recorder | None = None,
+        resume: Checkpoint | None = None,
+        iterations: int | None = None,
+        **changed: OptionValue,
+    ) -> Model:
+        """A fit; of the tiny scene where no other is given."""
+        options = resolve(self.spec, "quick", self.overrides | changed).options
+        return self.method.fit(
+            [self.scene] if scenes is None else scenes,
+            options,
+            Budget(self.iterations if iterations is None else iterations),
+            7,
+            self.device,
+            Recorder() if recorder is None else recorder,
+            resume,
+        )
+
+    def first(self) -> tuple[Model, Recorder]:
+        """The fit that most checks look at."""
+        if self._first is None:
+            recorder = Recorder(self.stops)
+            self._first = self.fit(recorder=recorder), recorder
+        return self._first
+
+    def saved(self, model: Model, name: str, rate: float | None = None) -> tuple[Path, Mapping[str, Any]]:
+        """A new folder with the model, and the ledger."""
+        folder = self.folder / name
+        folder.mkdir(parents=True)
+        return folder, model.save(folder, rate)
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """Name -> content of every file under a folder."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def _picture(model: Model, camera: Camera, **arguments: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    rgb, alpha = model.render(camera, **arguments)
+    return rgb.cpu(), alpha.cpu()
+
+
+def _same(one: tuple[torch.Tensor, ...], other: tuple[torch.Tensor, ...], what: str) -> None:
+    for a, b in zip(one, other, strict=True):
+        far = float((a - b).abs().max())
+        assert far <= TOLERANCE, f"{what}: pictures differ by up to {far:.2g}"
+
+
+def _check_ledger(ledger: Mapping[str, Mapping[str, int]], folder: Path, model: Model) -> int:
+    total = sum(len(data) for data in files_of(folder).values())
+    claimed = sum(count for parts in ledger.values() for count in parts.values())
+    assert claimed == total, f"the ledger sums to {claimed} bytes, the files to {total}"
+    foreign = set(ledger) - {"", *model.scenes}
+    assert not foreign, f"the ledger names {sorted(foreign)}, which are no scenes of the model"
+    low = [part for parts in ledger.values() for part, count in parts.items() if count < 0]
+    assert not low, f"the ledger has negative entries: {low}"
+    return total
+
+
+def _refused(what: str, call: Callable[[], object], *kinds: type[Exception]) -> str:
+    kinds = kinds or (Refused,)
+    try:
+        call()
+    except kinds as error:
+        said = str(error).strip()
+    except Exception as error:
+        raise AssertionError(f"{what}: {type(error).__name__} ({error}) instead of a refusal") from error
+    else:
+        raise AssertionError(f"{what}: not refused")
+    assert said, f"{what}: refused without a reason"
+    return said
+
+
+# --------------------------------------------------------------------------- the checks
+
+
+def specification(subject: Subject) -> str:
+    """The spec is sound; every preset, configuration and refitting rate knob resolves."""
+    spec = subject.spec
+    check_spec(spec, spec.name)
+    for preset in PRESETS:
+        for name in ("", *spec.configurations):
+            resolve(spec, preset, {CONFIGURATION: name} if name else {})
+        for knob in spec.rate_knobs:
+            assert knob.values, f"the rate knob {knob.name!r} has no values"
+            if knob.refit:
+                for value in knob.values:
+                    resolve(spec, preset, {knob.name: value})
+    return f"{len(spec.options)} options, {len(spec.configurations)} configurations"
+
+
+def partition(subject: Subject) -> str:
+    """Every scene lies in one group; a method that is not joint refuses a group of two."""
+    scenes = [tiny_scene(name) for name in ("a", "b", "c")]
+    options = resolve(subject.spec, "quick", subject.overrides).options
+    groups = subject.method.partition(scenes, options)
+    names = [scene.name for group in groups for scene in group]
+    assert sorted(names) == ["a", "b", "c"], f"the groups hold {names}"
+    if not subject.spec.joint:
+        assert len(groups) == 3, "a method that is not joint put scenes together"
+        _refused("a group of two scenes", lambda: subject.fit(scenes[:2], iterations=2))
+    return f"{len(groups)} groups of 3 scenes"
+
+
+def fit(subject: Subject) -> str:
+    """Every iteration is reported, losses are finite, and the pictures are pictures."""
+    model, recorder = subject.first()
+    assert recorder.iterations == list(range(1, subject.iterations + 1)), (
+        f"progress was reported {len(recorder.iterations)} times in {subject.iterations} iterations"
+    )
+    assert np.isfinite(recorder.losses).all(), "a loss is not finite"
+    assert model.scenes == ("tiny",), f"the model holds {model.scenes}"
+    assert model.primitives() == model.primitives("tiny") > 0
+    camera = subject.scene.validation.cameras[0]
+    white, alpha = _picture(model, camera, background=(1.0, 1.0, 1.0))
+    assert white.shape == (camera.height, camera.width, 3), f"rgb has shape {tuple(white.shape)}"
+    assert alpha.shape == (camera.height, camera.width), f"alpha has shape {tuple(alpha.shape)}"
+    for name, values in (("rgb", white), ("alpha", alpha)):
+        assert float(values.min()) >= 0.0, f"{name} goes down to {float(values.min())}"
+        assert float(values.max()) <= 1.0, f"{name} goes up to {float(values.max())}"
+    _same(_picture(model, camera), (white, alpha), "the default is not the scene's background")
+    black, again = _picture(model, camera, background=(0.0, 0.0, 0.0))
+    _same((again,), (alpha,), "alpha depends on the background")
+    composited = (black + (1.0 - alpha[..., None])).clamp(0.0, 1.0)
+    far = float((composited - white).abs().max())
+    assert far < 1e-3, f"the background is not composited with 1 - alpha: {far:.2g} apart"
+    times = model.timings(camera)
+    assert min(times.values()) >= 0.0, f"timings are {times}"
+    return f"{model.primitives()} primitives, loss {recorder.losses[0]:.3f} to {recorder.losses[-1]:.3f}"
+
+
+def saved_and_loaded(subject: Subject) -> str:
+    """The ledger sums to the files; a new process that loads them renders the same picture."""
+    model, _ = subject.first()
+    folder, ledger = subject.saved(model, "model")
+    total = _check_ledger(ledger, folder, model)
+    camera = subject.scene.validation.cameras[0]
+    np.save(subject.folder / "pose.npy", camera.camera_to_world)
+    code = (
+        "import sys, numpy as np\n"
+        "from pathlib import Path\n"
+        "from datasets.camera import Camera\n"
+        "from methods.registry import Registry, load_method\n"
+        "name, device, folder, *plugins = sys.argv[1:]\n"
+        "model = load_method(Registry(plugins).spec(name)).load(Path(folder, 'model'), device)\n"
+        f"camera = Camera.with_fov(np.load(folder + '/pose.npy'), {camera.fov_x!r}, {camera.width}, "
+        f"{camera.height})\n"
+        "rgb, alpha = model.render(camera)\n"
+        "np.savez(folder + '/out.npz', rgb=rgb.cpu().numpy(), alpha=alpha.cpu().numpy())\n"
+    )
+    root = str(Path(__file__).resolve().parents[1])
+    arguments = [subject.spec.name, subject.device, str(subject.folder), *map(str, subject.plugins)]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], cwd=root, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, f"a new process cannot load and render it:\n{done.stderr[-2000:]}"
+    with np.load(subject.folder / "out.npz") as out:
+        pictures = torch.from_numpy(out["rgb"]), torch.from_numpy(out["alpha"])
+    _same(pictures, _picture(model, camera), "a new process renders something else")
+    again, _ = subject.saved(subject.method.load(folder, subject.device), "again")
+    assert files_of(again) == files_of(folder), "saving what was loaded gives other files"
+    return f"{total} bytes"
+
+
+def edits(subject: Subject) -> str:
+    """Declared edits change the picture, the others are refused, and so are bad values and names."""
+    model, _ = subject.first()
+    camera = subject.scene.validation.cameras[0]
+    plain = _picture(model, camera)
+    _same(_picture(model, camera, edit={"tiny": Edit()}), plain, "an edit of nothing")
+    for kind, examples in EDITS.items():
+        declared = kind in subject.spec.edits
+        changed = False
+        for edit in examples:
+            wanted = {"tiny": edit}
+            if declared:
+                changed |= not torch.equal(_picture(model, camera, edit=wanted)[0], plain[0])
+            else:
+                _refused(f"the undeclared {kind} edit", lambda w=wanted: model.render(camera, edit=w))  # type: ignore[misc]
+        assert changed or not declared, f"the declared {kind} edit changes nothing"
+    if "opacity" in subject.spec.edits:
+        fainter = _picture(model, camera, edit={"tiny": Edit(opacity=0.3)})[1]
+        assert fainter.sum() < plain[1].sum(), "a smaller opacity does not make it fainter"
+        _refused("a negative opacity factor", lambda: model.render(camera, edit={"tiny": Edit(opacity=-1.0)}))
+    _refused(
+        "an edit of a scene that is not there",
+        lambda: model.render(camera, edit={"other": Edit()}),
+        Refused,
+        DataError,
+    )
+    _same(_picture(model, camera), plain, "the model remembers an edit")
+    return ", ".join(sorted(subject.spec.edits)) or "none"
+
+
+def nothing_visible(subject: Subject) -> str:
+    """A camera that sees nothing shows the background, and views of nothing can be learned from."""
+    model, _ = subject.first()
+    camera = away(subject.scene.validation.cameras[0])
+    rgb, alpha = _picture(model, camera, background=(0.25, 0.5, 1.0))
+    assert float(alpha.max()) == 0.0, f"alpha is up to {float(alpha.max())} where nothing is"
+    _same((rgb,), (torch.tensor([0.25, 0.5, 1.0]).expand_as(rgb),), "the background")
+    train = subject.scene.train
+    empty = replace(subject.scene, train=replace(train, images=np.zeros_like(train.images)))
+    faded = subject.fit([empty])
+    pictures = _picture(faded, subject.scene.validation.cameras[0])
+    assert all(bool(torch.isfinite(one).all()) for one in pictures), "views of nothing give NaN"
+    folder, ledger = subject.saved(faded, "faded")
+    _check_ledger(ledger, folder, faded)
+    camera = subject.scene.validation.cameras[0]
+    _same(_picture(subject.method.load(folder, subject.device), camera), pictures, "what is left, loaded")
+    return f"{faded.primitives()} primitives are left of an empty scene"
+
+
+def deterministic(subject: Subject) -> str:
+    """One seed gives the same files, whatever the global generators hold."""
+    folders = []
+    for run in range(2):
+        torch.manual_seed(run)
+        np.random.seed(run)  # noqa: NPY002
+        folders.append(subject.saved(subject.fit(), f"run{run}")[0])
+    one, other = map(files_of, folders)
+    assert one == other, f"two fits differ in {[n for n in one if one[n] != other.get(n)]}"
+    return "same files"
+
+
+def resumable(subject: Subject) -> str:
+    """Interrupted and resumed is uninterrupted; a finished checkpoint gives the model without training."""
+    whole, recorder = subject.first()
+    expected = files_of(subject.saved(whole, "whole")[0])
+    assert sorted(recorder.checkpoints) == subject.stops, (
+        f"asked to pause after {subject.stops}, it did after {sorted(recorder.checkpoints)}"
+    )
+    for stop in subject.stops:
+        rest = Recorder()
+        checkpoint = recorder.checkpoints[stop]
+        assert checkpoint.iteration == stop, f"the checkpoint of iteration {stop} says {checkpoint.iteration}"
+        resumed = subject.fit(recorder=rest, resume=checkpoint)
+        assert rest.losses == recorder.losses[stop:], f"losses differ after a stop at {stop}"
+        found = files_of(subject.saved(resumed, f"resumed{stop}")[0])
+        assert found == expected, f"the model differs after a stop at {stop}"
+    return f"stopped at {', '.join(map(str, subject.stops))}"
+
+
+def composition(subject: Subject) -> str:
+    """Models of two groups render together, and each alone as before; or composing is refused."""
+    one, _ = subject.first()
+    other = subject.fit([tiny_scene("other", turn=1.0)])
+    if not subject.spec.composable:
+        _refused("composing", lambda: subject.method.compose([one, other]))
+        return "refused"
+    both = subject.method.compose([one, other])
+    assert both.scenes == ("tiny", "other"), f"the composed model holds {both.scenes}"
+    assert both.primitives() == one.primitives() + other.primitives()
+    camera = subject.scene.validation.cameras[0]
+    alone = _picture(one, camera)
+    _same(_picture(both, camera, scenes=["tiny"]), alone, "the first scene, alone")
+    _same(_picture(both, camera, scenes=["other"]), _picture(other, camera), "the second scene, alone")
+    together = _picture(both, camera)
+    assert float((together[1] - alone[1]).min()) > -0.01, "together they hide less than one alone"
+    assert not torch.equal(together[0], alone[0]), "the second scene does not show"
+    folder, ledger = subject.saved(both, "composed")
+    _check_ledger(ledger, folder, both)
+    loaded = subject.method.load(folder, subject.device)
+    _same(_picture(loaded, camera, scenes=list(both.scenes)), together, "the composed model, loaded")
+    _refused("composing two scenes of one name", lambda: subject.method.compose([one, one]))
+    _refused(
+        "rendering a scene that is not there",
+        lambda: both.render(camera, scenes=["nowhere"]),
+        Refused,
+        DataError,
+    )
+    return "2 scenes together"
+
+
+def rates(subject: Subject) -> str:
+    """Every value of every rate knob gives a model that loads; without one, saving at a rate is refused."""
+    model, _ = subject.first()
+    seen = []
+    camera = subject.scene.validation.cameras[0]
+    for knob in subject.spec.rate_knobs:
+        for value in knob.values:
+            fitted = model
+            if knob.refit:
+                wanted: dict[str, Any] = {knob.name: value}
+                fitted = subject.fit(iterations=min(20, subject.iterations), **wanted)
+            saved_at = None if knob.refit else value
+            folder, ledger = subject.saved(fitted, f"rate-{knob.name}-{value:g}", saved_at)
+            seen.append(f"{knob.name} {value:g}: {_check_ledger(ledger, folder, fitted)} bytes")
+            rgb, _ = _picture(subject.method.load(folder, subject.device), camera)
+            assert bool(torch.isfinite(rgb).all()), f"NaN at {knob.name} {value:g}"
+    if all(knob.refit for knob in subject.spec.rate_knobs):
+        _refused("saving at a rate", lambda: subject.saved(model, "rate", 1.0))
+    return "; ".join(seen) or "one size"
+
+
+def bad_files(subject: Subject) -> str:
+    """Missing, truncated and foreign files are named, never rendered."""
+    model, _ = subject.first()
+    folder, _ = subject.saved(model, "broken")
+    load = subject.method.load
+    _refused("a folder that is not there", lambda: load(folder / "nowhere", subject.device), DataError)
+    tried = 0
+    for file in [path for path in sorted(folder.rglob("*")) if path.is_file()]:
+        whole = file.read_bytes()
+        for broken in (
+            b"",
+            whole[: len(whole) // 2],
+            whole[: max(0, len(whole) - 5)],
+            b"nothing of the kind" * 50,
+        ):
+            file.write_bytes(broken)
+            said = _refused(
+                f"{file.name} cut to {len(broken)} of {len(whole)} bytes",
+                lambda: load(folder, subject.device),
+                DataError,
+            )
+            assert file.stem in said, f"the error does not name {file.name}: {said}"
+            tried += 1
+        file.write_bytes(whole)
+    load(folder, subject.device)
+    return f"{tried} damaged files named"
+
+
+def refusals(subject: Subject) -> str:
+    """A scene without training views is refused; one point and one view are not too few."""
+    scene, train = subject.scene, subject.scene.train
+    blind = replace(scene, train=replace(train, cameras=(), images=train.images[:0]))
+    _refused("a scene without training views", lambda: subject.fit([blind], iterations=2))
+    cloud = replace(scene.cloud, points=scene.cloud.points[:1], colors=scene.cloud.colors[:1])
+    single = replace(
+        scene, cloud=cloud, train=replace(train, cameras=train.cameras[:1], images=train.images[:1])
+    )
+    model = subject.fit([single], iterations=min(20, subject.iterations))
+    for camera in cameras(2):
+        assert bool(torch.isfinite(_picture(model, camera)[0]).all()), "one point and one view give NaN"
+    return "no views refused; one point and one view trained"
+
+
+CHECKS: tuple[Callable[[Subject], str], ...] = (
+    specification,
+    partition,
+    fit,
+    saved_and_loaded,
+    edits,
+    nothing_visible,
+    deterministic,
+    resumable,
+    composition,
+    rates,
+    bad_files,
+    refusals,
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a check went.
+
+    Attributes:
+        name: of the check.
+        status: "passed", "failed" (the promise is broken) or "error" (the plugin raised something else).
+        detail: what was seen, or what is wrong.
+        seconds: it took.
+    """
+
+    name: str
+    status: Literal["passed", "failed", "error"]
+    detail: str
+    seconds: float
+
+
+def run_checks(subject: Subject) -> Iterator[Outcome]:
+    """Every check in turn; none stops the others."""
+    for check in CHECKS:
+        start = time.perf_counter()
+        status: Literal["passed", "failed", "error"] = "passed"
+        try:
+            detail = check(subject)
+        except AssertionError as error:
+            status, detail = "failed", str(error)
+        except Exception as error:
+            status, detail = "error", f"{type(error).__name__}: {error}"
+        yield Outcome(check.__name__, status, detail, time.perf_counter() - start)

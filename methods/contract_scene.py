@@ -1,0 +1,85 @@
+"""A tiny scene of known Gaussians, rendered by the torch oracle: what the contract kit fits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from datasets.camera import Camera
+from datasets.cloud import PointCloud
+from datasets.scene import BasicScene
+from datasets.views import ViewSet
+from econgs.splat.rasterise import rasterise
+from methods.interface import SceneInput
+
+SIZE = 32
+KNOWN = 24
+_DISTANCE = 3.0
+_GOLDEN = 2.399963  # radians between neighbours on a spiral
+
+
+def look_at(position: tuple[float, float, float], size: int = SIZE, fov: float = 0.5) -> Camera:
+    """A camera at ``position`` that looks at the origin."""
+    eye = np.asarray(position, dtype=float)
+    forward = -eye / np.linalg.norm(eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0] if abs(forward[2]) < 0.9 else [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    pose[:3, 3] = eye
+    return Camera.with_fov(pose, fov, size, size)
+
+
+def away(camera: Camera) -> Camera:
+    """The same place, looking the other way."""
+    return replace(camera, camera_to_world=camera.camera_to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))
+
+
+def cameras(count: int, phase: float = 0.0) -> tuple[Camera, ...]:
+    """Cameras on a spiral around the origin."""
+    found = []
+    for i in range(count):
+        z = 0.8 * (2.0 * (i + 0.5) / count - 1.0)
+        turn, radius = _GOLDEN * i + phase, math.sqrt(1.0 - z * z)
+        direction = (radius * math.cos(turn), radius * math.sin(turn), z)
+        found.append(look_at((_DISTANCE * direction[0], _DISTANCE * direction[1], _DISTANCE * direction[2])))
+    return tuple(found)
+
+
+def known_gaussians(turn: float = 0.0) -> dict[str, torch.Tensor]:
+    """Arguments of ``rasterise``: a cloud of Gaussians, turned about z by an angle in radians."""
+    generator = torch.Generator().manual_seed(7)
+    means = (torch.rand((KNOWN, 3), generator=generator) - 0.5) * 0.9
+    c, s = math.cos(turn), math.sin(turn)
+    return {
+        "means": means @ torch.tensor([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]),
+        "quats": torch.randn((KNOWN, 4), generator=generator),
+        "scales": 0.04 + 0.08 * torch.rand((KNOWN, 3), generator=generator),
+        "opacities": 0.5 + 0.45 * torch.rand(KNOWN, generator=generator),
+        "features": torch.rand((KNOWN, 3), generator=generator),
+    }
+
+
+def tiny_scene(name: str, turn: float = 0.0) -> SceneInput:
+    """Twelve training and three validation views of 32 x 32 pixels; a cloud of noisy gray points."""
+    known = known_gaussians(turn)
+
+    def views(chosen: tuple[Camera, ...]) -> ViewSet:
+        images = []
+        for camera in chosen:
+            splats = rasterise(**known, camera=camera, backend="torch")  # type: ignore[arg-type]
+            images.append(torch.cat([splats.features, splats.alpha[..., None]], dim=-1).numpy())
+        return ViewSet(chosen, np.stack(images).astype(np.float32), (1.0, 1.0, 1.0), "contract")
+
+    jitter = 0.03 * torch.randn((4 * KNOWN, 3), generator=torch.Generator().manual_seed(8))
+    points = (known["means"].repeat(4, 1) + jitter).numpy()
+    return SceneInput(
+        scene=BasicScene(name),
+        train=views(cameras(12)),
+        validation=views(cameras(3, phase=1.0)),
+        cloud=PointCloud(points, np.full_like(points, 0.5)),
+        extent=1.1 * _DISTANCE,
+    )

@@ -1,0 +1,1 @@
+"""iVR-GS: editable, vector-quantised Gaussians (Tang et al.)."""

@@ -1,0 +1,362 @@
+"""A trained iVR-GS representation: Gaussians shaded by Blinn-Phong, edited, composed, and saved."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from datasets.camera import Camera
+from datasets.names import unknown
+from datasets.scene import RGB
+from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
+from econgs.codebooks import quantise_scalars
+from econgs.splat.composite import over
+from econgs.splat.rasterise import Rasterised, rasterise
+from methods.interface import Edit, Refused, edits_by_scene
+from methods.quantised_scene import Column, QuantisedScene, half_exact, read_folder
+
+FORMAT = "econgs-bench ivr-gs 1"
+METHOD = "ivr-gs"
+WIDTHS = {
+    "opacity": 1,
+    "scale": 3,
+    "rotation real": 1,
+    "rotation imaginary": 3,
+    "normal": 3,
+    "offset color": 3,
+    "ambient": 1,
+    "diffuse": 1,
+    "specular": 1,
+    "shininess": 1,
+}
+"""The ten attributes that may have a codebook -> numbers per Gaussian; positions never have one.
+
+Columns hold values before their activation, which is applied once, when a model is made ready to render.
+"""
+_SEED = 0  # scalar codebooks start from quantiles: no choice depends on it
+
+Direction = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ShadedGaussians:
+    """What a frame needs of a scene.
+
+    Attributes:
+        name, background: of the scene.
+        light: unit vector to its directional light, or None for a headlight.
+        palette: (3,) its palette color.
+        means: (N, 3).
+        scales: (N, 3) standard deviations.
+        quats: (N, 4), w x y z.
+        opacities: (N,) in [0, 1].
+        normals: (N, 3) of any length.
+        offsets: (N, 3) offset colors in [0, 1].
+        coefficients: (N, 4) k_a, k_d, k_s and β.
+    """
+
+    name: str
+    background: RGB
+    light: Direction | None
+    palette: Tensor
+    means: Tensor
+    scales: Tensor
+    quats: Tensor
+    opacities: Tensor
+    normals: Tensor
+    offsets: Tensor
+    coefficients: Tensor
+
+    def colors(self, eye: Tensor, palette: Tensor, light: Direction | None, factors: Factors) -> Tensor:
+        """(N, 3) shaded colors, seen from ``eye``."""
+        coefficients = self.coefficients
+        if factors != Factors(opacity=factors.opacity):
+            by = [factors.ambient, factors.diffuse, factors.specular, factors.shininess]
+            coefficients = coefficients * coefficients.new_tensor(by)
+        toward = None if light is None else self.means.new_tensor(light)
+        return shade(self.means, self.normals, palette + self.offsets, coefficients, eye, toward)
+
+
+def activated(raw: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Fields of :class:`ShadedGaussians` from columns; differentiable."""
+    quats = torch.cat([raw["rotation real"], raw["rotation imaginary"]], dim=1)
+    return {
+        "scales": raw["scale"].exp(),
+        "quats": torch.nn.functional.normalize(quats, dim=1),
+        "opacities": raw["opacity"][:, 0].sigmoid(),
+        "normals": raw["normal"],
+        "offsets": raw["offset color"].sigmoid(),
+        "coefficients": torch.cat(
+            [
+                raw["ambient"],
+                raw["diffuse"],
+                MAX_SPECULAR * raw["specular"].sigmoid(),
+                MAX_SHININESS * raw["shininess"].sigmoid(),
+            ],
+            dim=1,
+        ),
+    }
+
+
+def attributes_with_codebooks(text: str) -> frozenset[str]:
+    """The attributes that the option ``quantised`` names.
+
+    Raises:
+        Refused: it names something else.
+    """
+    if text in ("all", "none"):
+        return frozenset(WIDTHS if text == "all" else ())
+    names = frozenset(name.strip().replace("_", " ") for name in text.split("+"))
+    wrong = names - set(WIDTHS)
+    if wrong:
+        raise Refused(
+            f"quantised={text}: {sorted(wrong)[0]!r} is none of all, none, {', '.join(WIDTHS)} (joined by +)"
+        )
+    return names
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """A scene as it is saved: quantised already, and what it was before, for saving at other sizes.
+
+    Attributes:
+        coded: at the default codebook size.
+        raw: column -> (N, width) values that were learned.
+        with_codebooks: names of columns that have one.
+    """
+
+    coded: QuantisedScene
+    raw: Mapping[str, Tensor]
+    with_codebooks: frozenset[str]
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        background: RGB,
+        light: Direction | None,
+        palette: Sequence[float],
+        positions: Tensor,
+        raw: Mapping[str, Tensor],
+        with_codebooks: frozenset[str],
+        size: int,
+    ) -> Stored:
+        """Codebooks of what was learned."""
+        about = {"light": None if light is None else list(light), "palette": list(palette)}
+        bare = QuantisedScene(name, background, about, half_exact(positions), {}, "fixed")
+        return cls(_coded(bare, raw, with_codebooks, size), raw, with_codebooks)
+
+    def at(self, size: float | None) -> QuantisedScene:
+        """The scene with codebooks of another size; the default's where it is None."""
+        if size is None:
+            return self.coded
+        if size != int(size) or not 1 <= size <= 65536:
+            raise Refused(f"ivr-gs has no codebooks of {size:g} words: 1 to 65536")
+        return _coded(self.coded, self.raw, self.with_codebooks, int(size))
+
+
+def _coded(
+    scene: QuantisedScene, raw: Mapping[str, Tensor], with_codebooks: frozenset[str], size: int
+) -> QuantisedScene:
+    columns: dict[str, Column] = {}
+    for name in WIDTHS:
+        values = raw[name].detach().cpu()
+        book = name in with_codebooks
+        columns[name] = (quantise_scalars(values, size, _SEED),) if book else half_exact(values)
+    return QuantisedScene(scene.name, scene.background, scene.about, scene.positions, columns, "fixed")
+
+
+def ready(coded: QuantisedScene, device: str) -> ShadedGaussians:
+    """What a stored scene renders as."""
+    raw = {name: coded.column(name).to(device) for name in WIDTHS}
+    palette, light = cast("Sequence[float]", coded.about["palette"]), coded.about["light"]
+    return ShadedGaussians(
+        name=coded.name,
+        background=coded.background,
+        light=None if light is None else _direction(cast("Sequence[float]", light)),
+        palette=torch.tensor([float(value) for value in palette], device=device),
+        means=coded.positions.to(device),
+        **activated(raw),
+    )
+
+
+def _direction(values: Sequence[float]) -> Direction:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+class IvrModel:
+    """Scenes of shaded Gaussians; what is rendered together is concatenated and sorted once.
+
+    Args:
+        shown: at least one, with distinct names, on one device.
+        stored: the same scenes as they are saved; None while training is under way.
+    """
+
+    def __init__(self, shown: Sequence[ShadedGaussians], stored: Sequence[Stored] | None) -> None:
+        self._scenes = {scene.name: scene for scene in shown}
+        self.stored = stored
+        if len(self._scenes) != len(shown):
+            raise Refused("two of the scenes to compose have the same name")
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the scenes it holds."""
+        return tuple(self._scenes)
+
+    def gaussians(self, scene: str) -> ShadedGaussians:
+        """The Gaussians of one scene.
+
+        Raises:
+            UnknownName: it does not hold that scene.
+        """
+        if scene not in self._scenes:
+            raise unknown("scene", scene, self._scenes, of="this model")
+        return self._scenes[scene]
+
+    def primitives(self, scene: str | None = None) -> int:
+        """Number of Gaussians of one scene or of all."""
+        names = self.scenes if scene is None else (scene,)
+        return sum(len(self.gaussians(name).means) for name in names)
+
+    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
+        """Write ``<scene>.safetensors`` per scene.
+
+        Args:
+            folder: empty.
+            rate: words of each codebook; default: the option's.
+
+        Raises:
+            Refused: no such codebook size, or training is under way.
+        """
+        if self.stored is None:
+            raise Refused("ivr-gs is quantised at the end of a fit only")
+        return {one.coded.name: one.at(rate).write(folder, FORMAT) for one in self.stored}
+
+    def render(
+        self,
+        camera: Camera,
+        scenes: Sequence[str] | None = None,
+        edit: Mapping[str, Edit] | None = None,
+        background: RGB | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Render scenes together; see :class:`methods.interface.Model`.
+
+        Raises:
+            Refused: an edit out of range.
+            UnknownName: it does not hold such a scene.
+        """
+        names = self.scenes if scenes is None else tuple(scenes)
+        back = self.gaussians(names[0]).background if background is None else background
+        edits = edits_by_scene(edit, names)
+        with torch.inference_mode():
+            splats = self._rasterise(names, self._shade(names, edits, camera), edits, camera)
+            rgb = over(splats.features, splats.alpha, back)
+            return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
+
+    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
+        """Seconds of one frame of these scenes by part; codebooks are decoded when the model is loaded."""
+        names = self.scenes if scenes is None else tuple(scenes)
+        with torch.inference_mode():
+            like = self.gaussians(names[0]).means
+            start = _now(like)
+            colors = self._shade(names, {}, camera)
+            middle = _now(like)
+            self._rasterise(names, colors, {}, camera)
+            return {"decode": 0.0, "shade": middle - start, "rasterise": _now(like) - middle}
+
+    def _shade(self, names: Sequence[str], edits: Mapping[str, Edit], camera: Camera) -> list[Tensor]:
+        colors = []
+        for name in names:
+            scene = self.gaussians(name)
+            eye = torch.as_tensor(camera.position, dtype=scene.means.dtype, device=scene.means.device)
+            palette, light, factors = scene.palette, scene.light, Factors()
+            if name in edits:
+                palette, light, factors = _edited(scene, edits[name])
+            colors.append(scene.colors(eye, palette, light, factors))
+        return colors
+
+    def _rasterise(
+        self, names: Sequence[str], colors: Sequence[Tensor], edits: Mapping[str, Edit], camera: Camera
+    ) -> Rasterised:
+        shown = [self.gaussians(name) for name in names]
+        factors = [edits[name].opacity if name in edits else None for name in names]
+        opacities = [
+            one.opacities if factor is None else (one.opacities * factor).clamp(max=1.0)
+            for one, factor in zip(shown, factors, strict=True)
+        ]
+        return rasterise(
+            torch.cat([one.means for one in shown]),
+            torch.cat([one.quats for one in shown]),
+            torch.cat([one.scales for one in shown]),
+            torch.cat(opacities),
+            torch.cat(list(colors)),
+            camera,
+        )
+
+
+def _edited(scene: ShadedGaussians, edit: Edit) -> tuple[Tensor, Direction | None, Factors]:
+    """Palette, light and factors of an edited scene."""
+    numbers = {
+        part: 1.0 if getattr(edit, part) is None else float(getattr(edit, part))
+        for part in ("opacity", "ambient", "diffuse", "specular", "shininess")
+    }
+    for part, value in numbers.items():
+        if not (math.isfinite(value) and value >= 0.0):
+            raise Refused(f"{part} factor {value} of scene {scene.name!r} is not a finite number >= 0")
+    palette, light = scene.palette, scene.light
+    if edit.palette is not None:
+        if not all(math.isfinite(value) and 0.0 <= value <= 1.0 for value in edit.palette):
+            raise Refused(f"palette color {edit.palette} of scene {scene.name!r} is not in [0, 1]")
+        palette = palette.new_tensor(edit.palette)
+    if edit.light == "headlight":
+        light = None
+    elif edit.light is not None:
+        direction = np.asarray(edit.light, dtype=np.float64)
+        length = float(np.linalg.norm(direction))
+        if direction.shape != (3,) or not math.isfinite(length) or length < 1e-6:
+            raise Refused(f"light {edit.light} of scene {scene.name!r} is no direction")
+        light = _direction((direction / length).tolist())
+    return palette, light, Factors(**numbers)
+
+
+def load_model(folder: Path, device: str) -> IvrModel:
+    """Read what :meth:`IvrModel.save` wrote.
+
+    Raises:
+        DataError: a file is missing, damaged or of another kind.
+    """
+    stored = [
+        Stored(
+            coded,
+            {name: coded.column(name) for name in WIDTHS},
+            frozenset(name for name, column in coded.columns.items() if not isinstance(column, Tensor)),
+        )
+        for coded in read_folder(folder, METHOD, FORMAT, WIDTHS, _check)
+    ]
+    return IvrModel([ready(one.coded, device) for one in stored], stored)
+
+
+def _check(coded: QuantisedScene) -> None:
+    scene = ready(coded, "cpu")
+    numbers = [*scene.palette.tolist(), *(scene.light or ())]
+    if len(scene.palette) != 3 or not all(math.isfinite(number) for number in numbers):
+        raise ValueError("its palette or light is not three finite numbers")
+    if not bool(torch.isfinite(scene.scales).all()):
+        raise ValueError("a scale is not finite")
+    if not bool((scene.quats.square().sum(1) > 0).all()):
+        raise ValueError("a rotation is zero")
+
+
+def _now(like: Tensor) -> float:
+    if like.is_cuda:
+        torch.cuda.synchronize(like.device)
+    return time.perf_counter()

@@ -1,0 +1,81 @@
+"""When things happen in a fit of iVR-GS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from methods.gaussian_splatting.schedule import Schedule
+
+PUBLISHED = 40_000
+"""Iterations of the published schedule; boundaries below are given in its iterations."""
+SHADED = 30_000
+_EVENTS = 10  # of growth in the first stage, at least
+
+
+@dataclass(frozen=True)
+class IvrSchedule(Schedule):
+    """Both stages: spherical harmonics with normals, then Blinn-Phong attributes.
+
+    Attributes:
+        grows_shaded: whether Gaussians also grow in the first part of the second stage.
+    """
+
+    grows_shaded: bool = True
+
+    def _scaled(self, published: int) -> int:
+        return max(1, round(published * self.iterations / PUBLISHED))
+
+    @property
+    def shading_start(self) -> int:
+        """Last iteration of the first stage."""
+        return min(self.iterations, self._scaled(SHADED))
+
+    @property
+    def growth_stop(self) -> int:
+        return self._scaled(10_000)
+
+    @property
+    def growth_interval(self) -> int:
+        return max(1, min(500, (self.growth_stop - self.growth_start) // (_EVENTS + 1)))
+
+    @property
+    def shaded_growth_stop(self) -> int:
+        return self.shading_start + self._scaled(2_000)
+
+    @property
+    def shaded_interval(self) -> int:
+        """Between events of growth, then of pruning, in the second stage."""
+        return max(1, min(100, self._scaled(2_000) // 3))
+
+    def shaded(self, iteration: int) -> bool:
+        """Whether colors are shaded: the second stage."""
+        return iteration > self.shading_start
+
+    def _grows_again(self, iteration: int) -> bool:
+        return self.grows_shaded and self.shading_start < iteration < self.shaded_growth_stop
+
+    def collects(self, iteration: int) -> bool:
+        """Whether densification statistics are needed."""
+        return iteration < self.growth_stop or self._grows_again(iteration)
+
+    def grows(self, iteration: int) -> bool:
+        """Whether Gaussians are cloned, split and pruned."""
+        if self._grows_again(iteration):
+            return (iteration - self.shading_start) % self.shaded_interval == 0
+        return super().grows(iteration)
+
+    def prunes(self, iteration: int) -> bool:
+        """Whether what cannot be seen goes, without growth."""
+        if iteration < self.growth_stop or self._grows_again(iteration):
+            return False
+        interval = self.shaded_interval if self.shaded(iteration) else self.growth_interval
+        return iteration % interval == 0
+
+    def prunes_large(self, iteration: int) -> bool:
+        """Whether Gaussians that are too large go as well: once resets have begun, in the first stage."""
+        return not self.shaded(iteration) and super().prunes_large(iteration)
+
+    def decayed(self, iteration: int, first: float, last: float) -> float:
+        """Log-linear decay from ``first`` to ``last`` over the first stage; ``last`` in the second."""
+        whole = self.shading_start / self.iterations
+        return super().decayed(min(self.iterations, round(iteration / whole)), first, last)

@@ -1,0 +1,248 @@
+"""Both stages of iVR-GS: 3DGS with normals, then Blinn-Phong attributes around a palette color."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from datasets.camera import Camera
+from datasets.scene import RGB, WHITE
+from econgs.anchors.shading import MIN_NORMAL, Factors
+from econgs.losses import ssim
+from econgs.optim import Adam
+from econgs.splat.rasterise import Rasterised
+from methods.gaussian_splatting.densify import GrowthStatistics
+from methods.gaussian_splatting.training import LEARNING_RATES, Trainer
+from methods.interface import Checkpoint, OptionValue, SceneInput
+from methods.ivr_gs.losses import mean_over, normal_loss, smoothness_loss
+from methods.ivr_gs.model import (
+    IvrModel,
+    ShadedGaussians,
+    Stored,
+    activated,
+    attributes_with_codebooks,
+    ready,
+)
+from methods.ivr_gs.schedule import IvrSchedule
+
+GEOMETRY = ("means", "log_scales", "quats", "logits", "normals")
+SHADING = ("offset_color", "ambient", "diffuse", "specular", "shininess")
+NORMAL_RATE = 0.01
+FIRST_SHININESS = 1.0
+VISIBLE = 1.0 / 255.0
+"""The rasteriser skips whatever is fainter."""
+_SSIM_SHARE = 0.2  # of the alpha mask's loss; the published one's other part has no gradient
+
+
+class IvrTrainer(Trainer):
+    """A fit of one scene; arguments as for 3DGS.
+
+    The first stage is that of 3DGS with a normal per Gaussian, learned from the depth map. The second has a
+    fresh optimiser, no spherical harmonics, and learns what shades each Gaussian.
+    """
+
+    schedule: IvrSchedule
+
+    def __init__(
+        self, scene: SceneInput, options: Mapping[str, OptionValue], iterations: int, seed: int, device: str
+    ) -> None:
+        self.with_codebooks = attributes_with_codebooks(str(options["quantised"]))
+        super().__init__(scene, options, iterations, seed, device)
+        self.normal_gradients = torch.zeros(self.count, device=device)
+        self.palette = _mean_color(self.images).to(device)
+        light = scene.scene.light
+        self.light = None if light is None else light.direction
+
+    def _schedule(self, iterations: int) -> IvrSchedule:
+        return IvrSchedule(
+            iterations,
+            sh_degree=int(self.options["sh_degree"]),
+            resets=bool(self.options["opacity_reset"]),
+            early_reset=self.background == WHITE,
+            grows_shaded=bool(self.options["shaded_growth"]),
+        )
+
+    def _start(self) -> tuple[dict[str, Tensor], dict[str, float]]:
+        parameters, rates = super()._start()
+        normals = torch.randn(parameters["means"].shape, generator=self.generator)
+        parameters["normals"] = torch.nn.functional.normalize(normals, dim=1)
+        return parameters, rates | {"normals": NORMAL_RATE}
+
+    def _stage(self) -> str:
+        if not self.schedule.shaded(self.iteration + 1) or self.count == 0:
+            return super()._stage()
+        return "shading, growth" if self.schedule.collects(self.iteration + 1) else "shading"
+
+    @property
+    def shading(self) -> bool:
+        """Whether the second stage has begun."""
+        return "ambient" in self.names
+
+    def step(self) -> float:
+        if self.schedule.shaded(self.iteration + 1) and not self.shading:
+            self._begin_shading({name: self.optimiser[name].detach().clone() for name in GEOMETRY})
+        value = super().step()
+        if self.schedule.prunes(self.iteration):
+            self._prune()
+        return value
+
+    def _begin_shading(self, geometry: dict[str, Tensor]) -> None:
+        """A fresh optimiser for what the second stage learns."""
+        count = len(geometry["means"])
+
+        def full(value: float, width: int = 1) -> Tensor:
+            return torch.full((count, width), value, device=self.device)
+
+        first = float(self.options["shading_start"])
+        shading = {
+            "offset_color": full(0.0, 3),
+            "ambient": full(first),
+            "diffuse": full(first),
+            "specular": full(0.0),
+            "shininess": full(FIRST_SHININESS),
+        }
+        plain = {name: LEARNING_RATES[name] for name in ("log_scales", "quats")}
+        rates = plain | {"means": 0.0, "logits": float(self.options["opacity_lr"]), "normals": NORMAL_RATE}
+        rates |= dict.fromkeys(SHADING, float(self.options["shading_lr"]))
+        self.optimiser = Adam(geometry | shading, rates)
+        self._forget()
+
+    # ------------------------------------------------------------------ losses
+
+    def _loss(
+        self, camera: Camera, truth: Tensor, back: RGB | Tensor
+    ) -> tuple[Tensor, Tensor | None, Tensor]:
+        now = self.optimiser
+        normals = now["normals"]
+        unit = normals / torch.linalg.vector_norm(normals, dim=1, keepdim=True).clamp(min=MIN_NORMAL)
+        if not self.shading:
+            splats, offset = self._splat(torch.cat([self._colors(camera), unit], dim=1), camera)
+            return self._common_loss(splats, camera, truth, back), offset, splats.radii
+        scene = self._shaded()
+        eye = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
+        colors = scene.colors(eye, self.palette, self.light, Factors())
+        features = torch.cat([colors, unit, scene.offsets, scene.coefficients[:, :3]], dim=1)
+        splats, offset = self._splat(features, camera)
+        loss = self._common_loss(splats, camera, truth, back)
+        loss = loss + self._shading_loss(splats.features[..., 6:], truth)
+        if bool((seen := splats.radii > 0).any()):
+            loss = loss + float(self.options["opacity_weight"]) * scene.opacities[seen].mean()
+        return loss, offset, splats.radii
+
+    def _common_loss(self, splats: Rasterised, camera: Camera, truth: Tensor, back: RGB | Tensor) -> Tensor:
+        """What both stages ask for: the picture, the mask and normals."""
+        loss = self._image_loss(splats.features[..., :3], splats.alpha, truth, back)
+        weight = _SSIM_SHARE * float(self.options["alpha_weight"])
+        if weight:
+            loss = loss + weight * (1.0 - ssim(splats.alpha[..., None], truth[..., 3:].contiguous()))
+        weight = float(self.options["normal_weight"])
+        if weight:
+            loss = loss + weight * normal_loss(splats.features[..., 3:6], splats.depth, splats.alpha, camera)
+        return loss
+
+    def _shading_loss(self, maps: Tensor, truth: Tensor) -> Tensor:
+        """What is asked of splatted offset colors (channels 0 to 2) and coefficients (3 to 5)."""
+        shown = truth[..., 3] > 0
+        loss = float(self.options["offset_weight"]) * mean_over(maps[..., :3].square(), shown)
+        return loss + float(self.options["smoothness_weight"]) * smoothness_loss(
+            maps[..., 3:6], truth[..., :3]
+        )
+
+    def _columns(self) -> dict[str, Tensor]:
+        """The second stage's parameters as columns of the model."""
+        now = self.optimiser
+        unit = torch.nn.functional.normalize(now["quats"], dim=1)
+        return {
+            "opacity": now["logits"][:, None],
+            "scale": now["log_scales"],
+            "rotation real": unit[:, :1],
+            "rotation imaginary": unit[:, 1:],
+            "normal": now["normals"],
+            **{name.replace("_", " "): now[name] for name in SHADING},
+        }
+
+    def _shaded(self) -> ShadedGaussians:
+        name, background = self.scene.name, self.scene.train.background
+        values = activated(self._columns())
+        return ShadedGaussians(name, background, self.light, self.palette, self.optimiser["means"], **values)
+
+    # ------------------------------------------------------------------ growth
+
+    def _record(self, gradients: Tensor, radii: Tensor, camera: Camera) -> None:
+        super()._record(gradients, radii, camera)
+        normals = self.optimiser["normals"].grad
+        if normals is not None:
+            self.normal_gradients += torch.linalg.vector_norm(normals, dim=1)
+
+    def _grow(self, also: Tensor | None = None) -> None:
+        least = float(self.options["shaded_normal_gradient" if self.shading else "normal_gradient"])
+        super()._grow(self.normal_gradients / self.statistics.visits.clamp(min=1.0) > least)
+        self._forget()
+
+    def _prune(self) -> None:
+        """What cannot be seen goes."""
+        seen = self.optimiser["logits"].detach().sigmoid() >= VISIBLE
+        if not bool(seen.all()):
+            self.optimiser.keep(seen, self.names)
+            self._forget()
+
+    def _forget(self) -> None:
+        """Statistics begin anew."""
+        self.statistics = GrowthStatistics.zeros(self.count, self.device)
+        self.normal_gradients = torch.zeros(self.count, device=self.device)
+
+    # ------------------------------------------------------------------ what comes out
+
+    @torch.no_grad()
+    def model(self) -> Any:
+        """The present state: in the first stage as 3DGS, at the end as it will be stored."""
+        if not self.shading and self.iteration < self.iterations:
+            return super().model()
+        if not self.shading:  # too short a budget for a second stage
+            self._begin_shading({name: self.optimiser[name].detach().clone() for name in GEOMETRY})
+        if self.iteration < self.iterations:
+            return IvrModel([_detached(self._shaded())], None)
+        seen = self.optimiser["logits"].sigmoid() >= VISIBLE
+        raw = {name: values.detach()[seen].clone() for name, values in self._columns().items()}
+        normals = raw["normal"]
+        length = torch.linalg.vector_norm(normals, dim=1, keepdim=True)
+        raw["normal"] = normals / length.clamp(min=MIN_NORMAL)
+        stored = Stored.of(
+            self.scene.name,
+            self.scene.train.background,
+            self.light,
+            self.palette.tolist(),
+            self.optimiser["means"].detach()[seen],
+            raw,
+            self.with_codebooks,
+            int(self.options["codebook_size"]),
+        )
+        return IvrModel([ready(stored.coded, self.device)], [stored])
+
+    def checkpoint(self) -> Checkpoint:
+        state = super().checkpoint()
+        state.arrays["normal_gradients"] = self.normal_gradients.clone()
+        return state
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        arrays = {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
+        if "optimiser/ambient/0/value" in arrays:
+            self._begin_shading({name: arrays[f"optimiser/{name}/0/value"].clone() for name in GEOMETRY})
+        super().restore(checkpoint)
+        self.normal_gradients = arrays["normal_gradients"].clone()
+
+
+def _detached(scene: ShadedGaussians) -> ShadedGaussians:
+    values = vars(scene) | {n: v.detach().clone() for n, v in vars(scene).items() if isinstance(v, Tensor)}
+    return ShadedGaussians(**values)
+
+
+def _mean_color(images: Tensor) -> Tensor:
+    """(3,) mean color of (views, H, W, 4) premultiplied images, weighted by alpha; white if all are empty."""
+    alpha = images[..., 3].double().sum()
+    if float(alpha) <= 0.0:
+        return torch.ones(3)
+    return (images[..., :3].double().sum((0, 1, 2)) / alpha).float().clamp(0.0, 1.0)

@@ -1,0 +1,133 @@
+"""A trained vq-3dgs representation: the renderer of 3DGS on decoded codebooks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from econgs.codebooks import quantise, quantise_scalars
+from methods.gaussian_splatting.model import SceneGaussians, SplatModel
+from methods.interface import Refused
+from methods.quantised_scene import Column, QuantisedScene, half_exact, read_folder
+
+FORMAT = "econgs-bench vq-3dgs 1"
+GROUPS = {"color": 3, "sh1": 9, "sh2": 15, "sh3": 21, "scale": 3, "rotation": 4}
+"""The factors of the product: what shares an id -> numbers per Gaussian."""
+WIDTHS = {"opacity": 1, **GROUPS}
+OPACITIES = 256
+INVISIBLE = 1.0 / 255.0
+"""The rasteriser skips whatever is fainter."""
+
+
+def grouped(scene: SceneGaussians) -> dict[str, Tensor]:
+    """(N, width) values of each group of attributes."""
+    count = len(scene.means)
+    quats = torch.nn.functional.normalize(scene.quats, dim=1)
+    rest = scene.sh_rest.reshape(count, 45)
+    return {
+        "color": scene.sh_dc.reshape(count, 3),
+        "sh1": rest[:, :9],
+        "sh2": rest[:, 9:24],
+        "sh3": rest[:, 24:],
+        "scale": scene.log_scales,
+        "rotation": torch.where(quats[:, :1] < 0, -quats, quats),  # both are the same rotation
+    }
+
+
+def quantised(scene: SceneGaussians, size: int, stages: int, seed: int) -> QuantisedScene:
+    """Codebooks of the Gaussians that can be seen at all."""
+    rows = (scene.logits.sigmoid() >= INVISIBLE).nonzero()[:, 0]
+    columns: dict[str, Column] = {"opacity": (quantise_scalars(scene.logits[rows], OPACITIES, seed),)}
+    for name, values in grouped(scene).items():
+        columns[name] = quantise(values[rows], size, seed, stages)
+    about = {"codebook size": size, "sh degree": scene.sh_degree}
+    positions = half_exact(scene.means[rows]).to(scene.means.device)
+    return QuantisedScene(scene.name, scene.background, about, positions, columns, "entropy")
+
+
+def gaussians(coded: QuantisedScene) -> SceneGaussians:
+    """What a coded scene renders as; differentiable with respect to the words."""
+    count = len(coded.positions)
+    rest = torch.cat([coded.column(name) for name in ("sh1", "sh2", "sh3")], dim=1)
+    return SceneGaussians(
+        name=coded.name,
+        background=coded.background,
+        sh_degree=int(str(coded.about["sh degree"])),
+        means=coded.positions,
+        log_scales=coded.column("scale"),
+        quats=coded.column("rotation"),
+        logits=coded.column("opacity")[:, 0],
+        sh_dc=coded.column("color").reshape(count, 1, 3),
+        sh_rest=rest.reshape(count, 15, 3),
+    )
+
+
+class VqModel(SplatModel):
+    """Scenes that exist at several codebook sizes, rendered at the first.
+
+    Args:
+        stored: of each scene, the default first; none while it is not quantised yet.
+        shown: what is rendered.
+        device: where.
+    """
+
+    method = "vq-3dgs"
+
+    def __init__(
+        self, stored: Sequence[Sequence[QuantisedScene]], shown: Sequence[SceneGaussians], device: str
+    ) -> None:
+        super().__init__(shown)
+        self.stored, self.device = tuple(stored), device
+
+    @classmethod
+    def of(cls, stored: Sequence[Sequence[QuantisedScene]], device: str) -> VqModel:
+        """A model of coded scenes."""
+        with torch.no_grad():
+            return cls(stored, [_placed(gaussians(sizes[0]), device) for sizes in stored], device)
+
+    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
+        """Write ``<scene>.safetensors`` per scene, at a codebook size.
+
+        Raises:
+            Refused: it was not prepared for that size.
+        """
+        if not self.stored:
+            raise Refused("vq-3dgs is quantised in the last part of a fit only")
+        return {sizes[0].name: _at(sizes, rate).write(folder, FORMAT) for sizes in self.stored}
+
+
+def _at(sizes: Sequence[QuantisedScene], rate: float | None) -> QuantisedScene:
+    if rate is None:
+        return sizes[0]
+    there = {float(str(one.about["codebook size"])): one for one in sizes}
+    if rate not in there:
+        known = ", ".join(f"{size:g}" for size in there)
+        raise Refused(f"vq-3dgs has no codebooks of {rate:g} words for scene {sizes[0].name!r}, only {known}")
+    return there[rate]
+
+
+def _placed(scene: SceneGaussians, device: str) -> SceneGaussians:
+    tensors = {name: v.to(device) for name, v in vars(scene).items() if isinstance(v, Tensor)}
+    return SceneGaussians(scene.name, scene.background, scene.sh_degree, **tensors)
+
+
+def load_model(folder: Path, device: str) -> VqModel:
+    """Read what :meth:`VqModel.save` wrote.
+
+    Raises:
+        DataError: a file is missing, damaged or of another kind.
+    """
+    return VqModel.of([[scene] for scene in read_folder(folder, "vq-3dgs", FORMAT, WIDTHS, _check)], device)
+
+
+def _check(coded: QuantisedScene) -> None:
+    degree, size = coded.about["sh degree"], coded.about["codebook size"]
+    if not isinstance(degree, int) or not 0 <= degree <= 3 or not isinstance(size, int):
+        raise ValueError(f"SH degree {degree}, codebooks of {size} words")
+    if not bool((coded.column("rotation").square().sum(1) > 0).all()):
+        raise ValueError("a rotation is zero")
+    if not bool(torch.isfinite(coded.column("scale").exp()).all()):
+        raise ValueError("a scale is not finite")
