@@ -344,8 +344,7 @@ static void decode_block(const DecodeShape& s, const DecodeInputs& in, const Dec
       store4(quats + 4 * n, quat.row[j]);
       put3(scales + 3 * n, scale.row[j], n + 1 == last);
       put3(colors + 3 * n, color.row[j], n + 1 == last);
-      const float opaque = t[i + j] * view.opacity;
-      opacities[n] = opaque < 1.0f ? opaque : 1.0f;
+      opacities[n] = t[i + j];
       places[n++] = begin * many + i + j;
     }
   }
@@ -445,7 +444,7 @@ INLINE void decode_activations_backward(const DecodeView& view, int slots, int64
     store(to + RAW_QUAT * plane, (g0 - q0 * turned) * inverse);
     store3(to + (RAW_QUAT + 1) * plane, plane, (g3 - q * turned) * inverse);
 
-    const vf opacity = drawn & (t * view.opacity <= 1.0f) ? load(grad + OUT_PLANES * plane) * view.opacity : vf{};
+    const vf opacity = drawn ? load(grad + OUT_PLANES * plane) : vf{};
     store(grad + OUT_PLANES * plane, opacity * (1.0f - t * t));
   }
 }

@@ -37,7 +37,7 @@ struct DecodeInputs {
 struct DecodeView {
   float eye[3], light[3], palette[3];
   bool headlight, sigmoid_color;
-  float opacity, ambient, diffuse, specular, shininess;  // factors
+  float opacity, ambient, diffuse, specular, shininess;  // factors; of opacity only whether it is 0 counts
 };
 
 // Weights as the kernels read them. Hidden unit j of network i is column i * hidden + j.

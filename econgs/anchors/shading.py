@@ -20,7 +20,7 @@ class Factors:
     """Edits of a scene, as factors on what was learned.
 
     Attributes:
-        opacity: on opacities, which stay at most 1.
+        opacity: on optical depths: an opacity o becomes 1 - (1 - o)^factor.
         ambient, diffuse, specular, shininess: on k_a, k_d, k_s and β.
 
     Raises:

@@ -173,7 +173,7 @@ def by_hand(case: Case) -> dict[str, Any]:
             if opacity <= 0:
                 continue
             made["slots"].append(anchor * case.offsets + k)
-            made["opacities"].append(min(1.0, opacity * factors.opacity))
+            made["opacities"].append(1.0 - (1.0 - opacity) ** factors.opacity)
             mean = x["anchors"][anchor] + x["offsets"][anchor, k] * scaling[:3]
             made["means"].append(mean)
             covariance = outputs["covariance"][k]
@@ -361,9 +361,9 @@ def test_edits_do_what_they_say(backend: str) -> None:
     decoders, inputs = CASES["paper"].make()
     plain = decode(**inputs, decoders=decoders, eye=EYE, backend=backend)
     thin = decode(**inputs, decoders=decoders, eye=EYE, factors=Factors(opacity=0.25), backend=backend)
-    torch.testing.assert_close(thin.opacities, 0.25 * plain.opacities)
+    torch.testing.assert_close(thin.opacities, 1.0 - (1.0 - plain.opacities) ** 0.25)
     thick = decode(**inputs, decoders=decoders, eye=EYE, factors=Factors(opacity=3.0), backend=backend)
-    assert thick.opacities.max() == 1.0
+    torch.testing.assert_close(1.0 - thick.opacities, (1.0 - plain.opacities) ** 3)
     dark = Factors(ambient=0.0, diffuse=0.0, specular=0.0)
     black = decode(**inputs, decoders=decoders, eye=EYE, factors=dark, backend=backend)
     assert (black.colors == 0).all()
