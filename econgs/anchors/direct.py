@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import importlib
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
 
-from econgs.anchors.decode import Decoded, Vector, rotation
+from econgs.anchors.decode import Decoded, Vector, rotation, thinned
 from econgs.anchors.decoders import Decoder
 from econgs.anchors.shading import unit
 from econgs.splat.rasterise import choose_backend
@@ -75,7 +76,7 @@ def decode_colors(
         offsets: (N, K, 3).
         decoders: the three networks.
         eye: camera centre.
-        opacity: factor on opacities, which stay at most 1.
+        opacity: factor on optical depths, as in :class:`econgs.anchors.shading.Factors`.
         backend: "native" or "torch", as in :func:`econgs.splat.rasterise`.
 
     Raises:
@@ -96,12 +97,17 @@ def decode_colors(
     if decoders.distance:
         away = torch.linalg.vector_norm(anchors - view, dim=1, keepdim=True)
         features = torch.cat([features, away], 1)
+    inputs = (anchors, features, scalings, offsets)
     if choose_backend(anchors, backend) == "native":
-        return _native_decode(anchors, features, scalings, offsets, decoders, view, opacity)
-    inputs = (anchors, features, scalings, offsets, *decoders.parameters())
-    if not math.isfinite(float(torch.stack([one.detach().sum() for one in inputs]).sum())):
-        raise ValueError("decode: every value must be finite")
-    return _torch_decode(anchors, features, scalings, offsets, decoders, view, opacity)
+        decoded = _native_decode(*inputs, decoders, view, opacity > 0.0)
+    else:
+        tensors = (*inputs, *decoders.parameters())
+        if not math.isfinite(float(torch.stack([one.detach().sum() for one in tensors]).sum())):
+            raise ValueError("decode: every value must be finite")
+        decoded = _torch_decode(*inputs, decoders, view, opacity > 0.0)
+    if opacity == 1.0:
+        return decoded
+    return replace(decoded, opacities=thinned(decoded.opacities, opacity))
 
 
 def _torch_decode(
@@ -111,7 +117,7 @@ def _torch_decode(
     offsets: Tensor,
     decoders: ColorDecoders,
     eye: Tensor,
-    opacity: float,
+    shown: bool,
 ) -> Decoded:
     count, many = offsets.shape[:2]
     inputs = torch.cat([features, unit(anchors - eye)], dim=1)
@@ -121,7 +127,7 @@ def _torch_decode(
         return torch.addmm(second_bias, torch.relu(torch.addmm(first_bias, inputs, first.T)), second.T)
 
     raw = torch.tanh(outputs("opacity"))
-    kept = raw.detach() > 0.0 if opacity > 0.0 else torch.zeros_like(raw, dtype=torch.bool)
+    kept = raw.detach() > 0.0 if shown else torch.zeros_like(raw, dtype=torch.bool)
     slots = kept.reshape(-1).nonzero()[:, 0]
     anchor = slots // many
 
@@ -136,7 +142,7 @@ def _torch_decode(
         anchors.index_select(0, anchor) + moved,
         rotation(covariance[:, 3:]),
         scale[:, 3:] * torch.sigmoid(covariance[:, :3]),
-        (raw.reshape(-1).index_select(0, slots) * opacity).clamp_max(1.0),
+        raw.reshape(-1).index_select(0, slots),
         torch.sigmoid(surviving("color")),
         slots,
         raw.detach(),
@@ -150,11 +156,11 @@ def _native_decode(
     offsets: Tensor,
     decoders: ColorDecoders,
     eye: Tensor,
-    opacity: float,
+    shown: bool,
 ) -> Decoded:
     """By the kernel of ECoNGS's decoders: ambient light alone, with coefficient 1, leaves the color as it is.
 
-    The outputs that only shading needs are constant: zero weights, which cost a quarter of the kernel's time.
+    The outputs that only shading needs are constant, by weights of zero.
     """
     many, hidden = decoders.offsets, decoders.features
     tensors = [one for name in ("opacity", "covariance") for one in decoders.network(name).tensors()]
@@ -166,7 +172,7 @@ def _native_decode(
     tensors += [second.new_zeros(3 * many, hidden), second.new_zeros(3 * many)]
     none, palette = anchors.new_zeros(0), anchors.new_zeros(3)
     native = importlib.import_module("econgs.anchors.native")
-    factors = [opacity, 1.0, 0.0, 0.0, 0.0]
+    factors = [float(shown), 1.0, 0.0, 0.0, 0.0]
     inputs = (anchors, features, scalings, offsets, none, palette)
     decoded: Decoded = native.decode_plain(inputs, tensors, eye, factors)
     return decoded

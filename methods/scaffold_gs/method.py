@@ -5,46 +5,31 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from methods.interface import Budget, Checkpoint, Model, Monitor, OptionValue, Refused, SceneInput
+from methods.interface import Model, OptionValue, SceneInput
+from methods.per_scene import PerScene
 from methods.scaffold_gs.model import ScaffoldModel, load_model
 from methods.scaffold_gs.training import Trainer
 
 
-class ScaffoldGS:
+class ScaffoldGS(PerScene[ScaffoldModel]):
     """Gaussians decoded from anchors (Lu et al. 2024): every scene is a group of its own."""
 
-    def partition(
-        self, scenes: Sequence[SceneInput], options: Mapping[str, OptionValue]
-    ) -> list[list[SceneInput]]:
-        """One group per scene."""
-        return [[scene] for scene in scenes]
+    name = "scaffold-gs"
 
-    def fit(
-        self,
-        group: Sequence[SceneInput],
-        options: Mapping[str, OptionValue],
-        budget: Budget,
-        seed: int,
-        device: str,
-        monitor: Monitor,
-        resume: Checkpoint | None = None,
-    ) -> Model:
-        """Train one scene; see :class:`methods.interface.Method`."""
-        if len(group) != 1:
-            raise Refused(f"scaffold-gs trains each scene on its own, not {len(group)} together")
-        trainer = Trainer(group[0], options, budget.iterations, seed, device)
-        if resume is not None:
-            trainer.restore(resume)
-        trainer.run(monitor)
-        return trainer.model()
+    def trainer(
+        self, scene: SceneInput, options: Mapping[str, OptionValue], iterations: int, seed: int, device: str
+    ) -> Trainer:
+        """A fit at its beginning."""
+        return Trainer(scene, options, iterations, seed, device)
 
     def load(self, folder: Path, device: str) -> ScaffoldModel:
         """Read a saved model; see :func:`methods.scaffold_gs.model.load_model`."""
         return load_model(folder, device)
 
-    def compose(self, models: Sequence[Model]) -> ScaffoldModel:
-        """Hold the anchors of all models; their Gaussians are concatenated and sorted once when rendered."""
-        own = [model for model in models if isinstance(model, ScaffoldModel)]
-        if len(own) != len(models):
-            raise Refused("scaffold-gs composes with models of its own only")
-        return ScaffoldModel([scene for model in own for scene in model.stored], own[0].device)
+    def joined(self, models: Sequence[ScaffoldModel]) -> ScaffoldModel:
+        """Their anchors; Gaussians are concatenated and sorted once when rendered."""
+        return ScaffoldModel([scene for model in models for scene in model.stored], models[0].device)
+
+    def owns(self, model: Model) -> bool:
+        """Whether a model is of this method."""
+        return isinstance(model, ScaffoldModel)

@@ -55,6 +55,7 @@ SPEC = MethodSpec(
         "methods.scaffold_gs",
         "methods.gaussian_splatting.ply",
         "econgs.anchors",
+        "econgs.context.model",
         "econgs.splat",
         "econgs.losses",
         "econgs.optim",

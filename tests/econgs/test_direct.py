@@ -91,6 +91,14 @@ def test_the_kernel_agrees_with_pytorch(distance, opacity):
         torch.testing.assert_close(ours, theirs, rtol=2e-4, atol=2e-5 * max(1.0, float(theirs.abs().max())))
 
 
+def test_an_edit_multiplies_optical_depth():
+    decoders, anchors, values = setting()
+    plain = decode_colors(anchors, *values, decoders, EYE)
+    edited = decode_colors(anchors, *values, decoders, EYE, opacity=0.25)
+    torch.testing.assert_close((1.0 - edited.opacities) ** 4, 1.0 - plain.opacities)
+    assert torch.equal(edited.means, plain.means)
+
+
 @pytest.mark.parametrize("backend", ["native", "torch"])
 def test_no_anchors_no_opacity_and_what_is_not_finite(backend):
     decoders, anchors, values = setting()
