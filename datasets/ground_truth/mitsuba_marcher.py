@@ -102,11 +102,13 @@ class MitsubaMarcher:
         for start in range(0, len(cameras), batch):
             part = cameras[start : start + batch]
             with dr.suspend_grad():
-                color, transmitted = march(data, *self._rays(part))
-                channels = (color.x, color.y, color.z, 1.0 - transmitted)
-                dr.eval(channels)  # together: apart, the loop would run once for each channel
-            for i, channel in enumerate(channels):
-                images[start : start + batch, ..., i] = _untiled(np.array(channel), width, height)
+                pixel, shown, *rays = self._rays(part)
+                color, transmitted = march(data, *rays)
+                # The kernel puts pixels in their places: NumPy would take longer than a sparse scene's rays.
+                picture = dr.zeros(mi.Float, len(part) * width * height * 4)
+                seen = mi.Vector4f(color.x, color.y, color.z, 1.0 - transmitted)
+                dr.scatter(picture, seen, pixel, shown)
+            images[start : start + batch] = np.array(picture).reshape(-1, height, width, 4)
             if progress:
                 progress(start + len(part), len(cameras))
         return images
@@ -133,6 +135,7 @@ class MitsubaMarcher:
         """Rays of all pixels in grid indices, tile by tile.
 
         Returns:
+            pixel: its number in the pictures; shown: whether there is one (tiles reach over the border);
             start: where the ray enters the box; step: one ray step; whole: number of whole steps (-1: the
             ray misses); rest: part of a step that remains; view: unit vector to the camera (scene space).
         """
@@ -174,6 +177,8 @@ class MitsubaMarcher:
         start = [(entry[a] + near * direction[a]) * scale[a] + offset[a] for a in range(3)]
         step = [dt * direction[a] * scale[a] for a in range(3)]
         return (
+            (number * opaque_height + row) * opaque_width + column,
+            shown,
             mi.Vector3f(*(mi.Float(s) for s in start)),
             mi.Vector3f(*(mi.Float(s) for s in step)),
             mi.Int32(whole),
@@ -201,12 +206,3 @@ _ORDER = _tile_order()
 
 def _tiles(pixels: int) -> int:
     return -(-pixels // _TILE)
-
-
-def _untiled(rays: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-    """(n, height, width) pictures from what the rays of :meth:`MitsubaMarcher._rays` brought."""
-    down, across = _tiles(height), _tiles(width)
-    tiles = np.empty((rays.size // (down * across * _TILE**2), down, across, _TILE**2), dtype=np.float32)
-    tiles[..., _ORDER] = rays.reshape(tiles.shape)
-    pictures = tiles.reshape(-1, down, across, _TILE, _TILE).swapaxes(2, 3)
-    return pictures.reshape(-1, down * _TILE, across * _TILE)[:, :height, :width]
