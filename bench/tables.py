@@ -71,8 +71,11 @@ def rows(
     """
     by_id = {record.job.id: record for record in records}
     tables: dict[str, list[dict[str, Any]]] = {name: [] for name in COLUMNS}
+    answered = {_question(record.job) for record in by_id.values() if record.ok}
     for record in by_id.values():
         job = record.job
+        if not record.ok and _question(job) in answered:
+            continue  # mended: the job of a failed partition has another identity than those of the next one
         if job.kind == "measure":
             models = [_Fitted.of(by_id, encode) for encode in _all_needed(by_id, record, "encode")]
             tables["results"].append(_result(record, models, sources or {}))
@@ -313,6 +316,12 @@ def _features(record: Record) -> list[dict[str, Any]]:
         {"job": record.job.id, **_axes(record.job), "name": name, "values": values}
         for name, values in features.items()
     ]
+
+
+def _question(job: Job) -> str:
+    """What a job is to find out, without the group that a partition put its scene into."""
+    whole = job.model_dump(exclude={"key", "identity", "needs", "group"})
+    return json.dumps(whole, sort_keys=True, default=str)
 
 
 def _axes(job: Job) -> dict[str, Any]:

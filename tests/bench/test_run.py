@@ -159,6 +159,20 @@ def test_a_joint_method_is_partitioned_and_its_shares_sum(bench) -> None:
     assert table["train_seconds"].sum() == pytest.approx(spent)
 
 
+def test_a_mended_partition_leaves_no_failed_rows(bench, tmp_path) -> None:
+    """Jobs of a failed partition have other identities than those that follow when it is mended."""
+    cure = tmp_path / "cure"
+    wrong = ("--set", "fake-joint.behaviour=apart", "--set", f"fake-joint.file={cure}")
+    assert bench.run(*wrong, scenes=("a", "b"), method="fake-joint").returncode == 1
+    table = build_tables(Store(bench.store), write=False)["results"]
+    assert list(table["status"]) == ["failed", "failed"]
+    assert table["reason"].str.contains("cannot be compared").all()
+    cure.touch()
+    assert bench.run(*wrong, "--retry", scenes=("a", "b"), method="fake-joint").returncode == 0
+    table = build_tables(Store(bench.store), write=False)["results"]
+    assert list(table["status"]) == ["ok", "ok"]
+
+
 def test_rows_of_changed_source_are_stale(finished, tmp_path) -> None:
     bench, plugins = finished, tmp_path / "own"
     shutil.copytree(bench.plugins, plugins, ignore=shutil.ignore_patterns("__pycache__"))

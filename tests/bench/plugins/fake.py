@@ -15,7 +15,7 @@ from methods.interface import Checkpoint, Diverged, MethodSpec, Option, RateKnob
 
 BEHAVIOURS = (
     "good", "refuse", "diverge", "nan", "raise", "abort", "exit", "hog", "sleep", "ledger", "no-checkpoint",
-    "hold",
+    "hold", "apart",
 )  # fmt: skip
 
 
@@ -134,6 +134,8 @@ class Single:
 class Joint(Single):
     def partition(self, scenes, options):
         """All but the last scene together."""
+        if _behaviour(options, scenes) == "apart":
+            raise RuntimeError("these scenes cannot be compared")
         return [list(scenes[:-1]), list(scenes[-1:])] if len(scenes) > 1 else [list(scenes)]
 
 
