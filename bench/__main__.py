@@ -28,6 +28,7 @@ COMMANDS = {
     "merge": "bench.commands.stores:merge",
     "compare": "bench.commands.stores:compare",
     "cache": "bench.commands.stores:cache",
+    "check-plugin": "bench.commands.check_plugin:check_plugin",
 }
 TABLES = ("results", "views", "curve", "ledger", "timing", "features", "dvr")
 
@@ -103,6 +104,16 @@ def _parser() -> _Parser:
 
     lists = command("list", "list methods, datasets, suites or metrics", plugins)
     lists.add_argument("what", choices=("methods", "datasets", "suites", "metrics"))
+    check = command("check-plugin", "check that a method keeps what its contract promises", plugins)
+    check.add_argument("method", metavar="METHOD")
+    check.add_argument(
+        "--iterations", type=_count, default=60, metavar="N", help="of each of its fits (default: 60)"
+    )
+    check.add_argument(
+        "--set", action="append", default=[], metavar="OPTION=VALUE",
+        help="differing from the preset quick (repeatable)",
+    )  # fmt: skip
+    _add_device(check)
     command("doctor", "what this machine has and lacks, with remedies", plugins)
 
     results = command("results", "every measurement of a run store", plugins, runs)

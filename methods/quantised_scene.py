@@ -45,15 +45,12 @@ class QuantisedScene:
     columns: Mapping[str, Column]
     ids: Ids
 
-    def column(self, name: str) -> Tensor:
+    def column(self, name: str, width: int) -> Tensor:
         """(N, width) values of a column."""
         column = self.columns[name]
         if isinstance(column, Tensor):
             return column
-        values = decoded(column)
-        if len(values) == len(self.positions):
-            return values
-        return values.reshape(len(self.positions), len(values) // len(self.positions))
+        return decoded(column).reshape(len(self.positions), width)
 
     def write(self, folder: Path, kind: str) -> dict[str, int]:
         """Write ``<scene>.safetensors``.

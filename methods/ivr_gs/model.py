@@ -176,7 +176,7 @@ def _coded(
 
 def ready(coded: QuantisedScene, device: str) -> ShadedGaussians:
     """What a stored scene renders as."""
-    raw = {name: coded.column(name).to(device) for name in WIDTHS}
+    raw = {name: coded.column(name, width).to(device) for name, width in WIDTHS.items()}
     palette, light = cast("Sequence[float]", coded.about["palette"]), coded.about["light"]
     return ShadedGaussians(
         name=coded.name,
@@ -337,7 +337,7 @@ def load_model(folder: Path, device: str) -> IvrModel:
     stored = [
         Stored(
             coded,
-            {name: coded.column(name) for name in WIDTHS},
+            {name: coded.column(name, width) for name, width in WIDTHS.items()},
             frozenset(name for name, column in coded.columns.items() if not isinstance(column, Tensor)),
         )
         for coded in read_folder(folder, METHOD, FORMAT, WIDTHS, _check)

@@ -51,16 +51,16 @@ def quantised(scene: SceneGaussians, size: int, stages: int, seed: int) -> Quant
 def gaussians(coded: QuantisedScene) -> SceneGaussians:
     """What a coded scene renders as; differentiable with respect to the words."""
     count = len(coded.positions)
-    rest = torch.cat([coded.column(name) for name in ("sh1", "sh2", "sh3")], dim=1)
+    rest = torch.cat([coded.column(name, WIDTHS[name]) for name in ("sh1", "sh2", "sh3")], dim=1)
     return SceneGaussians(
         name=coded.name,
         background=coded.background,
         sh_degree=int(str(coded.about["sh degree"])),
         means=coded.positions,
-        log_scales=coded.column("scale"),
-        quats=coded.column("rotation"),
-        logits=coded.column("opacity")[:, 0],
-        sh_dc=coded.column("color").reshape(count, 1, 3),
+        log_scales=coded.column("scale", 3),
+        quats=coded.column("rotation", 4),
+        logits=coded.column("opacity", 1)[:, 0],
+        sh_dc=coded.column("color", 3).reshape(count, 1, 3),
         sh_rest=rest.reshape(count, 15, 3),
     )
 
@@ -127,7 +127,7 @@ def _check(coded: QuantisedScene) -> None:
     degree, size = coded.about["sh degree"], coded.about["codebook size"]
     if not isinstance(degree, int) or not 0 <= degree <= 3 or not isinstance(size, int):
         raise ValueError(f"SH degree {degree}, codebooks of {size} words")
-    if not bool((coded.column("rotation").square().sum(1) > 0).all()):
+    if not bool((coded.column("rotation", 4).square().sum(1) > 0).all()):
         raise ValueError("a rotation is zero")
-    if not bool(torch.isfinite(coded.column("scale").exp()).all()):
+    if not bool(torch.isfinite(coded.column("scale", 3).exp()).all()):
         raise ValueError("a scale is not finite")

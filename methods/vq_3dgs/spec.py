@@ -37,7 +37,7 @@ SPEC = replace(
             maximum=0.9,
         ),
         "tuning_lr": Option(
-            0.3, "learning rates of words, as a share of those of 3DGS", minimum=0.0, maximum=10.0
+            1.0, "learning rates of words, as a share of those of 3DGS", minimum=0.0, maximum=10.0
         ),
     },
     presets={

@@ -1,0 +1,138 @@
+"""The contract kit: every built-in method passes it, and a plugin that breaks a promise is caught."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+
+from methods.contract import CHECKS, Subject, run_checks
+from methods.gaussian_splatting.method import GaussianSplatting
+from methods.gaussian_splatting.model import GaussianModel
+from methods.gaussian_splatting.spec import SPEC as PLAIN
+from methods.interface import Edit, RateKnob
+from methods.registry import Registry, load_method
+
+SMALL = {
+    "scaffold-gs": {"features": 16, "offsets": 4, "voxel": 0.01},
+    "hac": {"features": 16, "offsets": 4, "voxel": 0.01, "grid": "small", "context_hidden": 24},
+    "econgs": {"features": 16, "offsets": 4, "voxel": 0.01, "hidden": 16, "embedding": 4},
+    "vq-3dgs": {"max_gaussians": 300},
+    "ivr-gs": {"max_gaussians": 300},
+}
+QUICK = ("3dgs", "vq-3dgs", "ivr-gs")
+METHODS = [
+    pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+    for name in Registry().names()
+    if Registry().origin(name).startswith("built in")
+]
+
+
+@pytest.fixture(scope="module", params=METHODS)
+def subject(request, tmp_path_factory):
+    """One examination for all checks of a method: they share its first fit."""
+    spec = Registry().spec(request.param)
+    folder = tmp_path_factory.mktemp(spec.name)
+    return Subject(spec, load_method(spec), folder, iterations=40, overrides=SMALL.get(spec.name))
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_built_in_methods_keep_the_contract(subject, check):
+    assert check(subject)
+
+
+# --------------------------------------------------------------------------- what the kit must catch
+
+
+class Wasteful(GaussianModel):
+    def save(self, folder, rate=None):
+        ledger = super().save(folder, rate)
+        (folder / "more.bin").write_bytes(b"1234")
+        return ledger
+
+
+class Deaf(GaussianModel):
+    """Takes every edit and does nothing."""
+
+    def render(self, camera, scenes=None, edit=None, background=None):
+        return super().render(camera, scenes, {name: Edit() for name in edit or ()}, background)
+
+
+class Careless(GaussianModel):
+    """Saves at any rate."""
+
+    def save(self, folder, rate=None):
+        return super().save(folder)
+
+
+class Forgetful(GaussianSplatting):
+    """Resumes with another order of views."""
+
+    def fit(self, group, options, budget, seed, device, monitor, resume=None):
+        if resume is not None:
+            resume = dataclasses.replace(resume, scalars={**resume.scalars, "pending": []})
+        return super().fit(group, options, budget, seed, device, monitor, resume)
+
+
+class Whimsical(GaussianSplatting):
+    """Draws its seed from the global generator."""
+
+    def fit(self, group, options, budget, seed, device, monitor, resume=None):
+        seed = int(torch.randint(1000, ())) if resume is None else seed
+        return super().fit(group, options, budget, seed, device, monitor, resume)
+
+
+class Gullible(GaussianSplatting):
+    """Renders whatever it can read."""
+
+    def load(self, folder, device):
+        try:
+            return super().load(folder, device)
+        except Exception:
+            return GaussianModel([])
+
+
+def with_model(kind):
+    class Method(GaussianSplatting):
+        def fit(self, *arguments):
+            model = super().fit(*arguments)
+            return kind([model.gaussians(name) for name in model.scenes])
+
+    return Method()
+
+
+KNOB = RateKnob("size", (4.0, 8.0), refit=False)
+
+
+@pytest.mark.parametrize(
+    ("method", "changed", "check", "words"),
+    [
+        (with_model(Wasteful), {}, "saved_and_loaded", "the ledger sums to"),
+        (with_model(Deaf), {}, "edits", "palette edit: not refused"),
+        (with_model(Deaf), {"edits": frozenset(PLAIN.edits | {"palette"})}, "edits", "changes nothing"),
+        (with_model(Careless), {}, "rates", "saving at a rate: not refused"),
+        (GaussianSplatting(), {"rate_knobs": (KNOB,)}, "rates", "no rate knob"),
+        (GaussianSplatting(), {"composable": False}, "composition", "composing: not refused"),
+        (Forgetful(), {}, "resumable", "losses differ after a stop"),
+        (Whimsical(), {}, "deterministic", "two fits differ"),
+        (Gullible(), {}, "bad_files", "not refused"),
+    ],
+)
+def test_a_broken_promise_is_caught(tmp_path, method, changed, check, words):
+    subject = Subject(dataclasses.replace(PLAIN, **changed), method, tmp_path, 24, {"background": "random"})
+    (wanted,) = [one for one in CHECKS if one.__name__ == check]
+    with pytest.raises(Exception, match=words):
+        wanted(subject)
+
+
+def test_no_check_stops_the_others(tmp_path):
+    class Broken(GaussianSplatting):
+        def fit(self, *arguments):
+            raise ZeroDivisionError("no fit at all")
+
+    outcomes = list(run_checks(Subject(PLAIN, Broken(), tmp_path, 5)))
+    assert [one.name for one in outcomes] == [check.__name__ for check in CHECKS]
+    assert outcomes[0].status == "passed"
+    assert {one.status for one in outcomes[2:-1]} == {"error"}
+    assert "no fit at all" in outcomes[2].detail

@@ -1,0 +1,186 @@
+"""What iVR-GS adds to the contract (test_contract.py): its schedule, losses, shading and storage."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from datasets.scene import Light
+from methods.interface import Budget, Edit, Refused
+from methods.ivr_gs.losses import depth_normals, normal_loss, smoothness_loss
+from methods.ivr_gs.method import IvrGs
+from methods.ivr_gs.model import WIDTHS, IvrModel, Stored, attributes_with_codebooks, ready
+from methods.ivr_gs.schedule import IvrSchedule
+from methods.ivr_gs.spec import SPEC
+from methods.ivr_gs.training import IvrTrainer
+from methods.options import resolve
+
+
+def options(**changed):
+    return resolve(SPEC, "quick", {"max_gaussians": 500, **changed}).options
+
+
+def fit(scene, recorder, iterations=400, resume=None, **changed):
+    return IvrGs().fit([scene], options(**changed), Budget(iterations), 0, "cpu", recorder, resume)
+
+
+@pytest.fixture(scope="module")
+def fitted(tiny, scene):
+    recorder = tiny.Recorder()
+    return fit(scene, recorder), recorder
+
+
+def saved(model, folder, rate=None):
+    folder.mkdir()
+    ledger = model.save(folder, rate)["tiny"]
+    return IvrGs().load(folder, "cpu"), ledger
+
+
+def test_a_fit_approaches_views_that_it_never_saw(tiny, scene, fitted):
+    model, recorder = fitted
+    assert tiny.psnr(model, scene.validation) > 22.0
+    assert recorder.stages[0] == "growth, stopped at 500 Gaussians" or recorder.stages[0] == "growth"
+    assert recorder.stages[-1] == "shading"
+
+
+def test_the_schedule_is_the_published_one_at_its_budget():
+    schedule = IvrSchedule(40_000, early_reset=True)
+    first = [i for i in range(1, 30_001) if schedule.grows(i)]
+    again = [i for i in range(30_001, 40_001) if schedule.grows(i)]
+    assert (first[0], first[-1], first[1] - first[0]) == (1_000, 9_500, 500)
+    assert (again[0], again[-1], again[1] - again[0]) == (30_100, 31_900, 100)
+    assert not schedule.shaded(30_000)
+    assert schedule.shaded(30_001)
+    resets = [i for i in range(1, 40_001) if schedule.resets_opacity(i)]
+    assert resets == [500, 3_000, 6_000, 9_000]
+    assert schedule.decayed(30_000, 1.0, 0.01) == pytest.approx(0.01)
+    assert schedule.decayed(40_000, 1.0, 0.01) == pytest.approx(0.01)
+    assert schedule.decayed(15_000, 1.0, 0.01) == pytest.approx(0.1)
+    assert sum(IvrSchedule(400).grows(i) for i in range(1, 401)) >= 10
+    assert not any(IvrSchedule(400, grows_shaded=False).grows(i) for i in range(301, 401))
+
+
+def test_24_bytes_per_gaussian_and_ten_codebooks_of_256(tmp_path):
+    count, generator = 5_000, torch.Generator().manual_seed(0)
+    raw = {name: torch.randn((count, width), generator=generator) for name, width in WIDTHS.items()}
+    positions = torch.rand((count, 3), generator=generator)
+    stored = Stored.of("tiny", (1.0, 1.0, 1.0), None, (0.5, 0.5, 0.5), positions, raw, frozenset(WIDTHS), 256)
+    _, ledger = saved(IvrModel([ready(stored.coded, "cpu")], [stored]), tmp_path / "a")
+    ids = sum(ledger[name] for name in WIDTHS)
+    assert ledger["positions"] + ids == 24 * count
+    assert ledger["codebooks"] == 5_120
+
+
+def test_values_are_activated_once(scene, fitted, tmp_path):
+    """With nothing quantised but to half precision, what is loaded is what was learned.
+
+    The published code activates specular coefficients and shininess a second time.
+    """
+    model, _ = fitted
+    camera = scene.validation.cameras[0]
+    (stored,) = model.stored
+    exact = type(model)([_plain(stored)], None)
+    many, _ = saved(model, tmp_path / "many", 65536.0)
+    torch.testing.assert_close(many.render(camera)[0], exact.render(camera)[0], atol=0.02, rtol=0)
+    sizes = [saved(model, tmp_path / str(size), size)[0] for size in (4.0, 32.0, 256.0)]
+    far = [float((one.render(camera)[0] - exact.render(camera)[0]).norm()) for one in sizes]
+    assert far == sorted(far, reverse=True)
+
+
+def _plain(stored):
+    return ready(replace(stored.coded, columns=stored.raw), "cpu")
+
+
+def test_attributes_chosen_have_codebooks_and_the_others_none(tiny, scene, tmp_path):
+    model = fit(scene, tiny.Recorder(), 20, quantised="scale + rotation_imaginary", codebook_size=16)
+    again, ledger = saved(model, tmp_path / "a")
+    count = model.primitives()
+    assert ledger["scale"] == ledger["rotation imaginary"] == math.ceil(3 * count * 4 / 8)
+    assert ledger["normal"] == 6 * count
+    assert ledger["codebooks"] == 2 * 16 * 2
+    camera = scene.validation.cameras[0]
+    assert torch.equal(again.render(camera)[0], model.render(camera)[0])
+    assert attributes_with_codebooks("none") == frozenset()
+    assert attributes_with_codebooks("all") == frozenset(WIDTHS)
+    with pytest.raises(Refused, match="'colour' is none of"):
+        fit(scene, tiny.Recorder(), 5, quantised="colour")
+
+
+def test_normals_of_depth_maps(tiny):
+    """A plane z = 0.2 x + 0.1 y seen from above: one normal everywhere, towards the camera."""
+    camera = tiny.look_at([0.3, -0.2, 3.0])
+    normal = np.array([-0.2, -0.1, 1.0]) / math.sqrt(1.05)
+    origin, rays = camera.rays()
+    distance = -(origin @ normal) / (rays @ normal)
+    depth = distance * (rays @ camera.camera_to_world[:3, 2])
+    alpha = torch.full((32, 32), 0.5)
+    alpha[:, :4] = 0.0
+    found, mask = depth_normals(torch.from_numpy(depth).float() * alpha, alpha, camera)
+    assert mask[1:-1, 5:-1].all()
+    assert not mask[:, :5].any()
+    assert not mask[0].any()
+    expected = torch.from_numpy(normal).float().expand_as(found)
+    torch.testing.assert_close(found[mask], expected[mask], atol=1e-3, rtol=0)
+    assert not found[~mask].any()
+    right = expected * alpha[..., None]
+    assert normal_loss(right, torch.from_numpy(depth).float() * alpha, alpha, camera) < 1e-6
+    assert normal_loss(-right, torch.from_numpy(depth).float() * alpha, alpha, camera) > 0.1
+
+
+def test_smoothness_cares_less_about_edges():
+    step = torch.zeros(8, 8, 1)
+    step[:, 4:] = 1.0
+    flat = torch.zeros(8, 8, 3)
+    assert smoothness_loss(torch.ones(8, 8, 1), flat) == 0.0
+    assert smoothness_loss(step, flat) == pytest.approx(8 / 56)
+    assert smoothness_loss(step, step.expand(8, 8, 3)) == pytest.approx(math.exp(-1) * 8 / 56)
+
+
+def test_the_palette_is_the_mean_color_and_moves_every_color(scene, fitted):
+    model, _ = fitted
+    images = torch.from_numpy(scene.train.images)
+    mean = images[..., :3].sum((0, 1, 2)) / images[..., 3].sum()
+    torch.testing.assert_close(model.gaussians("tiny").palette, mean, atol=1e-5, rtol=0)
+    camera = scene.validation.cameras[0]
+    lifted = {"tiny": Edit(palette=(1.0, float(mean[1]), float(mean[2])))}
+    plain, red = (model.render(camera, edit=edit)[0] for edit in (None, lifted))
+    assert (red[..., 0] > plain[..., 0] + 0.01).any()
+    torch.testing.assert_close(red[..., 1:], plain[..., 1:], atol=1e-4, rtol=0)
+
+
+def test_light_of_the_scene_and_of_edits(scene, tiny, tmp_path):
+    lit = replace(scene, scene=replace(scene.scene, light=Light(direction=(0.0, 0.0, 1.0))))
+    model = fit(lit, tiny.Recorder(), 30)
+    camera = scene.validation.cameras[0]
+    plain = model.render(camera)[0]
+    again, _ = saved(model, tmp_path / "a")
+    assert again.gaussians("tiny").light == (0.0, 0.0, 1.0)
+    assert torch.equal(again.render(camera)[0], plain)
+    up = model.render(camera, edit={"tiny": Edit(light=(0.0, 0.0, 1.0))})[0]
+    assert torch.equal(up, plain)
+    assert not torch.equal(model.render(camera, edit={"tiny": Edit(light="headlight")})[0], plain)
+    for bad in (Edit(light=(0.0, 0.0, 0.0)), Edit(specular=-1.0), Edit(palette=(2.0, 0.0, 0.0))):
+        with pytest.raises(Refused):
+            model.render(camera, edit={"tiny": bad})
+
+
+def test_what_cannot_be_seen_goes(scene):
+    trainer = IvrTrainer(scene, options(), 40, 0, "cpu")
+    with torch.no_grad():
+        trainer.optimiser["logits"][:5] = -6.0
+    before = trainer.count
+    trainer._prune()
+    assert trainer.count == before - 5
+    assert len(trainer.normal_gradients) == len(trainer.statistics.visits) == trainer.count
+
+
+def test_normals_alone_can_grow_gaussians(scene):
+    changed = {"growth_gradient": 1e9, "opacity_reset": False}
+    grown = IvrTrainer(scene, options(**changed, normal_gradient=0.0), 100, 0, "cpu")
+    still = IvrTrainer(scene, options(**changed, normal_gradient=1e9), 100, 0, "cpu")
+    for _ in range(25):
+        grown.step()
+        still.step()
+    assert grown.count > 96 >= still.count
