@@ -43,6 +43,10 @@ class HacModel(AnchorModel):
         self.groups, self.device = tuple(groups), device
         super().__init__(_METHOD, [_ready(group, device, what) for group in groups])
 
+    def bytes_estimate(self) -> int:
+        """Bytes that :meth:`save` would write."""
+        return sum(len(encode_group(group).data) for group in self.groups)
+
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
         """Write the stream of each scene, ``<scene>.hac``.
 

@@ -230,6 +230,11 @@ class ScaffoldModel(AnchorModel):
         self.stored, self.device = tuple(stored), device
         super().__init__("scaffold-gs", [scene.ready(device) for scene in stored])
 
+    def bytes_estimate(self) -> int:
+        """Bytes of anchors and networks; headers and metadata add a few thousand."""
+        networks = 4 * sum(one.numel() for scene in self.stored for one in scene.decoders.parameters())
+        return networks + sum(scene.rows.nbytes for scene in self.stored)
+
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
         """Write ``<scene>.ply`` (anchors) and ``<scene>.safetensors`` (networks) per scene.
 

@@ -15,7 +15,7 @@ from datasets.errors import DataError
 from methods.hac.method import Hac
 from methods.hac.spec import SPEC as HAC
 from methods.hac.training import Trainer as HacTrainer
-from methods.interface import Budget, Diverged, Edit, Refused
+from methods.interface import Budget, Diverged, Edit, EstimatesBytes, Refused
 from methods.options import resolve
 from methods.scaffold_gs.method import ScaffoldGS
 from methods.scaffold_gs.schedule import Schedule
@@ -83,6 +83,8 @@ def test_what_is_saved_gives_the_same_picture_in_a_new_process(kind, tmp_path, s
     written = sum(file.stat().st_size for file in folder.iterdir())
     assert sum(count for parts in ledger.values() for count in parts.values()) == written
     assert set(ledger) == {"tiny"}
+    assert isinstance(model, EstimatesBytes)
+    assert 0 <= written - model.bytes_estimate() < 4096
     code = (
         "import sys, numpy as np\n"
         "from pathlib import Path\n"
