@@ -62,3 +62,8 @@ def test_published_figures_agree_with_themselves():
             assert float(row["volume_gib"]) == pytest.approx(samples * 4 / 2**30, abs=0.05)
     assert sum(int(row["scenes"]) for row in rows) == 2 + 9 + 4 + 4 + 1 + 4 + 41 + 24 + 8
     assert published()["tangaroa"]["published"] == "Tangaroa"
+    stand_ins = {
+        "argon_bubble_like", "supernova_like", "beetle_like", "vortices", "jet_flame", "ionisation_like",
+        "ship_wake",
+    }  # fmt: skip
+    assert stand_ins <= published().keys()
