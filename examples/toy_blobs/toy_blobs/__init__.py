@@ -1,0 +1,1 @@
+"""A toy method for econgs-bench: round Gaussians that stay where the cloud put them."""

@@ -1,0 +1,24 @@
+"""What the method can do and how it is set. Pure data: nothing heavy is imported here."""
+
+from methods.interface import MethodSpec, Option
+
+SPEC = MethodSpec(
+    name="toy-blobs",
+    title="Round blobs at the points of the cloud",
+    reference="docs/add-a-method.md",
+    version="1",
+    implementation="toy_blobs.method:ToyBlobs",
+    source=("toy_blobs",),
+    joint=False,
+    composable=True,
+    edits=frozenset({"opacity"}),
+    needs_volume=False,
+    uses_alpha="views are composited on the scene's background",
+    devices=("cpu", "cuda"),
+    options={
+        "size": Option(0.03, "standard deviation of a blob, scene units", minimum=1e-4, maximum=1.0),
+        "rate": Option(0.05, "learning rate", minimum=0.0, maximum=1.0),
+    },
+    presets={"quick": {}, "standard": {}, "paper": {}},
+    iterations={"quick": 300, "standard": 2_000, "paper": 10_000},
+)
