@@ -19,7 +19,8 @@ MOST_WORDS = 1 << 16
 TOLERANCE = 1e-4
 """k-means ends when no word moves by more than this share of the values' standard deviation."""
 SCALAR_ROUNDS = 500
-VECTOR_ROUNDS = 30
+VECTOR_ROUNDS = 15
+_SAMPLES = 128  # values per word that vectors are learned from; all of them take their nearest word
 _DISTANCES = 1 << 24  # held at a time
 
 
@@ -151,7 +152,9 @@ def _learn_scalars(values: Tensor, size: int) -> Tensor:
 def _learn_vectors(values: Tensor, size: int, seed: int) -> Tensor:
     """Lloyd's algorithm from randomly drawn values; a word that nothing takes moves to what fits worst."""
     generator = torch.Generator().manual_seed(seed)
-    words = values[torch.randperm(len(values), generator=generator)[:size]].clone()
+    order = torch.randperm(len(values), generator=generator)
+    values = values[order[: _SAMPLES * size]]
+    words = values[:size].clone()
     least = TOLERANCE * float(values.double().std(0).norm())
     exact, ones, places = values.double().numpy(), np.ones(len(values)), np.arange(len(values))
     for _ in range(VECTOR_ROUNDS):
