@@ -21,12 +21,7 @@ SMALL = {
     "vq-3dgs": {"max_gaussians": 300},
     "ivr-gs": {"max_gaussians": 300},
 }
-QUICK = ("3dgs", "vq-3dgs", "ivr-gs")
-METHODS = [
-    pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
-    for name in Registry().names()
-    if Registry().origin(name).startswith("built in")
-]
+METHODS = [name for name in Registry().names() if Registry().origin(name).startswith("built in")]
 
 
 @pytest.fixture(scope="module", params=METHODS)
@@ -34,7 +29,7 @@ def subject(request, tmp_path_factory):
     """One examination for all checks of a method: they share its first fit."""
     spec = Registry().spec(request.param)
     folder = tmp_path_factory.mktemp(spec.name)
-    return Subject(spec, load_method(spec), folder, iterations=40, overrides=SMALL.get(spec.name))
+    return Subject(spec, load_method(spec), folder, iterations=32, overrides=SMALL.get(spec.name))
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)

@@ -80,7 +80,7 @@ def test_composition_is_one_sorted_set_of_gaussians(tiny, camera):
     torch.testing.assert_close(alone, halves[1].render(camera)[0], atol=0, rtol=0)
     with pytest.raises(Refused, match="same name"):
         GaussianSplatting().compose([halves[0], halves[0]])
-    with pytest.raises(Refused, match="object"):
+    with pytest.raises(Refused, match="of its own only"):
         GaussianSplatting().compose([halves[0], object()])
 
 
