@@ -9,9 +9,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from econgs.anchors.decode import Decoded, Vector, rotation, thinned
+from econgs.anchors.decode import Decoded, Vector, rotation
 from econgs.anchors.decoders import Decoder
 from econgs.anchors.shading import unit
+from econgs.splat.composite import thinned
 from econgs.splat.rasterise import choose_backend
 
 NETWORKS = {"opacity": 1, "covariance": 7, "color": 3}

@@ -17,7 +17,7 @@ from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.names import unknown
 from datasets.scene import RGB
-from econgs.splat.composite import over
+from econgs.splat.composite import over, thinned
 from econgs.splat.rasterise import rasterise
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.ply import read_ply, write_ply
@@ -201,10 +201,10 @@ class SplatModel:
             return opacities
         sizes = [self.primitives(name) for name in names]
         pieces = [
-            o if factor is None else o * factor
+            o if factor is None else thinned(o, factor)
             for o, factor in zip(opacities.split(sizes), factors, strict=True)
         ]
-        return torch.cat(pieces).clamp(0.0, 1.0)
+        return torch.cat(pieces)
 
 
 class GaussianModel(SplatModel):

@@ -18,7 +18,7 @@ from datasets.names import unknown
 from datasets.scene import RGB
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
 from econgs.codebooks import quantise_scalars
-from econgs.splat.composite import over
+from econgs.splat.composite import over, thinned
 from econgs.splat.rasterise import Rasterised, rasterise
 from methods.interface import Edit, Refused, edits_by_scene
 from methods.quantised_scene import Column, QuantisedScene, half_exact, read_folder
@@ -290,7 +290,7 @@ class IvrModel:
         shown = [self.gaussians(name) for name in names]
         factors = [edits[name].opacity if name in edits else None for name in names]
         opacities = [
-            one.opacities if factor is None else (one.opacities * factor).clamp(max=1.0)
+            one.opacities if factor is None else thinned(one.opacities, factor)
             for one, factor in zip(shown, factors, strict=True)
         ]
         return rasterise(

@@ -91,11 +91,11 @@ def test_opacity_is_edited_per_scene_and_nothing_else(tiny, camera):
     )
     edited, _ = model.render(camera, edit={"b": Edit(opacity=0.3)})
     factors = torch.cat([torch.ones(12), torch.full((12,), 0.3)])
-    truth, _ = expected(known, camera, opacities=known["opacities"] * factors)
+    truth, _ = expected(known, camera, opacities=1 - (1 - known["opacities"]) ** factors)
     torch.testing.assert_close(edited.double(), truth.clamp(0, 1), atol=2e-5, rtol=0)
     strong, _ = model.render(camera, edit={"a": Edit(opacity=50.0)})
     factors = torch.cat([torch.full((12,), 50.0), torch.ones(12)])
-    truth, _ = expected(known, camera, opacities=(known["opacities"] * factors).clamp(max=1))
+    truth, _ = expected(known, camera, opacities=1 - (1 - known["opacities"]) ** factors)
     torch.testing.assert_close(strong.double(), truth.clamp(0, 1), atol=2e-5, rtol=0)
     assert torch.equal(model.render(camera, edit={"a": Edit()})[0], model.render(camera)[0])
 
