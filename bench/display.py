@@ -95,7 +95,7 @@ def describe(state: dict[str, Any]) -> str:
     if state.get("iteration") is not None:
         parts.append(f"{state['iteration']}/{state.get('iterations', '?')}")
     if state.get("loss") is not None:
-        others = ", ".join(f"{name} {value:.4g}" for name, value in state.get("parts", {}).items() if value)
+        others = ", ".join(f"{name} {value:.3g}" for name, value in state.get("parts", {}).items() if value > 1e-6)
         parts.append(f"loss {state['loss']:.4f}" + (f" ({others})" if others else ""))
     if state.get("psnr") is not None:
         parts.append(f"{state['psnr']:.2f} dB")

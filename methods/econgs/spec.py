@@ -101,7 +101,7 @@ SPEC = MethodSpec(
         ),
     },
     presets={"quick": {}, "standard": {}, "paper": {}},
-    iterations={"quick": 2_400, "standard": 8_000, "paper": 20_000},
+    iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={
         # What the paper states and what its code base implies where it is silent (docs/econgs.md).
         "paper": Configuration(

@@ -33,7 +33,7 @@ SPEC = MethodSpec(
         "offset_step": Option(0.2, "quantisation step Q of offsets", minimum=1e-6),
     },
     presets={"quick": {}, "standard": {}, "paper": {}},
-    iterations={"quick": 2_400, "standard": 8_000, "paper": 20_000},
+    iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     rate_knobs=(RateKnob("rate_weight", (5e-4, 1e-3, 2e-3, 3e-3, 4e-3), refit=True),),
     configurations={
         "fair": Configuration(),

@@ -69,7 +69,7 @@ SPEC = MethodSpec(
     devices=("cpu", "cuda"),
     options=OPTIONS,
     presets={"quick": {}, "standard": {}, "paper": {}},
-    iterations={"quick": 2_400, "standard": 8_000, "paper": 20_000},
+    iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={
         "fair": Configuration(),
         "paper": Configuration(PUBLISHED, {"paper": 30_000}),
