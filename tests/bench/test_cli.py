@@ -42,7 +42,7 @@ def test_lists_start_without_heavy_imports(bench, what: str) -> None:
             ["plan", "quick", "--dataset", "vortice"],
             "dataset 'vortice': unknown name. Did you mean vortices, ",
         ),
-        (["plan", "quick", "--method", "4dgs"], "Did you mean 3dgs?"),
+        (["plan", "quick", "--method", "4dgs"], "Did you mean 3dgs"),
         (["plan", "quick", "--set", "3dgs.sh_degre=2"], "Did you mean sh_degree"),
         (["plan", "quick", "--set", "3dgs.sh_degree=9"], "above the maximum 3"),
         (["plan", "quick", "--set", "sh_degree=2"], "not of the form method.option=value"),
