@@ -7,10 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import methods
-
-ROOT = Path(methods.__file__).parents[1]
-TOY = ROOT / "examples" / "toy_blobs"
+TOY = Path(__file__).parents[2] / "examples" / "toy_blobs"
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +25,7 @@ def bench(tmp_path_factory):
     def run(*arguments):
         done = subprocess.run(
             [sys.executable, "-m", "bench", *arguments],
-            cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=300,
+            cwd=target, env=environment, capture_output=True, text=True, check=False, timeout=300,
         )  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
