@@ -95,7 +95,8 @@ def describe(state: dict[str, Any]) -> str:
     if state.get("iteration") is not None:
         parts.append(f"{state['iteration']}/{state.get('iterations', '?')}")
     if state.get("loss") is not None:
-        others = ", ".join(f"{name} {value:.3g}" for name, value in state.get("parts", {}).items() if value > 1e-6)
+        shown = {name: value for name, value in state.get("parts", {}).items() if value > 1e-6}
+        others = ", ".join(f"{name} {value:.3g}" for name, value in shown.items())
         parts.append(f"loss {state['loss']:.4f}" + (f" ({others})" if others else ""))
     if state.get("psnr") is not None:
         parts.append(f"{state['psnr']:.2f} dB")

@@ -73,9 +73,14 @@ def _blockwise(values: NDArray[Any], pick: np.ufunc) -> NDArray[Any]:
     for axis in range(3):
         n = values.shape[axis]
         bricks = max(1, -(-(n - 1) // BRICK))
-        reduced = []
+        shape = values.shape[:axis] + (bricks,) + values.shape[axis + 1 :]
+        reduced = np.empty(shape, values.dtype)
+        source, target = np.moveaxis(values, axis, 0), np.moveaxis(reduced, axis, 0)
         for b in range(bricks):
-            block = np.take(values, np.arange(max(b * BRICK - 1, 0), min((b + 1) * BRICK + 2, n)), axis)
-            reduced.append(pick.reduce(block, axis=axis))
-        values = np.stack(reduced, axis=axis)
+            # Pairs of slices keep the walk along memory; a reduction over a strided axis does not.
+            first, *rest = range(max(b * BRICK - 1, 0), min((b + 1) * BRICK + 2, n))
+            target[b] = source[first]
+            for i in rest:
+                pick(target[b], source[i], out=target[b])
+        values = reduced
     return values
