@@ -27,6 +27,12 @@ SPEC = MethodSpec(
         ),
         "cloud_points": Option(0, "points drawn from the initial cloud; 0 = all", minimum=0),
         "random_points": Option(10_000, "number of points of a random start", minimum=1, maximum=10_000_000),
+        "start_spacing": Option(
+            3.0,
+            "the cloud is thinned to one point per cell of this many pixels of the training views; 0 = off",
+            minimum=0.0,
+            maximum=100.0,
+        ),
         "random_half_extent": Option(
             0.5, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
         ),
@@ -112,6 +118,7 @@ SPEC = MethodSpec(
                 "offset_color": "sigmoid",
                 "decoder_precision": "float32",
                 "rent": 0.0,
+                "start_spacing": 0.0,
             }
         ),
     },

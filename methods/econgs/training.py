@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.camera import Camera
-from datasets.cloud import random_cloud
 from econgs.anchors.anchor_set import AnchorSet
 from econgs.anchors.coding import Coding
 from econgs.anchors.decode import Decoded, decode, draw, visible_anchors
@@ -31,6 +30,7 @@ from methods.econgs.control import STEPS, RateControl
 from methods.econgs.model import EcongsModel, Group, decoders_metadata
 from methods.econgs.rent import contributions, some_views, who_stays
 from methods.econgs.schedule import Schedule
+from methods.econgs.start import starting_points
 from methods.interface import Checkpoint, Diverged, Monitor, OptionValue, Refused, SceneInput
 
 _CHECK_EVERY = 100
@@ -75,16 +75,7 @@ class _Scene:
     ) -> None:
         if len(given.train) == 0:
             raise Refused(f"scene {given.name!r} has no training views")
-        cloud = given.cloud
-        if options["start"] == "random":
-            cloud = random_cloud(int(options["random_points"]), float(options["random_half_extent"]), seed)
-        if len(cloud) == 0:
-            raise Refused(f"the initial cloud of scene {given.name!r} is empty; set start=random")
-        points = np.array(cloud.points, dtype=np.float32)
-        if options["start"] != "random" and 0 < int(options["cloud_points"]) < len(points):
-            points = points[
-                np.random.default_rng(seed).permutation(len(points))[: int(options["cloud_points"])]
-            ]
+        points, color = starting_points(given, options, seed)
         self.key, self.given, self.name = key, given, given.name
         self.anchors = AnchorSet(
             key,
@@ -97,10 +88,7 @@ class _Scene:
         )
         stored = decoders.first_stored(len(self.anchors), generator)
         self.anchors.initial["features"][:, decoders.features :] = stored.to(device)
-        colors = np.array(cloud.colors, dtype=np.float32)
-        if options["start"] == "positions":
-            colors = np.full((1, 3), 0.5, np.float32)
-        self.palette = torch.from_numpy(colors.mean(axis=0))
+        self.palette = torch.from_numpy(color)
         self.images = torch.from_numpy(given.train.images)
         light = given.scene.light
         self.light = None if light is None else light.direction

@@ -1,17 +1,24 @@
 """No more than a scene needs: rent of anchors, rate control, precision of decoders."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
+from datasets.cloud import PointCloud
 from econgs.context.arrays import round_arrays, write_arrays
 from methods.econgs.control import RateControl
 from methods.econgs.rent import some_views, who_stays
 from methods.econgs.schedule import Schedule
 from methods.econgs.spec import SPEC
+from methods.econgs.start import one_per_cell, starting_points
 from methods.econgs.training import Trainer
+from methods.interface import Refused
 from methods.options import resolve
 
 SMALL = {"features": 16, "hidden": 24, "embedding": 8, "offsets": 4, "voxel": 0.01}
@@ -132,3 +139,33 @@ def test_rounded_weights_are_written_as_the_same_bytes_again(precision):
     assert write_arrays(once, precision)[0] == write_arrays(arrays, precision)[0]
     error = np.abs(once["matrix"] - arrays["matrix"]).max(1) / np.abs(arrays["matrix"]).max(1)
     assert error.max() <= {"float32": 0.0, "float16": 2**-11, "int8": 0.5 / 126}[precision]
+
+
+@given(
+    arrays(np.float32, st.tuples(st.integers(1, 60), st.just(3)), elements=st.floats(-2, 2, width=32)),
+    st.floats(0.01, 1.0),
+)
+def test_a_cell_keeps_its_first_point(points, side):
+    kept = one_per_cell(points, side)
+    cells = np.floor(points.astype(np.float64) / side).astype(int).tolist()
+    first = [point for i, point in enumerate(points) if cells[i] not in cells[:i]]
+    np.testing.assert_array_equal(kept, first)
+
+
+def test_the_cloud_is_thinned_in_pixels_of_the_views(scene):
+    cloud = np.asarray(scene.cloud.points)
+    everything, color = starting_points(scene, options(start_spacing=0), 0)
+    np.testing.assert_array_equal(everything, cloud)
+    np.testing.assert_allclose(color, np.asarray(scene.cloud.colors).mean(0))
+    eyes = np.array([camera.position for camera in scene.train.cameras]) - cloud.mean(0)
+    pixel = np.median(np.linalg.norm(eyes, axis=1) / [camera.fx for camera in scene.train.cameras])
+    thinned, same = starting_points(scene, options(start_spacing=4), 0)
+    assert 1 <= len(thinned) < len(cloud)
+    assert len(thinned) == len(np.unique(np.floor(cloud.astype(np.float64) / (4 * pixel)), axis=0))
+    np.testing.assert_array_equal(same, color)
+    few, _ = starting_points(scene, options(start_spacing=0, cloud_points=5), 0)
+    assert len(few) == 5
+    random, _ = starting_points(scene, options(start="random", random_points=50), 0)
+    assert len(random) == 50
+    with pytest.raises(Refused, match="start=random"):
+        starting_points(replace(scene, cloud=PointCloud(cloud[:0], cloud[:0])), options(), 0)
