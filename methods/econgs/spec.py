@@ -52,7 +52,7 @@ SPEC = MethodSpec(
             0, "groups estimated to need more host memory are split (MiB); 0 = what is free", minimum=0
         ),
         # Representation
-        "features": Option(50, "values of an anchor's feature", minimum=4, maximum=256),
+        "features": Option(32, "values of an anchor's feature", minimum=4, maximum=256),
         "offsets": Option(10, "Gaussians of an anchor (K)", minimum=1, maximum=64),
         "embedding": Option(50, "values of a scene's TF embedding", minimum=0, maximum=256),
         "hidden": Option(50, "hidden units of each decoder", minimum=8, maximum=256),
@@ -69,7 +69,7 @@ SPEC = MethodSpec(
         "voxel": Option(0.001, "lattice of anchors, scene units", minimum=1e-5, maximum=0.1),
         "init_factor": Option(16, "coarsest growth cell, in lattice cells", minimum=16, maximum=4096),
         "growth_gradient": Option(
-            2e-4, "mean screen-space gradient (NDC) from which an offset grows an anchor", minimum=0.0
+            3e-4, "mean screen-space gradient (NDC) from which an offset grows an anchor", minimum=0.0
         ),
         "growth_stop": Option(0.5, "share of the budget after which nothing grows", minimum=0.0, maximum=1.0),
         "max_anchors": Option(200_000, "growth of a scene stops at this number; 0 = no limit", minimum=0),
@@ -119,6 +119,8 @@ SPEC = MethodSpec(
                 "decoder_precision": "float32",
                 "rent": 0.0,
                 "start_spacing": 0.0,
+                "features": 50,
+                "growth_gradient": 2e-4,
             }
         ),
     },
