@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,6 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.errors import DataError
-from datasets.names import unknown
 from datasets.scene import RGB
 from econgs.anchors.decode import Decoded, decode, draw, visible_anchors
 from econgs.anchors.decoders import Decoders
@@ -23,6 +21,7 @@ from econgs.context.arrays import Precision
 from econgs.context.container import Kind, overhead, read_container
 from econgs.context.stream import GroupAttributes, SceneAttributes, decode_group, encode_group
 from econgs.splat.composite import over
+from methods.by_scene import ByScene, seconds
 from methods.interface import Edit, Refused, edits_by_scene
 
 Direction = tuple[float, float, float]
@@ -119,7 +118,7 @@ def _light(values: Sequence[float] | None) -> Direction | None:
     return None if values is None else _triple(values)
 
 
-class EcongsModel:
+class EcongsModel(ByScene[tuple[Group, SceneAnchors]]):
     """Groups of scenes; what is rendered together is decoded scene by scene, concatenated and sorted once.
 
     Args:
@@ -128,14 +127,7 @@ class EcongsModel:
 
     def __init__(self, groups: Sequence[Group]) -> None:
         self.groups = tuple(groups)
-        self._where = {name: (group, scene) for group in groups for name, scene in group.scenes.items()}
-        if len(self._where) != sum(len(group.scenes) for group in groups):
-            raise Refused("two of the scenes to compose have the same name")
-
-    @property
-    def scenes(self) -> tuple[str, ...]:
-        """Names of the scenes it holds."""
-        return tuple(self._where)
+        super().__init__((name, (group, scene)) for group in groups for name, scene in group.scenes.items())
 
     def anchors(self, scene: str) -> SceneAnchors:
         """The anchors of one scene.
@@ -199,16 +191,11 @@ class EcongsModel:
         names = self.scenes if scenes is None else tuple(scenes)
         with torch.inference_mode():
             like = self.anchors(names[0]).positions
-            start = _now(like)
+            start = seconds(like)
             decoded = [self._decode(name, camera, None) for name in names]
-            middle = _now(like)
+            middle = seconds(like)
             draw(decoded, camera)
-            return {"decode": middle - start, "shade": 0.0, "rasterise": _now(like) - middle}
-
-    def _find(self, scene: str) -> tuple[Group, SceneAnchors]:
-        if scene not in self._where:
-            raise unknown("scene", scene, self._where, of="this model")
-        return self._where[scene]
+            return {"decode": middle - start, "shade": 0.0, "rasterise": seconds(like) - middle}
 
     def _decode(self, name: str, camera: Camera, edit: Edit | None) -> Decoded:
         group, scene = self._find(name)
@@ -286,9 +273,3 @@ def _edited(name: str, scene: SceneAnchors, edit: Edit) -> tuple[Tensor, Directi
         x, y, z = (direction / length).tolist()
         light = (x, y, z)
     return palette, light, Factors(**numbers)
-
-
-def _now(like: Tensor) -> float:
-    if like.is_cuda:
-        torch.cuda.synchronize(like.device)
-    return time.perf_counter()

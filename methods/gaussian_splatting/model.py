@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +13,13 @@ import torch
 
 from datasets.camera import Camera
 from datasets.errors import DataError
-from datasets.names import unknown
 from datasets.scene import RGB
 from econgs.splat.composite import over, thinned
 from econgs.splat.rasterise import rasterise
 from econgs.splat.sh import spherical_harmonics
+from methods.by_scene import ByScene, opacity_factors, seconds
 from methods.gaussian_splatting.ply import read_ply, write_ply
-from methods.interface import Edit, Refused, edits_by_scene
+from methods.interface import Edit, Refused
 
 FORMAT = "econgs-bench 3dgs 1"
 SH_REST = 15  # coefficients above the DC part, degree 3
@@ -104,7 +102,7 @@ class _Activated:
         )
 
 
-class SplatModel:
+class SplatModel(ByScene[SceneGaussians]):
     """Gaussians of one or several scenes, rendered separately or concatenated and sorted once.
 
     Args:
@@ -115,15 +113,8 @@ class SplatModel:
     """Name of the method, for messages."""
 
     def __init__(self, scenes: Sequence[SceneGaussians]) -> None:
-        self._scenes = {scene.name: scene for scene in scenes}
+        super().__init__((scene.name, scene) for scene in scenes)
         self._activated: tuple[tuple[str, ...], _Activated] | None = None
-        if len(self._scenes) != len(scenes):
-            raise Refused("two of the scenes to compose have the same name")
-
-    @property
-    def scenes(self) -> tuple[str, ...]:
-        """Names of the scenes it holds."""
-        return tuple(self._scenes)
 
     def gaussians(self, scene: str) -> SceneGaussians:
         """The stored Gaussians of one scene.
@@ -131,9 +122,7 @@ class SplatModel:
         Raises:
             UnknownName: it does not hold that scene.
         """
-        if scene not in self._scenes:
-            raise unknown("scene", scene, self._scenes, of="this model")
-        return self._scenes[scene]
+        return self._find(scene)
 
     def primitives(self, scene: str | None = None) -> int:
         """Number of Gaussians of one scene or of all."""
@@ -170,11 +159,11 @@ class SplatModel:
         """
         with torch.inference_mode():
             ready = self._ready(self.scenes if scenes is None else tuple(scenes))
-            times = [_now(ready.means)]
+            times = [seconds(ready.means)]
             colors = _shade(ready, camera)
-            times.append(_now(ready.means))
+            times.append(seconds(ready.means))
             rasterise(ready.means, ready.quats, ready.scales, ready.opacities, colors, camera)
-            times.append(_now(ready.means))
+            times.append(seconds(ready.means))
         return {"decode": 0.0, "shade": times[1] - times[0], "rasterise": times[2] - times[1]}
 
     def _ready(self, names: tuple[str, ...]) -> _Activated:
@@ -186,17 +175,8 @@ class SplatModel:
     def _edited(
         self, opacities: torch.Tensor, names: tuple[str, ...], edit: Mapping[str, Edit] | None
     ) -> torch.Tensor:
-        edits = edits_by_scene(edit, names)
-        for name, wanted in edits.items():
-            refused = [k for k, v in vars(wanted).items() if v is not None and k != "opacity"]
-            if refused:
-                raise Refused(
-                    f"{self.method} cannot edit {', '.join(refused)} of scene {name!r}: only opacity"
-                )
-            factor = wanted.opacity
-            if factor is not None and not (math.isfinite(factor) and factor >= 0.0):
-                raise Refused(f"opacity factor {factor} of scene {name!r} is not a finite number >= 0")
-        factors = [edits[n].opacity if n in edits else None for n in names]
+        wanted = opacity_factors(self.method, names, edit)
+        factors = [wanted.get(name) for name in names]
         if all(factor is None for factor in factors):
             return opacities
         sizes = [self.primitives(name) for name in names]
@@ -268,9 +248,3 @@ def _load_scene(file: Path, device: str) -> SceneGaussians:
 def _shade(ready: _Activated, camera: Camera) -> torch.Tensor:
     position = torch.as_tensor(camera.position, dtype=ready.means.dtype, device=ready.means.device)
     return spherical_harmonics(ready.sh_degree, ready.means, position, ready.sh_dc, ready.sh_rest)
-
-
-def _now(like: torch.Tensor) -> float:
-    if like.is_cuda:
-        torch.cuda.synchronize(like.device)
-    return time.perf_counter()

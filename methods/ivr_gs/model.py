@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +13,12 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
-from datasets.names import unknown
 from datasets.scene import RGB
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
 from econgs.codebooks import quantise_scalars
 from econgs.splat.composite import over, thinned
 from econgs.splat.rasterise import Rasterised, rasterise
+from methods.by_scene import ByScene, seconds
 from methods.interface import Edit, Refused, edits_by_scene
 from methods.quantised_scene import Column, QuantisedScene, half_exact, read_folder
 
@@ -193,7 +192,7 @@ def _direction(values: Sequence[float]) -> Direction:
     return x, y, z
 
 
-class IvrModel:
+class IvrModel(ByScene[ShadedGaussians]):
     """Scenes of shaded Gaussians; what is rendered together is concatenated and sorted once.
 
     Args:
@@ -202,15 +201,8 @@ class IvrModel:
     """
 
     def __init__(self, shown: Sequence[ShadedGaussians], stored: Sequence[Stored] | None) -> None:
-        self._scenes = {scene.name: scene for scene in shown}
+        super().__init__((scene.name, scene) for scene in shown)
         self.stored = stored
-        if len(self._scenes) != len(shown):
-            raise Refused("two of the scenes to compose have the same name")
-
-    @property
-    def scenes(self) -> tuple[str, ...]:
-        """Names of the scenes it holds."""
-        return tuple(self._scenes)
 
     def gaussians(self, scene: str) -> ShadedGaussians:
         """The Gaussians of one scene.
@@ -218,9 +210,7 @@ class IvrModel:
         Raises:
             UnknownName: it does not hold that scene.
         """
-        if scene not in self._scenes:
-            raise unknown("scene", scene, self._scenes, of="this model")
-        return self._scenes[scene]
+        return self._find(scene)
 
     def primitives(self, scene: str | None = None) -> int:
         """Number of Gaussians of one scene or of all."""
@@ -267,11 +257,11 @@ class IvrModel:
         names = self.scenes if scenes is None else tuple(scenes)
         with torch.inference_mode():
             like = self.gaussians(names[0]).means
-            start = _now(like)
+            start = seconds(like)
             colors = self._shade(names, {}, camera)
-            middle = _now(like)
+            middle = seconds(like)
             self._rasterise(names, colors, {}, camera)
-            return {"decode": 0.0, "shade": middle - start, "rasterise": _now(like) - middle}
+            return {"decode": 0.0, "shade": middle - start, "rasterise": seconds(like) - middle}
 
     def _shade(self, names: Sequence[str], edits: Mapping[str, Edit], camera: Camera) -> list[Tensor]:
         colors = []
@@ -354,9 +344,3 @@ def _check(coded: QuantisedScene) -> None:
         raise ValueError("a scale is not finite")
     if not bool((scene.quats.square().sum(1) > 0).all()):
         raise ValueError("a rotation is zero")
-
-
-def _now(like: Tensor) -> float:
-    if like.is_cuda:
-        torch.cuda.synchronize(like.device)
-    return time.perf_counter()

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,14 +17,14 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.errors import DataError
-from datasets.names import unknown
 from datasets.scene import RGB
 from econgs.anchors.decode import Decoded, draw, masked, visible_anchors
 from econgs.anchors.direct import ColorDecoders, decode_colors
 from econgs.context.model import Attributes
 from econgs.splat.composite import over
+from methods.by_scene import ByScene, opacity_factors, seconds
 from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
-from methods.interface import Edit, Refused, edits_by_scene
+from methods.interface import Edit, Refused
 
 FORMAT = "econgs-bench scaffold-gs 1"
 
@@ -52,7 +50,7 @@ class SceneAnchors:
     masks: Tensor | None = None
 
 
-class AnchorModel:
+class AnchorModel(ByScene[SceneAnchors]):
     """Scenes of anchors; what is rendered together is decoded scene by scene, concatenated and sorted once.
 
     Args:
@@ -62,14 +60,7 @@ class AnchorModel:
 
     def __init__(self, method: str, scenes: Sequence[SceneAnchors]) -> None:
         self.method = method
-        self._scenes = {scene.name: scene for scene in scenes}
-        if len(self._scenes) != len(scenes):
-            raise Refused("two of the scenes to compose have the same name")
-
-    @property
-    def scenes(self) -> tuple[str, ...]:
-        """Names of the scenes it holds."""
-        return tuple(self._scenes)
+        super().__init__((scene.name, scene) for scene in scenes)
 
     def anchors(self, scene: str) -> SceneAnchors:
         """The anchors of one scene.
@@ -77,9 +68,7 @@ class AnchorModel:
         Raises:
             UnknownName: it does not hold that scene.
         """
-        if scene not in self._scenes:
-            raise unknown("scene", scene, self._scenes, of="this model")
-        return self._scenes[scene]
+        return self._find(scene)
 
     def primitives(self, scene: str | None = None) -> int:
         """Number of anchors of one scene or of all."""
@@ -101,9 +90,9 @@ class AnchorModel:
         """
         names = self.scenes if scenes is None else tuple(scenes)
         back = self.anchors(names[0]).background if background is None else background
-        factors = self._opacity_factors(names, edit)
+        factors = opacity_factors(self.method, names, edit)
         with torch.inference_mode():
-            decoded = [self._decode(name, camera, factors.get(name, 1.0)) for name in names]
+            decoded = [self._decode(name, camera, factors.get(name)) for name in names]
             splats = draw(decoded, camera)
             rgb = over(splats.features, splats.alpha, back)
             return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
@@ -113,39 +102,19 @@ class AnchorModel:
         names = self.scenes if scenes is None else tuple(scenes)
         with torch.inference_mode():
             like = self.anchors(names[0]).positions
-            start = _now(like)
-            decoded = [self._decode(name, camera, 1.0) for name in names]
-            middle = _now(like)
+            start = seconds(like)
+            decoded = [self._decode(name, camera, None) for name in names]
+            middle = seconds(like)
             draw(decoded, camera)
-            return {"decode": middle - start, "shade": 0.0, "rasterise": _now(like) - middle}
+            return {"decode": middle - start, "shade": 0.0, "rasterise": seconds(like) - middle}
 
-    def _decode(self, name: str, camera: Camera, opacity: float) -> Decoded:
-        scene = self.anchors(name)
+    def _decode(self, name: str, camera: Camera, opacity: float | None) -> Decoded:
+        scene, factor = self.anchors(name), 1.0 if opacity is None else opacity
         rows = visible_anchors(camera, scene.positions, scene.values.scalings).nonzero()[:, 0]
         decoded = decode_colors(
-            scene.positions[rows], *scene.values.of(rows), scene.decoders, camera.position, opacity=opacity
+            scene.positions[rows], *scene.values.of(rows), scene.decoders, camera.position, opacity=factor
         )
         return decoded if scene.masks is None else masked(decoded, scene.masks[rows])
-
-    def _opacity_factors(self, names: Sequence[str], edit: Mapping[str, Edit] | None) -> dict[str, float]:
-        factors = {}
-        for name, wanted in edits_by_scene(edit, names).items():
-            refused = [k for k, v in vars(wanted).items() if v is not None and k != "opacity"]
-            if refused:
-                raise Refused(
-                    f"{self.method} cannot edit {', '.join(refused)} of scene {name!r}: only opacity"
-                )
-            factor = 1.0 if wanted.opacity is None else wanted.opacity
-            if not (math.isfinite(factor) and factor >= 0.0):
-                raise Refused(f"opacity factor {factor} of scene {name!r} is not a finite number >= 0")
-            factors[name] = factor
-        return factors
-
-
-def _now(like: Tensor) -> float:
-    if like.is_cuda:
-        torch.cuda.synchronize(like.device)
-    return time.perf_counter()
 
 
 # --------------------------------------------------------------------------- Scaffold-GS's own folder
