@@ -8,17 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.camera import Camera
 from datasets.cloud import PointCloud
-from datasets.scene import BasicScene
 from datasets.views import ViewSet
 from econgs.splat.rasterise import rasterise
+from methods.contract_scene import cameras, known_gaussians, look_at, tiny_scene
 from methods.gaussian_splatting.spec import SPEC
-from methods.interface import SceneInput
 from methods.options import resolve
-
-SIZE = 32
-KNOWN = 24
 
 
 class Recorder:
@@ -45,40 +40,6 @@ class Recorder:
         self.stages.append(name)
 
 
-def look_at(position, width=SIZE, height=SIZE, fov=0.5):
-    """A camera at ``position`` that looks at the origin."""
-    position = np.asarray(position, dtype=float)
-    forward = -position / np.linalg.norm(position)
-    right = np.cross(forward, [0.0, 0.0, 1.0] if abs(forward[2]) < 0.9 else [0.0, 1.0, 0.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    pose[:3, 3] = position
-    return Camera.with_fov(pose, fov, width, height)
-
-
-def cameras(count, phase=0.0):
-    """Cameras on a spiral around the origin at distance 3."""
-    found = []
-    for i in range(count):
-        z = 0.8 * (2.0 * (i + 0.5) / count - 1.0)
-        turn = 2.399963 * i + phase
-        radius = math.sqrt(1.0 - z * z)
-        found.append(look_at(3.0 * np.array([radius * math.cos(turn), radius * math.sin(turn), z])))
-    return tuple(found)
-
-
-def known_gaussians():
-    generator = torch.Generator().manual_seed(7)
-    return {
-        "means": (torch.rand((KNOWN, 3), generator=generator) - 0.5) * 0.9,
-        "quats": torch.randn((KNOWN, 4), generator=generator),
-        "scales": 0.04 + 0.08 * torch.rand((KNOWN, 3), generator=generator),
-        "opacities": 0.5 + 0.45 * torch.rand(KNOWN, generator=generator),
-        "features": torch.rand((KNOWN, 3), generator=generator),
-    }
-
-
 def oracle_views(views, background=(1.0, 1.0, 1.0)):
     images = []
     for camera in views:
@@ -90,17 +51,7 @@ def oracle_views(views, background=(1.0, 1.0, 1.0)):
 @pytest.fixture(scope="session")
 def scene():
     """Twelve training and three validation views; a cloud of noisy points with wrong colors."""
-    known = known_gaussians()
-    generator = torch.Generator().manual_seed(8)
-    jitter = 0.03 * torch.randn((4 * KNOWN, 3), generator=generator)
-    points = known["means"].repeat(4, 1) + jitter
-    return SceneInput(
-        scene=BasicScene("tiny"),
-        train=oracle_views(cameras(12)),
-        validation=oracle_views(cameras(3, phase=1.0)),
-        cloud=PointCloud(points.numpy(), np.full((4 * KNOWN, 3), 0.5, dtype=np.float32)),
-        extent=3.3,
-    )
+    return tiny_scene("tiny")
 
 
 @pytest.fixture
