@@ -52,6 +52,10 @@ class Decoders(nn.Module):
         embedding: E, length of a scene's TF embedding; 0 = none.
         hidden: width of the hidden layers.
         view_direction: whether the view direction is an input.
+        direction_start: factor on the first weights of the view direction. 0 starts from networks that look
+            the same from everywhere and learn to tell views apart only where pictures ask for it. Below 1, at
+            least half of an anchor's Gaussians are made visible at first: features start at zero, so that the
+            same Gaussians of all anchors would be culled, and what is culled from everywhere learns nothing.
         offset_color: activation of the offset color: "tanh" is signed and starts near the palette color;
             "sigmoid" is that of iVR-GS, starts at 0.5 and is never negative.
         storage: what anchors store (the paper's ablation): "hybrid" is ECoNGS, offsets stored and all else
@@ -75,6 +79,7 @@ class Decoders(nn.Module):
         *,
         hidden: int = 50,
         view_direction: bool = True,
+        direction_start: float = 1.0,
         offset_color: OffsetColor = "tanh",
         storage: Storage = "hybrid",
         shading_bias: Sequence[float] = (0.5, 0.5, 0.0, 0.0),
@@ -101,7 +106,12 @@ class Decoders(nn.Module):
         inputs = features + self.directions + embedding
         for name, attributes in NETWORKS.items():
             if name in self.names:
-                self.add_module(name, Decoder(inputs, hidden, attributes * offsets, generator))
+                decoder = Decoder(inputs, hidden, attributes * offsets, generator)
+                with torch.no_grad():
+                    decoder.first_weight[:, features : features + self.directions] *= direction_start
+                self.add_module(name, decoder)
+        if direction_start < 1.0:
+            self._show_half()
         if "shading" in self.names:
             with torch.no_grad():
                 bias = self.network("shading").second_bias.view(7, offsets)
@@ -140,6 +150,15 @@ class Decoders(nn.Module):
         out = torch.addmm(second_bias, hidden, second.T).view(len(features), 3, self.offsets)
         offsets: Tensor = out.transpose(1, 2).contiguous()
         return offsets
+
+    @torch.no_grad()
+    def _show_half(self) -> None:
+        network = self.network("opacity")
+        lowest_shown = self.offsets // 2
+        first = network.second_weight @ torch.relu(network.first_bias) + network.second_bias
+        ascending = first.sort().values
+        below = ascending[lowest_shown - 1] if lowest_shown else ascending[0] - 0.1
+        network.second_bias.sub_(torch.clamp(0.5 * (below + ascending[lowest_shown]), max=0.0))
 
     @property
     def directions(self) -> int:

@@ -57,6 +57,12 @@ SPEC = MethodSpec(
         "embedding": Option(50, "values of a scene's TF embedding", minimum=0, maximum=256),
         "hidden": Option(50, "hidden units of each decoder", minimum=8, maximum=256),
         "view_direction": Option(True, "decoders see the viewing direction"),
+        "direction_start": Option(
+            0.0,
+            "factor on the direction's first weights: 0 starts from colors that are the same from everywhere",
+            minimum=0.0,
+            maximum=1.0,
+        ),
         "storage": Option(
             "hybrid",
             "what anchors store: offsets; nothing but the feature; also normals; also all of the shading",
@@ -121,6 +127,7 @@ SPEC = MethodSpec(
                 "start_spacing": 0.0,
                 "features": 50,
                 "growth_gradient": 2e-4,
+                "direction_start": 1.0,
             }
         ),
     },

@@ -126,6 +126,7 @@ class Trainer:
             int(options["embedding"]),
             hidden=int(options["hidden"]),
             view_direction=bool(options["view_direction"]),
+            direction_start=float(options["direction_start"]),
             offset_color=cast("OffsetColor", options["offset_color"]),
             storage=cast("Storage", options["storage"]),
             shading_bias=(bias, bias, 0.0, 0.0),

@@ -417,6 +417,37 @@ def test_decoders_of_the_paper_have_its_size() -> None:
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
+def test_decoders_may_start_blind_to_the_view_direction() -> None:
+    usual, blind = (
+        Decoders(generator=torch.Generator().manual_seed(3), direction_start=factor) for factor in (1.0, 0.0)
+    )
+    _, inputs = CASES["paper"].make()
+    eyes = [(0.0, 0.0, -2.0), (2.0, 0.0, 0.0)]
+    seen, same = (
+        [decode(**inputs, decoders=decoders, eye=eye).raw_opacities for eye in eyes]
+        for decoders in (usual, blind)
+    )
+    assert torch.equal(same[0], same[1])
+    assert not torch.allclose(seen[0], seen[1], atol=1e-3)
+    for name in NETWORKS:  # the same numbers else
+        first, kept = usual.network(name).first_weight, blind.network(name).first_weight
+        assert torch.equal(first[:, :50], kept[:, :50])
+        assert torch.equal(first[:, 53:], kept[:, 53:])
+
+
+@pytest.mark.parametrize("offsets", [1, 4, 5])
+def test_decoders_that_start_blind_show_half_of_the_gaussians_of_untrained_anchors(offsets: int) -> None:
+    shown = []
+    for seed in range(40):
+        _, inputs = Case(count=3, offsets=offsets).make()
+        inputs |= {"features": torch.zeros(3, 50), "embedding": torch.zeros(50)}
+        decoders = Decoders(50, offsets, generator=torch.Generator().manual_seed(seed), direction_start=0.0)
+        decoded = decode(**inputs, decoders=decoders, eye=EYE)
+        shown.append(len(decoded.means) / (3 * offsets))
+    assert min(shown) >= 0.5
+    assert offsets == 1 or min(shown) < 1.0  # no more than it takes
+
+
 def test_decoded_gaussians_can_be_drawn(backend: str) -> None:
     decoders, inputs = CASES["paper"].make()
     features = inputs.pop("features").requires_grad_(True)
