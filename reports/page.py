@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import os
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from reports import charts, datasets, plots
+from reports import datasets
+from reports.chart_sections import Section, chart_sections
+from reports.files import write_files, write_text
 from reports.panels import DELTA_E_MAX, Panel, panels, scale
 from reports.style import MISSING, absent, color, label, mib, seconds, series
 from reports.tables import (
@@ -18,9 +18,6 @@ from reports.tables import (
     ranks,
     summary,
     title,
-    to_csv,
-    to_latex,
-    to_markdown,
 )
 
 if TYPE_CHECKING:
@@ -28,19 +25,13 @@ if TYPE_CHECKING:
 
 PICTURE_BYTES = 4_500_000
 """Room for example pictures; with the chart library (4.8 MB) the page stays under 10 MB."""
-_TRADEOFFS = (
-    ("PSNR and size", "size_bytes"),
-    ("PSNR and speed", "fps"),
-    ("PSNR and training time", "train_seconds"),
-)
 _HERE = Path(__file__).parent
 
 
 def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path:
     """Write the report.
 
-    Beside it go ``charts/`` (PDF and PNG), ``results.csv``, ``results.md`` and ``results.tex``; and
-    ``datasets.*`` where the cost of rendering volumes was measured.
+    Beside it go the files of :func:`reports.files.write_files`.
 
     Args:
         tables: results, views, curve, ledger, timing, features and dvr as documented in docs/architecture.md.
@@ -51,38 +42,18 @@ def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path
         ``out``.
     """
     results = tables["results"]
+    sections = chart_sections(tables)
     body = [
-        _head(tables),
-        _results(results),
+        _head(tables, sections),
+        _results(results, tables["views"]),
         _scenes(tables, root),
-        _tradeoffs(results),
-        _ledger(tables["ledger"]),
+        *(f'<h2 id="{part.anchor}">{escape(part.title)}</h2>\n{part.html}' for part in sections),
         datasets.section(tables["dvr"]),
         _provenance(results),
     ]
-    if not results.empty:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        charts.write(tables, out.parent / "charts")
-        for ending, write in (("csv", to_csv), ("md", to_markdown), ("tex", to_latex)):
-            _write(out.parent / f"results.{ending}", write(results))
-    if not tables["dvr"].empty:
-        costs = datasets.costs(tables["dvr"])
-        for ending, table, write in (
-            ("csv", tables["dvr"], to_csv),
-            ("md", costs, to_markdown),
-            ("tex", costs, to_latex),
-        ):
-            _write(out.parent / f"datasets.{ending}", write(table))
-    _write(out, _document(_name(tables["dvr"] if results.empty else results), "\n".join(body)))
+    write_files(tables, out.parent)
+    write_text(out, _document(_name(tables["dvr"] if results.empty else results), "\n".join(body)))
     return out
-
-
-def _write(path: Path, text: str) -> None:
-    """A file is whole or as it was."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
-    aside.write_text(text, encoding="utf-8")
-    os.replace(aside, path)
 
 
 def _document(name: str, body: str) -> str:
@@ -117,7 +88,7 @@ def _listed(results: pd.DataFrame, column: str) -> str:
 # --------------------------------------------------------------------------- summary
 
 
-def _head(tables: dict[str, pd.DataFrame]) -> str:
+def _head(tables: dict[str, pd.DataFrame], sections: list[Section]) -> str:
     results, dvr = tables["results"], tables["dvr"]
     if results.empty:
         if not dvr.empty:
@@ -126,7 +97,6 @@ def _head(tables: dict[str, pd.DataFrame]) -> str:
             "<h1>Benchmark report</h1><p>The run store holds no results yet. "
             "<code>bench run quick</code> makes some.</p>"
         )
-    converges = bool(tables["curve"]["psnr_val"].notna().any())
     sizes = {
         f"{w} \N{MULTIPLICATION SIGN} {h}"
         for w, h in zip(results["width"], results["height"], strict=True)
@@ -152,13 +122,11 @@ def _head(tables: dict[str, pd.DataFrame]) -> str:
     if stale:
         tags += f' <span class="tag stale">{stale} stale</span>'
     links = "".join(
-        f'<a href="#{anchor}">{text}</a>'
+        f'<a href="#{anchor}">{escape(text)}</a>'
         for anchor, text in (
             ("results", "Results"),
             ("scenes", "Scenes"),
-            *([("convergence", "Convergence")] if converges else []),
-            ("tradeoffs", "Trade-offs"),
-            ("ledger", "Size ledger"),
+            *((part.anchor, part.title) for part in sections),
             *([] if dvr.empty else [("datasets", "Rendering the volumes")]),
             ("provenance", "Provenance"),
         )
@@ -169,7 +137,7 @@ def _head(tables: dict[str, pd.DataFrame]) -> str:
 # --------------------------------------------------------------------------- results
 
 
-def _results(results: pd.DataFrame) -> str:
+def _results(results: pd.DataFrame, views: pd.DataFrame) -> str:
     if results.empty:
         return ""
     metrics = quality(results)
@@ -186,7 +154,7 @@ def _results(results: pd.DataFrame) -> str:
         columns.append("peak_device_bytes")
     axes = [a for a in ("kind", "preset", "split", "seed", "device") if results[a].nunique(dropna=False) > 1]
     means, names = summary(results), series(results)
-    marks, mean_marks = ranks(results), ranks(means)
+    marks, mean_marks = ranks(results, views), ranks(means, views)
     head = "".join(
         f'<th class="{"r" if name in columns else ""}" title="{escape(_doc(name))}">'
         f"{escape(title(name))}</th>"
@@ -316,11 +284,11 @@ def _failures(results: pd.DataFrame) -> str:
 
 
 def _scenes(tables: dict[str, pd.DataFrame], root: Path) -> str:
-    results, curve, views = tables["results"], tables["curve"], tables["views"]
+    results, views = tables["results"], tables["views"]
     if results.empty:
         return ""
     examples, left_out = panels(views, root, PICTURE_BYTES)
-    names, order = series(results), series(results, curve)
+    names = series(results)
     parts = ['<h2 id="scenes">Scenes</h2>', _scalebar()]
     for (dataset, scene), rows in results.groupby(["dataset", "scene"], sort=False):
         composed = ' <span class="soft">composed</span>' if (rows["kind"] == "composed").any() else ""
@@ -339,18 +307,6 @@ def _scenes(tables: dict[str, pd.DataFrame], root: Path) -> str:
         parts.append(
             f'<p class="note">{left_out} further example views were left out to keep this file small.</p>'
         )
-    pairs = [plots.convergence(curve, against, order) for against in ("train_seconds", "iteration")]
-    if pairs[0] or pairs[1]:
-        told = "PSNR on a few validation views while training; the clock stands still meanwhile."
-        if (results["split"] == "test").any():
-            told += (
-                " With split “test” these views are trained on too: the curves then show how the fit "
-                "proceeds, not how good new views are."
-            )
-        parts.append(f'<h2 id="convergence">Convergence</h2><p>{told}</p>{_legend(series(curve), order)}')
-        for dataset in dict.fromkeys([*pairs[0], *pairs[1]]):
-            drawn = [_chart(figures[dataset], "") for figures in pairs if dataset in figures]
-            parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(drawn)}</div>')
     return "\n".join(parts)
 
 
@@ -379,54 +335,6 @@ def _scalebar() -> str:
         f'style="background:linear-gradient(to right,{stops})"></span>'
         f"<span>{DELTA_E_MAX:.0f} and more</span></div>"
     )
-
-
-# --------------------------------------------------------------------------- charts
-
-
-def _chart(figure: plots.Figure, caption: str) -> str:
-    """A chart: the element that the page's script draws it into, and after it its JSON."""
-    text = json.dumps(figure, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
-    head = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
-    height = figure["layout"]["height"]
-    return (
-        f'<figure class="card">{head}<div data-figure style="height:{height}px"></div>'
-        f'<script type="application/json">{text}</script></figure>'
-    )
-
-
-def _legend(shown: list[str], names: list[str]) -> str:
-    """Which color is which method, where charts have too many lines to name each."""
-    if len(shown) < 2:
-        return ""
-    entries = " &nbsp; ".join(
-        f'<span class="dot" style="background:{color(name, names)}"></span>{escape(name)}' for name in shown
-    )
-    return f'<p class="note">{entries}</p>'
-
-
-def _tradeoffs(results: pd.DataFrame) -> str:
-    drawn = {against: plots.tradeoffs(results, against) for _, against in _TRADEOFFS}
-    datasets = list(dict.fromkeys(name for figures in drawn.values() for name in figures))
-    if not datasets:
-        return ""
-    parts = ['<h2 id="tradeoffs">Trade-offs</h2>']
-    parts.append(
-        "<p>Large marks: mean over the dataset's scenes; small marks: single scenes. Horizontal axes are "
-    )
-    parts.append("logarithmic.</p>")
-    for dataset in datasets:
-        cards = [_chart(drawn[a][dataset], caption) for caption, a in _TRADEOFFS if dataset in drawn[a]]
-        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(cards)}</div>')
-    return "\n".join(parts)
-
-
-def _ledger(table: pd.DataFrame) -> str:
-    figure = plots.ledger(table)
-    if figure is None:
-        return ""
-    words = "Bytes of the files that a model is loaded from, by part, over all scenes of a dataset."
-    return f'<h2 id="ledger">Size ledger</h2><p>{words}</p>{_chart(figure, "")}'
 
 
 # --------------------------------------------------------------------------- provenance

@@ -216,7 +216,7 @@ def _note(group: pd.DataFrame, lacking: list[tuple[Any, Any]]) -> str:
     return "incomplete, no average: " + "; ".join(told) if told else ""
 
 
-def ranks(results: pd.DataFrame) -> dict[tuple[Any, str], int]:
+def ranks(results: pd.DataFrame, views: pd.DataFrame | None = None) -> dict[tuple[Any, str], int]:
     """(row label, column) -> 1 for the best and 2 for the second best, where several methods share a scene.
 
     Only finished rows compete; equal values as shown share a rank.
