@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from bench import inputs
 from bench.records import Request, hash_of
 from bench.suites import Suite, ViewPreset
+from datasets.catalogue import list_datasets
 from datasets.errors import DataError, UnknownName
 from datasets.names import unknown
 from datasets.scene import Dataset
@@ -70,7 +71,12 @@ def chosen_datasets(selection: Selection, preset: ViewPreset) -> list[Chosen]:
         DataError: data that cannot be used; all such datasets are named at once.
     """
     suite = selection.suite
-    sources = selection.datasets or tuple(suite.datasets)
+    present = suite.present(_available(suite))
+    sources = selection.datasets or tuple(present)
+    if not sources:
+        raise DataError(
+            f"suite {suite.name}", "none of its datasets has data here", "Set BENCH_DATA, or name a --dataset"
+        )
     wanted: Literal["all"] | tuple[str, ...] = "all" if selection.composed else suite.compositions
     chosen, problems = [], []
     scenes_known: set[str] = set()
@@ -82,11 +88,14 @@ def chosen_datasets(selection: Selection, preset: ViewPreset) -> list[Chosen]:
             known = {*(scene.name for scene in dataset.scenes), *dataset.compositions}
             scenes_known |= known
             compositions_known |= set(dataset.compositions)
-            named: Sequence[str] = () if selection.datasets else suite.datasets[name]
+            named: Sequence[str] = () if selection.datasets else present[name]
             if selection.scenes:
                 named = [scene for scene in selection.scenes if scene in known]
             if named or not selection.scenes:
-                chosen.append(_choose(source, dataset, named, wanted, preset))
+                chosen += [
+                    _choose(source, dataset, named, wanted, replace(preset, train_views=count))
+                    for count in suite.train_views or (preset.train_views,)
+                ]
         except DataError as error:
             problems.append(error)
     if problems:
@@ -98,6 +107,12 @@ def chosen_datasets(selection: Selection, preset: ViewPreset) -> list[Chosen]:
         if name not in compositions_known:
             raise unknown("composition", name, compositions_known, of=f"suite {suite.name}")
     return chosen
+
+
+def _available(suite: Suite) -> set[str]:
+    """Those of a suite's datasets that have data here; what is no catalogue name is taken as a path."""
+    lacking = {info.name for info in list_datasets() if not info.available} if suite.stand_ins else set()
+    return set(suite.datasets) - lacking
 
 
 def _choose(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -35,12 +35,23 @@ class ViewPreset:
     cloud_points: int = 10_000
 
 
+VIEWS = {
+    "quick": ViewPreset(42, 16, 128, 128, 200),
+    "standard": ViewPreset(92, 181, 400, 400, 400),
+    "paper": ViewPreset(92, 181, 800, 800, 800),
+}
+"""What a suite's presets are if it names none; "paper" is the published protocol."""
+
+
 @dataclass(frozen=True)
 class Suite:
     """What a suite file says.
 
     Attributes:
         datasets: dataset name -> scenes, or compositions with their scenes (empty: all scenes).
+        stand_ins: dataset -> the procedural one that takes its place where its data are missing; "": none,
+            it is left out there.
+        train_views: numbers of training views to fit with; empty: the preset's.
         methods: names; those in ``optional`` are left out where they are not registered.
         compositions: which compositions of the chosen scenes are measured: names, "all", or none.
         dvr: time direct volume rendering of each scene, and its memory.
@@ -60,6 +71,17 @@ class Suite:
     rates: str = "default"
     compositions: Literal["all"] | tuple[str, ...] = ()
     dvr: bool = False
+    stand_ins: Mapping[str, str] = field(default_factory=dict)
+    train_views: tuple[int, ...] = ()
+
+    def present(self, available: Collection[str]) -> dict[str, tuple[str, ...]]:
+        """The datasets to run, given those that have data here: stand-ins take the places of others."""
+        chosen: dict[str, tuple[str, ...]] = {}
+        for name, scenes in self.datasets.items():
+            there = name if name in available else self.stand_ins.get(name, name)
+            if there:
+                chosen.setdefault(there, scenes)
+        return chosen
 
 
 def names() -> list[str]:
@@ -89,14 +111,15 @@ def load_suite(name: str) -> Suite:
 def _parse(path: Path, data: dict[str, Any]) -> Suite:
     known = {
         "title", "datasets", "methods", "optional", "seeds", "preset", "presets", "variants", "rates",
-        "compositions", "dvr",
+        "compositions", "dvr", "stand_ins", "train_views",
     }  # fmt: skip
     for key in data:
         if key not in known:
             raise unknown("key", key, known, of=str(path))
     compositions = data.get("compositions", [])
     try:
-        presets = {name: ViewPreset(**table) for name, table in data["presets"].items()}
+        given = data.get("presets")
+        presets = VIEWS if given is None else {name: ViewPreset(**table) for name, table in given.items()}
         suite = Suite(
             name=path.stem,
             title=str(data["title"]),
@@ -110,11 +133,16 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
             rates=str(data.get("rates", "default")),
             compositions="all" if compositions == "all" else tuple(compositions),
             dvr=bool(data.get("dvr", False)),
+            stand_ins={str(name): str(other) for name, other in data.get("stand_ins", {}).items()},
+            train_views=tuple(int(count) for count in data.get("train_views", ())),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
             path, f"not a suite ({type(error).__name__}: {error})", "See bench/suites/quick.toml"
         ) from error
+    for name in suite.stand_ins:
+        if name not in suite.datasets:
+            raise unknown("dataset", name, suite.datasets, of=f"{path} (stand_ins)")
     if suite.preset not in presets:
         raise unknown("preset", suite.preset, presets, of=str(path))
     if suite.rates not in ("default", "all"):
