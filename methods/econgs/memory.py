@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 
+from methods.econgs.start import starting_points
 from methods.interface import OptionValue, Refused, SceneInput
 
 MIB = 2**20
 PROCESS = 600 * MIB
 """Python, torch and the kernels, before any scene."""
 GROWTH = 2.0
-"""Anchors after growing over those of the initial cloud, at most, as a rule (``max_anchors`` bounds them)."""
+"""Anchors after growing over those at the start, at most, as a rule (``max_anchors`` bounds them)."""
 COPIES = 6
 """Value, gradient, two moments, the visible rows and their noisy copy."""
 
@@ -67,6 +68,9 @@ def available() -> int:
 
 
 def _anchors(scene: SceneInput, options: Mapping[str, OptionValue]) -> int:
-    start = int(options["random_points"]) if options["start"] == "random" else len(scene.cloud)
+    if options["start"] == "random" or len(scene.cloud) == 0:  # who starts from no cloud is refused later
+        start = int(options["random_points"])
+    else:
+        start = len(starting_points(scene, options, 0)[0])
     limit = int(options["max_anchors"])
     return min(int(GROWTH * start), limit) if limit else int(GROWTH * start)

@@ -204,6 +204,16 @@ def test_groups_that_do_not_fit_into_memory_are_split_or_refused(scene):
         Econgs().partition(group, options(group_memory_mb=100))
 
 
+def test_memory_is_estimated_from_the_points_that_become_anchors(tiny, scene):
+    rng = np.random.default_rng(0)
+    crowded = tiny.with_cloud(scene, rng.uniform(-0.2, 0.2, (20_000, 3)))
+    all_of_it, thinned = (
+        group_bytes([crowded], options(start_spacing=spacing))
+        for spacing in (0.0, SPEC.options["start_spacing"].default)
+    )
+    assert thinned < all_of_it
+
+
 def test_what_cannot_be_fitted_is_refused(tiny, scene):
     empty = tiny.with_cloud(scene, np.zeros((0, 3)))
     with pytest.raises(Refused, match="empty"):
