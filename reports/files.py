@@ -24,8 +24,9 @@ def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
     if not results.empty:
         folder.mkdir(parents=True, exist_ok=True)
         charts.write(tables, folder / "charts")
-        for ending, write in (("csv", to_csv), ("md", to_markdown), ("tex", to_latex)):
-            write_text(folder / f"results.{ending}", write(results))
+        write_text(folder / "results.csv", to_csv(results))
+        write_text(folder / "results.md", to_markdown(results, tables["views"]))
+        write_text(folder / "results.tex", to_latex(results, tables["views"]))
     if not dvr.empty:
         costs = datasets.costs(dvr)
         write_text(folder / "datasets.csv", to_csv(dvr))

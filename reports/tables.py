@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from reports.statistics import METRICS, Sample, Views
 from reports.style import MISSING, absent, label, mib, seconds
 
 if TYPE_CHECKING:
@@ -163,8 +164,9 @@ def summary(results: pd.DataFrame) -> pd.DataFrame:
     """Per dataset and method: means over scenes of quality and FPS, sums of size and time, maximum of memory.
 
     Several seeds are averaged after that, and ``psnr_std`` is their spread. Composed rows do not take part.
-    A set is complete if every scene that `results` knows of this dataset (at this preset and split) is "ok"
-    for every seed of the method; all numbers of an incomplete set are missing, and ``note`` says why.
+    ``jobs`` names the rows' jobs. A set is complete if every scene that `results` knows of this dataset (at
+    this preset and split) is "ok" for every seed of the method; all numbers of an incomplete set are missing,
+    and ``note`` says why.
     """
     import pandas as pd
 
@@ -183,6 +185,7 @@ def summary(results: pd.DataFrame) -> pd.DataFrame:
         row["seeds"], row["complete"] = len(seeds), not lacking
         row["stale"] = bool(group["stale"].fillna(False).any())
         row["note"] = _note(group, lacking)
+        row["jobs"] = tuple(str(job) for job in good["job"].dropna()) if not lacking else ()
         per_seed = [good[good["seed"] == seed] for seed in seeds] if not lacking else []
         for names, how in ((_MEAN, "mean"), (_SUM, "sum"), (_MAX, "max")):
             for name in names:
@@ -194,7 +197,19 @@ def summary(results: pd.DataFrame) -> pd.DataFrame:
         psnr = [_reduce(part["psnr"], "mean") for part in per_seed]
         row["psnr_std"] = float(pd.Series(psnr).std()) if len(psnr) > 1 and None not in psnr else None
         rows.append(row)
-    columns = [*_KEYS, "scenes", "seeds", "complete", *_MEAN, "psnr_std", *_SUM, *_MAX, "stale", "note"]
+    columns = [
+        *_KEYS,
+        "scenes",
+        "seeds",
+        "complete",
+        *_MEAN,
+        "psnr_std",
+        *_SUM,
+        *_MAX,
+        "stale",
+        "note",
+        "jobs",
+    ]
     table = pd.DataFrame(rows, columns=columns)
     numbers = [*_MEAN, "psnr_std", *_SUM, *_MAX]
     table[numbers] = table[numbers].astype("Float64")
@@ -216,15 +231,31 @@ def _note(group: pd.DataFrame, lacking: list[tuple[Any, Any]]) -> str:
     return "incomplete, no average: " + "; ".join(told) if told else ""
 
 
+UNDECIDED = 3
+"""Mark of a value that is not ranked: the interval of its paired difference contains zero."""
+UNDECIDED_SIGN = "\N{ALMOST EQUAL TO}"
+UNDECIDED_NOTE = (
+    f"{UNDECIDED_SIGN}: not ranked against each other: the 95 % interval of their paired difference over "
+    "views contains zero."
+)
+
+
 def ranks(results: pd.DataFrame, views: pd.DataFrame | None = None) -> dict[tuple[Any, str], int]:
     """(row label, column) -> 1 for the best and 2 for the second best, where several methods share a scene.
 
-    Only finished rows compete; equal values as shown share a rank.
+    Only finished rows compete; equal values as shown share a rank. A quality metric is ranked by its mean
+    over views only as far as these views say so: where the interval of the paired difference to the leading
+    value contains zero, both are marked :data:`UNDECIDED` and nothing after them is marked.
+
+    Args:
+        results: the documented table, or its :func:`summary`.
+        views: the documented table; without it (or where it lacks a row's job) means alone decide.
     """
     places: dict[tuple[Any, str], int] = {}
     by = [c for c in ("dataset", "scene", "kind", "preset", "split", "seed") if c in results]
     if results.empty or not by or not {"status", "complete"} & set(results.columns):
         return places
+    measured = Views(views) if views is not None and not views.empty else None
     for _, group in results.groupby(by, dropna=False, sort=False):
         rivals = group[group["complete"]] if "complete" in group else group[group["status"] == "ok"]
         for name, column in COLUMNS.items():
@@ -232,14 +263,42 @@ def ranks(results: pd.DataFrame, views: pd.DataFrame | None = None) -> dict[tupl
                 continue
             values = rivals[name].dropna()
             texts = {index: column.write(value) for index, value in values.items()}
-            order = sorted(values.items(), key=lambda item: -column.better * float(item[1]))
-            distinct = list(dict.fromkeys(texts[index] for index, _ in order))
-            if len(values) < 2 or len(distinct) < 2:
+            order = sorted(values.index, key=lambda index: -column.better * float(values[index]))
+            if len(values) < 2 or len(set(texts.values())) < 2:
                 continue
-            for index, text in texts.items():
-                if distinct.index(text) < 2:
-                    places[index, name] = distinct.index(text) + 1
+            samples: dict[Any, Sample | None] = dict.fromkeys(order)
+            if measured is not None and name in METRICS:
+                samples = {index: measured.sample(_jobs(rivals.loc[index]), name) for index in order}
+            for index, place in _places(order, texts, samples).items():
+                places[index, name] = place
     return places
+
+
+def _places(order: list[Any], texts: dict[Any, str], samples: dict[Any, Sample | None]) -> dict[Any, int]:
+    """Places of rows that are ordered from the best."""
+    places: dict[Any, int] = {}
+    rest = order
+    for place in (1, 2):
+        leaders = [index for index in rest if texts[index] == texts[rest[0]]]
+        rest = rest[len(leaders) :]
+        near = [index for index in rest if not _apart(samples[leaders[0]], samples[index])]
+        places |= dict.fromkeys([*leaders, *near], UNDECIDED if near else place)
+        if near or not rest:
+            break
+    return places
+
+
+def _apart(first: Sample | None, second: Sample | None) -> bool:
+    """Whether a difference can be told from zero; where the views are not at hand it is taken as it is."""
+    if first is None or second is None:
+        return True
+    difference = first.minus(second)
+    return difference is None or difference.excludes_zero
+
+
+def _jobs(row: Any) -> list[str]:
+    """Of a row of `results` or its summary."""
+    return list(row["jobs"]) if "jobs" in row else [str(row["job"])]
 
 
 def cell(name: str, value: Any) -> str:
@@ -262,25 +321,39 @@ def to_csv(table: pd.DataFrame) -> str:
     return table.to_csv(index=False, lineterminator="\n")
 
 
-def to_markdown(table: pd.DataFrame) -> str:
-    """A pipe table; the best value in bold, the second in italics. `results` is cut to what people read."""
-    marks = ranks(table)
+def to_markdown(table: pd.DataFrame, views: pd.DataFrame | None = None) -> str:
+    """A pipe table; the best value in bold, the second in italics. `results` is cut to what people read.
+
+    Args:
+        table: `results` or any other.
+        views: what :func:`ranks` asks.
+    """
+    marks = ranks(table, views)
     table, remarks = _readable(table)
     lines = ["| " + " | ".join(_md(title(name)) for name in table.columns) + " |"]
     lines.append("|" + "|".join("---:" if _right(name) else "---" for name in table.columns) + "|")
     for index, row in table.iterrows():
         texts = []
         for name in table.columns:
-            sign = {1: "**", 2: "*"}.get(marks.get((index, name), 0), "")
-            texts.append(f"{sign}{_md(cell(name, row[name]))}{sign}")
+            mark = marks.get((index, name), 0)
+            sign = {1: "**", 2: "*"}.get(mark, "")
+            near = f" {UNDECIDED_SIGN}" if mark == UNDECIDED else ""
+            texts.append(f"{sign}{_md(cell(name, row[name]))}{sign}{near}")
         lines.append("| " + " | ".join(texts) + " |")
+    if UNDECIDED in marks.values():
+        remarks.append(UNDECIDED_NOTE)
     lines += [f"\n{_md(remark)}" for remark in remarks]
     return "\n".join(lines) + "\n"
 
 
-def to_latex(table: pd.DataFrame) -> str:
-    """A booktabs tabular; the best value bold, the second underlined. `results` is cut to what is read."""
-    marks = ranks(table)
+def to_latex(table: pd.DataFrame, views: pd.DataFrame | None = None) -> str:
+    """A booktabs tabular; the best value bold, the second underlined. `results` is cut to what is read.
+
+    Args:
+        table: `results` or any other.
+        views: what :func:`ranks` asks.
+    """
+    marks = ranks(table, views)
     results = is_results(table)
     table, remarks = _readable(table)
     if results:
@@ -292,10 +365,17 @@ def to_latex(table: pd.DataFrame) -> str:
         texts = []
         for name in table.columns:
             text = _tex(cell(name, row[name]))
-            macro = {1: "textbf", 2: "underline"}.get(marks.get((index, name), 0))
+            mark = marks.get((index, name), 0)
+            if mark == UNDECIDED:
+                text += r"\rlap{$^{\approx}$}"  # takes no width, so the digits stay aligned
+            macro = {1: "textbf", 2: "underline"}.get(mark)
             texts.append(f"\\{macro}{{{text}}}" if macro else text)
         lines.append(" & ".join(texts) + r" \\")
-    lines += [r"\bottomrule", r"\end{tabular}", *(f"% {' '.join(remark.split())}" for remark in remarks)]
+    lines += [r"\bottomrule"]
+    if UNDECIDED in marks.values():
+        note = f"\\multicolumn{{{len(spec)}}}{{l}}{{\\footnotesize {_tex(UNDECIDED_NOTE)}}}"
+        lines.append(note + r" \\")
+    lines += [r"\end{tabular}", *(f"% {' '.join(remark.split())}" for remark in remarks)]
     return "\n".join(lines) + "\n"
 
 
@@ -340,7 +420,7 @@ _TEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{",
     "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\n": " ", "Δ": r"$\Delta$",
     "±": r"$\pm$", MISSING: "--",
-    "*": r"$^{*}$", "\N{MULTIPLICATION SIGN}": r"$\times$",
+    "*": r"$^{*}$", UNDECIDED_SIGN: r"$\approx$", "\N{MULTIPLICATION SIGN}": r"$\times$",
 }  # fmt: skip
 
 

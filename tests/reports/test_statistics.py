@@ -1,0 +1,165 @@
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from reports.statistics import Views, block_length, bootstrap_means, interval
+from reports.tables import UNDECIDED, ranks, summary, to_latex, to_markdown
+
+
+def autoregressive(rng, count, n, rho):
+    """(count, n) stationary AR(1) series of mean 0 and variance 1."""
+    x = rng.normal(size=(count, n))
+    for i in range(1, n):
+        x[:, i] = rho * x[:, i - 1] + np.sqrt(1 - rho**2) * x[:, i]
+    return x
+
+
+def test_blocks_of_one_view_are_the_ordinary_bootstrap():
+    values = np.random.default_rng(1).gamma(2.0, size=60)
+    ours = bootstrap_means(values, 1, 20_000)
+    theirs = stats.bootstrap((values,), np.mean, n_resamples=20_000, method="percentile", rng=2)
+    assert ours.std() == pytest.approx(theirs.standard_error, rel=0.03)
+    assert np.quantile(ours, [0.025, 0.975]) == pytest.approx(theirs.confidence_interval, rel=0.01)
+
+
+@pytest.mark.parametrize("length", [1, 5, 13])
+def test_the_error_of_the_mean_is_that_of_circular_blocks(length):
+    """Of whole blocks it is known: the variance of all circular block means, over the number drawn."""
+    values = autoregressive(np.random.default_rng(3), 1, 65, 0.8)[0]
+    blocks = [np.mean(np.roll(values, -start)[:length]) for start in range(65)]
+    expected = np.std(blocks) * np.sqrt(length / 65)
+    assert bootstrap_means(values, length, 50_000).std() == pytest.approx(expected, rel=0.02)
+
+
+def test_resampling_is_reproducible():
+    values = np.arange(20.0)
+    assert np.array_equal(bootstrap_means(values, 4), bootstrap_means(values, 4))
+
+
+@pytest.mark.parametrize(("rho", "least", "most"), [(0.0, 0.93, 0.99), (0.5, 0.92, 0.98), (0.8, 0.88, 0.97)])
+def test_the_interval_covers_the_truth_though_neighbours_are_alike(rho, least, most):
+    covered = [
+        inside.low <= 0 <= inside.high
+        for x in autoregressive(np.random.default_rng(7), 800, 91, rho)
+        if (inside := interval([x]))
+    ]
+    assert least <= np.mean(covered) <= most
+
+
+def test_views_taken_for_independent_would_deceive():
+    """What the blocks are for: at this correlation they raise coverage from a half to nine tenths."""
+    series = autoregressive(np.random.default_rng(7), 400, 91, 0.8)
+    alone = np.mean([abs(interval([x], 1).mean) <= interval([x], 1).high - x.mean() for x in series])
+    assert alone < 0.6
+
+
+def test_blocks_are_a_sixth_of_the_path():
+    assert [block_length(n) for n in (4, 16, 91, 181)] == [1, 3, 16, 31]
+
+
+def test_too_few_views_have_no_interval():
+    made = interval([np.array([1.0, 2.0, 3.0])])
+    assert (made.mean, made.low, made.high, made.views) == (2.0, None, None, 3)
+    assert not made.excludes_zero
+
+
+def test_several_paths_weigh_the_same():
+    rng = np.random.default_rng(2)
+    a, b = rng.normal(0, 1, 40), rng.normal(10, 1, 80)
+    both = interval([a, b], 1)
+    assert both.mean == pytest.approx((a.mean() + b.mean()) / 2)
+    expected = np.sqrt(stats.sem(a) ** 2 + stats.sem(b) ** 2) / 2
+    assert (both.high - both.low) / 2 == pytest.approx(expected * stats.t.ppf(0.975, 39), rel=0.05)
+
+
+def table(**jobs):
+    """A views table: job -> (scene, seed, psnr per view)."""
+    rows = [
+        {"job": job, "scene": scene, "seed": seed, "view": f"{i:03d}", "psnr": value}
+        for job, (scene, seed, values) in jobs.items()
+        for i, value in enumerate(values)
+    ]
+    return pd.DataFrame(rows)
+
+
+def test_seeds_are_averaged_per_view_before_views_are_drawn():
+    base = np.random.default_rng(0).normal(30, 1, 40)
+    views = Views(table(a=("x", 0, base + 1), b=("x", 1, base - 1)))
+    both, alone = views.sample(["a", "b"], "psnr").interval(), interval([base])
+    assert both == pytest.approx(alone)
+
+
+def test_scenes_seen_along_one_path_are_drawn_together():
+    """Two scenes with the same errors are worth no more than one."""
+    base = np.random.default_rng(0).normal(30, 1, 40)
+    views = Views(table(a=("x", 0, base), b=("y", 0, base)))
+    assert views.sample(["a", "b"], "psnr").interval()[:3] == pytest.approx(interval([base])[:3])
+
+
+def test_pairing_sees_what_single_intervals_hide():
+    rng = np.random.default_rng(0)
+    hard = rng.normal(30, 3, 60)  # how hard a view is, is common to both
+    views = Views(table(a=("x", 0, hard + 0.3 + rng.normal(0, 0.2, 60)), b=("x", 0, hard)))
+    a, b = views.sample(["a"], "psnr"), views.sample(["b"], "psnr")
+    assert a.interval().low < b.interval().high
+    difference = a.minus(b)
+    assert difference.excludes_zero
+    assert difference.mean == pytest.approx(0.3, abs=0.1)
+    assert b.minus(a).low == pytest.approx(-difference.high)
+
+
+def test_only_shared_views_are_paired_and_only_equal_scenes_compared():
+    views = Views(table(a=("x", 0, [1.0] * 9), b=("x", 0, [0.0] * 6), c=("y", 0, [0.0] * 9)))
+    a, b, c = (views.sample([job], "psnr") for job in "abc")
+    assert a.minus(b)[::3] == (1.0, 6)
+    assert a.minus(c) is None
+    assert views.sample(["missing"], "psnr") is None
+
+
+def rivals(maker, **noise):
+    """Methods on one scene: name -> (psnr, noise of its views)."""
+    rng = np.random.default_rng(4)
+    for method, (psnr, sigma) in noise.items():
+        maker.run(method=method, psnr=psnr, views=0)
+        job = maker.rows["results"][-1]["job"]
+        for i, value in enumerate(rng.normal(0, 1, 40)):
+            view = {"job": job, "scene": "tf0", "view": f"{i}", "psnr": psnr + sigma * value}
+            maker.rows["views"].append(view)
+
+
+def test_no_ranking_where_the_paired_interval_contains_zero(maker):
+    rivals(maker, a=(30.0, 0.1), b=(30.2, 3.0), c=(25.0, 0.1), d=(24.0, 0.1))
+    tables = maker.tables()
+    marks = ranks(tables["results"], tables["views"])
+    assert [marks.get((i, "psnr")) for i in range(4)] == [UNDECIDED, UNDECIDED, None, None]
+    assert [ranks(tables["results"]).get((i, "psnr")) for i in range(4)] == [2, 1, None, None]
+    means = ranks(summary(tables["results"]), tables["views"])
+    assert [means.get((i, "psnr")) for i in range(4)] == [UNDECIDED, UNDECIDED, None, None]
+
+
+def test_the_best_can_be_sure_while_the_second_is_not(maker):
+    rivals(maker, a=(33.0, 0.1), b=(30.2, 3.0), c=(30.0, 0.1), d=(24.0, 0.1))
+    tables = maker.tables()
+    marks = ranks(tables["results"], tables["views"])
+    assert [marks.get((i, "psnr")) for i in range(4)] == [1, UNDECIDED, UNDECIDED, None]
+
+
+def test_sure_differences_are_ranked(maker):
+    rivals(maker, a=(33.0, 0.1), b=(30.2, 0.1), c=(29.0, 0.1))
+    tables = maker.tables()
+    marks = ranks(tables["results"], tables["views"])
+    assert [marks.get((i, "psnr")) for i in range(3)] == [1, 2, None]
+
+
+def test_tables_say_that_they_do_not_rank(maker):
+    rivals(maker, a=(30.0, 0.1), b=(30.2, 3.0))
+    tables = maker.tables()
+    told = "95 % interval of their paired difference"
+    assert told in (markdown := to_markdown(tables["results"], tables["views"]))
+    assert "30.20 ≈ |" in markdown
+    assert "**30.20**" not in markdown
+    latex = to_latex(tables["results"], tables["views"])
+    assert r"95 \% interval" in latex
+    assert r"30.20\rlap{$^{\approx}$}" in latex
+    assert told not in to_markdown(tables["results"])
