@@ -1,0 +1,206 @@
+"""Rate-distortion curves, and the average difference of two of them (Bjøntegaard's delta)."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from reports.style import absent, label
+from reports.tables import summary
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+RATE_OPTIONS = ("rate_weight", "lambda", "lambda_e")
+"""Options whose values are points of one curve: each trades bytes for quality and needs its own fit."""
+LEAST_POINTS = 4
+"""Of each curve, for a difference."""
+LEAST_OVERLAP = 0.5
+"""Less of the common range, as a share of what both curves span, is warned of."""
+INTERPOLATION = "Akima"
+"""Of log10(bytes) over PSNR and the other way round; steadier than cubic or PCHIP (Herglotz et al. 2024)."""
+_DISAGREE = 0.1
+
+
+@dataclass(frozen=True)
+class Point:
+    """A model of all scenes of a dataset.
+
+    Attributes:
+        rate: value of the knob, "" if it is not named.
+        bytes: per scene.
+        psnr: mean over scenes, dB.
+        row: the summary's row, with the other metrics.
+    """
+
+    rate: str
+    bytes: float
+    psnr: float
+    row: dict[str, Any] = field(repr=False, compare=False)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A method (with options that are no rate knob) on a dataset; points from the smallest to the largest.
+
+    Attributes:
+        name: of its first row as a series, which decides its color.
+        title: what it is called.
+    """
+
+    dataset: str
+    method: str
+    name: str
+    title: str
+    points: tuple[Point, ...]
+
+    @property
+    def problem(self) -> str:
+        """Why no difference can be taken of it; "" if it can."""
+        if len(self.points) < LEAST_POINTS:
+            return f"{self.title} has {_points(len(self.points))}, {LEAST_POINTS} are needed"
+        for a, b in zip(self.points, self.points[1:], strict=False):
+            if b.bytes <= a.bytes or b.psnr <= a.psnr:
+                return (
+                    f"{self.title} is not monotone: {a.psnr:.2f} dB in {a.bytes:,.0f} B, "
+                    f"{b.psnr:.2f} dB in {b.bytes:,.0f} B"
+                )
+        return ""
+
+
+def split_rate(variant: Any) -> tuple[str, str]:
+    """A variant without rate knobs, and the knobs' value: "a=1,rate_weight=0.01" -> ("a=1", "0.01")."""
+    options = [] if absent(variant) or not variant else str(variant).split(",")
+    knobs = [text for text in options if text.partition("=")[0].strip() in RATE_OPTIONS]
+    rest = ",".join(text for text in options if text not in knobs)
+    return rest, ",".join(text.partition("=")[2] for text in knobs)
+
+
+def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
+    """Dataset -> its curves; a method of one size is a curve of one point.
+
+    The points are the rates that one fit was saved at (column ``rate``), or fits that differ only in a rate
+    knob (:data:`RATE_OPTIONS` in ``variant``). Sets that lack a scene are left out, seeds are averaged.
+    """
+    if results.empty:
+        return {}
+    means = summary(results)
+    means = means[means["complete"] & means["psnr"].notna() & (means["size_bytes"] > 0)]
+    several = {axis: means[axis].nunique() > 1 for axis in ("preset", "split")}
+    gathered: dict[tuple[str, ...], list[tuple[str, Point]]] = {}
+    for _, row in means.iterrows():
+        rest, knob = split_rate(row["variant"])
+        scenes = int(row["scenes"].split()[0])
+        rate = knob if absent(row["rate"]) else f"{row['rate']:g}"
+        point = Point(rate, float(row["size_bytes"]) / scenes, float(row["psnr"]), dict(row))
+        key = (str(row["dataset"]), str(row["method"]), rest, str(row["preset"]), str(row["split"]))
+        gathered.setdefault(key, []).append((label(row["method"], row["variant"]), point))
+    made: dict[str, list[Curve]] = {}
+    for (dataset, method, rest, preset, split), found in gathered.items():
+        words = [label(method, rest)]
+        words += [preset] if several["preset"] else []
+        words += [split] if several["split"] else []
+        points = _distinct([point for _, point in found])
+        made.setdefault(dataset, []).append(Curve(dataset, method, found[0][0], " ".join(words), points))
+    return made
+
+
+def _distinct(points: list[Point]) -> tuple[Point, ...]:
+    """By bytes. The default's model is left out where the knob's value that it is was measured too."""
+    ordered = sorted(points, key=lambda point: (point.bytes, point.psnr, not point.rate))
+    return tuple(
+        point
+        for i, point in enumerate(ordered)
+        if i == 0 or (point.bytes, point.psnr) != (ordered[i - 1].bytes, ordered[i - 1].psnr)
+    )
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Two curves compared; what could not be computed is None and ``refused`` says why.
+
+    Attributes:
+        rate: BD-rate: bytes of ``test`` at equal PSNR, in percent of those of ``reference``, minus 100.
+        psnr: BD-PSNR: dB that ``test`` is above ``reference`` at equal bytes.
+        psnr_range: the PSNR, in dB, over which ``rate`` is an average.
+        bytes_range: the bytes per scene over which ``psnr`` is an average.
+        overlap: share of the two curves' PSNR and of their log bytes that is common; the smaller of both.
+        warnings: what makes the numbers doubtful.
+    """
+
+    dataset: str
+    reference: str
+    test: str
+    rate: float | None = None
+    psnr: float | None = None
+    psnr_range: tuple[float, float] | None = None
+    bytes_range: tuple[float, float] | None = None
+    overlap: float = 0.0
+    warnings: tuple[str, ...] = ()
+    refused: str = ""
+
+
+def difference(reference: Curve, test: Curve) -> Difference:
+    """BD-rate and BD-PSNR of a curve against another (Bjøntegaard 2001, VCEG-M33)."""
+    import numpy as np
+
+    who = (reference.dataset, reference.title, test.title)
+    if refused := "; ".join(filter(None, (reference.problem, test.problem))):
+        return Difference(*who, refused=refused)
+    quality = [[point.psnr for point in curve.points] for curve in (reference, test)]
+    size = [[point.bytes for point in curve.points] for curve in (reference, test)]
+    common, by_quality = _overlap(*quality)
+    common_log, by_size = _overlap(*(list(np.log10(values)) for values in size))
+    if common is None or common_log is None:
+        what = "PSNR" if common is None else "size"
+        ranges = quality if common is None else size
+        told = " and ".join(f"{values[0]:,.6g} to {values[-1]:,.6g}" for values in ranges)
+        return Difference(
+            *who, refused=f"no overlap of their {what}: {told} {'dB' if common is None else 'B'}"
+        )
+    rate, psnr = _deltas(size, quality, "akima")
+    doubts = []
+    overlap = min(by_quality, by_size)
+    if overlap < LEAST_OVERLAP:
+        doubts.append(f"the curves share only {100 * overlap:.0f} % of their range")
+    other, _ = _deltas(size, quality, "pchip")
+    if abs(other - rate) > max(1.0, _DISAGREE * abs(rate)):
+        doubts.append(f"interpolations disagree: PCHIP gives {other:+.1f} %")
+    ends = (10 ** common_log[0], 10 ** common_log[1])
+    return Difference(*who, rate, psnr, common, ends, overlap, tuple(doubts))
+
+
+def _deltas(size: list[list[float]], quality: list[list[float]], method: str) -> tuple[float, float]:
+    import bjontegaard
+
+    arguments: Any = (size[0], quality[0], size[1], quality[1], method)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # overlap is judged here
+        return tuple(
+            float(delta(*arguments, require_matching_points=False, min_overlap=0))
+            for delta in (bjontegaard.bd_rate, bjontegaard.bd_psnr)
+        )  # type: ignore[return-value]
+
+
+def _overlap(first: list[float], second: list[float]) -> tuple[tuple[float, float] | None, float]:
+    """The common range of two increasing lists, and its share of what they span."""
+    low, high = max(first[0], second[0]), min(first[-1], second[-1])
+    if low >= high:
+        return None, 0.0
+    return (low, high), (high - low) / (max(first[-1], second[-1]) - min(first[0], second[0]))
+
+
+def differences(curves: dict[str, list[Curve]]) -> list[Difference]:
+    """Of all pairs of a dataset's curves that have several points, each against those before it."""
+    return [
+        difference(reference, test)
+        for rows in curves.values()
+        for drawn in ([curve for curve in rows if len(curve.points) > 1],)
+        for i, test in enumerate(drawn)
+        for reference in drawn[:i]
+    ]
+
+
+def _points(count: int) -> str:
+    return "one point" if count == 1 else f"{count} points"
