@@ -153,12 +153,10 @@ def difference(reference: Curve, test: Curve) -> Difference:
     common, by_quality = _overlap(*quality)
     common_log, by_size = _overlap(*(list(np.log10(values)) for values in size))
     if common is None or common_log is None:
-        what = "PSNR" if common is None else "size"
-        ranges = quality if common is None else size
-        told = " and ".join(f"{values[0]:,.6g} to {values[-1]:,.6g}" for values in ranges)
-        return Difference(
-            *who, refused=f"no overlap of their {what}: {told} {'dB' if common is None else 'B'}"
-        )
+        what, ranges, unit = ("PSNR", quality, "dB") if common is None else ("size", size, "B")
+        digits = 2 if common is None else 0
+        told = " and ".join(f"{values[0]:,.{digits}f} to {values[-1]:,.{digits}f}" for values in ranges)
+        return Difference(*who, refused=f"no overlap of their {what}: {told} {unit}")
     rate, psnr = _deltas(size, quality, "akima")
     doubts = []
     overlap = min(by_quality, by_size)
