@@ -119,8 +119,12 @@ def _parser() -> _Parser:
     results = command("results", "every measurement of a run store", plugins, runs)
     results.add_argument("--table", choices=TABLES, default="results", help="default: results")
     results.add_argument("--format", choices=("csv", "md", "tex", "json"), default="csv")
-    report = command("report", "write the HTML report of a run store", plugins, runs)
+    told = "print the paper's tables as measured, and write the HTML report of a run store"
+    report = command("report", told, plugins, runs)
     report.add_argument("--out", metavar="FILE", help="default: report.html in the run store")
+    report.add_argument(
+        "--check-claims", action="store_true", help="list the paper's claims: hold, do not, not measured"
+    )
 
     render = command("render", "write pictures: ground truth, or those of a finished model", plugins, runs)
     render.add_argument(

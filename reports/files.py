@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import charts, datasets
+from reports import charts, datasets, paper_tables
 from reports.tables import to_csv, to_latex, to_markdown
 
 if TYPE_CHECKING:
@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 
 def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
-    """Write ``charts/`` (PDF and PNG) and ``results.*``; ``datasets.*`` where rendering volumes was measured.
+    """Write ``charts/`` (PDF and PNG), ``results.*`` and ``paper/`` (its tables); ``datasets.*`` where
+    rendering volumes was measured.
 
     Args:
         tables: results, views, curve, ledger, timing, features and dvr as documented in docs/architecture.md.
@@ -24,6 +25,9 @@ def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
     if not results.empty:
         folder.mkdir(parents=True, exist_ok=True)
         charts.write(tables, folder / "charts")
+        for table in paper_tables.paper_tables(results, tables["views"]):
+            write_text(folder / "paper" / f"{table.name}.md", paper_tables.to_markdown(table))
+            write_text(folder / "paper" / f"{table.name}.tex", paper_tables.to_latex(table))
         write_text(folder / "results.csv", to_csv(results))
         write_text(folder / "results.md", to_markdown(results, tables["views"]))
         write_text(folder / "results.tex", to_latex(results, tables["views"]))

@@ -269,12 +269,12 @@ def ranks(results: pd.DataFrame, views: pd.DataFrame | None = None) -> dict[tupl
             samples: dict[Any, Sample | None] = dict.fromkeys(order)
             if measured is not None and name in METRICS:
                 samples = {index: measured.sample(_jobs(rivals.loc[index]), name) for index in order}
-            for index, place in _places(order, texts, samples).items():
+            for index, place in standing(order, texts, samples).items():
                 places[index, name] = place
     return places
 
 
-def _places(order: list[Any], texts: dict[Any, str], samples: dict[Any, Sample | None]) -> dict[Any, int]:
+def standing(order: list[Any], texts: dict[Any, str], samples: dict[Any, Sample | None]) -> dict[Any, int]:
     """Places of rows that are ordered from the best."""
     places: dict[Any, int] = {}
     rest = order
@@ -360,11 +360,11 @@ def to_latex(table: pd.DataFrame, views: pd.DataFrame | None = None) -> str:
         table = table.drop(columns="reason", errors="ignore")
     spec = "".join("r" if _right(name) else "l" for name in table.columns)
     lines = ["% needs \\usepackage{booktabs}", f"\\begin{{tabular}}{{{spec}}}", "\\toprule"]
-    lines += [" & ".join(_tex(title(name)) for name in table.columns) + r" \\", r"\midrule"]
+    lines += [" & ".join(tex(title(name)) for name in table.columns) + r" \\", r"\midrule"]
     for index, row in table.iterrows():
         texts = []
         for name in table.columns:
-            text = _tex(cell(name, row[name]))
+            text = tex(cell(name, row[name]))
             mark = marks.get((index, name), 0)
             if mark == UNDECIDED:
                 text += r"\rlap{$^{\approx}$}"  # takes no width, so the digits stay aligned
@@ -373,7 +373,7 @@ def to_latex(table: pd.DataFrame, views: pd.DataFrame | None = None) -> str:
         lines.append(" & ".join(texts) + r" \\")
     lines += [r"\bottomrule"]
     if UNDECIDED in marks.values():
-        note = f"\\multicolumn{{{len(spec)}}}{{l}}{{\\footnotesize {_tex(UNDECIDED_NOTE)}}}"
+        note = f"\\multicolumn{{{len(spec)}}}{{l}}{{\\footnotesize {tex(UNDECIDED_NOTE)}}}"
         lines.append(note + r" \\")
     lines += [r"\end{tabular}", *(f"% {' '.join(remark.split())}" for remark in remarks)]
     return "\n".join(lines) + "\n"
@@ -424,5 +424,6 @@ _TEX = {
 }  # fmt: skip
 
 
-def _tex(text: str) -> str:
+def tex(text: str) -> str:
+    """Text with what LaTeX would take for commands escaped."""
     return "".join(_TEX.get(sign, sign) for sign in text)

@@ -1,0 +1,400 @@
+"""The paper's tables in its own layout: what was measured here, and under it what was published."""
+
+from __future__ import annotations
+
+import csv
+import fnmatch
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from reports.statistics import METRICS, Views
+from reports.style import MIB, MISSING, absent
+from reports.tables import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, standing, summary, tex
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_FOLDER = Path(__file__).parent / "published"
+_LEAST_ROWS = 2  # of a block without published values of its own: one row compares nothing
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A column: its header, where its published value stands and what brings measured values to its unit."""
+
+    title: str
+    published: str
+    digits: int
+    better: int = 0  # 1: more is better, -1: less is
+    scale: float = 1.0
+
+
+QUANTITIES = {
+    "psnr": Quantity("PSNR [dB]", "psnr", 2, 1),
+    "lpips_vgg": Quantity("LPIPS", "lpips_vgg", 3, -1),
+    "fps": Quantity("FPS", "fps", 2, 1),
+    "train_seconds": Quantity("Training [min]", "train_min", 2, -1, 1.0 / 60.0),
+    "size_bytes": Quantity("Size [MiB]", "size_mib", 2, -1, 1.0 / MIB),
+    "primitives": Quantity("Anchors", "anchors", 0, -1),
+    "groups": Quantity("Groups", "groups_derived", 0),
+    "peak_host_bytes": Quantity("Host memory [GiB]", "", 2, -1, 1.0 / 2.0**30),
+}
+
+
+@dataclass(frozen=True)
+class Value:
+    """One cell.
+
+    Attributes:
+        mean: over seeds, in the column's unit; None if it is missing.
+        spread: standard deviation over seeds; None for a single one.
+        published: the paper's value; None if it has none.
+    """
+
+    mean: float | None
+    spread: float | None = None
+    published: float | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a table; ``note`` says why its cells are missing, ``jobs`` what they were measured by."""
+
+    label: str
+    values: Mapping[str, Value]
+    note: str = ""
+    jobs: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Block:
+    """The rows of one dataset under one protocol.
+
+    Attributes:
+        dataset: its name here.
+        published: name in the paper of the dataset that the published values belong to; "": none.
+        same: whether that is this very dataset. Differences are given only then.
+        scenes: how many of the dataset's scenes were measured, and how, for people.
+        marks: (row, column) -> 1 for the best, 2 for the second best measured value, or
+            :data:`reports.tables.UNDECIDED` where the views cannot tell them apart.
+    """
+
+    dataset: str
+    published: str
+    same: bool
+    scenes: str
+    rows: Sequence[Row]
+    marks: Mapping[tuple[int, str], int]
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """One of the paper's tables with as many blocks as datasets were measured."""
+
+    name: str
+    title: str
+    columns: Sequence[str]
+    blocks: Sequence[Block] = field(default_factory=list)
+
+
+@cache
+def layouts() -> dict[str, Any]:
+    """What ``published/tables.toml`` says."""
+    return tomllib.loads((_FOLDER / "tables.toml").read_text(encoding="utf-8"))
+
+
+@cache
+def reference_rows(name: str) -> list[dict[str, str]]:
+    """The rows of ``published/NAME.csv``."""
+    with (_FOLDER / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def paper_tables(results: pd.DataFrame, views: pd.DataFrame | None = None) -> list[PaperTable]:
+    """The tables that have something to compare: two measured rows, or one beside its published values.
+
+    Args:
+        results: as documented in docs/architecture.md; composed rows and other rates than the default take
+            no part. Quality and FPS are means over scenes, size, time and anchors are sums.
+        views: the documented table, which decides whether quality can be ranked.
+    """
+    measured = Views(views) if views is not None and not views.empty else None
+    plain = results[(results["kind"] == "basic") & results["rate"].isna()]
+    if plain.empty:
+        return []
+    tables = []
+    for name, said in layouts()["tables"].items():
+        blocks = [
+            block
+            for dataset, rows in plain.groupby("dataset", sort=False)
+            for block in _blocks(name, said, str(dataset), rows, measured)
+        ]
+        if blocks:
+            tables.append(PaperTable(name, said["title"], said["columns"], blocks))
+    return tables
+
+
+def _blocks(
+    name: str, said: dict[str, Any], dataset: str, results: pd.DataFrame, views: Views | None
+) -> Iterator[Block]:
+    """One per published dataset that this one is or imitates, and per protocol (preset, split, views)."""
+    references = [row["dataset"] for row in reference_rows(name)]
+    sole = references[0] if len(set(references)) == 1 else ""
+    known = [
+        (published, about)
+        for published, about in layouts()["datasets"].items()
+        if dataset in (*about["real"], *about["stand_ins"]) and published in said.get("only", references)
+    ]
+    found = 0
+    for published, about in known:
+        rows = results[[fnmatch.fnmatch(str(scene), about.get("scenes", "*")) for scene in results["scene"]]]
+        if rows["scene"].nunique() == about["count"]:
+            for block in _of_protocols(name, said, dataset, rows, published, about, views):
+                found += 1
+                yield block
+    if not found:
+        yield from _of_protocols(name, said, dataset, results, sole, {}, views)
+
+
+def _of_protocols(
+    name: str,
+    said: dict[str, Any],
+    dataset: str,
+    results: pd.DataFrame,
+    published: str,
+    about: dict[str, Any],
+    views: Views | None,
+) -> Iterator[Block]:
+    by_views = any("train_views" in row for row in said["rows"])
+    keys = ["preset", "split"] if by_views else ["preset", "split", "requested_views"]
+    results = results.assign(requested_views=_requested(results["train_views"]))
+    for _, rows in results.groupby(keys, dropna=False, sort=False):
+        lines = [_row(name, line, said["columns"], rows, published) for line in said["rows"]]
+        measured = {
+            (said_line["method"], said_line.get("variant"), said_line.get("train_views"))
+            for line, said_line in zip(lines, said["rows"], strict=True)
+            if any(value.mean is not None for value in line.values.values())
+        }
+        same = dataset in about.get("real", ())
+        lines = [line for line in lines if line.note != "not measured" or _has_published(line)]
+        if len(measured) < (1 if same else _LEAST_ROWS):
+            continue
+        first = rows.iloc[0]
+        scenes = f"{rows['scene'].nunique()} scenes, preset {first['preset']}, {first['split']} views of "
+        scenes += f"{first['width']} \N{MULTIPLICATION SIGN} {first['height']}"
+        yield Block(dataset, published, same, scenes, lines, _marks(lines, said["columns"], views))
+
+
+def _marks(rows: Sequence[Row], columns: Sequence[str], views: Views | None) -> dict[tuple[int, str], int]:
+    marks: dict[tuple[int, str], int] = {}
+    for name in columns:
+        quantity = QUANTITIES[name]
+        means = {i: row.values[name].mean for i, row in enumerate(rows)}
+        known = {i: mean for i, mean in means.items() if mean is not None}
+        texts = {i: f"{mean:.{quantity.digits}f}" for i, mean in known.items()}
+        if not quantity.better or len(set(texts.values())) < 2:
+            continue
+        order = sorted(known, key=lambda i: -quantity.better * known[i])
+        samples = {i: views.sample(rows[i].jobs, name) if views and name in METRICS else None for i in known}
+        marks |= {(i, name): place for i, place in standing(order, texts, samples).items()}
+    return marks
+
+
+def _has_published(row: Row) -> bool:
+    return any(value.published is not None for value in row.values.values())
+
+
+def _requested(views: pd.Series) -> pd.Series:
+    """Training views as asked for: with split "val" a tenth of them was held out."""
+    asked = (6, 12, 42, 92)
+    return views.map(lambda n: n if absent(n) else min((a for a in asked if a >= n), default=n))
+
+
+def _row(
+    name: str, line: dict[str, Any], columns: Sequence[str], results: pd.DataFrame, published: str
+) -> Row:
+    rows = results[(results["method"] == line["method"]) & (results["variant"] == line.get("variant", ""))]
+    if "train_views" in line:
+        rows = rows[rows["requested_views"] == line["train_views"]]
+    reference = _reference(name, line.get("match"), published)
+    note = "" if len(rows) else "not measured"
+    # Each seed on its own, so that every column has its spread; what all methods were asked for decides
+    # whether a seed is complete.
+    wanted = set(results["scene"])
+    per_seed: dict[str, list[float]] = {column: [] for column in columns}
+    for seed, part in rows.groupby("seed", dropna=False, sort=True):
+        lacking = wanted - set(part.loc[part["status"] == "ok", "scene"])
+        if lacking:
+            note = f"seed {seed}: {', '.join(sorted(lacking))} missing or failed"
+            continue
+        means = summary(part).iloc[0]
+        for column in columns:
+            value = part["group"].nunique() if column == "groups" else means[column]
+            if not absent(value):
+                per_seed[column].append(float(value) * QUANTITIES[column].scale)
+    return Row(
+        line["label"],
+        {c: _value(per_seed[c], reference, QUANTITIES[c]) for c in columns},
+        note,
+        list(rows["job"]),
+    )
+
+
+def _value(seeds: list[float], reference: Mapping[str, str], quantity: Quantity) -> Value:
+    text = reference.get(quantity.published, "")
+    told = float(text) if text.replace(".", "", 1).isdigit() else None
+    if not seeds:
+        return Value(None, None, told)
+    mean = sum(seeds) / len(seeds)
+    if len(seeds) == 1:
+        return Value(mean, None, told)
+    return Value(mean, (sum((x - mean) ** 2 for x in seeds) / (len(seeds) - 1)) ** 0.5, told)
+
+
+def _reference(name: str, match: dict[str, str] | None, published: str) -> dict[str, str]:
+    """The published row that answers to a line; {} where there is none."""
+    for row in reference_rows(name) if match else ():
+        if row["dataset"] == published and all(row[key] == value for key, value in (match or {}).items()):
+            return row
+    return {}
+
+
+# --------------------------------------------------------------------------- documents
+
+
+def measured_text(value: Value, quantity: Quantity) -> str:
+    """As "36.74", "36.74 ± 0.05", or an en dash."""
+    if value.mean is None:
+        return MISSING
+    text = f"{value.mean:,.{quantity.digits}f}"
+    return text if value.spread is None else f"{text} ± {value.spread:,.{quantity.digits}f}"
+
+
+def published_text(value: Value, quantity: Quantity, same: bool) -> str:
+    """As "36.50 (+0.24)": the published value and, for the same dataset, by how much ours exceeds it."""
+    if value.published is None:
+        return ""
+    text = f"{value.published:,.{quantity.digits}f}"
+    if value.mean is None or not same:
+        return text
+    return f"{text} ({value.mean - value.published:+,.{quantity.digits}f})"
+
+
+def _heading(block: Block) -> str:
+    if not block.published:
+        told = "no published values"
+    elif block.same:
+        told = f"second line: published for {block.published} (difference)"
+    else:
+        told = f"second line: published for {block.published}, which are other data"
+    return f"{block.dataset}: {block.scenes}; {told}"
+
+
+def to_markdown(table: PaperTable) -> str:
+    """A pipe table per block; best in bold, second best in italics."""
+    lines, near = [f"### {table.title}"], f"{{}} {UNDECIDED_SIGN}"
+    for block in table.blocks:
+        lines += ["", _heading(block), ""]
+        lines.append("| | " + " | ".join(QUANTITIES[name].title for name in table.columns) + " |")
+        lines.append("|---|" + "---:|" * len(table.columns))
+        for label, cells in _cells(table, block, {1: "**{}**", 2: "*{}*", UNDECIDED: near}, "<br>{}", str):
+            lines.append(f"| {label} | " + " | ".join(cells) + " |")
+        lines += _remarks(block)
+    return "\n".join(lines) + "\n"
+
+
+def to_html(table: PaperTable) -> str:
+    """A table element per block, published values small under the measured ones."""
+    marks = {1: '<b class="first">{}</b>', 2: '<u class="second">{}</u>', UNDECIDED: f"{{}} {UNDECIDED_SIGN}"}
+    parts = [f"<h3>{escape(table.title)}</h3>"]
+    head = "".join(f'<th scope="col" class="r">{escape(QUANTITIES[n].title)}</th>' for n in table.columns)
+    for block in table.blocks:
+        body = "".join(
+            f'<tr><th scope="row">{label}</th>' + "".join(f'<td class="r">{c}</td>' for c in cells) + "</tr>"
+            for label, cells in _cells(table, block, marks, '<br><span class="soft">{}</span>', escape)
+        )
+        remarks = "".join(f'<p class="note">{escape(text)}</p>' for text in _remarks(block) if text)
+        parts.append(
+            f'<div class="wide"><table><caption>{escape(_heading(block))}</caption>'
+            f'<thead><tr><th scope="col">{"Threshold" if table.name == "threshold" else "Row"}</th>{head}'
+            f"</tr></thead><tbody>{body}</tbody></table></div>{remarks}"
+        )
+    return "\n".join(parts)
+
+
+def to_latex(table: PaperTable) -> str:
+    """One booktabs tabular with a rule between blocks; best bold, second best underlined."""
+    lines = ["% needs \\usepackage{booktabs}", f"\\begin{{tabular}}{{l{'r' * len(table.columns)}}}"]
+    lines += ["\\toprule", "".join(f" & {tex(QUANTITIES[n].title)}" for n in table.columns) + r" \\"]
+    for block in table.blocks:
+        lines.append(r"\midrule")
+        lines.append(rf"\multicolumn{{{len(table.columns) + 1}}}{{l}}{{\emph{{{tex(_heading(block))}}}}} \\")
+        marks = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", UNDECIDED: r"{}\rlap{{$^{{\approx}}$}}"}
+        for i, row in enumerate(block.rows):
+            cells = [
+                marks.get(block.marks.get((i, name), 0), "{}").format(
+                    tex(measured_text(row.values[name], QUANTITIES[name]))
+                )
+                for name in table.columns
+            ]
+            lines.append(tex(row.label) + "".join(f" & {text}" for text in cells) + r" \\")
+            second = [
+                published_text(row.values[name], QUANTITIES[name], block.same) for name in table.columns
+            ]
+            if any(second):
+                small = "".join(f" & \\footnotesize {tex(text)}" if text else " &" for text in second)
+                lines.append(r"\quad \footnotesize published" + small + r" \\")
+        lines += [f"% {text}" for text in _remarks(block) if text]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
+
+
+def to_text(table: PaperTable) -> str:
+    """For a terminal: two lines a row, best marked with ``*`` and second best with ``+``."""
+    lines = [table.title]
+    for block in table.blocks:
+        grid: list[list[str]] = [["", *(QUANTITIES[name].title for name in table.columns)]]
+        for i, row in enumerate(block.rows):
+            known = {1: "*", 2: "+", UNDECIDED: UNDECIDED_SIGN}
+            signs = {name: known.get(block.marks.get((i, name), 0), " ") for name in table.columns}
+            values = [(row.values[name], QUANTITIES[name], signs[name]) for name in table.columns]
+            grid.append([row.label, *(f"{measured_text(v, q)}{sign}" for v, q, sign in values)])
+            second = [published_text(v, q, block.same) for v, q, _ in values]
+            if any(second):
+                grid.append(["  published", *(f"{text} " for text in second)])
+        widths = [max(len(line[i]) for line in grid) for i in range(len(grid[0]))]
+        lines += ["", _heading(block)]
+        for line in grid:
+            cells = [line[0].ljust(widths[0])]
+            cells += [text.rjust(width) for text, width in zip(line[1:], widths[1:], strict=True)]
+            lines.append("  ".join(cells).rstrip())
+        lines += _remarks(block)
+    return "\n".join(lines) + "\n"
+
+
+def _cells(
+    table: PaperTable, block: Block, marks: Mapping[int, str], under: str, write: Any
+) -> Iterator[tuple[str, list[str]]]:
+    """Label and cells of each row, measured above published, in a document's own marks."""
+    for i, row in enumerate(block.rows):
+        cells = []
+        for name in table.columns:
+            value, quantity = row.values[name], QUANTITIES[name]
+            text = marks.get(block.marks.get((i, name), 0), "{}").format(
+                write(measured_text(value, quantity))
+            )
+            told = published_text(value, quantity, block.same)
+            cells.append(text + (under.format(write(told)) if told else ""))
+        yield write(row.label), cells
+
+
+def _remarks(block: Block) -> list[str]:
+    """Why rows lack values, the usual reason apart."""
+    told = [f"{row.label}: {row.note}" for row in block.rows if row.note and row.note != "not measured"]
+    if UNDECIDED in block.marks.values():
+        told.append(UNDECIDED_NOTE)
+    return ["", *told] if told else []
