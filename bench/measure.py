@@ -20,11 +20,15 @@ from bench.timing import (
     time_frames,
 )
 from datasets.memory import peak_host_bytes
-from methods.interface import Method, Model, Refused
+from methods.interface import HasAttributes, Method, Model, Refused
 
 if TYPE_CHECKING:
     from bench.stages import Context
     from datasets.scene import RGB
+
+
+SAMPLED = 200
+"""Primitives of each scene whose attributes go into the record."""
 
 
 def measure(context: Context) -> MeasureResult:
@@ -113,8 +117,20 @@ def measure(context: Context) -> MeasureResult:
         metrics={name: _mean([row.metrics[name] for row in rows]) for name in job.metrics},
         missing=missing,
         views=rows,
+        features=_attributes(model, scenes),
         reference_seconds=mean_of(before, after),
     )
+
+
+def _attributes(model: Model, scenes: Sequence[str]) -> dict[str, list[list[float]]]:
+    """Of a basic scene; those of a composition are its parts'."""
+    if len(scenes) != 1 or not isinstance(model, HasAttributes):
+        return {}
+    found = model.attributes(scenes[0], SAMPLED)
+    return {
+        name: [[float(f"{value:.4g}") for value in row] for row in as_numpy(values)]
+        for name, values in found.items()
+    }
 
 
 def load_models(method: Method, folders: Sequence[Path], device: str) -> Model:

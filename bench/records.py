@@ -223,7 +223,8 @@ class MeasureResult(_Model):
     missing: dict[str, str]
     """Metric -> why it could not be computed."""
     views: list[ViewResult]
-    features: dict[str, list[float]] = Field(default_factory=dict)
+    features: dict[str, list[list[float]]] = Field(default_factory=dict)
+    """Attribute -> rows of some primitives, of a method that shows them."""
     reference_seconds: float | None
 
 

@@ -33,7 +33,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
               "bytes_estimate", "loss_parts"),
     "ledger": ("job", *_AXES, "rate", "preset", "seed", "part", "bytes"),
     "timing": ("job", *_AXES, "rate", "preset", "seed", "part", "seconds"),
-    "features": ("job", *_AXES, "name", "values"),
+    "features": ("job", *_AXES, "name", "values", "width"),
     "dvr": ("job", "dataset", "scene", "kind", "preset", "status", "reason", "nx", "ny", "nz", "variables",
             "dtype", "volume_bytes", "ms_per_view", "ms_p05", "ms_p95", "fps", "load_seconds",
             "setup_seconds", "peak_host_bytes", "peak_device_bytes", "width", "height", "renderer", "version",
@@ -313,8 +313,15 @@ def _timing(record: Record) -> list[dict[str, Any]]:
 def _features(record: Record) -> list[dict[str, Any]]:
     features = record.measure.features if record.measure else {}
     return [
-        {"job": record.job.id, **_axes(record.job), "name": name, "values": values}
+        {
+            "job": record.job.id,
+            **_axes(record.job),
+            "name": name,
+            "values": [value for row in values for value in row],
+            "width": len(values[0]),
+        }
         for name, values in features.items()
+        if values
     ]
 
 

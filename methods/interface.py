@@ -261,6 +261,14 @@ class EstimatesBytes(Protocol):
         """Bytes that :meth:`Model.save` would write, at the default rate."""
 
 
+@runtime_checkable
+class HasAttributes(Protocol):
+    """A model whose primitives carry attributes that are worth looking at: histograms, embeddings."""
+
+    def attributes(self, scene: str, count: int) -> Mapping[str, torch.Tensor]:
+        """Attribute -> (n, d) values of at most ``count`` primitives of a scene, spread evenly over them."""
+
+
 class Method(Protocol):
     """The implementation behind a spec."""
 

@@ -146,6 +146,13 @@ class EcongsModel(ByScene[tuple[Group, SceneAnchors]]):
         names = self.scenes if scene is None else (scene,)
         return sum(len(self.anchors(name).positions) for name in names)
 
+    def attributes(self, scene: str, count: int) -> Mapping[str, Tensor]:
+        """Features, scalings and offsets of anchors; see :class:`methods.interface.HasAttributes`."""
+        anchors = self.anchors(scene)
+        rows = torch.linspace(0, len(anchors.positions) - 1, min(count, len(anchors.positions))).long()
+        names = ("features", "scalings", "offsets")
+        return {name: getattr(anchors, name)[rows.to(anchors.positions.device)].flatten(1) for name in names}
+
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
         """Write the stream of each group, ``<place>.econgs``.
 

@@ -43,6 +43,9 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     for file in [*views["truth_file"], *views["render_file"]]:
         assert (bench.store / file).is_file()
     folder = next((bench.store / "jobs").glob("encode-*")) / "model"
+    features = pd.read_parquet(bench.store / "tables" / "features.parquet")
+    assert [len(values) for values in features["values"]] == [3 * width for width in features["width"]]
+    assert set(features["scene"]) == {"a", "b"}
     sizes = sum(f.stat().st_size for f in folder.iterdir())
     assert sizes in set(table["group_bytes"])
 

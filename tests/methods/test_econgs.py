@@ -17,7 +17,7 @@ from methods.econgs.memory import group_bytes
 from methods.econgs.method import Econgs
 from methods.econgs.spec import SPEC
 from methods.econgs.training import Trainer
-from methods.interface import Budget, Diverged, Edit, Refused
+from methods.interface import Budget, Diverged, Edit, HasAttributes, Refused
 from methods.options import resolve
 
 ROOT = Path(methods.__file__).parents[1]
@@ -202,6 +202,18 @@ def test_groups_that_do_not_fit_into_memory_are_split_or_refused(scene):
     assert list(sizes.values()) == [[4], [2, 2]]
     with pytest.raises(Refused, match=r"needs about \d+ MiB and 100 MiB"):
         Econgs().partition(group, options(group_memory_mb=100))
+
+
+def test_attributes_of_some_anchors_can_be_looked_at(fitted):
+    model, _ = fitted
+    assert isinstance(model, HasAttributes)
+    count = model.primitives("tiny")
+    every, some = model.attributes("tiny", 10 * count), model.attributes("tiny", 7)
+    anchors = model.anchors("tiny")
+    assert torch.equal(every["features"], anchors.features)
+    assert torch.equal(every["offsets"], anchors.offsets.reshape(count, -1))
+    assert {len(values) for values in some.values()} == {7}
+    assert torch.equal(some["scalings"][[0, -1]], anchors.scalings[[0, -1]])
 
 
 def test_memory_is_estimated_from_the_points_that_become_anchors(tiny, scene):

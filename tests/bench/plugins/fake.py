@@ -81,6 +81,9 @@ class Color:
         color = np.mean(list(colors.values()), axis=0, dtype=np.float32)
         return np.broadcast_to(color, (*shape, 3)).copy(), np.ones(shape, dtype=np.float32)
 
+    def attributes(self, scene, count):
+        return {"color": np.array([self.colors[scene]] * 3, dtype=np.float32)}
+
     def timings(self, camera, scenes=None):
         return {"rasterise": 1e-4}
 
