@@ -25,7 +25,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
         "train_seconds", "group_seconds", "load_seconds", "fps", "peak_host_bytes", "peak_device_bytes",
         "iterations", "train_views", "width", "height", "device", "machine", "threads", "job", "fps_p05",
         "fps_p95", "encode_seconds", "reference_seconds", "identical_views", "stage", "commit",
-        "group_peak_host_bytes",
+        "group_peak_host_bytes", "partition_seconds",
     ),
     "views": ("job", *_AXES, "rate", "preset", "split", "seed", "view", *METRICS, "identical", "truth_file",
               "render_file", "alpha_file", "background"),
@@ -183,6 +183,9 @@ def _result(record: Record, models: list[_Fitted], sources: Mapping[str, str]) -
         "stage": record.stage,
         "train_views": trained.train_views if trained else None,
     }
+    partitions = {model.partition.job.id: model.partition for model in models if model.partition}
+    clustered = [one.partition.seconds for one in partitions.values() if one.partition is not None]
+    row["partition_seconds"] = sum(clustered) if clustered else None
     costs = [_costs(job, model) for model in models]
     if costs:
         # What any model lacks, their sum lacks.

@@ -111,17 +111,17 @@ def _bounds(claim: dict[str, Any]) -> str:
     return f"≥ {low:g}{unit}" if high is None else f"≤ {high:g}{unit}"
 
 
-def section(results: pd.DataFrame, views: pd.DataFrame) -> str:
+def section(tables: dict[str, pd.DataFrame]) -> str:
     """HTML of all the paper's tables and of the claims they decide; "" if there is nothing to compare."""
-    tables = paper_tables(results, views)
-    if not tables:
+    measured = paper_tables(tables["results"], tables["views"], tables["timing"])
+    if not measured:
         return ""
     note = (
         "<p>What was measured here, above what the paper reports (its FPS and times on an RTX 4090, its "
         "pictures 800 \N{MULTIPLICATION SIGN} 800). Quality and FPS are means over scenes, size, time and "
         "anchors sums. Second lines on other data than the paper's show its numbers, not a goal.</p>"
     )
-    return note + "\n".join(table_html(table) for table in tables) + to_html(check(tables))
+    return note + "\n".join(table_html(table) for table in measured) + to_html(check(measured))
 
 
 def to_html(verdicts: Sequence[Verdict]) -> str:

@@ -25,7 +25,7 @@ def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
     if not results.empty:
         folder.mkdir(parents=True, exist_ok=True)
         charts.write(tables, folder / "charts")
-        for table in paper_tables.paper_tables(results, tables["views"]):
+        for table in paper_tables.paper_tables(results, tables["views"], tables["timing"]):
             write_text(folder / "paper" / f"{table.name}.md", paper_tables.to_markdown(table))
             write_text(folder / "paper" / f"{table.name}.tex", paper_tables.to_latex(table))
         write_text(folder / "results.csv", to_csv(results))

@@ -42,6 +42,10 @@ QUANTITIES = {
     "size_bytes": Quantity("Size [MiB]", "size_mib", 2, -1, 1.0 / MIB),
     "primitives": Quantity("Anchors", "anchors", 0, -1),
     "groups": Quantity("Groups", "groups_derived", 0),
+    "partition_seconds": Quantity("Clustering [s]", "clustering_s", 2),
+    "decode_ms": Quantity("Decoding [ms]", "mlp_ms", 2, -1),
+    "rasterise_ms": Quantity("Rasterising [ms]", "raster_ms", 2, -1),
+    "frame_ms": Quantity("Frame [ms]", "total_ms", 2, -1),
     "peak_host_bytes": Quantity("Host memory [GiB]", "", 2, -1, 1.0 / 2.0**30),
 }
 
@@ -115,14 +119,18 @@ def reference_rows(name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def paper_tables(results: pd.DataFrame, views: pd.DataFrame | None = None) -> list[PaperTable]:
+def paper_tables(
+    results: pd.DataFrame, views: pd.DataFrame | None = None, timing: pd.DataFrame | None = None
+) -> list[PaperTable]:
     """The tables that have something to compare: two measured rows, or one beside its published values.
 
     Args:
         results: as documented in docs/architecture.md; composed rows and other rates than the default take
             no part. Quality and FPS are means over scenes, size, time and anchors are sums.
         views: the documented table, which decides whether quality can be ranked.
+        timing: the documented table; without it there is none of frame times.
     """
+    results = _with_parts(results, timing)
     measured = Views(views) if views is not None and not views.empty else None
     plain = results[(results["kind"] == "basic") & results["rate"].isna()]
     if plain.empty:
@@ -137,6 +145,16 @@ def paper_tables(results: pd.DataFrame, views: pd.DataFrame | None = None) -> li
         if blocks:
             tables.append(PaperTable(name, said["title"], said["columns"], blocks))
     return tables
+
+
+def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFrame:
+    """With the parts of a frame as columns, in milliseconds."""
+    results = results.copy()
+    for column, part in (("decode_ms", "decode"), ("rasterise_ms", "rasterise"), ("frame_ms", "frame")):
+        rows = timing[timing["part"] == part] if timing is not None and not timing.empty else None
+        seconds = {} if rows is None else dict(zip(rows["job"], rows["seconds"], strict=True))
+        results[column] = [1e3 * float(seconds[job]) if job in seconds else None for job in results["job"]]
+    return results
 
 
 def _blocks(
@@ -234,7 +252,10 @@ def _row(
             continue
         means = summary(part).iloc[0]
         for column in columns:
-            value = part["group"].nunique() if column == "groups" else means[column]
+            if column == "groups":
+                value: Any = part["group"].nunique()
+            else:
+                value = means[column] if column in means else part[column].astype(float).mean()
             if not absent(value):
                 per_seed[column].append(float(value) * QUANTITIES[column].scale)
     return Row(
@@ -258,7 +279,7 @@ def _value(seeds: list[float], reference: Mapping[str, str], quantity: Quantity)
 
 def _reference(name: str, match: dict[str, str] | None, published: str) -> dict[str, str]:
     """The published row that answers to a line; {} where there is none."""
-    for row in reference_rows(name) if match else ():
+    for row in reference_rows(name) if match is not None else ():
         if row["dataset"] == published and all(row[key] == value for key, value in (match or {}).items()):
             return row
     return {}

@@ -28,7 +28,7 @@ def report(options: Namespace) -> int:
 
     store = Store(Path(options.runs))
     tables = build_tables(store, current(options))
-    measured = paper_tables.paper_tables(tables["results"], tables["views"])
+    measured = paper_tables.paper_tables(tables["results"], tables["views"], tables["timing"])
     for table in measured:
         print(paper_tables.to_text(table))
     if options.check_claims:

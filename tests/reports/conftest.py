@@ -55,6 +55,7 @@ RESULTS = [
     "stage",
     "commit",
     "group_peak_host_bytes",
+    "partition_seconds",
 ]
 VIEWS = [
     "job",
@@ -107,6 +108,7 @@ NUMBERS = {
     "reference_seconds",
     "loss",
     "psnr_val",
+    "partition_seconds",
 }
 WHOLE = {
     "seed",
