@@ -101,6 +101,10 @@ def _parser() -> _Parser:
     plan = command("plan", "show the jobs of a suite, which are done, and an estimate", plugins)
     _add_selection(plan)
     plan.add_argument("--out", default="runs", metavar="DIR", help="the run store (default: runs)")
+    plan.add_argument(
+        "--like", action="append", default=[], metavar="STORE",
+        help="estimate from the finished jobs of this run store too (repeatable)",
+    )  # fmt: skip
 
     lists = command("list", "list methods, datasets, suites or metrics", plugins)
     lists.add_argument("what", choices=("methods", "datasets", "suites", "metrics"))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 from bench.display import make_display, span
+from bench.estimates import Estimate, Past
 from bench.plan import Planner
 from bench.records import Job, Record
 from bench.selection import Selection
@@ -72,51 +72,46 @@ def _verdict(outcome: Any, planned: int) -> int:
 
 
 def plan(options: Namespace) -> int:
-    """Print the jobs, which of them are done, and how long the rest may take."""
+    """Print the jobs, which of them are done, and what the rest may take of time, memory and disk."""
     planner = _planner(options)
     root = Path(options.out)
     store = Store(root) if (root / "store.json").is_file() else None
     jobs = planner.jobs(store)
     records = {record.job.id: record for record in store.records()} if store else {}
-    total, unknown = 0.0, 0
+    past = Past([*([store] if store else []), *(Store(Path(folder)) for folder in options.like)])
+    expected = {job.id: past.estimate(job) for job in jobs if job.id not in records}
     width = max((len(job.id) for job in jobs), default=0)
     for job in jobs:
-        record = records.get(job.id)
-        state, expected = _state(job, record, records, store)
-        if record is None:
-            total += expected or 0.0
-            unknown += expected is None
+        state = _state(job, records.get(job.id), expected.get(job.id), store)
         print(f"{job.id:<{width}}  {state:<24}  {job.title}")
-    todo = sum(job.id not in records for job in jobs)
-    print(f"{len(jobs)} jobs, {len(jobs) - todo} finished, {todo} to do", end="")
-    if todo:
-        print(f", about {span(total)}" if unknown < todo else ", no past records to estimate from", end="")
-        print(f" and {unknown} jobs unlike any finished one" if 0 < unknown < todo else "", end="")
+    print(f"{len(jobs)} jobs, {len(jobs) - len(expected)} finished, {len(expected)} to do", end="")
+    known = [estimate for estimate in expected.values() if estimate is not None]
+    if known:
+        print(
+            f", about {span(sum(one.seconds for one in known))}, {_mib(sum(one.disk for one in known))} of",
+            end="",
+        )
+        print(f" disk, {_mib(max(one.memory for one in known))} of memory", end="")
+        if len(known) < len(expected):
+            print(f" and {len(expected) - len(known)} jobs unlike any finished one", end="")
+    elif expected:
+        print(", no past records to estimate from (--like STORE names some)", end="")
     print()
-    if any(job.kind == "partition" and job.id not in records for job in jobs):
+    if any(job.kind == "partition" and job.id in expected for job in jobs):
         print("(a joint method's fits are known once its partition job has run)")
     return 0
 
 
-def _state(
-    job: Job, record: Record | None, records: dict[str, Record], store: Store | None
-) -> tuple[str, float | None]:
+def _mib(count: int) -> str:
+    return f"{count / 2**20:,.0f} MiB"
+
+
+def _state(job: Job, record: Record | None, expected: Estimate | None, store: Store | None) -> str:
     if record is not None:
-        return ("done" if record.ok else record.status), None
-    expected = estimate(job, records)
+        return "done" if record.ok else record.status
     started = store is not None and (store.partial / job.id).is_dir()
     words = "interrupted" if started else "to do"
-    return (f"{words}, about {span(expected)}" if expected is not None else words), expected
-
-
-def estimate(job: Job, records: dict[str, Record]) -> float | None:
-    """Median wall time of finished jobs of the same kind, method and preset; None if there is none."""
-    alike = [
-        r.wall_seconds
-        for r in records.values()
-        if r.ok and (r.job.kind, r.job.method, r.job.preset) == (job.kind, job.method, job.preset)
-    ]
-    return median(alike) if alike else None
+    return f"{words}, about {span(expected.seconds)}" if expected is not None else words
 
 
 def _planner(options: Namespace) -> Planner:
