@@ -92,25 +92,20 @@ def _published_row(said: dict[str, str]) -> dict[str, Any]:
 
 
 def section(dvr: pd.DataFrame) -> str:
-    """The page's part about them; empty without such measurements."""
-    if dvr.empty:
-        return ""
+    """The page's part about them."""
     table = costs(dvr)
     if table["gpu_gib"].isna().all():
         table = table.drop(columns="gpu_gib")
     lines = []
     for _, row in table.iterrows():
         of_paper = str(row["dataset"]).endswith(f"({PUBLISHED})")
-        cells = "".join(f'<td class="{_align(n)}">{escape(cell(n, row[n]))}</td>' for n in table.columns)
-        lines.append(f'<tr class="{"soft" if of_paper else "mean"}">{cells}</tr>')
-    head = "".join(f'<th class="{_align(n)}">{escape(title(n))}</th>' for n in table.columns)
+        lines.append(f'<tr class="{"soft" if of_paper else "mean"}">{_cells(row, list(table.columns))}</tr>')
     return (
-        '<h2 id="datasets">Rendering the volumes</h2>'
         "<p>Direct volume rendering, one view at a time on the test path: what a representation replaces. "
         "Times are means over the basic scenes, memory is the largest of any; the process that renders is "
         "counted whole. Published figures stand below the dataset that they are of, or that stands in for "
         "it, and are of another renderer and machine.</p>"
-        f"{_table(head, ''.join(lines))}"
+        f"{_table('What rendering each volume costs', list(table.columns), ''.join(lines))}"
         f"{_scenes(dvr)}"
         '<p class="note">Files: <a href="datasets.csv">CSV</a>, <a href="datasets.md">Markdown</a>, '
         '<a href="datasets.tex">LaTeX</a>.</p>'
@@ -123,16 +118,23 @@ def _scenes(dvr: pd.DataFrame) -> str:
     names = [n for n in names if n != "peak_device_bytes" or dvr[n].notna().any()]
     if (dvr["status"] == "ok").all():
         names = names[:-2]
-    head = "".join(f'<th class="{_align(n)}">{escape(title(n))}</th>' for n in names)
-    lines = "".join(
-        "<tr>" + "".join(f'<td class="{_align(n)}">{escape(cell(n, row[n]))}</td>' for n in names) + "</tr>"
-        for _, row in dvr.iterrows()
+    lines = "".join(f"<tr>{_cells(row, names)}</tr>" for _, row in dvr.iterrows())
+    table = _table("What rendering each scene costs", names, lines)
+    return f"<details><summary>{len(dvr)} scenes</summary>{table}</details>"
+
+
+def _cells(row: pd.Series, names: list[str]) -> str:
+    first, *others = names
+    cells = "".join(f'<td class="{_align(n)}">{escape(cell(n, row[n]))}</td>' for n in others)
+    return f'<th scope="row">{escape(cell(first, row[first]))}</th>{cells}'
+
+
+def _table(caption: str, names: list[str], lines: str) -> str:
+    head = "".join(f'<th scope="col" class="{_align(n)}">{escape(title(n))}</th>' for n in names)
+    return (
+        f'<div class="wide" role="region" tabindex="0" aria-label="{caption}"><table>'
+        f"<caption>{caption}</caption><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table></div>"
     )
-    return f"<details><summary>{len(dvr)} scenes</summary>{_table(head, lines)}</details>"
-
-
-def _table(head: str, lines: str) -> str:
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table></div>'
 
 
 def _align(name: str) -> str:

@@ -1,12 +1,12 @@
-"""Example views: ground truth, render, and their color difference, as data URIs."""
+"""Panels as in papers: ground truth and all models of a scene side by side, for the same view.
+
+Nothing in them is chosen by hand: which views, models and zoom windows are shown follows from the numbers.
+"""
 
 from __future__ import annotations
 
-import base64
-import io
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,167 +14,158 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reports.cieluv import delta_e_uv
+from reports.difference import colored, largest_window
+from reports.pictures import background, inside, read
 from reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd
 
-DELTA_E_MAX = 20.0
-"""End of the fixed color scale of difference maps."""
-_SIDE = 400  # pixels; larger pictures are shown smaller
-_LOSSLESS = 256  # up to this side pictures are shown pixel for pixel
+WHICH = {
+    "median": "Median view",
+    "worst": "Worst view",
+    "lowest": "Lowest PSNR of any model",
+}
+"""The views that are shown, most important first: by mean PSNR over the models, and of any one model."""
+RULE = (
+    "Views are ranked by mean PSNR over the models of a scene: shown are the worst and the median view, and, "
+    "if it is another one, the view with the lowest PSNR of any one model. The box is the window, a quarter "
+    "of the picture wide, in which the difference is largest on average over the models; it stands enlarged "
+    "below the picture, beside the difference. Of several seeds the first is shown, of several rates the "
+    "middle one."
+)
+_ZOOM = 4  # a zoom window is this part of the picture's shorter side
+_LEAST = 12  # pixels, of a zoom window
 
 
-@dataclass(frozen=True)
-class Panel:
-    """One example view of one job.
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One model's picture of a view.
 
     Attributes:
-        which: "worst", "median" or "best" of the job's views by PSNR; several if they are the same view.
-        view: name of the view.
+        row: the model's row of `results`.
         psnr, ssim, delta_e: measured values of this view, None if missing.
-        truth, render, difference: data URIs; empty if the pictures are missing, then ``problem`` says why.
-        bytes: length of the data URIs.
+        picture: (height, width, 3) uint8, or None; then ``problem`` says why.
+        difference: to the ground truth in the colors of the fixed scale.
+    """
+
+    row: Any
+    psnr: float | None = None
+    ssim: float | None = None
+    delta_e: float | None = None
+    picture: NDArray[np.uint8] | None = None
+    difference: NDArray[np.uint8] | None = None
+    problem: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One view of a scene.
+
+    Attributes:
+        which: a key of :data:`WHICH`.
+        view: its name.
+        truth: (height, width, 3) uint8; None if it cannot be read.
+        shots: one per model.
+        window: top, left and side of the zoom window in pixels; None without pictures.
     """
 
     which: str
     view: str
-    psnr: float | None
-    ssim: float | None
-    delta_e: float | None
-    truth: str = ""
-    render: str = ""
-    difference: str = ""
-    problem: str = ""
+    truth: NDArray[np.uint8] | None
+    shots: list[Shot]
+    window: tuple[int, int, int] | None
 
-    @property
-    def bytes(self) -> int:
-        return len(self.truth) + len(self.render) + len(self.difference)
+    def zoom(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The window cut out of a picture of this view."""
+        assert self.window is not None
+        top, left, side = self.window
+        return picture[top : top + side, left : left + side]
 
 
-def choose(views: pd.DataFrame) -> dict[str, Any]:
-    """Which ("median", "worst", "best") -> row label of a job's view by PSNR; views are never repeated."""
-    ranked = views.dropna(subset=["psnr"]).sort_values("psnr", kind="stable")
-    if ranked.empty:
-        ranked = views
-    if ranked.empty:
+def models(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows of a scene whose pictures are shown: one per method and variant.
+
+    Finished rows go before others and current before stale ones; then the first seed; of its rates the middle
+    one by size.
+    """
+    import pandas as pd
+
+    chosen = []
+    for _, group in rows.groupby(["method", "variant"], dropna=False, sort=False):
+        for good in (group["status"] == "ok", ~group["stale"].fillna(False).astype(bool)):
+            group = group[good.loc[group.index]] if good.loc[group.index].any() else group
+        first = group["seed"].min()
+        if not absent(first):
+            group = group[group["seed"] == first]
+        by_size = group.sort_values("size_bytes", kind="stable")
+        chosen.append(by_size.iloc[[(len(by_size) - 1) // 2]])
+    return pd.concat(chosen)
+
+
+def choose(views: pd.DataFrame) -> dict[str, str]:
+    """Which (key of :data:`WHICH`) -> name of the view; none is repeated.
+
+    Args:
+        views: the documented table, of one scene and those models that are shown.
+    """
+    known = views.dropna(subset=["psnr"])
+    if views.empty:
         return {}
-    places = {"median": (len(ranked) - 1) // 2, "worst": 0, "best": len(ranked) - 1}
-    chosen: dict[str, Any] = {}
-    for which, place in places.items():
-        if ranked.index[place] not in chosen.values():
-            chosen[which] = ranked.index[place]
+    if known.empty:
+        return {"median": str(views["view"].iloc[0])}
+    ranked = known.groupby("view", sort=False)["psnr"].mean().sort_values(kind="stable")
+    wanted = {
+        "median": ranked.index[len(ranked) // 2],
+        "worst": ranked.index[0],
+        "lowest": known.sort_values("psnr", kind="stable")["view"].iloc[0],
+    }
+    chosen: dict[str, str] = {}
+    for which, view in wanted.items():
+        if str(view) not in chosen.values():
+            chosen[which] = str(view)
     return chosen
 
 
-def panels(views: pd.DataFrame, root: Path, budget: int) -> tuple[dict[str, list[Panel]], int]:
-    """Job -> its example views, worst first. All jobs' median views come first, then worst, then best.
+def panels(shown: pd.DataFrame, views: pd.DataFrame, root: Path) -> Iterator[Panel]:
+    """The panels of a scene, most important first.
 
     Args:
-        views: the documented table.
+        shown: its rows of `results`, one per model (:func:`models`).
+        views: the documented table, or those of its rows that are of the scene.
         root: the folder that its paths are relative to.
-        budget: bytes that the pictures may take together.
-
-    Returns:
-        The panels, and how many were left out for want of room.
     """
-    made: dict[str, list[Panel]] = {}
-    left_out = spent = 0
-    chosen = {str(job): choose(rows) for job, rows in views.groupby("job", sort=False)}
-    for which in ("median", "worst", "best"):
-        for job, rows in chosen.items():
-            if which not in rows:
-                continue
-            if spent >= budget:
-                left_out += 1
-                continue
-            panel = _panel(which, views.loc[rows[which]], root)
-            spent += panel.bytes
-            made.setdefault(job, []).append(panel)
-    order = ("worst", "median", "best")
-    return {
-        job: sorted(row, key=lambda panel: order.index(panel.which)) for job, row in made.items()
-    }, left_out
+    of_scene = views[views["job"].isin(set(shown["job"].dropna()))]
+    for which, view in choose(of_scene).items():
+        rows = of_scene[of_scene["view"] == view].drop_duplicates("job").set_index("job")
+        yield _panel(which, view, shown, rows, root)
 
 
-def _panel(which: str, row: Any, root: Path) -> Panel:
-    def value(name: str) -> float | None:
-        return None if absent(row[name]) else float(row[name])
-
-    numbers: dict[str, Any] = {"psnr": value("psnr"), "ssim": value("ssim"), "delta_e": value("delta_e_uv")}
-    try:
-        background = _background(row["background"])
-        truth, render = (read(_inside(root, row[name]), background) for name in ("truth_file", "render_file"))
-        if truth.shape != render.shape:
-            raise ValueError(f"sizes differ: {truth.shape[:2]} and {render.shape[:2]}")
-    except (OSError, ValueError, SyntaxError) as error:
-        return Panel(which, str(row["view"]), **numbers, problem=f"no pictures: {error}")
-    difference = colored(delta_e_uv(truth / 255.0, render / 255.0))
-    return Panel(
-        which, str(row["view"]), **numbers, truth=uri(truth), render=uri(render), difference=uri(difference)
-    )
-
-
-def _inside(root: Path, name: Any) -> Path:
-    """A table's path, which must not lead out of the store."""
-    if absent(name) or not name:
-        raise ValueError("the table names none")
-    path = (root / str(name)).resolve()
-    if not path.is_relative_to(root.resolve()):
-        raise ValueError(f"{name} lies outside the run store")
-    return path
-
-
-def _background(value: Any) -> tuple[float, float, float]:
-    """From "#rrggbb".
-
-    Raises:
-        ValueError: it is not known, and a guess would show other pictures than were measured.
-    """
-    if absent(value):
-        raise ValueError("their background is not known")
-    text = str(value)
-    return (int(text[1:3], 16) / 255.0, int(text[3:5], 16) / 255.0, int(text[5:7], 16) / 255.0)
-
-
-def read(path: Path, background: Iterable[float]) -> NDArray[np.uint8]:
-    """(height, width, 3) uint8 of a picture with straight alpha, composited."""
-    from PIL import Image
-
-    with Image.open(path) as image:
-        pixels = np.asarray(image.convert("RGBA"), dtype=np.float64) / 255.0
-    alpha = pixels[..., 3:]
-    shown = pixels[..., :3] * alpha + (1.0 - alpha) * np.asarray(list(background), dtype=np.float64)
-    return np.rint(shown * 255.0).astype(np.uint8)  # type: ignore[no-any-return]
-
-
-@cache
-def scale() -> NDArray[np.uint8]:
-    """(256, 3) uint8: the color scale of difference maps (inferno: perceptually uniform, 0 is black)."""
-    from matplotlib import colormaps
-
-    table: NDArray[np.uint8] = (colormaps["inferno"](np.arange(256), bytes=True))[:, :3]
-    return table
-
-
-def colored(difference: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """A difference map in the colors of the fixed scale, 0 to :data:`DELTA_E_MAX`."""
-    levels = np.rint(np.clip(difference / DELTA_E_MAX, 0.0, 1.0) * 255.0).astype(np.uint8)
-    picture: NDArray[np.uint8] = scale()[levels]
-    return picture
-
-
-def uri(pixels: NDArray[np.uint8]) -> str:
-    """A picture as a data URI: PNG if small, else WebP at no more than 400 pixels a side."""
-    from PIL import Image
-
-    image = Image.fromarray(pixels)
-    file = io.BytesIO()
-    if max(image.size) <= _LOSSLESS:
-        image.save(file, "PNG", optimize=True)
-        kind = "png"
-    else:
-        image.thumbnail((_SIDE, _SIDE), Image.Resampling.LANCZOS)
-        image.save(file, "WEBP", quality=88, method=4)
-        kind = "webp"
-    return f"data:image/{kind};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
+def _panel(which: str, view: str, shown: pd.DataFrame, rows: pd.DataFrame, root: Path) -> Panel:
+    truth, shots, differences = None, [], []
+    for _, model in shown.iterrows():
+        if model["job"] not in rows.index:
+            shots.append(Shot(model, problem="" if model["status"] != "ok" else "this view was not measured"))
+            continue
+        row = rows.loc[model["job"]]
+        psnr, ssim, delta_e = (
+            None if absent(row[name]) else float(row[name]) for name in ("psnr", "ssim", "delta_e_uv")
+        )
+        try:
+            behind = background(row["background"])
+            seen, picture = (read(inside(root, row[name]), behind) for name in ("truth_file", "render_file"))
+            truth = seen if truth is None else truth
+            if not truth.shape == seen.shape == picture.shape:
+                raise ValueError(f"sizes differ: {truth.shape[:2]} and {picture.shape[:2]}")
+        except (OSError, ValueError, SyntaxError) as error:
+            shots.append(Shot(model, psnr, ssim, delta_e, problem=f"no picture: {error}"))
+            continue
+        difference = delta_e_uv(truth / 255.0, picture / 255.0)
+        differences.append(difference)
+        shots.append(Shot(model, psnr, ssim, delta_e, picture, colored(difference)))
+    window = None
+    if differences:
+        shorter = min(differences[0].shape)
+        side = min(shorter, max(_LEAST, shorter // _ZOOM))
+        window = (*largest_window(np.mean(differences, axis=0), side), side)
+    return Panel(which, view, truth, shots, window)

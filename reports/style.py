@@ -40,6 +40,11 @@ def label(method: Any, variant: Any = "", rate: Any = None) -> str:
     return " ".join(parts)
 
 
+def row_key(dataset: Any, scene: Any, method: Any, variant: Any = "", rate: Any = None) -> str:
+    """What links a row of the page's table to its points in charts; the scene is "" for a dataset's means."""
+    return f"{dataset} / {scene} / {label(method, variant, rate)}"
+
+
 def series(*tables: pd.DataFrame) -> list[str]:
     """The names (method with variant) of tables, in order of appearance; their index picks the color."""
     names: dict[str, None] = {}

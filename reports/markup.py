@@ -1,0 +1,53 @@
+"""Pieces of HTML that several sections of the page share."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from reports.style import absent, color, label
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+
+def method(row: Any, names: Sequence[str]) -> str:
+    """A row's method with variant and rate, after a dot in its color of the charts."""
+    shade = color(label(row["method"], row["variant"]), names)
+    name = escape(label(row["method"], row["variant"], row["rate"])).replace(",", ",<wbr>")
+    return f'<span class="dot" style="background:{shade}"></span>{name}'
+
+
+def status(row: Any) -> str:
+    """A row's status, and whether it is stale."""
+    state = str(row["status"])
+    why = "" if absent(row["reason"]) else str(row["reason"])
+    tag = f'<span class="tag {"ok" if state == "ok" else "bad"}" title="{escape(why)}">{escape(state)}</span>'
+    if not absent(row["stale"]) and row["stale"]:
+        tag += ' <span class="tag stale" title="the method\'s source has changed since">stale</span>'
+    return tag
+
+
+def hint(text: str, why: str) -> str:
+    """A text with an explanation."""
+    return f'<abbr title="{escape(str(why))}">{escape(text)}</abbr>'
+
+
+def table(caption: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A plain table that scrolls sideways where it is too wide; the first cell names its row.
+
+    Args:
+        caption: what it shows, as text.
+        heads: of the columns, as text.
+        rows: their cells, as HTML.
+    """
+    head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
+    lines = []
+    for first, *others in rows:
+        cells = "".join(f"<td>{cell}</td>" for cell in others)
+        lines.append(f'<tr><th scope="row">{first}</th>{cells}</tr>')
+    return (
+        f'<div class="wide" role="region" tabindex="0" aria-label="{escape(caption)}"><table>'
+        f"<caption>{escape(caption)}</caption><thead><tr>{head}</tr></thead>"
+        f"<tbody>{''.join(lines)}</tbody></table></div>"
+    )

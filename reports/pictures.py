@@ -1,0 +1,68 @@
+"""Picture files of a run store: read, composited, and as data URIs for the page."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reports.style import absent
+
+_SIDE = 400  # pixels; larger pictures are shown smaller
+_LOSSLESS = 256  # up to this side pictures are shown pixel for pixel
+
+
+def inside(root: Path, name: Any) -> Path:
+    """Path of a file that a table names.
+
+    Raises:
+        ValueError: the table names none, or one that is not in the store.
+    """
+    if absent(name) or not name:
+        raise ValueError("the table names none")
+    path = (root / str(name)).resolve()
+    if not path.is_relative_to(root.resolve()):
+        raise ValueError(f"{name} lies outside the run store")
+    return path
+
+
+def background(value: Any) -> tuple[float, float, float]:
+    """From "#rrggbb".
+
+    Raises:
+        ValueError: it is not known, and a guess would show other pictures than were measured.
+    """
+    if absent(value):
+        raise ValueError("their background is not known")
+    text = str(value)
+    return (int(text[1:3], 16) / 255.0, int(text[3:5], 16) / 255.0, int(text[5:7], 16) / 255.0)
+
+
+def read(path: Path, behind: Iterable[float]) -> NDArray[np.uint8]:
+    """(height, width, 3) uint8 of a picture with straight alpha, composited over the color ``behind``."""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        pixels = np.asarray(image.convert("RGBA"), dtype=np.float64) / 255.0
+    alpha = pixels[..., 3:]
+    shown = pixels[..., :3] * alpha + (1.0 - alpha) * np.asarray(list(behind), dtype=np.float64)
+    return np.rint(shown * 255.0).astype(np.uint8)  # type: ignore[no-any-return]
+
+
+def uri(pixels: NDArray[np.uint8]) -> str:
+    """A picture as a WebP data URI: lossless if small, else at no more than 400 pixels a side."""
+    from PIL import Image
+
+    image = Image.fromarray(pixels)
+    file = io.BytesIO()
+    if max(image.size) <= _LOSSLESS:
+        image.save(file, "WEBP", lossless=True, quality=80, method=4)
+    else:
+        image.thumbnail((_SIDE, _SIDE), Image.Resampling.LANCZOS)
+        image.save(file, "WEBP", quality=88, method=4)
+    return f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
