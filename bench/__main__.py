@@ -28,6 +28,8 @@ COMMANDS = {
     "merge": "bench.commands.stores:merge",
     "compare": "bench.commands.stores:compare",
     "cache": "bench.commands.stores:cache",
+    "bundle": "bench.commands.stores:bundle",
+    "verify": "bench.commands.stores:verify",
     "check-plugin": "bench.commands.check_plugin:check_plugin",
 }
 TABLES = ("results", "views", "curve", "ledger", "timing", "features", "dvr")
@@ -171,6 +173,11 @@ def _parser() -> _Parser:
     compare = command("compare", "pair two run stores view by view")
     compare.add_argument("stores", nargs=2, metavar="RUN")
     compare.add_argument("--format", choices=("csv", "md", "tex", "json"), help="default: a table for people")
+    bundle = command("bundle", "pack a run store's records, tables and environments to hand in", runs)
+    bundle.add_argument("--out", required=True, metavar="FILE", help="the zip file")
+    bundle.add_argument("--models", action="store_true", help="with the encoded models")
+    verify = command("verify", "check a bundle: hashes, names of jobs, tables, bytes of models")
+    verify.add_argument("bundle", metavar="FILE")
     cache = command("cache", "ground-truth cache: what it takes, or make it smaller")
     cache.add_argument("action", choices=("info", "prune"))
     cache.add_argument(

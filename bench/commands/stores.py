@@ -1,4 +1,4 @@
-"""``bench merge``, ``bench compare`` and ``bench cache``."""
+"""``bench merge``, ``bench compare``, ``bench bundle``, ``bench verify`` and ``bench cache``."""
 
 from __future__ import annotations
 
@@ -125,3 +125,24 @@ def cache(options: Namespace) -> int:
         print(f"freed {freed / 2**20:.1f} MiB")
     print(f"{views.folder}: {views.size() / 2**20:.1f} MiB of at most {views.max_bytes / 2**30:.0f} GiB")
     return 0
+
+
+def bundle(options: Namespace) -> int:
+    """Write a submission bundle of a store."""
+    from bench.bundle import write_bundle
+
+    out = Path(options.out)
+    count = write_bundle(Store(Path(options.runs)), out, models=options.models)
+    print(f"{out}: {count} records, {out.stat().st_size / 2**20:.1f} MiB")
+    return 0
+
+
+def verify(options: Namespace) -> int:
+    """Check a bundle; 1 if anything in it does not hold."""
+    from bench.bundle import verify_bundle
+
+    problems = verify_bundle(Path(options.bundle))
+    for problem in problems:
+        print(f"bench: {problem}", file=sys.stderr)
+    print(f"{options.bundle}: {f'{len(problems)} problems' if problems else 'all of it holds'}")
+    return 1 if problems else 0

@@ -1,0 +1,204 @@
+"""Submission bundles: a run store's records, tables and (if wanted) models in one checkable file.
+
+A bundle is a zip of a run store without its pictures, so that it can be unpacked and reported on, with
+
+    bundle.json     format, environments, and SHA-256 and length of every other file
+    tables/*.csv    the documented tables, which must follow from the records
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+import tempfile
+import uuid
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from bench.records import SCHEMA, Record, hash_of
+from bench.store import Store, read_record
+from bench.tables import frame, rows
+from datasets.errors import DataError
+
+MANIFEST = "bundle.json"
+FORMAT = 1
+_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, struct.error, ValueError, RuntimeError, OSError)
+"""What reading a damaged zip raises (encrypted: RuntimeError, of which NotImplementedError is one)."""
+_LIMIT = 16 * 2**30
+"""Bytes that the files of a bundle may have together: no bomb is unpacked."""
+
+
+def write_bundle(store: Store, out: Path, *, models: bool = False) -> int:
+    """Write a bundle; the file is whole or not there.
+
+    Args:
+        store: what to take.
+        out: the zip file.
+        models: take the encoded models too.
+
+    Returns:
+        How many records went in.
+
+    Raises:
+        DataError: there are none.
+    """
+    records = list(store.records())
+    if not records:
+        raise DataError(store.root, "holds no finished job", "Run a suite first")
+    files: dict[str, dict[str, Any]] = {}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    aside = out.with_name(f".{out.name}.{uuid.uuid4().hex}")
+    try:
+        with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, data in _contents(store, records, models):
+                archive.writestr(name, data)
+                files[name] = {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
+            manifest = {
+                "format": FORMAT,
+                "schema_version": SCHEMA,
+                "environments": _environments(records),
+                "files": files,
+            }
+            archive.writestr(MANIFEST, json.dumps(manifest, indent=1) + "\n")
+        os.replace(aside, out)
+    finally:
+        aside.unlink(missing_ok=True)
+    return len(records)
+
+
+def _contents(store: Store, records: list[Record], models: bool) -> Iterator[tuple[str, bytes]]:
+    yield "store.json", (store.root / "store.json").read_bytes()
+    for record in records:
+        folder = store.jobs / record.job.id
+        yield f"jobs/{record.job.id}/record.json", (folder / "record.json").read_bytes()
+        if models and record.job.kind == "encode" and record.ok:
+            for path in sorted((folder / "model").rglob("*")):
+                if path.is_file():
+                    yield f"jobs/{record.job.id}/{path.relative_to(folder).as_posix()}", path.read_bytes()
+    for name, text in _tables(records).items():
+        yield f"tables/{name}.csv", text.encode()
+
+
+def _tables(records: list[Record]) -> dict[str, str]:
+    """The documented tables as CSV; the machine they are made on leaves no trace in them."""
+    return {
+        name: frame(name, table).to_csv(index=False, lineterminator="\n")
+        for name, table in rows(records).items()
+        if table
+    }
+
+
+def _environments(records: list[Record]) -> list[dict[str, Any]]:
+    """The different machines and versions that the records name."""
+    found: dict[str, dict[str, Any]] = {}
+    for record in records:
+        if record.provenance is not None:
+            where = record.provenance.model_dump(exclude={"source", "threads"})
+            found[json.dumps(where, sort_keys=True)] = where
+    return list(found.values())
+
+
+def verify_bundle(path: Path) -> list[str]:
+    """Check a bundle again.
+
+    Every file is there with its hash and none besides; records are whole and their jobs' names follow from
+    what they say they ran; tables follow from the records; models have the bytes that were measured.
+
+    Returns:
+        What is wrong, a line each; empty if nothing is.
+
+    Raises:
+        DataError: the file is no bundle of this format.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            manifest = _manifest(archive, path)
+            problems = _check_files(archive, manifest["files"])
+            if problems:
+                return problems
+            with tempfile.TemporaryDirectory() as folder:
+                for name in manifest["files"]:
+                    archive.extract(name, folder)
+                return _check_store(Path(folder), set(manifest["files"]))
+    except FileNotFoundError:
+        raise DataError(path, "no such file", "Name a file that `bench bundle` wrote") from None
+    except _DAMAGE as error:
+        raise DataError(path, f"cannot be read as a bundle ({error})", "Get it anew") from error
+
+
+def _manifest(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
+    try:
+        manifest: dict[str, Any] = json.loads(archive.read(MANIFEST))
+        form, files = manifest["format"], manifest["files"]
+        lengths = [int(said["bytes"]) for said in files.values()]
+        names = [str(said["sha256"]) for said in files.values()]
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        raise DataError(path, f"is no bundle ({MANIFEST}: {error})", "Make it with `bench bundle`") from error
+    if form != FORMAT:
+        raise DataError(path, f"is a bundle of format {form}, not {FORMAT}", "Use the program that wrote it")
+    if sum(lengths) > _LIMIT or min(lengths, default=0) < 0 or len(names) > 1_000_000:
+        raise DataError(path, "says that it holds more than a bundle can", "Get it anew")
+    return manifest
+
+
+def _check_files(archive: zipfile.ZipFile, files: dict[str, Any]) -> list[str]:
+    there = {info.filename: info for info in archive.infolist()}
+    problems = [f"{name}: missing" for name in files if name not in there]
+    problems += [f"{name}: not in {MANIFEST}" for name in there if name not in files and name != MANIFEST]
+    problems += [f"{name}: leads out of the bundle" for name in files if _leads_out(name)]
+    if problems:
+        return problems
+    for name, said in files.items():
+        if there[name].file_size != said["bytes"]:
+            problems.append(f"{name}: {there[name].file_size} bytes instead of {said['bytes']}")
+        elif hashlib.sha256(archive.read(name)).hexdigest() != said["sha256"]:
+            problems.append(f"{name}: its SHA-256 is another")
+    return problems
+
+
+def _leads_out(name: str) -> bool:
+    return name.startswith(("/", "\\")) or ".." in Path(name).parts or ":" in name
+
+
+def _check_store(root: Path, files: set[str]) -> list[str]:
+    problems, records = [], []
+    for path in sorted((root / "jobs").glob("*/record.json")):
+        try:
+            record = read_record(path)
+        except DataError as error:
+            problems.append(f"jobs/{path.parent.name}: {error.reason}")
+            continue
+        records.append(record)
+        if path.parent.name != record.job.id:
+            problems.append(f"jobs/{path.parent.name}: holds the record of {record.job.id}")
+        if hash_of(record.job.identity) != record.job.key:
+            problems.append(f"{record.job.id}: its name does not follow from what it ran")
+        problems += _check_model(root, record)
+    if problems:
+        return problems
+    tables = _tables(records)
+    given = {Path(name).stem: root / name for name in files if name.startswith("tables/")}
+    for name in sorted(tables.keys() | given.keys()):
+        text = given[name].read_text(encoding="utf-8") if name in given else None
+        if text != tables.get(name):
+            problems.append(f"tables/{name}.csv: does not follow from the records")
+    return problems
+
+
+def _check_model(root: Path, record: Record) -> list[str]:
+    """Models need not be there; what is must have the bytes that the ledger counts."""
+    folder = root / "jobs" / record.job.id / "model"
+    if record.encode is None or not folder.is_dir():
+        return []
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    parts = sum(sum(part.values()) for part in record.encode.ledger.values())
+    if size == record.encode.total_bytes == parts:
+        return []
+    return [
+        f"{record.job.id}: {size} bytes of model, {record.encode.total_bytes} measured, {parts} in the ledger"
+    ]

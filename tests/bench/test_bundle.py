@@ -1,0 +1,153 @@
+"""Submission bundles: what is handed in can be checked, and what was changed is found."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bench.bundle import MANIFEST, verify_bundle, write_bundle
+from bench.store import Store
+from bench.tables import rows
+from datasets.errors import DataError
+
+
+@pytest.fixture
+def packed(finished, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bundle") / "mine.zip"
+    assert write_bundle(Store(finished.store), path, models=True) == len(finished.records())
+    return path
+
+
+def rewritten(path, folder, change):
+    """The bundle with its files (name -> bytes) and its manifest changed."""
+    with zipfile.ZipFile(path) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    change(files)
+    out = folder / "changed.zip"
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return out
+
+
+def resigned(files):
+    """Hashes made anew, as one would who wants a change not to be seen."""
+    import hashlib
+
+    manifest = json.loads(files[MANIFEST])
+    manifest["files"] = {
+        name: {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
+        for name, data in files.items()
+        if name != MANIFEST
+    }
+    files[MANIFEST] = json.dumps(manifest).encode()
+
+
+def first(files, start, end):
+    return next(name for name in files if name.startswith(start) and name.endswith(end))
+
+
+def test_a_bundle_holds_and_can_be_reported_on(packed, finished, tmp_path):
+    assert verify_bundle(packed) == []
+    with zipfile.ZipFile(packed) as archive:
+        archive.extractall(tmp_path)
+        assert not [name for name in archive.namelist() if name.endswith(".png")]
+    assert rows(Store(tmp_path).records()) == rows(Store(finished.store).records())
+
+
+def test_the_command_says_what_does_not_hold(bench, packed, tmp_path):
+    good = bench("verify", packed)
+    assert (good.returncode, good.stdout.rstrip()) == (0, f"{packed}: all of it holds")
+    changed = rewritten(packed, tmp_path, lambda files: files.pop(first(files, "tables/", ".csv")))
+    bad = bench("verify", changed)
+    assert bad.returncode == 1
+    assert "missing" in bad.stderr
+
+
+def flip_quality(files):
+    name = first(files, "jobs/measure-", "record.json")
+    record = json.loads(files[name])
+    record["measure"]["metrics"]["psnr"] += 1.0
+    files[name] = json.dumps(record).encode()
+    resigned(files)
+
+
+def other_options(files):
+    name = first(files, "jobs/fit-", "record.json")
+    record = json.loads(files[name])
+    record["job"]["identity"]["iterations"] = 1
+    files[name] = json.dumps(record).encode()
+    resigned(files)
+
+
+def smaller_model(files):
+    name = next(name for name in files if "/model/" in name)
+    files[name] = files[name][:-1]
+    resigned(files)
+
+
+def longer_model(files):
+    files[next(name for name in files if "/model/" in name)] += b"x"
+
+
+def extra(files):
+    files["more.txt"] = b"?"
+
+
+def outside(files):
+    files["../out.txt"] = b"?"
+    resigned(files)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (flip_quality, "tables/results.csv: does not follow from the records"),
+        (other_options, "its name does not follow from what it ran"),
+        (smaller_model, "bytes of model"),
+        (longer_model, "bytes instead of"),
+        (extra, "more.txt: not in bundle.json"),
+        (outside, "leads out of the bundle"),
+    ],
+)
+def test_changes_are_found(packed, tmp_path, change, words):
+    problems = verify_bundle(rewritten(packed, tmp_path, change))
+    assert any(words in problem for problem in problems), problems
+    assert not (tmp_path.parent / "out.txt").exists()
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(place=st.floats(0.0, 1.0), cut=st.booleans())
+def test_damage_is_a_named_error_or_a_named_problem(packed, tmp_path, place, cut):
+    data = bytearray(packed.read_bytes())
+    at = min(int(place * len(data)), len(data) - 1)
+    if cut:
+        del data[at:]
+    else:
+        data[at] ^= 0x41
+    path = tmp_path / "damaged.zip"
+    path.write_bytes(data)
+    try:
+        problems = verify_bundle(path)
+    except DataError:
+        return
+    # A flipped bit may hit what zip says twice (times, attributes): then nothing that counts has changed.
+    assert not cut
+    assert all(problems)
+
+
+def test_what_is_no_bundle_is_refused(tmp_path):
+    with pytest.raises(DataError, match="no such file"):
+        verify_bundle(tmp_path / "none.zip")
+    empty = tmp_path / "empty.zip"
+    with zipfile.ZipFile(empty, "w") as archive:
+        archive.writestr("a.txt", "a")
+    with pytest.raises(DataError, match="is no bundle"):
+        verify_bundle(empty)
+    with pytest.raises(DataError, match="holds no finished job"):
+        write_bundle(Store(tmp_path / "runs", create=True), tmp_path / "out.zip")
+    assert not (tmp_path / "out.zip").exists()
