@@ -14,44 +14,54 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import squareform
 
+from econgs.context.positions import morton_order
+
 LINKAGES = ("average", "single", "complete")
-SAMPLE = 2048
-"""Points drawn of each cloud: distances within a few percent (with 512, 20 %: enough to change groups)."""
+SAMPLE = 512
+"""Points of each cloud that look for neighbours: distances within 3 %, as with 2,048 drawn at random."""
 
 
 def chamfer_distances(
-    clouds: Sequence[NDArray[np.floating]], *, direction: str = "mean", sample: int = SAMPLE, seed: int = 0
+    clouds: Sequence[NDArray[np.floating]], *, direction: str = "mean", sample: int = SAMPLE
 ) -> NDArray[np.float64]:
     """(n, n) symmetric matrix of Chamfer distances between clouds of (p, 3) points.
 
-    Squared distances to the nearest neighbour in the other cloud, averaged over the points of each cloud; the
-    two directions are averaged ("mean") or added ("sum").
+    Squared distances to the nearest neighbour in the other cloud, averaged over points spread evenly over
+    each cloud; the two directions are averaged ("mean") or added ("sum").
 
     Args:
         clouds: each with at least one point, in one space.
         direction: "mean" or "sum".
-        sample: points drawn of each cloud, without replacement; neighbours are looked up among all.
-        seed: of the drawing.
+        sample: points taken of each cloud; neighbours are looked up among all.
 
     Raises:
         ValueError: an empty cloud.
     """
     if any(len(cloud) == 0 for cloud in clouds):
         raise ValueError("an empty cloud has no distance to others")
-    generator = np.random.default_rng(seed)
-    trees = [cKDTree(np.asarray(cloud, dtype=np.float64)) for cloud in clouds]
-    drawn = [
-        tree.data if tree.n <= sample else tree.data[np.sort(generator.choice(tree.n, sample, replace=False))]
-        for tree in trees
-    ]
-    distances = np.zeros((len(clouds), len(clouds)))
+    points = [np.asarray(cloud, dtype=np.float64) for cloud in clouds]
+    taken = [_spread(cloud, sample) for cloud in points]
+    owner = np.repeat(np.arange(len(taken)), [len(some) for some in taken])
+    asking = np.concatenate(taken) if taken else np.zeros((0, 3))
     factor = 0.5 if direction == "mean" else 1.0
-    for i, points in enumerate(drawn):
-        for j, tree in enumerate(trees):
-            if i != j:
-                nearest, _ = tree.query(points, workers=-1)
-                distances[i, j] += factor * np.mean(nearest**2)
+    distances = np.zeros((len(clouds), len(clouds)))
+    for j, cloud in enumerate(points):
+        others = owner != j
+        nearest, _ = cKDTree(cloud).query(asking[others], workers=-1)
+        sums = np.bincount(owner[others], weights=nearest**2, minlength=len(taken))
+        distances[:, j] = factor * sums / [len(some) for some in taken]
     return np.asarray(distances + distances.T)
+
+
+def _spread(cloud: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Points at equal steps along a Z-order curve, which keeps neighbours together; all if they are few."""
+    if len(cloud) <= count:
+        return cloud
+    extent = max(float(np.ptp(cloud, axis=0).max()), 1e-12)
+    cells = ((cloud - cloud.min(axis=0)) * (1023.0 / extent)).astype(np.int64)
+    order = morton_order(cells)
+    chosen = order[((np.arange(count) + 0.5) * (len(cloud) / count)).astype(int)]
+    return np.asarray(cloud[chosen])
 
 
 def cluster(distances: NDArray[np.float64], threshold: float, method: str = "average") -> list[list[int]]:
