@@ -98,10 +98,11 @@ class Block:
 
 @dataclass(frozen=True)
 class PaperTable:
-    """One of the paper's tables with as many blocks as datasets were measured."""
+    """One of the paper's tables with as many blocks as datasets were measured; ``head`` names its rows."""
 
     name: str
     title: str
+    head: str
     columns: Sequence[str]
     blocks: Sequence[Block] = field(default_factory=list)
 
@@ -143,7 +144,7 @@ def paper_tables(
             for block in _blocks(name, said, str(dataset), rows, measured)
         ]
         if blocks:
-            tables.append(PaperTable(name, said["title"], said["columns"], blocks))
+            tables.append(PaperTable(name, said["title"], said["head"], said["columns"], blocks))
     return tables
 
 
@@ -321,7 +322,9 @@ def to_markdown(table: PaperTable) -> str:
     lines, near = [f"### {table.title}"], f"{{}} {UNDECIDED_SIGN}"
     for block in table.blocks:
         lines += ["", _heading(block), ""]
-        lines.append("| | " + " | ".join(QUANTITIES[name].title for name in table.columns) + " |")
+        lines.append(
+            f"| {table.head} | " + " | ".join(QUANTITIES[name].title for name in table.columns) + " |"
+        )
         lines.append("|---|" + "---:|" * len(table.columns))
         for label, cells in _cells(table, block, {1: "**{}**", 2: "*{}*", UNDECIDED: near}, "<br>{}", str):
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
@@ -342,7 +345,7 @@ def to_html(table: PaperTable) -> str:
         remarks = "".join(f'<p class="note">{escape(text)}</p>' for text in _remarks(block) if text)
         parts.append(
             f'<div class="wide"><table><caption>{escape(_heading(block))}</caption>'
-            f'<thead><tr><th scope="col">{"Threshold" if table.name == "threshold" else "Row"}</th>{head}'
+            f'<thead><tr><th scope="col">{escape(table.head)}</th>{head}'
             f"</tr></thead><tbody>{body}</tbody></table></div>{remarks}"
         )
     return "\n".join(parts)
@@ -351,7 +354,10 @@ def to_html(table: PaperTable) -> str:
 def to_latex(table: PaperTable) -> str:
     """One booktabs tabular with a rule between blocks; best bold, second best underlined."""
     lines = ["% needs \\usepackage{booktabs}", f"\\begin{{tabular}}{{l{'r' * len(table.columns)}}}"]
-    lines += ["\\toprule", "".join(f" & {tex(QUANTITIES[n].title)}" for n in table.columns) + r" \\"]
+    lines += [
+        "\\toprule",
+        tex(table.head) + "".join(f" & {tex(QUANTITIES[n].title)}" for n in table.columns) + r" \\",
+    ]
     for block in table.blocks:
         lines.append(r"\midrule")
         lines.append(rf"\multicolumn{{{len(table.columns) + 1}}}{{l}}{{\emph{{{tex(_heading(block))}}}}} \\")
@@ -378,7 +384,7 @@ def to_text(table: PaperTable) -> str:
     """For a terminal: two lines a row, best marked with ``*`` and second best with ``+``."""
     lines = [table.title]
     for block in table.blocks:
-        grid: list[list[str]] = [["", *(QUANTITIES[name].title for name in table.columns)]]
+        grid: list[list[str]] = [[table.head, *(QUANTITIES[name].title for name in table.columns)]]
         for i, row in enumerate(block.rows):
             known = {1: "*", 2: "+", UNDECIDED: UNDECIDED_SIGN}
             signs = {name: known.get(block.marks.get((i, name), 0), " ") for name in table.columns}

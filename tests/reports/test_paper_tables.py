@@ -177,7 +177,7 @@ def published(name):
                 cells[column] = Value(float(text) if text else None)
             rows.append(Row(one["label"], cells))
         blocks.append(Block(dataset, dataset, True, "", rows, {}))
-    return PaperTable(name, said["title"], said["columns"], blocks)
+    return PaperTable(name, said["title"], said["head"], said["columns"], blocks)
 
 
 def test_every_layout_row_with_a_published_one_finds_it():
