@@ -1,23 +1,31 @@
-"""The sections of the page that hold charts."""
+"""The sections of the page that hold charts and the small tables beside them."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING
 
-from reports import plots
-from reports.style import color, series
+import pandas as pd
+
+from reports import confidence, features, markup, plots, rate_distortion, training
+from reports.style import MISSING, absent, color, mib, seconds, series
 
 if TYPE_CHECKING:
-    import pandas as pd
+    from reports.rate_distortion import Difference
 
 _TRADEOFFS = (
     ("PSNR and size", "size_bytes"),
     ("PSNR and speed", "fps"),
     ("PSNR and training time", "train_seconds"),
+    ("PSNR and host memory", "peak_host_bytes"),
+    ("PSNR and device memory", "peak_device_bytes"),
 )
+
+
+_LONG = 45
 
 
 @dataclass(frozen=True)
@@ -41,8 +49,168 @@ def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
     Args:
         tables: results, views, curve, ledger, timing and features as documented in docs/architecture.md.
     """
-    made = (_convergence(tables), _tradeoffs(tables["results"]), _ledger(tables["ledger"]))
+    results, curve = tables["results"], tables["curve"]
+    made = (
+        _confidence(results, tables["views"]),
+        _rate_distortion(results),
+        _tradeoffs(results),
+        _anytime(tables),
+        _convergence(tables),
+        _losses(curve),
+        _features(tables),
+        _timing(tables["timing"]),
+        _ledger(tables["ledger"]),
+    )
     return [section for section in made if section is not None]
+
+
+def _confidence(results: pd.DataFrame, views: pd.DataFrame) -> Section | None:
+    known = confidence.intervals(results, views)
+    known = known[known["metric"] == "psnr"]
+    if known.empty:
+        return None
+    pairs = confidence.comparisons(results, views)
+    pairs = pairs[pairs["metric"] == "psnr"]
+    several = [axis for axis in ("preset", "split") if known[axis].nunique() > 1]
+    rows = []
+    for _, group in known.groupby(["dataset", "preset", "split"], sort=False, dropna=False):
+        records = group.to_dict("records")
+        best = str(max(records, key=lambda row: row["mean"])["method"])
+        for row in records:
+            told = [row["dataset"], row["method"], *(row[axis] for axis in several), f"{row['mean']:.2f}"]
+            told += [_range(row["low"], row["high"]), _seeds(row)]
+            rows.append([*told, *_against(pairs, row, best)])
+    heads = ["Dataset", "Method", *(axis.capitalize() for axis in several), "PSNR [dB]", "95 % over views"]
+    heads += ["Over seeds", "To the highest [dB]", "95 % of the difference", ""]
+    words = (
+        "PSNR is a mean over views and scenes. How sure it is given these views is told by a 95 % interval "
+        "from a circular block bootstrap (blocks of a sixth of the test path, because neighbouring views are "
+        "alike); what another seed would change is another matter and stands apart. Differences are taken "
+        "view by view against the method with the highest mean; where their interval contains zero, the two "
+        'are not ranked. All metrics: <a href="intervals.csv">intervals</a>, all pairs: '
+        '<a href="comparisons.csv">comparisons</a>.'
+    )
+    return Section(
+        "confidence",
+        "How sure",
+        f"<p>{words}</p>{_table('PSNR, how sure it is, and differences', heads, rows)}",
+    )
+
+
+def _seeds(row: dict) -> str:
+    if row["seeds"] < 2:
+        return "one seed"
+    told = f"± {row['seed_std']:.2f} ({row['seeds']} seeds)"
+    if row["seed_values"]:
+        told += ": " + ", ".join(f"{float(value):.2f}" for value in row["seed_values"].split("; "))
+    return told
+
+
+def _against(pairs: pd.DataFrame, row: dict, best: str) -> list[str]:
+    """Difference to the best, its interval, and what follows."""
+    if row["method"] == best:
+        return ["highest", "", ""]
+    same = (pairs[["dataset", "preset", "split"]] == [row["dataset"], row["preset"], row["split"]]).all(
+        axis=1
+    )
+    for sign, mine, other in ((1, "first", "second"), (-1, "second", "first")):
+        found = pairs[same & (pairs[mine] == row["method"]) & (pairs[other] == best)]
+        if len(found):
+            pair = found.iloc[0]
+            ends = (pair["low"], pair["high"]) if sign > 0 else (_minus(pair["high"]), _minus(pair["low"]))
+            verdict = "lower" if pair["apart"] else "not ranked"
+            return [f"{sign * pair['difference']:+.2f}", _range(ends[0], ends[1], sign=True), verdict]
+    return [MISSING, MISSING, "other scenes"]
+
+
+def _minus(value: float | None) -> float | None:
+    return None if absent(value) else -float(value)  # type: ignore[arg-type]
+
+
+def _range(low: float | None, high: float | None, sign: bool = False) -> str:
+    if absent(low) or absent(high):
+        return MISSING
+    return f"{low:+.2f} to {high:+.2f}" if sign else f"{low:.2f} to {high:.2f}"
+
+
+def _rate_distortion(results: pd.DataFrame) -> Section | None:
+    figures = plots.rate_curves(results)
+    if not figures:
+        return None
+    curves = rate_distortion.curves(results)
+    differences = rate_distortion.differences(curves)
+    words = (
+        "Mean PSNR over size per scene (logarithmic), at all rates that were measured; methods of one size "
+        'are single marks. As data: <a href="curves/">one JSON file per method and dataset</a>.'
+    )
+    parts = [f'<p>{words}</p><div class="charts">{_charts(figures.items())}</div>']
+    if differences:
+        heads = ["Dataset", "Method", "Against", "BD-rate", "BD-PSNR [dB]", "PSNR shared [dB]"]
+        heads += ["Size shared [MiB]", "Overlap", "Remarks"]
+        parts.append(_table("Average differences", heads, [_difference(found) for found in differences]))
+        parts.append(
+            '<p class="note">BD-rate: bytes at equal PSNR against those of the other method. '
+            f"BD-PSNR: dB at equal bytes. Interpolated with {rate_distortion.INTERPOLATION} splines over the "
+            "logarithm of the size, averaged over the range that both curves cover. Refused with fewer than "
+            f"{rate_distortion.LEAST_POINTS} points, for curves that bend back, and without overlap.</p>"
+        )
+    return Section("rate-distortion", "Rate and distortion", "".join(parts))
+
+
+def _difference(found: Difference) -> list[str]:
+    who = [found.dataset, found.test, found.reference]
+    if found.rate is None or found.psnr is None or found.psnr_range is None or found.bytes_range is None:
+        return [*who, *[MISSING] * 5, f"refused: {found.refused}"]
+    sizes = " to ".join(mib(value) for value in found.bytes_range)
+    numbers = [f"{found.rate:+.1f} %", f"{found.psnr:+.2f}", _range(*found.psnr_range), sizes]
+    return [*who, *numbers, f"{100 * found.overlap:.0f} %", "; ".join(found.warnings)]
+
+
+def _tradeoffs(results: pd.DataFrame) -> Section | None:
+    drawn = {against: plots.tradeoffs(results, against) for _, against in _TRADEOFFS}
+    datasets = list(dict.fromkeys(name for figures in drawn.values() for name in figures))
+    if not datasets:
+        return None
+    parts = [
+        "<p>Large marks: mean over the dataset's scenes; small marks: single scenes. Horizontal axes are "
+        "logarithmic. The dashed line is the Pareto front of the means; what lies in the shaded region is "
+        "worse than some method in both.</p>"
+    ]
+    for dataset in datasets:
+        cards = _charts((caption, drawn[a][dataset]) for caption, a in _TRADEOFFS if dataset in drawn[a])
+        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{cards}</div>')
+    return Section("tradeoffs", "Trade-offs", "\n".join(parts))
+
+
+def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
+    results, curve = tables["results"], tables["curve"]
+    names = series(results, curve)
+    quality, size = (plots.anytime(curve, results, what, names) for what in ("psnr_val", "bytes_estimate"))
+    if not quality and not size:
+        return None
+    words = (
+        "What a method has reached after so many seconds of training, mean over scenes. A joint fit of n "
+        "scenes counts for each with its time / n. PSNR is of a few validation views; size is the method's "
+        "own estimate."
+    )
+    cards = []
+    for dataset in dict.fromkeys([*quality, *size]):
+        cards += [(dataset, figures[dataset]) for figures in (quality, size) if dataset in figures]
+    heads = ["Dataset", "Method", *(f"{level:g} dB" for level in training.LEVELS)]
+    rows = [
+        [dataset, line.title, *(MISSING if t is None else seconds(t) for t in times)]
+        for dataset, lines in training.anytime(curve, results, "psnr_val").items()
+        for line, times in training.time_to_quality(lines)
+    ]
+    table = _table("Time to a quality", heads, rows) if rows else ""
+    return Section(
+        "anytime",
+        "Quality over training time",
+        f'<p>{words}</p>{_legend(series(curve), names)}<div class="charts">{_charts(cards)}</div>'
+        f"{table}"
+        '<p class="note">Seconds of training per scene until validation PSNR first reaches the level, linear '
+        f"between evaluations; {MISSING}: never.</p>",
+    )
 
 
 def _convergence(tables: dict[str, pd.DataFrame]) -> Section | None:
@@ -59,24 +227,58 @@ def _convergence(tables: dict[str, pd.DataFrame]) -> Section | None:
         )
     parts = [f"<p>{told}</p>{_legend(series(curve), order)}"]
     for dataset in dict.fromkeys([*pairs[0], *pairs[1]]):
-        drawn = [_chart(figures[dataset], "") for figures in pairs if dataset in figures]
-        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(drawn)}</div>')
+        drawn = _charts(("", figures[dataset]) for figures in pairs if dataset in figures)
+        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{drawn}</div>')
     return Section("convergence", "Convergence", "\n".join(parts))
 
 
-def _tradeoffs(results: pd.DataFrame) -> Section | None:
-    drawn = {against: plots.tradeoffs(results, against) for _, against in _TRADEOFFS}
-    datasets = list(dict.fromkeys(name for figures in drawn.values() for name in figures))
-    if not datasets:
+def _losses(curve: pd.DataFrame) -> Section | None:
+    panels = plots.losses(curve)
+    if not panels:
         return None
-    parts = [
-        "<p>Large marks: mean over the dataset's scenes; small marks: single scenes. Horizontal axes are "
-        "logarithmic.</p>"
-    ]
-    for dataset in datasets:
-        cards = [_chart(drawn[a][dataset], caption) for caption, a in _TRADEOFFS if dataset in drawn[a]]
-        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(cards)}</div>')
-    return Section("tradeoffs", "Trade-offs", "\n".join(parts))
+    words = (
+        "The training loss and its weighted parts (logarithmic), mean over the fits. A dashed line stands at "
+        "the first evaluation with a part that was not there before, such as the rate under quantisation "
+        "noise: the loss may rise there."
+    )
+    small = sorted({name for panel, _ in panels for name in panel.small})
+    if small:
+        words += f" Not drawn, for they are under {training.LEAST_SHARE:g} of it: {escape(', '.join(small))}."
+    cards = _charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in panels)
+    return Section("losses", "Parts of the loss", f'<p>{words}</p><div class="charts">{cards}</div>')
+
+
+def _features(tables: dict[str, pd.DataFrame]) -> Section | None:
+    table = tables["features"]
+    names = series(tables["results"], tables["curve"], table)
+    panels = plots.histograms(table, names)
+    if not panels:
+        return None
+    drawn = list(dict.fromkeys(name for panel, _ in panels for name in panel.shares))
+    cards = _charts((f"{panel.dataset} · {panel.attribute}", figure) for panel, figure in panels)
+    parts = ["<p>Distribution of what the primitives carry, all scenes of a dataset together.</p>"]
+    parts.append(f'{_legend(drawn, names)}<div class="charts">{cards}</div>')
+    try:
+        maps = plots.feature_maps(features.maps(table))
+        cards = _charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in maps)
+        parts.append(
+            "<h3>Anchors by their features</h3><p>UMAP: neighbours have similar features; distances between "
+            f'clusters, and their sizes, say little.</p><div class="charts">{cards}</div>'
+        )
+    except features.Missing as why:
+        parts.append(f'<p class="note">No map of anchors by their features: {escape(str(why))}.</p>')
+    return Section("attributes", "Attributes", "".join(parts))
+
+
+def _timing(table: pd.DataFrame) -> Section | None:
+    figure = plots.timing(table)
+    if figure is None:
+        return None
+    words = (
+        "Where the time of a frame goes, mean over scenes. The parts are timed one by one, without what "
+        "happens between them, which is “other”."
+    )
+    return Section("timing", "Time of a frame", f"<p>{words}</p>{_chart(figure, '')}")
 
 
 def _ledger(table: pd.DataFrame) -> Section | None:
@@ -85,6 +287,10 @@ def _ledger(table: pd.DataFrame) -> Section | None:
         return None
     words = "Bytes of the files that a model is loaded from, by part, over all scenes of a dataset."
     return Section("ledger", "Size ledger", f"<p>{words}</p>{_chart(figure, '')}")
+
+
+def _charts(figures: Iterable[tuple[str, plots.Figure]]) -> str:
+    return "".join(_chart(figure, caption) for caption, figure in figures)
 
 
 def _chart(figure: plots.Figure, caption: str) -> str:
@@ -98,11 +304,24 @@ def _chart(figure: plots.Figure, caption: str) -> str:
     )
 
 
+def _table(caption: str, heads: list[str], rows: list[list[str]]) -> str:
+    """A table whose long cells are broken."""
+    return markup.table(caption, heads, ([_cell(text) for text in row] for row in rows))
+
+
+def _cell(text: str) -> str:
+    if len(text) <= _LONG:
+        return escape(text)
+    return f'<span style="display:block;white-space:normal;min-width:34ch">{escape(text)}</span>'
+
+
 def _legend(shown: list[str], names: list[str]) -> str:
     """Which color is which method, where charts have too many lines to name each."""
     if len(shown) < 2:
         return ""
-    entries = " &nbsp; ".join(
-        f'<span class="dot" style="background:{color(name, names)}"></span>{escape(name)}' for name in shown
+    entries = " &ensp; ".join(
+        f'<span style="white-space:nowrap"><span class="dot" style="background:{color(name, names)}"></span>'
+        f"{escape(name)}</span>"
+        for name in shown
     )
     return f'<p class="note">{entries}</p>'

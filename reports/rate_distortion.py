@@ -6,7 +6,7 @@ import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from reports.style import absent, label
+from reports.style import MIB, absent, label, row_key
 from reports.tables import summary
 
 if TYPE_CHECKING:
@@ -39,6 +39,11 @@ class Point:
     psnr: float
     row: dict[str, Any] = field(repr=False, compare=False)
 
+    @property
+    def key(self) -> str:
+        """Of the table's row."""
+        return row_key(self.row["dataset"], "", self.row["method"], self.row["variant"], self.row["rate"])
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -54,6 +59,11 @@ class Curve:
     name: str
     title: str
     points: tuple[Point, ...]
+
+    @property
+    def mebibytes(self) -> list[float]:
+        """Sizes of the points, as charts show them."""
+        return [point.bytes / MIB for point in self.points]
 
     @property
     def problem(self) -> str:
@@ -202,3 +212,21 @@ def differences(curves: dict[str, list[Curve]]) -> list[Difference]:
 
 def _points(count: int) -> str:
     return "one point" if count == 1 else f"{count} points"
+
+
+def drawn(curves: dict[str, list[Curve]]) -> dict[str, list[Curve]]:
+    """The datasets on which some method was measured at several rates: what a chart is for."""
+    return {dataset: rows for dataset, rows in curves.items() if any(len(curve.points) > 1 for curve in rows)}
+
+
+def labels(curves: list[Curve]) -> tuple[list[tuple[float, float, str, str]], list[tuple[float, float]]]:
+    """(x in MiB, y, text, series) at each curve's right end, and points along the curves to keep clear of."""
+    import numpy as np
+
+    ends, along = [], []
+    for curve in curves:
+        x, y = np.array(curve.mebibytes), np.array([point.psnr for point in curve.points])
+        ends.append((float(x[-1]), float(y[-1]), curve.title, curve.name))
+        at = np.geomspace(x[0], x[-1], 40) if len(x) > 1 else x
+        along += list(zip(map(float, at), map(float, np.interp(np.log(at), np.log(x), y)), strict=True))
+    return ends, along

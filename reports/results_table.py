@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any
 from reports import markup
 from reports.provenance import DETAILS, details
 from reports.style import MISSING, absent, label, row_key, series
-from reports.tables import COLUMNS, cell, quality, ranks, summary, title
+from reports.tables import (
+    COLUMNS,
+    UNDECIDED,
+    UNDECIDED_NOTE,
+    UNDECIDED_SIGN,
+    cell,
+    quality,
+    ranks,
+    summary,
+    title,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +72,7 @@ def section(results: pd.DataFrame, views: pd.DataFrame) -> str:
         "A row opens to show where its numbers come from.</caption>"
         f"<thead><tr>{heads}</tr></thead>{''.join(bodies)}</table></div>"
         f'<script type="application/json" id="details">{data}</script>'
-        f"{_notes(results, numbers, marked=writer.marked)}{_failures(results)}"
+        f"{_notes(results, numbers, writer)}{_failures(results)}"
     )
 
 
@@ -85,6 +95,10 @@ class _Rows:
     @property
     def marked(self) -> bool:
         return bool(self.marks or self.mean_marks)
+
+    @property
+    def undecided(self) -> bool:
+        return UNDECIDED in [*self.marks.values(), *self.mean_marks.values()]
 
     def scene(self, index: Any, row: Any) -> str:
         cells = self._cells(row, self.marks, index, _reasons(row))
@@ -132,7 +146,10 @@ class _Rows:
             text = escape(cell(name, row[name]))
             if name == "psnr" and not absent(spread):
                 text += f" ± {spread:.2f}"
-            place = {1: " first", 2: " second"}.get(marks.get((index, name), 0), "")
+            mark = marks.get((index, name), 0)
+            if mark == UNDECIDED:
+                text += f" {markup.hint(UNDECIDED_SIGN, UNDECIDED_NOTE)}"
+            place = {1: " first", 2: " second"}.get(mark, "")
             cells.append(f'<td class="r{place}" data-v="{float(row[name]):.7g}">{text}</td>')
         return "".join(cells)
 
@@ -161,7 +178,7 @@ def _controls(results: pd.DataFrame) -> str:
     )
 
 
-def _notes(results: pd.DataFrame, numbers: list[str], *, marked: bool) -> str:
+def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows) -> str:
     note = (
         "Quality and FPS of the rows “all” are means over scenes, size and time are sums, memory is the "
         "maximum. Sizes are MiB (2<sup>20</sup> bytes). "
@@ -171,8 +188,10 @@ def _notes(results: pd.DataFrame, numbers: list[str], *, marked: bool) -> str:
             "A composed row shows its scenes rendered together, with the sum of their sizes and times; it "
             "is in no mean or sum. "
         )
-    if marked:
+    if writer.marked:
         note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
+    if writer.undecided:
+        note += f"{UNDECIDED_NOTE} "
     if numbers[0] == "ssim":
         note += "LPIPS could not be computed (the reason stands in its cells), so SSIM and FLIP lead. "
     note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '

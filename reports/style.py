@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 # Okabe & Ito (2008) without its yellow, which is too pale on white; black last.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7F7F7F", "#000000")
 MARKERS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "star", "x", "cross")
+DASHES = ("solid", "dash", "dot", "dashdot")
 # For parts of a whole (the size ledger): muted, so that they are not taken for methods.
 PARTS = ("#4C6A92", "#A7BBD1", "#B5838D", "#E5C1BD", "#6D8B74", "#C9D7B8", "#8D7B68", "#D9CBB3", "#999999")
 MIB = float(2**20)
@@ -63,6 +64,11 @@ def marker(name: str, names: Sequence[str]) -> str:
     """A series' marker, in plotly's names; differs where the colors begin again."""
     index = list(names).index(name)
     return MARKERS[(index + index // len(PALETTE)) % len(MARKERS)]
+
+
+def dash(name: str, names: Sequence[str]) -> str:
+    """A series' line, in plotly's names; differs where the colors begin again."""
+    return DASHES[list(names).index(name) // len(PALETTE) % len(DASHES)]
 
 
 class Label(NamedTuple):

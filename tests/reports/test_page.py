@@ -69,6 +69,8 @@ def test_a_normal_report_is_whole_and_works_offline(maker):
             "psnr-size",
             "psnr-fps",
             "psnr-time",
+            "psnr-memory",
+            "anytime-psnr",
             "convergence-seconds",
             "convergence-iterations",
             "ledger",

@@ -1,0 +1,80 @@
+"""The charts as matplotlib figures, for papers: PDF and PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from reports import data, features, rate_distortion, training
+from reports.charts.bars import feature_maps, histograms, ledger, timing
+from reports.charts.frame import style
+from reports.charts.lines import anytime, convergence, losses
+from reports.charts.scatter import rate_curves, tradeoff
+from reports.style import series
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "anytime", "convergence", "feature_maps", "figures", "histograms", "ledger", "losses", "rate_curves",
+    "timing", "tradeoff", "write",
+]  # fmt: skip
+_TRADEOFFS = {
+    "size": "size_bytes",
+    "fps": "fps",
+    "time": "train_seconds",
+    "memory": "peak_host_bytes",
+    "device-memory": "peak_device_bytes",
+}
+
+
+def figures(tables: dict[str, pd.DataFrame]) -> dict[str, Callable[[], Figure]]:
+    """File name -> what draws it, for all charts that have data.
+
+    Args:
+        tables: results, curve, ledger, timing and features as documented in docs/architecture.md.
+    """
+    results, curve = tables["results"], tables["curve"]
+    names = series(results, curve)
+    wanted: dict[str, Callable[[], Figure]] = {}
+    if rate_distortion.drawn(rate_distortion.curves(results)):
+        wanted["rate-distortion"] = lambda: rate_curves(results)
+    for short, against in _TRADEOFFS.items():
+        if data.tradeoff(results, against):
+            wanted[f"psnr-{short}"] = lambda against=against: tradeoff(results, against)  # type: ignore[misc]
+    for short, what in (("psnr", "psnr_val"), ("size", "bytes_estimate")):
+        if training.anytime(curve, results, what):
+            wanted[f"anytime-{short}"] = lambda what=what: anytime(curve, results, what, names)  # type: ignore[misc]
+    for short, against in (("seconds", "train_seconds"), ("iterations", "iteration")):
+        if training.convergence(curve, against):
+            wanted[f"convergence-{short}"] = lambda against=against: convergence(curve, against, names)  # type: ignore[misc]
+    if training.losses(curve):
+        wanted["losses"] = lambda: losses(curve)
+    if features.histograms(tables["features"]):
+        wanted["attributes"] = lambda: histograms(tables["features"], names)
+    if data.timing(tables["timing"])[0]:
+        wanted["timing"] = lambda: timing(tables["timing"])
+    if data.ledger(tables["ledger"])[0]:
+        wanted["ledger"] = lambda: ledger(tables["ledger"])
+    return wanted
+
+
+def write(tables: dict[str, pd.DataFrame], folder: Path) -> list[Path]:
+    """Write all charts that have data as PDF and PNG; returns the PNG paths."""
+    wanted = figures(tables)
+    try:
+        if maps := features.maps(tables["features"]):
+            wanted["features-umap"] = lambda: feature_maps(maps)
+    except features.Missing:
+        pass  # the page tells why
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, draw in wanted.items():
+        figure = draw()
+        with style():  # resolution and font embedding are decided when saving
+            figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None})
+            figure.savefig(folder / f"{name}.png")
+        written.append(folder / f"{name}.png")
+    return written

@@ -1,0 +1,108 @@
+"""Figures of training: convergence, anytime curves, parts of the loss."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from reports import training
+from reports.charts.frame import (
+    LINES,
+    MOST_LABELS,
+    annotate,
+    legend_below,
+    log_axis,
+    new_figure,
+    room_for,
+    settle,
+    style,
+    titled,
+)
+from reports.style import color, dash, series
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+
+def convergence(
+    curve: pd.DataFrame, against: str = "train_seconds", names: list[str] | None = None
+) -> Figure:
+    """Validation PSNR over training seconds or iterations; a panel per dataset, a line per fit."""
+    panels = training.convergence(curve, against)
+    x, y = training.CURVE_AXIS[against], training.ANYTIME_AXIS["psnr_val"]
+    return _lines(panels, x, y, names or series(curve))
+
+
+def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str, names: list[str]) -> Figure:
+    """Validation PSNR or estimated size over training seconds per scene (log), a line per method."""
+    panels = training.anytime(curve, results, what)
+    x = "training time per scene [s]"
+    return _lines(panels, x, training.ANYTIME_AXIS[what], names, log=True, log_y=what == "bytes_estimate")
+
+
+def _lines(
+    panels: dict[str, list[training.Curve]],
+    x: str,
+    y: str,
+    names: list[str],
+    log: bool = False,
+    log_y: bool = False,
+) -> Figure:
+    with style():
+        figure, axes = new_figure(len(panels))
+        crowded = any(len(lines) > MOST_LABELS for lines in panels.values())
+        for axis, (dataset, lines) in zip(axes, panels.items(), strict=False):
+            for line in lines:
+                shade, dashes = color(line.name, names), LINES[dash(line.name, names)]
+                axis.plot(line.x, line.y, dashes, marker="o", color=shade, markersize=2.5, linewidth=1.2)
+            axis.margins(x=0.02, y=0.08)
+            if log_y:
+                log_axis(axis, [value for line in lines for value in line.y], "y")
+            room = 0.0 if crowded else room_for([line.title for line in lines])
+            if log:
+                log_axis(axis, [value for line in lines for value in line.x], room=room)
+            else:
+                left, right = axis.get_xlim()
+                axis.set_xlim(left, left + (right - left) / (1.0 - room))
+            titled(axis, dataset, x, y)
+        if crowded:
+            drawn = {line.name for lines in panels.values() for line in lines}
+            legend_below(figure, _legend([name for name in names if name in drawn], names))
+        settle(figure)
+        for axis, lines in zip(axes, panels.values(), strict=False):
+            if not crowded:
+                ends = [(line.x[-1], line.y[-1], line.title, color(line.name, names)) for line in lines]
+                annotate(axis, ends, [spot for line in lines for spot in zip(line.x, line.y, strict=True)])
+    return figure
+
+
+def _legend(drawn: list[str], names: list[str]) -> dict[str, tuple[str, Any]]:
+    return {name: (color(name, names), LINES[dash(name, names)]) for name in drawn}
+
+
+def losses(curve: pd.DataFrame) -> Figure:
+    """Parts of the loss (log) over iterations, mean over fits; a panel per dataset and method."""
+    panels = training.losses(curve)
+    with style():
+        figure, axes = new_figure(len(panels))
+        for axis, panel in zip(axes, panels, strict=False):
+            for part, shade in zip(panel.parts, training.shades(panel), strict=True):
+                width = 2.0 if part.name == "loss" else 1.3
+                axis.plot(part.x, part.y, "-o", color=shade, markersize=2.5, linewidth=width)
+            for iteration, name in panel.joins:
+                axis.axvline(iteration, color="#777777", linestyle="--", linewidth=0.9)
+                axis.annotate(f"{name} joins", (iteration, 0.5), (-3, 0), xycoords=("data", "axes fraction"),
+                              textcoords="offset points", ha="right", va="center", rotation=90,
+                              fontsize=8, color="#555555")  # fmt: skip
+            log_axis(axis, [value for part in panel.parts for value in part.y], "y")
+            left, right = axis.get_xlim()
+            axis.set_xlim(left, right + 0.22 * (right - left))  # room for the labels at the ends
+            titled(axis, f"{panel.dataset} · {panel.title}", "iteration", "loss")
+        settle(figure)
+        for axis, panel in zip(axes, panels, strict=False):
+            ends = [
+                (part.x[-1], part.y[-1], part.title, shade)
+                for part, shade in zip(panel.parts, training.shades(panel), strict=True)
+            ]
+            annotate(axis, ends, [spot for part in panel.parts for spot in zip(part.x, part.y, strict=True)])
+    return figure

@@ -1,0 +1,90 @@
+"""What all figures of the page share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from reports.style import log_range, log_ticks, place_labels
+
+Figure = dict[str, Any]
+MARGIN = {"l": 54, "r": 14, "t": 12, "b": 46}
+# Label places are worked out for this size of the drawing area; the page gives charts about as much.
+WIDTH, HEIGHT = 330.0, 252.0
+MOST_LABELS = 10
+"""More lines than this are named by the page's legend and when pointed at."""
+GREY = "#888888"
+"""Reads on light and on dark."""
+
+
+def figure(traces: list[Any], x: dict[str, Any], y: dict[str, Any], **layout: Any) -> Figure:
+    """Colors of text and grid are set by the page's script, which knows light from dark."""
+    return {
+        "data": traces,
+        "layout": {
+            "height": 310,
+            "margin": MARGIN,
+            "showlegend": False,
+            "hovermode": "closest",
+            "xaxis": {"zeroline": False, "showline": True, **x},
+            "yaxis": {"zeroline": False, "showline": True, **y},
+            **layout,
+        },
+    }
+
+
+def log_axis(values: Sequence[float], title: str) -> dict[str, Any]:
+    """A logarithmic axis with room for labels and with ticks that read as numbers."""
+    low, high = log_range(values)
+    ticks = log_ticks(low, high)
+    return {
+        "type": "log",
+        "range": [low, high],
+        "title": {"text": title},
+        "tickvals": [value for value, _ in ticks],
+        "ticktext": [text for _, text in ticks],
+    }
+
+
+def line(x: list[float], y: list[float], shade: str, **more: Any) -> dict[str, Any]:
+    """A trace of a line with marks."""
+    return {"type": "scatter", "mode": "lines+markers", "x": x, "y": y, "line": {"color": shade}, **more}
+
+
+def notes(
+    labels: list[tuple[float, float, str, str]],
+    spots: list[tuple[float, float]],
+    avoid: list[tuple[float, float]],
+) -> list[Any]:
+    """Direct labels.
+
+    Args:
+        labels: (x, y in axis coordinates, text, color).
+        spots: where they are, in shares of the drawing area.
+        avoid: further points, in shares of the drawing area.
+    """
+    texts = [text for _, _, text, _ in labels]
+    places = place_labels(_scaled(spots), texts, WIDTH, HEIGHT, avoid=_scaled(avoid), char=7.0)
+    return [
+        {
+            "x": x,
+            "y": y,
+            "text": text,
+            "showarrow": False,
+            "xanchor": spot.anchor,
+            "yanchor": "middle",
+            "xshift": spot.dx,
+            "yshift": spot.dy,
+            "font": {"size": 12, "color": shade},
+        }
+        for (x, y, text, shade), spot in zip(labels, places, strict=True)
+    ]
+
+
+def _scaled(spots: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    return [(x * WIDTH, y * HEIGHT) for x, y in spots]
+
+
+def share(value: float, ends: Sequence[float]) -> float:
+    """Where a value lies on an axis, from 0 to 1."""
+    return (value - ends[0]) / (ends[1] - ends[0])

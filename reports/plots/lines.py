@@ -1,0 +1,122 @@
+"""The page's charts of training."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from reports import training
+from reports.plots.frame import GREY, MOST_LABELS, WIDTH, Figure, figure, line, log_axis, notes, share
+from reports.style import color, dash, linear_range
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def convergence(curve: pd.DataFrame, against: str, names: list[str]) -> dict[str, Figure]:
+    """Dataset -> validation PSNR over "train_seconds" or "iteration"; ``names``: the report's series."""
+    title = training.CURVE_AXIS[against]
+    made = {}
+    for dataset, lines in training.convergence(curve, against).items():
+        ends = (0.0, _widened(max(max(row.x) for row in lines), lines))
+        x_axis = {"range": list(ends), "title": {"text": title}}
+        y_range = linear_range([y for row in lines for y in row.y], 2.0)
+        y_axis = {"range": list(y_range), "title": {"text": training.ANYTIME_AXIS["psnr_val"]}}
+        hover = f"{title} %{{x:.5~g}}<br>%{{y:.2f}} dB"
+        made[dataset] = _lines(lines, x_axis, y_axis, hover, names)
+    return made
+
+
+def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str, names: list[str]) -> dict[str, Figure]:
+    """Dataset -> validation PSNR or estimated size (log) over training seconds per scene (log)."""
+    made = {}
+    for dataset, lines in training.anytime(curve, results, what).items():
+        x_axis = log_axis([x for row in lines for x in row.x], "training time per scene [s]")
+        values = [y for row in lines for y in row.y]
+        if what == "bytes_estimate":
+            y_axis = log_axis(values, training.ANYTIME_AXIS[what])
+            hover = "%{x:.4~g} s<br>%{y:.4~g} MiB"
+        else:
+            y_axis = {
+                "range": list(linear_range(values, 2.0)),
+                "title": {"text": training.ANYTIME_AXIS[what]},
+            }
+            hover = "%{x:.4~g} s<br>%{y:.2f} dB"
+        made[dataset] = _lines(lines, x_axis, y_axis, hover, names)
+    return made
+
+
+def _widened(end: float, lines: list[training.Curve]) -> float:
+    """Room for the labels at the lines' ends."""
+    longest = max(len(row.title) for row in lines) if len(lines) <= MOST_LABELS else 0
+    return (end or 1.0) / max(0.4, 1.0 - (7.0 * longest + 16.0) / WIDTH)
+
+
+def _lines(
+    lines: list[training.Curve],
+    x_axis: dict[str, Any],
+    y_axis: dict[str, Any],
+    hover: str,
+    names: list[str],
+) -> Figure:
+    traces = []
+    for row in lines:
+        stroke = {"color": color(row.name, names), "width": 1.6, "dash": dash(row.name, names)}
+        extra = f"{hover}<extra>{row.title}</extra>"
+        traces.append(line(row.x, row.y, "", marker={"size": 4}, hovertemplate=extra) | {"line": stroke})
+    written = []
+    if len(lines) <= MOST_LABELS:
+        labels = [
+            (_on(x_axis, row.x[-1]), _on(y_axis, row.y[-1]), row.title, color(row.name, names))
+            for row in lines
+        ]
+
+        def place(x: float, y: float) -> tuple[float, float]:
+            return share(x, x_axis["range"]), share(y, y_axis["range"])
+
+        along = [
+            place(_on(x_axis, x), _on(y_axis, y)) for row in lines for x, y in zip(row.x, row.y, strict=True)
+        ]
+        written = notes(labels, [place(x, y) for x, y, _, _ in labels], along)
+    return figure(traces, x_axis, y_axis, annotations=written)
+
+
+def _on(axis: dict[str, Any], value: float) -> float:
+    """A value in an axis' own coordinates."""
+    return math.log10(value) if axis.get("type") == "log" else value
+
+
+def losses(curve: pd.DataFrame) -> list[tuple[training.Losses, Figure]]:
+    """Parts of the loss (log) over iterations, a chart per dataset and method."""
+    return [(panel, _losses(panel)) for panel in training.losses(curve)]
+
+
+def _losses(panel: training.Losses) -> Figure:
+    shades = training.shades(panel)
+    ends = (0.0, _widened(max(part.x[-1] for part in panel.parts), panel.parts))
+    y_axis = log_axis([y for part in panel.parts for y in part.y], "loss")
+    traces = [
+        line(part.x, part.y, "", marker={"size": 4}, name=part.title, hovertemplate="%{x:,}: %{y:.4~g}")
+        | {"line": {"color": shade, "width": 2.4 if part.name == "loss" else 1.6}}
+        for part, shade in zip(panel.parts, shades, strict=True)
+    ]
+    labels = [
+        (part.x[-1], math.log10(part.y[-1]), part.title, shade)
+        for part, shade in zip(panel.parts, shades, strict=True)
+    ]
+    spots = [(share(x, ends), share(y, y_axis["range"])) for x, y, _, _ in labels]
+    along = [
+        (share(x, ends), share(math.log10(y), y_axis["range"]))
+        for part in panel.parts
+        for x, y in zip(part.x, part.y, strict=True)
+    ]
+    stroke = {"color": GREY, "width": 1, "dash": "dash"}
+    upright = {"type": "line", "yref": "paper", "y0": 0, "y1": 1, "line": stroke}
+    shapes = [{**upright, "x0": iteration, "x1": iteration} for iteration, _ in panel.joins]
+    told = [
+        {"x": iteration, "yref": "paper", "y": 0.5, "text": f"{name} joins", "textangle": -90,
+         "showarrow": False, "xanchor": "right", "font": {"size": 11, "color": GREY}}
+        for iteration, name in panel.joins
+    ]  # fmt: skip
+    x_axis = {"range": list(ends), "title": {"text": "iteration"}}
+    return figure(traces, x_axis, y_axis, shapes=shapes, annotations=[*notes(labels, spots, along), *told])

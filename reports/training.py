@@ -1,0 +1,222 @@
+"""What the charts of training draw: convergence, anytime curves, time to a quality, parts of the loss."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from reports.style import MIB, PALETTE, absent, label
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CURVE_AXIS = {"train_seconds": "training time of the fit [s]", "iteration": "iteration"}
+LEVELS = (30.0, 32.0, 34.0)
+"""PSNR, dB, that the time to is told of."""
+ANYTIME_AXIS = {"psnr_val": "validation PSNR [dB]", "bytes_estimate": "estimated size per scene [MiB]"}
+_UNIT = {"psnr_val": 1.0, "bytes_estimate": MIB}
+_FIT = ["job", "method", "variant", "preset", "seed"]
+LEAST_SHARE = 1e-5
+"""Parts that never reach this share of the loss are not drawn."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line of a chart.
+
+    Attributes:
+        name: series that decides the color.
+        title: its label.
+        x: ascending.
+        y: one per x.
+    """
+
+    name: str
+    title: str
+    x: list[float]
+    y: list[float]
+
+
+def convergence(curve: pd.DataFrame, against: str) -> dict[str, list[Curve]]:
+    """Dataset -> validation PSNR of each fit, titled by what tells them apart (method, scenes, seed).
+
+    Args:
+        curve: the documented table; the rows of a group's scenes are one curve, for it is of them all.
+        against: "train_seconds" or "iteration".
+    """
+    panels: dict[str, list[Curve]] = {}
+    if curve.empty:
+        return panels
+    known = curve[curve["psnr_val"].notna() & curve[against].notna()]
+    for dataset, rows in known.groupby("dataset", sort=False):
+        methods = len({label(m, v) for m, v in zip(rows["method"], rows["variant"], strict=True)})
+        many = {axis: rows[axis].nunique() > 1 for axis in ("scene", "seed", "preset")}
+        lines = []
+        for (_, method, variant, preset, seed), fit in rows.groupby(_FIT, dropna=False, sort=False):
+            name = label(method, variant)
+            for scenes, group in _alike(fit, against):
+                words = [name] if methods > 1 else []
+                words += [" + ".join(scenes)] if many["scene"] or not words else []
+                words += [str(preset)] if many["preset"] and not absent(preset) else []
+                words += [f"seed {seed}"] if many["seed"] else []
+                x, y = ([float(v) for v in group[column]] for column in (against, "psnr_val"))
+                lines.append(Curve(name, " · ".join(words), x, y))
+        panels[str(dataset)] = lines
+    return panels
+
+
+def _alike(fit: pd.DataFrame, against: str) -> list[tuple[list[str], pd.DataFrame]]:
+    """The scenes of a fit with one curve in common, and that curve; several if they have their own."""
+    found: dict[tuple, tuple[list[str], pd.DataFrame]] = {}
+    for scene, group in fit.groupby("scene", sort=True):
+        group = group.sort_values("iteration")
+        key = (*group[against], *group["psnr_val"])
+        found.setdefault(key, ([], group))[0].append(str(scene))
+    return list(found.values())
+
+
+def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
+    """Dataset -> a curve per method over training seconds per scene; mean over scenes and seeds.
+
+    A fit of n scenes counts for each of them with its time / n (and its bytes / n), as in `results`, so that
+    joint and single fits compare. A mean begins where all fits have been evaluated; a finished fit keeps its
+    last value.
+
+    Args:
+        curve: the documented table.
+        results: the documented table: which scenes there are, so that a mean of fewer is titled so.
+        what: "psnr_val" or "bytes_estimate" (in MiB).
+    """
+    panels: dict[str, list[Curve]] = {}
+    if curve.empty or what not in curve:
+        return panels
+    known = curve[curve[what].notna() & curve["train_seconds"].notna()]
+    presets = known["preset"].nunique() > 1
+    for (dataset, method, variant, preset), rows in known.groupby(
+        ["dataset", "method", "variant", "preset"], dropna=False, sort=False
+    ):
+        fits = [_shares(fit, what) for _, fit in rows.groupby("job", sort=False)]
+        x, y = _mean(fits)
+        if not x:
+            continue
+        title = " ".join([label(method, variant), *([str(preset)] if presets else [])])
+        basic = (results["kind"] == "basic") & (results["dataset"] == dataset) & (results["preset"] == preset)
+        wanted, have = set(results.loc[basic, "scene"]), set(rows["scene"])
+        if wanted - have:
+            title += f" ({len(wanted & have)} of {len(wanted)} scenes)"
+        panels.setdefault(str(dataset), []).append(Curve(label(method, variant), title, x, y))
+    return panels
+
+
+def _shares(fit: pd.DataFrame, what: str) -> tuple[list[float], list[float], int]:
+    """Seconds and values of a fit, per scene, and its number of scenes."""
+    scenes = len(set(fit["scene"]))
+    points = {
+        int(iteration): (float(clock), float(value))
+        for iteration, clock, value in zip(fit["iteration"], fit["train_seconds"], fit[what], strict=True)
+    }
+    divisor = _UNIT[what] * (scenes if what == "bytes_estimate" else 1)
+    ordered = [points[iteration] for iteration in sorted(points)]
+    return [clock / scenes for clock, _ in ordered], [value / divisor for _, value in ordered], scenes
+
+
+def _mean(fits: list[tuple[list[float], list[float], int]]) -> tuple[list[float], list[float]]:
+    """Mean of fits, each weighted by its scenes, at all times at which any of them was evaluated."""
+    begin = max(x[0] for x, _, _ in fits)
+    times = sorted({t for x, _, _ in fits for t in x if t >= begin and t > 0})
+    weights = np.array([scenes for _, _, scenes in fits], dtype=float)
+    values = np.array([np.interp(times, x, y) for x, y, _ in fits])
+    return times, [float(v) for v in weights @ values / weights.sum()]
+
+
+def time_to_quality(curves: list[Curve]) -> list[tuple[Curve, list[float | None]]]:
+    """Seconds per scene at which each curve first reaches each of :data:`LEVELS`; None where it never does.
+
+    Linear between evaluations; a curve that begins above a level has reached it by its first evaluation.
+    """
+    return [(curve, [_reached(curve, level) for level in LEVELS]) for curve in curves]
+
+
+def _reached(curve: Curve, level: float) -> float | None:
+    for i, (x, y) in enumerate(zip(curve.x, curve.y, strict=True)):
+        if y >= level:
+            if i == 0:
+                return x
+            before, low = curve.x[i - 1], curve.y[i - 1]
+            return before + (x - before) * (level - low) / (y - low)
+    return None
+
+
+@dataclass(frozen=True)
+class Losses:
+    """The loss of a method on a dataset, mean over its fits.
+
+    Attributes:
+        title: dataset and method.
+        parts: over iterations; the whole first.
+        joins: (iteration, part): first evaluation with a part that the first evaluation had not.
+        small: names of parts too small to be drawn.
+    """
+
+    dataset: str
+    title: str
+    parts: list[Curve]
+    joins: list[tuple[float, str]]
+    small: list[str]
+
+
+def losses(curve: pd.DataFrame) -> list[Losses]:
+    """The losses by part of all methods that tell them; figures that are no part of the sum are left out."""
+    if curve.empty or "loss_parts" not in curve:
+        return []
+    known = curve[curve["loss_parts"].notna() & curve["loss"].notna()]
+    presets = known["preset"].nunique() > 1
+    made = []
+    for (dataset, method, variant, preset), rows in known.groupby(
+        ["dataset", "method", "variant", "preset"], dropna=False, sort=False
+    ):
+        table = _parts_table(rows)
+        if len(table.columns) < 2:
+            continue
+        title = " ".join([label(method, variant), *([str(preset)] if presets else [])])
+        floor = LEAST_SHARE * float(table["loss"].max())
+        drawn = [name for name in table.columns if float(table[name].max()) > floor]
+        parts = [_part(name, table[name]) for name in drawn]
+        begin = float(table.index[0])
+        joins = [(part.x[0], part.name) for part in parts if part.x[0] > begin]
+        small = [str(name) for name in table.columns if name not in drawn]
+        made.append(Losses(str(dataset), title, parts, joins, small))
+    order = {str(dataset): i for i, dataset in enumerate(known["dataset"].unique())}
+    return sorted(made, key=lambda panel: order[panel.dataset])
+
+
+def _parts_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Iteration -> "loss" and its parts, mean over fits that were all evaluated then."""
+    import pandas as pd
+
+    fits = []
+    for _, fit in rows.groupby("job", sort=False):
+        points = fit.drop_duplicates("iteration")
+        parts = [json.loads(text) for text in points["loss_parts"]]
+        table = pd.DataFrame(parts, index=points["iteration"].astype(int))
+        table.insert(0, "loss", points["loss"].astype(float).to_numpy())
+        # A part cannot exceed the sum; what does is another figure (bits per attribute, say).
+        of_sum = [name for name in table if not (table[name] > 1.001 * table["loss"]).any()]
+        fits.append(table[of_sum])
+    shared = set.intersection(*(set(fit.index) for fit in fits))
+    every = pd.concat([fit.loc[sorted(shared)] for fit in fits])
+    return every.groupby(level=0, sort=True).mean()
+
+
+def _part(name: Any, values: pd.Series) -> Curve:
+    present = values[values > 0]
+    x = [float(i) for i in present.index]
+    return Curve(str(name), str(name), x, [float(value) for value in present])
+
+
+def shades(panel: Losses) -> list[str]:
+    """Colors of the parts, in their order; the whole is black."""
+    return [PALETTE[-1], *(PALETTE[i % (len(PALETTE) - 1)] for i in range(len(panel.parts) - 1))]

@@ -1,0 +1,327 @@
+import json
+import sys
+from unittest.mock import patch
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from reports import charts, data, features, plots, rate_distortion, training
+from reports.chart_sections import chart_sections
+from reports.style import series
+
+from .conftest import fill, frame
+
+
+def curve_table(rows):
+    """A curve table from (job, scene, method, iteration, seconds, psnr, bytes, parts)."""
+    columns = [
+        "job",
+        "scene",
+        "method",
+        "iteration",
+        "train_seconds",
+        "psnr_val",
+        "bytes_estimate",
+        "loss_parts",
+    ]
+    table = pd.DataFrame(rows, columns=columns)
+    parts = [json.loads(text) if text else {} for text in table["loss_parts"]]
+    table["loss"] = [sum(v for k, v in p.items() if k != "bits per attribute") or 0.1 for p in parts]
+    return table.assign(dataset="d", variant="", preset="quick", seed=0)
+
+
+def results_table(maker, **scenes):
+    for method, names in scenes.items():
+        for scene in names:
+            maker.run("d", scene, method, views=0)
+    return maker.tables()["results"]
+
+
+# --------------------------------------------------------------------------- trade-offs
+
+
+def test_the_pareto_front_is_that_of_exhaustive_comparison():
+    rng = np.random.default_rng(0)
+    points = [(float(x), float(y)) for x, y in rng.integers(0, 12, (60, 2))]
+    for better in (1, -1):
+        alone = {
+            (x, y)
+            for x, y in points
+            if not any(
+                better * a >= better * x and b >= y and (a, b) != (x, y) for a, b in points
+            )
+        }  # fmt: skip
+        assert set(data.pareto(points, better)) == alone
+
+
+def test_the_dominated_region_holds_what_some_mean_is_better_than(maker):
+    for method, psnr, size in (("a", 30.0, 10), ("b", 35.0, 40), ("c", 29.0, 20), ("d", 34.0, 80)):
+        maker.run(method=method, psnr=psnr, size=size << 20, views=0)
+    (panel,) = data.tradeoff(maker.tables()["results"], "size_bytes")
+    assert panel.front == [(10.0, 30.0), (40.0, 35.0)]
+    assert panel.dominated(1000.0, 20.0) == [
+        (10, 20), (10, 30), (40, 30), (40, 35), (1000, 35), (1000, 20)
+    ]  # fmt: skip
+
+
+def test_more_frames_per_second_are_better_and_less_memory_is(maker):
+    maker.run(method="slow", fps=1.0, psnr=30.0, views=0, peak_host_bytes=1 << 20)
+    maker.run(method="fast", fps=9.0, psnr=30.0, views=0, peak_host_bytes=9 << 20)
+    results = maker.tables()["results"]
+    assert data.tradeoff(results, "fps")[0].front == [(9.0, 30.0)]
+    assert data.tradeoff(results, "peak_host_bytes")[0].front == [(1.0, 30.0)]
+    assert data.tradeoff(results, "peak_device_bytes") == []
+
+
+def test_one_method_alone_has_no_front(maker):
+    maker.run(views=0)
+    (panel,) = data.tradeoff(maker.tables()["results"], "fps")
+    assert panel.front == panel.dominated(0.0, 0.0) == []
+
+
+def test_points_are_linked_to_rows(maker):
+    maker.run(scene="a", method="ivr-gs", rate=64, views=0)
+    traces = plots.tradeoffs(maker.tables()["results"], "fps")["vortex"]["data"]
+    assert [trace["meta"]["keys"] for trace in traces] == [
+        ["vortex / a / iVR-GS @ 64"], ["vortex /  / iVR-GS @ 64"]
+    ]  # fmt: skip
+
+
+def test_fits_that_differ_in_the_rate_knob_are_one_line_from_small_to_large(maker):
+    for weight, psnr, size, fps in (
+        (1e-3, 35.0, 300, 50.0),
+        (1e-2, 33.0, 100, 60.0),
+        (5e-3, 34.0, 200, 40.0),
+    ):
+        maker.run(method="hac", variant=f"rate_weight={weight:g}", psnr=psnr, size=size, fps=fps, views=0)
+    (panel,) = data.tradeoff(maker.tables()["results"], "fps")
+    (line,) = panel.lines
+    assert (line.title, line.y, line.x) == ("HAC", [33.0, 34.0, 35.0], [60.0, 40.0, 50.0])
+
+
+# --------------------------------------------------------------------------- rates
+
+
+def rate_store(maker):
+    for weight, psnr, size in ((1e-2, 33.0, 100), (5e-3, 34.0, 200), (1e-3, 35.0, 300), (5e-4, 36.0, 400)):
+        for method, gain in (("hac", 0.0), ("econgs", 0.5)):
+            variant = f"rate_weight={weight:g}"
+            maker.run(method=method, variant=variant, psnr=psnr + gain, size=size << 10, views=0)
+    maker.run(method="3dgs", psnr=37.0, size=9 << 20, views=0)
+    return maker.tables()
+
+
+def test_rate_curves_hold_the_numbers_and_single_sizes_are_marks(maker):
+    results = rate_store(maker)["results"]
+    traces = plots.rate_curves(results)["vortex"]["data"]
+    assert [len(trace["x"]) for trace in traces] == [4, 4, 1]
+    assert traces[0]["x"] == pytest.approx([100 / 1024, 200 / 1024, 300 / 1024, 400 / 1024])
+    assert traces[1]["y"] == [33.5, 34.5, 35.5, 36.5]
+    axis = charts.rate_curves(results).axes[0]
+    assert axis.get_xscale() == "log"
+    assert {text.get_text() for text in axis.texts} == {"HAC", "ECoNGS", "3DGS"}
+
+
+def test_the_page_tells_bd_rates(maker):
+    html = {s.anchor: s.html for s in chart_sections(rate_store(maker))}["rate-distortion"]
+    found = rate_distortion.differences(rate_distortion.curves(maker.tables()["results"]))[0]
+    assert found.psnr == pytest.approx(0.5, abs=0.01)
+    assert f"{found.rate:+.1f} %" in html
+    assert "33.50 to 36.00" in html
+
+
+def test_no_rate_chart_where_every_method_has_one_size(maker):
+    maker.run(views=0)
+    assert plots.rate_curves(maker.tables()["results"]) == {}
+
+
+# --------------------------------------------------------------------------- training
+
+
+def test_scenes_of_a_joint_fit_share_one_curve_and_one_label():
+    rows = [
+        ("j", s, "econgs", i, float(i), 30.0 + i, None, "") for s in ("TF01", "TF03", "TF04") for i in (1, 2)
+    ]
+    rows += [("k", "TF02", "econgs", i, float(i), 35.0 + i, None, "") for i in (1, 2)]
+    lines = training.convergence(curve_table(rows), "iteration")["d"]
+    assert [line.title for line in lines] == ["TF01 + TF03 + TF04", "TF02"]
+    assert lines[0].y == [31.0, 32.0]
+
+
+def test_scenes_of_a_fit_with_curves_of_their_own_keep_them():
+    rows = [
+        ("j", s, "econgs", i, float(i), p + i, None, "")
+        for s, p in (("a", 30.0), ("b", 33.0))
+        for i in (1, 2)
+    ]
+    assert [line.title for line in training.convergence(curve_table(rows), "iteration")["d"]] == ["a", "b"]
+
+
+def test_anytime_counts_a_joint_fit_by_shares(maker):
+    rows = [("j", s, "econgs", i, 20.0 * i, 30.0 + i, 2 << 20, "") for s in "ab" for i in (1, 2)]
+    rows += [
+        (s, s, "3dgs", i, 10.0 * i, p + i, 4 << 20, "") for s, p in (("a", 20.0), ("b", 30.0)) for i in (1, 2)
+    ]
+    results = results_table(maker, econgs="ab", **{"3dgs": "ab"})
+    joint, single = training.anytime(curve_table(rows), results, "psnr_val")["d"]
+    assert (joint.x, joint.y) == ([10.0, 20.0], [31.0, 32.0])
+    assert (single.x, single.y) == ([10.0, 20.0], [26.0, 27.0])
+    sizes = training.anytime(curve_table(rows), results, "bytes_estimate")["d"]
+    assert [line.y for line in sizes] == [[1.0, 1.0], [4.0, 4.0]]
+
+
+def test_anytime_weighs_scenes_and_a_finished_fit_keeps_its_value(maker):
+    rows = [("j", s, "m", i, 3.0 * i, 30.0, None, "") for s in "abc" for i in (1, 2)]
+    rows += [("k", "d", "m", 1, 1.0, 34.0, None, ""), ("k", "d", "m", 2, 5.0, 38.0, None, "")]
+    (line,) = training.anytime(curve_table(rows), results_table(maker, m="abcd"), "psnr_val")["d"]
+    assert line.x == [1.0, 2.0, 5.0]
+    assert line.y == pytest.approx([31.0, 31.25, 32.0])
+
+
+def test_anytime_says_where_scenes_are_missing(maker):
+    rows = [("j", "a", "m", 1, 3.0, 30.0, None, "")]
+    (line,) = training.anytime(curve_table(rows), results_table(maker, m="ab"), "psnr_val")["d"]
+    assert line.title == "m (1 of 2 scenes)"
+
+
+def test_time_to_quality_is_linear_between_evaluations():
+    curve = training.Curve("m", "m", [10.0, 20.0, 40.0, 80.0], [31.0, 33.0, 32.5, 33.5])
+    ((_, times),) = training.time_to_quality([curve])
+    assert times == [10.0, 15.0, None]
+
+
+def test_loss_parts_without_figures_that_are_no_part_and_with_the_start_of_the_rate():
+    early = json.dumps({"image": 0.02, "scale": 1e-9})
+    late = json.dumps({"image": 0.01, "scale": 1e-9, "rate": 0.002, "bits per attribute": 3.0})
+    rows = [
+        ("j", s, "econgs", i, 1.0, 30.0, None, early if i < 300 else late) for s in "ab" for i in (100, 300)
+    ]
+    (panel,) = training.losses(curve_table(rows))
+    assert [part.name for part in panel.parts] == ["loss", "image", "rate"]
+    assert panel.parts[0].y == pytest.approx([0.02 + 1e-9, 0.012 + 1e-9])
+    assert panel.joins == [(300.0, "rate")]
+    assert panel.small == ["scale"]
+    figure = plots.losses(curve_table(rows))[0][1]
+    assert figure["layout"]["shapes"][0]["x0"] == 300
+    assert any(text.get_text() == "rate joins" for text in charts.losses(curve_table(rows)).axes[0].texts)
+
+
+def test_no_loss_chart_without_parts(maker):
+    maker.run()
+    assert training.losses(maker.tables()["curve"]) == []
+
+
+# --------------------------------------------------------------------------- parts of a whole
+
+
+def test_timing_is_shares_of_the_frame_and_the_rest_is_told():
+    rows = [("frame", 0.010), ("decode", 0.002), ("shade", 0.0), ("rasterise", 0.005)]
+    table = pd.DataFrame(rows, columns=["part", "seconds"]).assign(
+        job="j", dataset="d", scene="a", method="econgs", variant="", rate=None, preset="quick", seed=0
+    )
+    (bar,), parts = data.timing(table)
+    assert parts == ["decode", "rasterise", "other"]
+    assert [bar.percent(part) for part in parts] == pytest.approx([20.0, 50.0, 30.0])
+    assert bar.told == "10.0 ms"
+
+
+def test_no_timing_without_parts():
+    table = pd.DataFrame({"part": ["frame"], "seconds": [0.01]}).assign(
+        job="j", dataset="d", scene="a", method="plenoxels", variant="", rate=None, preset="quick", seed=0
+    )
+    assert plots.timing(table) is None
+
+
+# --------------------------------------------------------------------------- attributes
+
+
+def features_table(count=60):
+    rng = np.random.default_rng(0)
+    rows = [
+        ("j", scene, name, list(rng.normal(size=count * width)), width)
+        for scene in "ab"
+        for name, width in (("opacity", 1), ("features", 4))
+    ]
+    table = pd.DataFrame(rows, columns=["job", "scene", "name", "values", "width"])
+    return table.assign(dataset="d", method="econgs", variant="")
+
+
+def test_histograms_pool_scenes_and_components():
+    made = features.histograms(features_table())
+    assert [panel.attribute for panel in made] == ["opacity", "features"]
+    shares = made[1].shares["ECoNGS"]
+    assert 99.0 <= sum(shares) <= 100.0
+    values = np.concatenate(features_table().query("name == 'features'")["values"].to_list())
+    counted, _ = np.histogram(values, made[1].edges)
+    assert shares == pytest.approx(100 * counted / len(values))
+
+
+def test_an_attribute_that_is_the_same_everywhere_has_a_histogram():
+    table = features_table().assign(values=[[1.0] * 5] * 4)
+    assert sum(features.histograms(table)[0].shares["ECoNGS"]) == pytest.approx(100.0)
+
+
+def test_without_umap_the_reason_is_told(maker):
+    maker.run(method="econgs", views=0)
+    tables = maker.tables() | {"features": features_table()}
+    with patch.dict(sys.modules, {"umap": None}):
+        html = {s.anchor: s.html for s in chart_sections(tables)}["attributes"]
+    assert "umap-learn is not installed" in html
+
+
+def test_without_vectors_the_reason_is_told():
+    with pytest.raises(features.Missing, match="no method of this report"):
+        features.maps(features_table().query("name == 'opacity'"))
+
+
+def test_an_embedding_is_split_by_scene():
+    class Flat:
+        def __init__(self, **_):
+            pass
+
+        def fit_transform(self, values):
+            return values[:, :2]
+
+    with patch.dict(sys.modules, {"umap": type(sys)("umap")}):
+        sys.modules["umap"].UMAP = Flat
+        (made,) = features.maps(features_table())
+        figure = plots.feature_maps([made])[0][1]
+        assert len(charts.feature_maps([made]).axes) == 1
+    first = np.reshape(features_table()["values"].iloc[1], (-1, 4))[:, :2]
+    assert np.array_equal(made.scenes["a"], first)
+    assert [trace["name"] for trace in figure["data"]] == ["a", "b"]
+
+
+# --------------------------------------------------------------------------- sections
+
+
+def test_sections_of_a_normal_store(maker):
+    fill(maker, "normal")
+    assert [s.anchor for s in chart_sections(maker.tables())] == [
+        "confidence", "tradeoffs", "anytime", "convergence", "ledger"
+    ]  # fmt: skip
+
+
+def test_no_sections_without_data(maker):
+    maker.run(status="failed", reason="boom")
+    assert chart_sections(maker.tables()) == []
+
+
+def test_how_sure_tells_intervals_seeds_and_differences(maker):
+    for seed, shift in enumerate((0.0, 0.3, -0.3)):
+        maker.run(method="a", seed=seed, psnr=34.0 + shift)
+        maker.run(method="b", seed=seed, psnr=30.0 + shift)
+    html = {s.anchor: s.html for s in chart_sections(maker.tables())}["confidence"]
+    assert "± 0.30 (3 seeds): 34.00, 34.30, 33.70" in html
+    assert "-4.00" in html
+    assert "lower" in html
+
+
+def test_every_series_of_a_figure_is_named(maker):
+    fill(maker, "failures")
+    results = maker.tables()["results"]
+    names = series(results)
+    figure = charts.anytime(maker.tables()["curve"], results, "psnr_val", names)
+    assert {text.get_text() for text in figure.axes[0].texts} == {"3DGS (1 of 2 scenes)", "ECoNGS"}
+    assert frame(["psnr"], []).empty
