@@ -89,18 +89,18 @@ def models(rows: pd.DataFrame) -> pd.DataFrame:
     Finished rows go before others and current before stale ones; then the first seed; of its rates the middle
     one by size.
     """
-    import pandas as pd
-
+    candidates: dict[tuple[Any, Any], list[tuple[tuple[bool, bool, int], float, Any]]] = {}
+    names = ["method", "variant", "status", "stale", "seed", "size_bytes"]
+    for index, *cells in rows[names].itertuples():
+        method, variant, status, stale, seed, size = (None if absent(value) else value for value in cells)
+        rank = (status != "ok", bool(stale), int(seed or 0))
+        candidates.setdefault((method, variant), []).append((rank, float(size or 0), index))
     chosen = []
-    for _, group in rows.groupby(["method", "variant"], dropna=False, sort=False):
-        for good in (group["status"] == "ok", ~group["stale"].fillna(False).astype(bool)):
-            group = group[good.loc[group.index]] if good.loc[group.index].any() else group
-        first = group["seed"].min()
-        if not absent(first):
-            group = group[group["seed"] == first]
-        by_size = group.sort_values("size_bytes", kind="stable")
-        chosen.append(by_size.iloc[[(len(by_size) - 1) // 2]])
-    return pd.concat(chosen)
+    for group in candidates.values():
+        first = min(rank for rank, _, _ in group)
+        by_size = sorted((size, at) for at, (rank, size, _) in enumerate(group) if rank == first)
+        chosen.append(group[by_size[(len(by_size) - 1) // 2][1]][2])
+    return rows.loc[chosen]
 
 
 def choose(views: pd.DataFrame) -> dict[str, str]:

@@ -17,6 +17,7 @@ MAY_BE_MISSING = (
     "root may read everything",
     "no fork here",
     "neither libLLVM 15 nor 16 is installed here",
+    "no Chromium here",
     # Combinations that do not exist.
     "the format has no half precision",
     "a promise of the native backend",

@@ -7,7 +7,15 @@
   const shade = (name) => { probe.style.color = `var(${name})`; return getComputedStyle(probe).color; };
   let marked = new Set();
 
+  function library() {
+    if (window.Plotly) return;
+    const script = document.createElement("script");
+    script.textContent = document.getElementById("plotly").textContent;
+    document.head.append(script);
+  }
+
   function draw(element) {
+    library();
     const figure = JSON.parse(element.nextElementSibling.textContent);
     const layout = figure.layout;
     layout.paper_bgcolor = layout.plot_bgcolor = "rgba(0,0,0,0)";

@@ -59,8 +59,8 @@
     const button = event.target.closest("[data-do]");
     if (button) { does[button.dataset.do](); show(); }
   });
-  dialog.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select")) return;
+  document.addEventListener("keydown", (event) => {
+    if (!dialog.open || event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select")) return;
     const key = { f: "flip", g: "truth", p: "previous", n: "next" }[event.key.toLowerCase()];
     if (!key) return;
     event.preventDefault();

@@ -2,6 +2,7 @@ import contextlib
 import re
 import warnings
 from html.parser import HTMLParser
+from itertools import pairwise
 from unittest.mock import patch
 
 import pandas as pd
@@ -80,6 +81,56 @@ def test_a_normal_report_is_whole_and_works_offline(maker):
         for ending in ("pdf", "png")
     }
     assert all((maker.root / f"results.{ending}").stat().st_size for ending in ("csv", "md", "tex"))
+
+
+class Outline(HTMLParser):
+    """What a screen reader is told."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__()
+        self.headings: list[int] = []
+        self.wrong: list[str] = []
+        self.captions = self.tables = 0
+        self.landmarks: list[str] = []
+        self.ids: list[str] = []
+        self.refers: set[str] = set()
+        self.feed(source)
+
+    def handle_starttag(self, tag, attrs):
+        had = dict(attrs)
+        if re.fullmatch("h[1-6]", tag):
+            self.headings.append(int(tag[1]))
+        if (tag == "img" and not had.get("alt")) or (tag == "th" and not had.get("scope")):
+            self.wrong.append(self.get_starttag_text())
+        if tag in ("select", "input") and not self.labelled:
+            self.wrong.append(self.get_starttag_text())
+        self.labelled = tag == "label" or (tag == "select" and self.labelled)
+        self.captions += tag == "caption"
+        self.tables += tag == "table"
+        if tag in ("main", "header", "nav"):
+            self.landmarks.append(tag)
+        if "id" in had:
+            self.ids.append(had["id"])
+        self.refers |= {had[name] for name in ("aria-labelledby", "aria-controls") if name in had}
+        if had.get("href", "").startswith("#"):
+            self.refers.add(had["href"][1:])
+
+    labelled = False
+
+
+def test_a_screen_reader_finds_its_way(maker):
+    fill(maker, "failures")
+    maker.run("other", method="econgs")
+    maker.dvr()
+    outline = Outline(page(maker)[0])
+    assert outline.headings[0] == 1
+    assert outline.headings.count(1) == 1
+    assert all(b <= a + 1 for a, b in pairwise(outline.headings))
+    assert outline.wrong == []
+    assert outline.captions == outline.tables > 3
+    assert sorted(outline.landmarks) == ["header", "main", "nav"]
+    assert len(outline.ids) == len(set(outline.ids))
+    assert outline.refers <= set(outline.ids)
 
 
 def test_the_page_says_when_curves_are_of_views_that_are_trained_on(maker):
