@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import charts, datasets, paper_tables
+from reports import charts, confidence, datasets, paper_tables, rate_distortion
 from reports.tables import to_csv, to_latex, to_markdown
 
 if TYPE_CHECKING:
@@ -14,8 +17,12 @@ if TYPE_CHECKING:
 
 
 def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
-    """Write ``charts/`` (PDF and PNG), ``results.*`` and ``paper/`` (its tables); ``datasets.*`` where
-    rendering volumes was measured.
+    """Write charts and tables.
+
+    ``charts/`` (PDF and PNG), ``results.*`` (CSV, Parquet, Markdown, LaTeX), ``paper/`` (its tables),
+    ``curves/`` (JSON, one file per method and dataset); ``intervals.csv`` and ``comparisons.csv`` where there
+    are views; ``bd-rate.csv`` where methods were measured at several rates; ``datasets.*`` where rendering
+    volumes was measured.
 
     Args:
         tables: results, views, curve, ledger, timing, features and dvr as documented in docs/architecture.md.
@@ -29,8 +36,11 @@ def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
             write_text(folder / "paper" / f"{table.name}.md", paper_tables.to_markdown(table))
             write_text(folder / "paper" / f"{table.name}.tex", paper_tables.to_latex(table))
         write_text(folder / "results.csv", to_csv(results))
+        _replace(folder / "results.parquet", results.to_parquet(None, index=False))
         write_text(folder / "results.md", to_markdown(results, tables["views"]))
         write_text(folder / "results.tex", to_latex(results, tables["views"]))
+        _write_statistics(tables, folder)
+        _write_rates(results, folder)
     if not dvr.empty:
         costs = datasets.costs(dvr)
         write_text(folder / "datasets.csv", to_csv(dvr))
@@ -38,9 +48,42 @@ def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
         write_text(folder / "datasets.tex", to_latex(costs))
 
 
+def _write_statistics(tables: dict[str, pd.DataFrame], folder: Path) -> None:
+    for name, make in (("intervals", confidence.intervals), ("comparisons", confidence.comparisons)):
+        table = make(tables["results"], tables["views"])
+        if not table.empty:
+            write_text(folder / f"{name}.csv", to_csv(table))
+
+
+def _write_rates(results: pd.DataFrame, folder: Path) -> None:
+    import pandas as pd
+
+    curves = rate_distortion.curves(results)
+    for dataset, rows in curves.items():
+        for curve in rows:
+            path = folder / "curves" / _file_name(dataset) / f"{_file_name(curve.title)}.json"
+            write_text(path, json.dumps(curve.exchange(), indent=1) + "\n")
+    differences = rate_distortion.differences(curves)
+    if differences:
+        table = pd.DataFrame([asdict(found) for found in differences])
+        table["warnings"] = ["; ".join(told) for told in table["warnings"]]
+        for name in ("psnr_range", "bytes_range"):
+            table[name] = [f"{ends[0]:.7g} to {ends[1]:.7g}" if ends else "" for ends in table[name]]
+        write_text(folder / "bd-rate.csv", to_csv(table))
+
+
+def _file_name(title: str) -> str:
+    """Letters, digits and a few signs, the same on every system."""
+    return re.sub(r"[^A-Za-z0-9._=+-]+", "-", title).strip("-.") or "unnamed"
+
+
 def write_text(path: Path, text: str) -> None:
     """A file is whole or as it was."""
+    _replace(path, text.encode("utf-8"))
+
+
+def _replace(path: Path, content: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.name}.{os.getpid()}")
-    aside.write_text(text, encoding="utf-8")
+    aside.write_bytes(content)
     os.replace(aside, path)

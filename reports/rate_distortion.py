@@ -65,6 +65,26 @@ class Curve:
         """Sizes of the points, as charts show them."""
         return [point.bytes / MIB for point in self.points]
 
+    def exchange(self) -> dict[str, Any]:
+        """The curve as CompressAI lays out its own: lists of equal length by metric, from small to large.
+
+        ``bytes`` are per scene; a value that was not measured is None.
+        """
+        metrics = ("psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv", "fps")
+        columns: dict[str, list[Any]] = {
+            "rate": [point.rate for point in self.points],
+            "bytes": [point.bytes for point in self.points],
+            "psnr": [point.psnr for point in self.points],
+        }
+        for name in metrics:
+            values = [point.row.get(name) for point in self.points]
+            if not all(absent(value) for value in values):
+                columns[name] = [None if absent(value) else float(value) for value in values]  # type: ignore[arg-type]
+        first = self.points[0].row
+        scenes, seeds = first["scenes"].split()[0], first["seeds"]
+        told = f"{self.dataset}, preset {first['preset']}, {first['split']} views: means over {scenes} scenes"
+        return {"name": self.title, "description": f"{told} and {seeds} seeds", "results": columns}
+
     @property
     def problem(self) -> str:
         """Why no difference can be taken of it; "" if it can."""

@@ -1,0 +1,35 @@
+"""``python -m reports --table results.csv --out DIR``: a report of a table that any tool made."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from reports.inputs import NEEDED, Unusable, read_results
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the page, charts and tables; returns 0, or 2 for an unusable input."""
+    parser = argparse.ArgumentParser(prog="python -m reports", description="A report of a table of results.")
+    columns = ", ".join(NEEDED)
+    parser.add_argument(
+        "--table", type=Path, required=True, help=f"CSV or Parquet file with at least {columns}"
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder for report.html and what goes with it"
+    )
+    options = parser.parse_args(arguments)
+    try:
+        tables = read_results(options.table)
+    except Unusable as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    from reports.page import write_report
+
+    print(write_report(tables, options.table.parent, options.out / "report.html"))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,189 @@
+import json
+import re
+import shutil
+import subprocess
+import sys
+from unittest.mock import patch
+
+import pandas as pd
+import pytest
+
+from reports import charts
+from reports.__main__ import main
+from reports.files import write_files
+from reports.inputs import Unusable, read_results
+from reports.tables import to_latex
+
+from .conftest import fill
+
+
+def written(maker):
+    with patch.object(charts, "write"):
+        write_files(maker.tables(), maker.root / "out")
+    return maker.root / "out"
+
+
+def test_curves_are_laid_out_as_compressai_does(maker):
+    for rate, psnr, size in ((64, 33.0, 3000), (4, 31.0, 1000)):
+        for scene in "ab":
+            maker.run(scene=scene, method="ivr-gs", rate=rate, psnr=psnr, size=size, fps=10.0, views=0)
+    maker.run(scene="a", method="hac/x y", views=0)
+    curve = json.loads((written(maker) / "curves" / "vortex" / "iVR-GS.json").read_text())
+    assert set(curve) == {"name", "description", "results"}
+    assert curve["name"] == "iVR-GS"
+    assert "2 scenes" in curve["description"]
+    results = curve["results"]
+    assert (results["rate"], results["bytes"], results["psnr"]) == (["4", "64"], [1000, 3000], [31.0, 33.0])
+    assert results["fps"] == [10.0, 10.0]
+    assert "lpips_vgg" not in results
+    assert {len(values) for values in results.values()} == {2}
+    assert [p.name for p in (maker.root / "out" / "curves" / "vortex").iterdir()] == ["iVR-GS.json"]
+
+
+def test_parquet_and_csv_hold_the_same(maker):
+    fill(maker, "failures")
+    out = written(maker)
+    results = maker.tables()["results"]
+    pd.testing.assert_frame_equal(pd.read_parquet(out / "results.parquet"), results)
+    assert pd.read_csv(out / "results.csv")["psnr"].tolist()[0] == results["psnr"][0]
+
+
+def test_intervals_and_comparisons_are_files(maker):
+    maker.run(method="a", psnr=30.0)
+    maker.run(method="b", psnr=32.0)
+    out = written(maker)
+    intervals = pd.read_csv(out / "intervals.csv").set_index(["method", "metric"])
+    # The maker's views lie 2 dB around the mean of the row.
+    assert intervals.loc[("a", "psnr"), "mean"] == pytest.approx(30.0)
+    assert intervals.loc[("a", "psnr"), "views"] == 5
+    pair = pd.read_csv(out / "comparisons.csv").query("metric == 'psnr'").iloc[0]
+    assert (pair["first"], pair["second"], pair["difference"], pair["apart"]) == ("a", "b", -2.0, True)
+
+
+def test_bd_rates_are_a_file(maker):
+    for rate, psnr, size in ((1, 30.0, 100), (2, 32.0, 200), (3, 34.0, 400), (4, 36.0, 800)):
+        maker.run(method="a", rate=rate, psnr=psnr, size=size, views=0)
+        maker.run(method="b", rate=rate, psnr=psnr, size=size // 2, views=0)
+    row = pd.read_csv(written(maker) / "bd-rate.csv").iloc[0]
+    assert row["rate"] == pytest.approx(-50.0)
+    assert row["psnr_range"] == "30 to 36"
+
+
+# --------------------------------------------------------------------------- LaTeX
+
+
+@pytest.mark.parametrize("case", ["many", "failures", "signs"])
+def test_latex_compiles(maker, case):
+    """By pdflatex where there is one, and by structure: braces close, rows have as many cells as columns, no
+    sign of LaTeX's own is bare."""
+    if case == "signs":
+        maker.run(scene="a_b & c%", method="m#1$", psnr=30.0)
+        maker.run(scene="a_b & c%", method="~{x}^", psnr=31.0)
+    else:
+        fill(maker, case)
+    text = to_latex(maker.tables()["results"], maker.tables()["views"])
+    code = re.sub(r"(?<!\\)%.*", "", text)
+    bare = re.sub(r"\\[{}&%$#_]", "", code)
+    assert bare.count("{") == bare.count("}")
+    assert bare.count("$") % 2 == 0
+    assert not re.search(r"[#_~]", bare)
+    columns = len(re.search(r"\\begin\{tabular\}\{([lr]+)\}", code)[1])
+    rows = [line for line in bare.splitlines() if line.endswith(r"\\") and "multicolumn" not in line]
+    assert {line.count("&") + 1 for line in rows} == {columns}
+    order = [code.index(word) for word in (r"\toprule", r"\midrule", r"\bottomrule", r"\end{tabular}")]
+    assert order == sorted(order)
+    if shutil.which("pdflatex"):
+        page = (
+            r"\documentclass{article}\usepackage{booktabs}\begin{document}\tiny " + text + r"\end{document}"
+        )
+        (maker.root / "t.tex").write_text(page, encoding="utf-8")
+        command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"]
+        done = subprocess.run(command, cwd=maker.root, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout[-2000:]
+
+
+# --------------------------------------------------------------------------- tables of other tools
+
+
+def csv(tmp_path, text, name="results.csv"):
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+SMALL = "dataset,scene,method,psnr,size_bytes\nd,a,x,30.5,1000\nd,b,x,31.5,2000\nd,a,y,33,4000\nd,b,y,,\n"
+
+
+def test_a_table_with_the_least_columns_makes_a_report(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["--table", str(csv(tmp_path, SMALL)), "--out", str(out)]) == 0
+    assert capsys.readouterr().out.strip() == str(out / "report.html")
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "31.00" in page  # the mean of x
+    assert "no psnr" in page
+    assert (out / "charts" / "psnr-size.pdf").stat().st_size
+    assert "**33.00**" in (out / "results.md").read_text(encoding="utf-8")
+    curve = json.loads((out / "curves" / "d" / "x.json").read_text())
+    assert curve["results"] == {"rate": [""], "bytes": [1500.0], "psnr": [31.0]}
+
+
+def test_reports_needs_no_other_package_of_this_project(tmp_path):
+    """In a process where they cannot be imported."""
+    code = (
+        "import sys\n"
+        "for name in ('bench', 'methods', 'econgs', 'datasets', 'torch'): sys.modules[name] = None\n"
+        "from reports.__main__ import main\n"
+        f"sys.exit(main(['--table', {str(csv(tmp_path, SMALL))!r}, '--out', {str(tmp_path / 'out')!r}]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_further_columns_are_used(tmp_path):
+    text = "psnr,method,scene,dataset,size_bytes,fps,rate,seed,note\n30,x,a,d,10,5.5,64,2,hello\n"
+    row = read_results(csv(tmp_path, text))["results"].iloc[0]
+    assert (row["fps"], row["rate"], row["seed"], row["status"]) == (5.5, 64.0, 2, "ok")
+
+
+def test_parquet_is_read(tmp_path):
+    table = pd.DataFrame(
+        {"dataset": ["d"], "scene": ["a"], "method": ["x"], "psnr": [30.0], "size_bytes": [7]}
+    )
+    table.to_parquet(tmp_path / "r.parquet")
+    assert read_results(tmp_path / "r.parquet")["results"]["size_bytes"].tolist() == [7]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "it is empty; write a header"),
+        ("dataset,scene,method,psnr,size_bytes\n", "no rows; write one row"),
+        ("dataset,scene,method,PSNR,size\n", "lacks the columns psnr, size_bytes; rename psnr -> psnr, size"),
+        ("a,b\n1,2\n", "a table needs dataset, scene, method, psnr, size_bytes"),
+        (SMALL.replace("30.5", "30,5"), "line 2 has 6 cells, the header 5; write decimal points"),
+        (SMALL.replace("psnr,size", "psnr,psnr,size"), "has the column psnr twice"),
+        (SMALL.replace("30.5", "high"), "line 2 has psnr = high, not a number; leave it empty if missing"),
+        (SMALL.replace("30.5", "inf"), "line 2 has psnr = inf, not a number"),
+        (SMALL.replace("1000", "1000.5"), "line 2 has size_bytes = 1000.5, not a whole number"),
+        (SMALL.replace("d,b,x", ",b,x"), "line 3 has no dataset; fill the column"),
+        (SMALL.replace("d,b,x", "d,a,x"), "line 3 repeats d / a / x of a row above; tell them apart"),
+    ],
+)
+def test_unusable_tables_are_refused_with_file_reason_and_remedy(tmp_path, capsys, text, told):
+    path = csv(tmp_path, text)
+    assert main(["--table", str(path), "--out", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith(f"error: {path}: ")
+    assert told in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_files_that_are_no_tables(tmp_path):
+    with pytest.raises(Unusable, match="no such file"):
+        read_results(tmp_path / "none.csv")
+    (tmp_path / "x.csv").write_bytes(b"\xff\xfe\x00\x01binary")
+    with pytest.raises(Unusable, match="cannot be read as a table"):
+        read_results(tmp_path / "x.csv")
+    (tmp_path / "x.parquet").write_bytes(b"no")
+    with pytest.raises(Unusable, match="cannot be read as a table"):
+        read_results(tmp_path / "x.parquet")
