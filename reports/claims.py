@@ -10,8 +10,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from reports.paper_documents import to_html as table_html
 from reports.paper_tables import Block, PaperTable, paper_tables
-from reports.paper_tables import to_html as table_html
 
 if TYPE_CHECKING:
     import pandas as pd

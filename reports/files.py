@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import charts, confidence, datasets, paper_tables, rate_distortion
+from reports import charts, confidence, datasets, paper_documents, paper_tables, rate_distortion
 from reports.tables import to_csv, to_latex, to_markdown
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         charts.write(tables, folder / "charts")
         for table in paper_tables.paper_tables(results, tables["views"], tables["timing"]):
-            write_text(folder / "paper" / f"{table.name}.md", paper_tables.to_markdown(table))
-            write_text(folder / "paper" / f"{table.name}.tex", paper_tables.to_latex(table))
+            write_text(folder / "paper" / f"{table.name}.md", paper_documents.to_markdown(table))
+            write_text(folder / "paper" / f"{table.name}.tex", paper_documents.to_latex(table))
         write_text(folder / "results.csv", to_csv(results))
         _replace(folder / "results.parquet", results.to_parquet(None, index=False))
         write_text(folder / "results.md", to_markdown(results, tables["views"]))

@@ -24,13 +24,13 @@ def results(options: Namespace) -> int:
 
 def report(options: Namespace) -> int:
     """Print those of the paper's tables that a store has rows of, and write its HTML report."""
-    from reports import claims, paper_tables
+    from reports import claims, paper_documents, paper_tables
 
     store = Store(Path(options.runs))
     tables = build_tables(store, current(options))
     measured = paper_tables.paper_tables(tables["results"], tables["views"], tables["timing"])
     for table in measured:
-        print(paper_tables.to_text(table))
+        print(paper_documents.to_text(table))
     if options.check_claims:
         print(claims.to_text(claims.check(measured)))
     print(write_html(tables, store, Path(options.out) if options.out else None))

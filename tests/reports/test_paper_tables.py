@@ -8,6 +8,7 @@ import pytest
 
 from reports.claims import FAILS, HOLDS, UNKNOWN, check, claims
 from reports.claims import to_text as claims_text
+from reports.paper_documents import to_html, to_latex, to_markdown, to_text
 from reports.paper_tables import (
     QUANTITIES,
     Block,
@@ -17,10 +18,6 @@ from reports.paper_tables import (
     layouts,
     paper_tables,
     reference_rows,
-    to_html,
-    to_latex,
-    to_markdown,
-    to_text,
 )
 from tests.reports.conftest import RESULTS, frame
 
