@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from reports import training
-from reports.charts.frame import (
+from reports.figures.frame import (
     LINES,
     MOST_LABELS,
     annotate,

@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from reports import training
-from reports.plots.frame import GREY, MOST_LABELS, WIDTH, Figure, figure, line, log_axis, notes, share
 from reports.style import color, dash, linear_range
+from reports.traces.frame import GREY, MOST_LABELS, WIDTH, Figure, figure, line, log_axis, notes, share
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from reports import data, features
-from reports.plots.frame import MARGIN, Figure, figure
 from reports.style import PALETTE, PARTS, color, mib
+from reports.traces.frame import MARGIN, Figure, figure
 
 if TYPE_CHECKING:
     import pandas as pd

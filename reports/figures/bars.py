@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from reports import data, features
-from reports.charts.frame import legend_below, new_figure, settle, style, titled
+from reports.figures.frame import legend_below, new_figure, settle, style, titled
 from reports.style import PALETTE, PARTS, color
 
 if TYPE_CHECKING:

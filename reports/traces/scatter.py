@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from reports import data, rate_distortion
-from reports.plots.frame import GREY, Figure, figure, line, log_axis, notes, share
 from reports.style import color, linear_range, marker, series
+from reports.traces.frame import GREY, Figure, figure, line, log_axis, notes, share
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from reports import data, rate_distortion
-from reports.charts.frame import MARKERS, annotate, legend_below, log_axis, new_figure, settle, style, titled
+from reports.figures.frame import MARKERS, annotate, legend_below, log_axis, new_figure, settle, style, titled
 from reports.style import MIB, color, linear_range, marker, series
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from reports import data, features, rate_distortion, training
-from reports.charts.bars import feature_maps, histograms, ledger, timing
-from reports.charts.frame import style
-from reports.charts.lines import anytime, convergence, losses
-from reports.charts.scatter import rate_curves, tradeoff
+from reports.figures.bars import feature_maps, histograms, ledger, timing
+from reports.figures.frame import style
+from reports.figures.lines import anytime, convergence, losses
+from reports.figures.scatter import rate_curves, tradeoff
 from reports.style import series
 
 if TYPE_CHECKING:

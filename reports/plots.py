@@ -1,0 +1,11 @@
+"""The charts of the page, as plotly figures in plain JSON."""
+
+from reports.traces.bars import feature_maps, histograms, ledger, timing
+from reports.traces.frame import Figure
+from reports.traces.lines import anytime, convergence, losses
+from reports.traces.scatter import rate_curves, tradeoffs
+
+__all__ = [
+    "Figure", "anytime", "convergence", "feature_maps", "histograms", "ledger", "losses", "rate_curves",
+    "timing", "tradeoffs",
+]  # fmt: skip

@@ -1,0 +1,1 @@
+"""Making of the figures of :mod:`reports.plots`, by kind."""
