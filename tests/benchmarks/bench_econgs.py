@@ -125,9 +125,7 @@ def main() -> None:
     options = parser.parse_args()
     given = scenes(options.dataset, [name for name in options.scenes.split(",") if name])
     trainer = Trainer(given, resolve(SPEC, "standard", {}).options, options.iterations, 0, "cpu")
-    print(
-        f"{options.dataset}: {len(given)} scenes together, 200 x 200, {torch.get_num_threads()} threads of torch"
-    )
+    print(f"{options.dataset}: {len(given)} scenes together, 200 x 200, {torch.get_num_threads()} threads")
     print(f"{'stage':<8}{'decoders':<10}{'anchors':>8}{'ms':>8}  parts [ms]")
     for stage, until in (("1", 0.45), ("2", 0.7)):
         while trainer.iteration < until * options.iterations:
