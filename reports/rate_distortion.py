@@ -83,7 +83,8 @@ class Curve:
         first = self.points[0].row
         scenes, seeds = first["scenes"].split()[0], first["seeds"]
         told = f"{self.dataset}, preset {first['preset']}, {first['split']} views: means over {scenes} scenes"
-        return {"name": self.title, "description": f"{told} and {seeds} seeds", "results": columns}
+        told += "" if seeds == 1 else f" and {seeds} seeds"
+        return {"name": self.title, "description": told, "results": columns}
 
     @property
     def problem(self) -> str:
