@@ -81,7 +81,7 @@ def _confidence(results: pd.DataFrame, views: pd.DataFrame) -> Section | None:
             told += [_range(row["low"], row["high"]), _seeds(row)]
             rows.append([*told, *_against(pairs, row, best)])
     heads = ["Dataset", "Method", *(axis.capitalize() for axis in several), "PSNR [dB]", "95 % over views"]
-    heads += ["Over seeds", "To the highest [dB]", "95 % of the difference", ""]
+    heads += ["Over seeds", "To the highest [dB]", "95 % of the difference", "Ranking"]
     words = (
         "PSNR is a mean over views and scenes. How sure it is given these views is told by a 95 % interval "
         "from a circular block bootstrap (blocks of a sixth of the test path, because neighbouring views are "

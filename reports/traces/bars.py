@@ -97,7 +97,7 @@ def feature_maps(panels: list[features.Map]) -> list[tuple[features.Map, Figure]
     for panel in panels:
         traces = [
             {
-                "type": "scattergl",
+                "type": "scatter",
                 "mode": "markers",
                 "name": scene,
                 "x": [round(float(x), 3) for x in spots[:, 0]],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +14,7 @@ MARGIN = {"l": 54, "r": 14, "t": 12, "b": 46}
 WIDTH, HEIGHT = 330.0, 252.0
 MOST_LABELS = 10
 """More lines than this are named by the page's legend and when pointed at."""
+_CHARACTER = 7.0  # width of a label's character in pixels
 GREY = "#888888"
 """Reads on light and on dark."""
 
@@ -33,9 +35,22 @@ def figure(traces: list[Any], x: dict[str, Any], y: dict[str, Any], **layout: An
     }
 
 
-def log_axis(values: Sequence[float], title: str) -> dict[str, Any]:
-    """A logarithmic axis with room for labels and with ticks that read as numbers."""
+def room_for(titles: Sequence[str]) -> float:
+    """Share of the width that labels to the right of their points take; none if they are many."""
+    longest = max(map(len, titles)) if 0 < len(titles) <= MOST_LABELS else 0
+    return min(0.6, (_CHARACTER * longest + 16.0) / WIDTH)
+
+
+def log_axis(values: Sequence[float], title: str, room: float = 0.0) -> dict[str, Any]:
+    """A logarithmic axis with ticks that read as numbers.
+
+    Args:
+        values: what it shall show.
+        title: of the axis.
+        room: share at the upper end to be kept free for labels, if that is more than the usual margin.
+    """
     low, high = log_range(values)
+    high = max(high, low + (math.log10(max(values)) - low) / (1.0 - room))
     ticks = log_ticks(low, high)
     return {
         "type": "log",
@@ -64,7 +79,7 @@ def notes(
         avoid: further points, in shares of the drawing area.
     """
     texts = [text for _, _, text, _ in labels]
-    places = place_labels(_scaled(spots), texts, WIDTH, HEIGHT, avoid=_scaled(avoid), char=7.0)
+    places = place_labels(_scaled(spots), texts, WIDTH, HEIGHT, avoid=_scaled(avoid), char=_CHARACTER)
     return [
         {
             "x": x,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from reports import training
 from reports.style import color, dash, linear_range
-from reports.traces.frame import GREY, MOST_LABELS, WIDTH, Figure, figure, line, log_axis, notes, share
+from reports.traces.frame import GREY, MOST_LABELS, Figure, figure, line, log_axis, notes, room_for, share
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,7 +31,8 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str, names: list[s
     """Dataset -> validation PSNR or estimated size (log) over training seconds per scene (log)."""
     made = {}
     for dataset, lines in training.anytime(curve, results, what).items():
-        x_axis = log_axis([x for row in lines for x in row.x], "training time per scene [s]")
+        room = room_for([row.title for row in lines])
+        x_axis = log_axis([x for row in lines for x in row.x], "training time per scene [s]", room)
         values = [y for row in lines for y in row.y]
         if what == "bytes_estimate":
             y_axis = log_axis(values, training.ANYTIME_AXIS[what])
@@ -48,8 +49,7 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str, names: list[s
 
 def _widened(end: float, lines: list[training.Curve]) -> float:
     """Room for the labels at the lines' ends."""
-    longest = max(len(row.title) for row in lines) if len(lines) <= MOST_LABELS else 0
-    return (end or 1.0) / max(0.4, 1.0 - (7.0 * longest + 16.0) / WIDTH)
+    return (end or 1.0) / (1.0 - room_for([row.title for row in lines]))
 
 
 def _lines(
