@@ -72,7 +72,7 @@ def _lines(
         for axis, lines in zip(axes, panels.values(), strict=False):
             if not crowded:
                 ends = [(line.x[-1], line.y[-1], line.title, color(line.name, names)) for line in lines]
-                annotate(axis, ends, [spot for line in lines for spot in zip(line.x, line.y, strict=True)])
+                annotate(axis, ends, [])
     return figure
 
 

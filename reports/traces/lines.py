@@ -74,10 +74,7 @@ def _lines(
         def place(x: float, y: float) -> tuple[float, float]:
             return share(x, x_axis["range"]), share(y, y_axis["range"])
 
-        along = [
-            place(_on(x_axis, x), _on(y_axis, y)) for row in lines for x, y in zip(row.x, row.y, strict=True)
-        ]
-        written = notes(labels, [place(x, y) for x, y, _, _ in labels], along)
+        written = notes(labels, [place(x, y) for x, y, _, _ in labels], [])
     return figure(traces, x_axis, y_axis, annotations=written)
 
 
