@@ -26,8 +26,8 @@
       layout[name].linecolor = shade("--soft");
     }
     if (document.documentElement.dataset.shown === "dark") {
-      // Black and the dark blue would drown; everything else reads on both.
-      const lift = { "#000000": "#ffffff", "#0072B2": "#4ba3dc" };
+      // Black, the dark blue and the vermilion would drown; everything else reads on both.
+      const lift = { "#000000": "#ffffff", "#0072B2": "#4ba3dc", "#D55E00": "#f2803a" };
       const walk = (node) => {
         for (const key in node) {
           if (typeof node[key] === "string" && lift[node[key]]) node[key] = lift[node[key]];
