@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from reports.statistics import METRICS, Views
 from reports.style import MIB, absent
-from reports.tables import standing, summary
+from reports.tables import standing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,6 +46,12 @@ QUANTITIES = {
     "rasterise_ms": Quantity("Rasterising [ms]", "raster_ms", 2, -1),
     "frame_ms": Quantity("Frame [ms]", "total_ms", 2, -1),
     "peak_host_bytes": Quantity("Host memory [GiB]", "", 2, -1, 1.0 / 2.0**30),
+}
+_ACROSS_SCENES = {
+    "train_seconds": "sum",
+    "size_bytes": "sum",
+    "primitives": "sum",
+    "peak_host_bytes": "max",
 }
 
 
@@ -250,20 +256,26 @@ def _row(
         if lacking:
             note = f"seed {seed}: {', '.join(sorted(lacking))} missing or failed"
             continue
-        means = summary(part).iloc[0]
         for column in columns:
-            if column == "groups":
-                value: Any = part["group"].nunique()
-            else:
-                value = means[column] if column in means else part[column].astype(float).mean()
-            if not absent(value):
-                per_seed[column].append(float(value) * QUANTITIES[column].scale)
+            value = _of_dataset(part, column)
+            if value is not None:
+                per_seed[column].append(value * QUANTITIES[column].scale)
     return Row(
         line["label"],
         {c: _value(per_seed[c], reference, QUANTITIES[c]) for c in columns},
         note,
         list(rows["job"]),
     )
+
+
+def _of_dataset(scenes: pd.DataFrame, column: str) -> float | None:
+    """One number of a dataset's scenes; None if any of them lacks it."""
+    if column == "groups":
+        return float(scenes["group"].nunique())
+    values = scenes[column]
+    if values.isna().any():
+        return None
+    return float(values.astype(float).agg(_ACROSS_SCENES.get(column, "mean")))
 
 
 def _value(seeds: list[float], reference: Mapping[str, str], quantity: Quantity) -> Value:
