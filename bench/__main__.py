@@ -127,7 +127,11 @@ def _parser() -> _Parser:
     results.add_argument("--format", choices=("csv", "md", "tex", "json"), default="csv")
     told = "print the paper's tables as measured, and write the HTML report of a run store"
     report = command("report", told, plugins, runs)
-    report.add_argument("--out", metavar="FILE", help="default: report.html in the run store")
+    report.add_argument(
+        "--out",
+        metavar="DIR",
+        help="folder for report.html and what goes with it, or the page's name (default: the run store)",
+    )
     report.add_argument(
         "--check-claims", action="store_true", help="list the paper's claims: hold, do not, not measured"
     )

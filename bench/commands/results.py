@@ -38,10 +38,12 @@ def report(options: Namespace) -> int:
 
 
 def write_html(tables: dict[str, pd.DataFrame], store: Store, out: Path | None = None) -> Path:
-    """The report of a store; returns its path."""
+    """The report of a store, in a folder of its own or as a page by name; returns its path."""
     from reports.page import write_report
 
-    path = out or store.root / "report.html"
+    path = out or store.root
+    if path.suffix != ".html":
+        path = path / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_report(tables, store.root, path)
     return path

@@ -186,6 +186,15 @@ def test_a_torn_table_is_made_again(finished, capsys) -> None:
     assert str(finished.store / "report.html") in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("given", "page"), [("folder", "folder/report.html"), ("mine.html", "mine.html")])
+def test_a_report_goes_into_a_folder_or_under_a_name(finished, tmp_path, capsys, given, page) -> None:
+    store = ["report", "--runs", str(finished.store), "--plugins", str(finished.plugins)]
+    assert main([*store, "--out", str(tmp_path / given)]) == 0
+    assert str(tmp_path / page) in capsys.readouterr().out
+    assert (tmp_path / page).read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert (tmp_path / page).with_name("results.csv").exists()
+
+
 def test_debug_shows_where_it_failed(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(Exception, match="no run store"):
