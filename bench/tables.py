@@ -25,15 +25,15 @@ COLUMNS: dict[str, tuple[str, ...]] = {
         "train_seconds", "group_seconds", "load_seconds", "fps", "peak_host_bytes", "peak_device_bytes",
         "iterations", "train_views", "width", "height", "device", "machine", "threads", "job", "fps_p05",
         "fps_p95", "encode_seconds", "reference_seconds", "identical_views", "stage", "commit",
-        "group_peak_host_bytes", "partition_seconds",
+        "group_peak_host_bytes", "partition_seconds", "requested_views",
     ),
     "views": ("job", *_AXES, "rate", "preset", "split", "seed", "view", *METRICS, "identical", "truth_file",
-              "render_file", "alpha_file", "background"),
+              "render_file", "alpha_file", "background", "requested_views"),
     "curve": ("job", *_AXES, "preset", "seed", "iteration", "train_seconds", "loss", "psnr_val", "primitives",
-              "bytes_estimate", "loss_parts"),
-    "ledger": ("job", *_AXES, "rate", "preset", "seed", "part", "bytes"),
-    "timing": ("job", *_AXES, "rate", "preset", "seed", "part", "seconds"),
-    "features": ("job", *_AXES, "name", "values", "width"),
+              "bytes_estimate", "loss_parts", "requested_views"),
+    "ledger": ("job", *_AXES, "rate", "preset", "seed", "part", "bytes", "requested_views"),
+    "timing": ("job", *_AXES, "rate", "preset", "seed", "part", "seconds", "requested_views"),
+    "features": ("job", *_AXES, "name", "values", "width", "requested_views"),
     "dvr": ("job", "dataset", "scene", "kind", "preset", "status", "reason", "nx", "ny", "nz", "variables",
             "dtype", "volume_bytes", "ms_per_view", "ms_p05", "ms_p95", "fps", "load_seconds",
             "setup_seconds", "peak_host_bytes", "peak_device_bytes", "width", "height", "renderer", "version",
@@ -48,7 +48,8 @@ _TEXT = {
 _WHOLE = {
     "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes",
     "peak_device_bytes", "iterations", "train_views", "width", "height", "threads", "identical_views",
-    "group_peak_host_bytes", "iteration", "bytes_estimate", "bytes", "nx", "ny", "nz", "volume_bytes",
+    "group_peak_host_bytes", "requested_views", "iteration", "bytes_estimate", "bytes", "nx", "ny", "nz",
+    "volume_bytes",
 }  # fmt: skip
 _FLAGS = {"stale", "identical"}
 
@@ -343,6 +344,7 @@ def _axes(job: Job) -> dict[str, Any]:
         "rate": job.rate,
         "preset": job.preset,
         "seed": job.seed,
+        "requested_views": job.request.train_views,
     }
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import data, features, rate_distortion, training
+from reports import data, features, rate_distortion, stability, training
 from reports.figures.bars import feature_maps, histograms, ledger, timing
 from reports.figures.frame import style
-from reports.figures.lines import anytime, convergence, losses
+from reports.figures.lines import anytime, convergence, losses, over
 from reports.figures.scatter import rate_curves, tradeoff
 from reports.style import series
 
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "anytime", "convergence", "feature_maps", "figures", "histograms", "ledger", "losses", "rate_curves",
-    "timing", "tradeoff", "write",
+    "anytime", "convergence", "feature_maps", "figures", "histograms", "ledger", "losses", "over",
+    "rate_curves", "timing", "tradeoff", "write",
 ]  # fmt: skip
 _TRADEOFFS = {
     "size": "size_bytes",
@@ -50,6 +51,13 @@ def figures(tables: dict[str, pd.DataFrame]) -> dict[str, Callable[[], Figure]]:
     for short, against in (("seconds", "train_seconds"), ("iterations", "iteration")):
         if training.convergence(curve, against):
             wanted[f"convergence-{short}"] = lambda against=against: convergence(curve, against, names)  # type: ignore[misc]
+    if panels := stability.few_views(results):
+        wanted["few-views"] = partial(over, panels, "training views", "PSNR [dB]", names, log_y=False)
+    for what, title in stability.COMPLEXITY.items():
+        if panels := stability.by_complexity(results, what):
+            wanted[f"complexity-{what.split('_')[0]}"] = partial(
+                over, panels, "number of parts", title, names, log_y=what != "psnr"
+            )
     if training.losses(curve):
         wanted["losses"] = lambda: losses(curve)
     if features.histograms(tables["features"]):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from reports import charts, confidence, datasets, paper_documents, paper_tables, rate_distortion
+from reports.protocols import by_training_views
 from reports.tables import to_csv, to_latex, to_markdown
 
 if TYPE_CHECKING:
@@ -31,16 +32,17 @@ def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
     results, dvr = tables["results"], tables["dvr"]
     if not results.empty:
         folder.mkdir(parents=True, exist_ok=True)
-        charts.write(tables, folder / "charts")
+        shown = by_training_views(tables)
+        charts.write(shown, folder / "charts")
         for table in paper_tables.paper_tables(results, tables["views"], tables["timing"]):
             write_text(folder / "paper" / f"{table.name}.md", paper_documents.to_markdown(table))
             write_text(folder / "paper" / f"{table.name}.tex", paper_documents.to_latex(table))
         write_text(folder / "results.csv", to_csv(results))
         _replace(folder / "results.parquet", results.to_parquet(None, index=False))
-        write_text(folder / "results.md", to_markdown(results, tables["views"]))
-        write_text(folder / "results.tex", to_latex(results, tables["views"]))
-        _write_statistics(tables, folder)
-        _write_rates(results, folder)
+        write_text(folder / "results.md", to_markdown(shown["results"], shown["views"]))
+        write_text(folder / "results.tex", to_latex(shown["results"], shown["views"]))
+        _write_statistics(shown, folder)
+        _write_rates(shown["results"], folder)
     if not dvr.empty:
         costs = datasets.costs(dvr)
         write_text(folder / "datasets.csv", to_csv(dvr))

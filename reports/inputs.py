@@ -21,6 +21,7 @@ _TEXT = {
 _WHOLE = (
     "primitives", "iterations", "train_views", "width", "height", "threads", "identical_views", "group_bytes",
     "standalone_bytes", "size_bytes", "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes",
+    "requested_views",
 )  # fmt: skip
 _NUMBERS = (
     "rate", "psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv", "train_seconds", "group_seconds",
@@ -28,12 +29,12 @@ _NUMBERS = (
 )  # fmt: skip
 _OTHERS = {
     "views": "job dataset scene method variant rate preset split seed view psnr psnr_fg ssim lpips_vgg flip "
-    "delta_e_uv identical truth_file render_file alpha_file background",
+    "delta_e_uv identical truth_file render_file alpha_file background requested_views",
     "curve": "job dataset scene method variant preset seed iteration train_seconds loss psnr_val primitives "
-    "bytes_estimate loss_parts",
-    "ledger": "job dataset scene method variant rate preset seed part bytes",
-    "timing": "job dataset scene method variant rate preset seed part seconds",
-    "features": "job dataset scene method variant name values width",
+    "bytes_estimate loss_parts requested_views",
+    "ledger": "job dataset scene method variant rate preset seed part bytes requested_views",
+    "timing": "job dataset scene method variant rate preset seed part seconds requested_views",
+    "features": "job dataset scene method variant name values width requested_views",
     "dvr": "job dataset scene kind preset status reason nx ny nz variables dtype volume_bytes ms_per_view "
     "ms_p05 ms_p95 fps load_seconds setup_seconds peak_host_bytes peak_device_bytes width height renderer "
     "version backend machine threads reference_seconds commit",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from reports import claims, datasets, provenance, results_table, scenes
 from reports.chart_sections import Section, chart_sections
 from reports.files import write_files, write_text
+from reports.protocols import by_training_views
 from reports.style import MISSING, absent, series
 
 if TYPE_CHECKING:
@@ -36,8 +37,10 @@ def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path
     write_files(tables, out.parent)
     sections = []
     if not results.empty:
-        pictures = scenes.section(tables, root, out.parent / "charts")
         paper = claims.section(tables)
+        tables = by_training_views(tables)
+        results = tables["results"]
+        pictures = scenes.section(tables, root, out.parent / "charts")
         sections = [
             Section("results", "Results", results_table.section(results, tables["views"])),
             *([Section("paper", "The paper's tables", paper)] if paper else []),

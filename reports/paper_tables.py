@@ -196,7 +196,9 @@ def _of_protocols(
 ) -> Iterator[Block]:
     by_views = any("train_views" in row for row in said["rows"])
     keys = ["preset", "split"] if by_views else ["preset", "split", "requested_views"]
-    results = results.assign(requested_views=_requested(results["train_views"]))
+    guessed = _requested(results["train_views"])
+    told = results.get("requested_views", guessed)
+    results = results.assign(requested_views=told.fillna(guessed))
     for _, rows in results.groupby(keys, dropna=False, sort=False):
         lines = [_row(name, line, said["columns"], rows, published) for line in said["rows"]]
         measured = {
@@ -234,7 +236,7 @@ def _has_published(row: Row) -> bool:
 
 
 def _requested(views: pd.Series) -> pd.Series:
-    """Training views as asked for: with split "val" a tenth of them was held out."""
+    """Training views as asked for, where a table does not tell: with split "val" a tenth was held out."""
     asked = (6, 12, 42, 92)
     return views.map(lambda n: n if absent(n) else min((a for a in asked if a >= n), default=n))
 

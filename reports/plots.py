@@ -2,10 +2,10 @@
 
 from reports.traces.bars import feature_maps, histograms, ledger, timing
 from reports.traces.frame import Figure
-from reports.traces.lines import anytime, convergence, losses
+from reports.traces.lines import anytime, convergence, losses, over
 from reports.traces.scatter import rate_curves, tradeoffs
 
 __all__ = [
-    "Figure", "anytime", "convergence", "feature_maps", "histograms", "ledger", "losses", "rate_curves",
-    "timing", "tradeoffs",
+    "Figure", "anytime", "convergence", "feature_maps", "histograms", "ledger", "losses", "over",
+    "rate_curves", "timing", "tradeoffs",
 ]  # fmt: skip

@@ -57,17 +57,19 @@ def print_as(table: pd.DataFrame, form: str) -> None:
         print(table.to_json(orient="records", indent=1, double_precision=15))
     else:
         from reports import tables as convert
+        from reports.protocols import by_training_views
 
         writer: Any = convert.to_markdown if form == "md" else convert.to_latex
-        print(writer(table))
+        print(writer(by_training_views({"results": table})["results"]))
 
 
 def print_results(table: pd.DataFrame) -> None:
     """The rows of a run, for people."""
+    from reports.protocols import by_training_views
     from reports.tables import terminal_rows
 
     width = _console().width
-    header, *lines = terminal_rows(table, width)
+    header, *lines = terminal_rows(by_training_views({"results": table})["results"], width)
     _print(header, lines)
 
 

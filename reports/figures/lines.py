@@ -40,6 +40,11 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str, names: list[s
     return _lines(panels, x, training.ANYTIME_AXIS[what], names, log=True, log_y=what == "bytes_estimate")
 
 
+def over(panels: dict[str, list[training.Curve]], x: str, y: str, names: list[str], *, log_y: bool) -> Figure:
+    """Lines over a logarithmic axis, a panel per dataset; ``x`` and ``y`` are the axes' titles."""
+    return _lines(panels, x, y, names, log=True, log_y=log_y)
+
+
 def _lines(
     panels: dict[str, list[training.Curve]],
     x: str,

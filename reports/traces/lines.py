@@ -47,6 +47,21 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str, names: list[s
     return made
 
 
+def over(
+    panels: dict[str, list[training.Curve]], x: str, y: str, names: list[str], *, log_y: bool
+) -> dict[str, Figure]:
+    """Dataset -> lines over a logarithmic axis; ``x`` and ``y`` are the axes' titles."""
+    made = {}
+    for dataset, lines in panels.items():
+        x_axis = log_axis([v for row in lines for v in row.x], x, room_for([row.title for row in lines]))
+        values = [v for row in lines for v in row.y]
+        y_axis = (
+            log_axis(values, y) if log_y else {"range": list(linear_range(values, 2.0)), "title": {"text": y}}
+        )
+        made[dataset] = _lines(lines, x_axis, y_axis, f"{x} %{{x:,}}<br>{y} %{{y:.4~g}}", names)
+    return made
+
+
 def _widened(end: float, lines: list[training.Curve]) -> float:
     """Room for the labels at the lines' ends."""
     return (end or 1.0) / (1.0 - room_for([row.title for row in lines]))

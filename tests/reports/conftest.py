@@ -56,6 +56,7 @@ RESULTS = [
     "commit",
     "group_peak_host_bytes",
     "partition_seconds",
+    "requested_views",
 ]
 VIEWS = [
     "job",
@@ -79,10 +80,11 @@ VIEWS = [
     "render_file",
     "alpha_file",
     "background",
+    "requested_views",
 ]
 CURVE = "job dataset scene method variant preset seed iteration train_seconds loss psnr_val primitives "
-CURVE += "bytes_estimate"
-LEDGER = "job dataset scene method variant rate preset seed part bytes"
+CURVE += "bytes_estimate requested_views"
+LEDGER = "job dataset scene method variant rate preset seed part bytes requested_views"
 DVR = """job dataset scene kind preset status reason nx ny nz variables dtype volume_bytes ms_per_view ms_p05
 ms_p95 fps load_seconds setup_seconds peak_host_bytes peak_device_bytes width height renderer version backend
 machine threads reference_seconds commit"""
@@ -112,6 +114,7 @@ NUMBERS = {
 }
 WHOLE = {
     "seed",
+    "requested_views",
     "size_bytes",
     "group_bytes",
     "standalone_bytes",
@@ -197,6 +200,7 @@ class Maker:
             "split": "test",
             "seed": seed,
             "job": job,
+            "requested_views": more.pop("requested_views", 42),
         }
         row = {
             **axes,

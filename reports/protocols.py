@@ -1,0 +1,45 @@
+"""Rows that answer different questions are kept apart before anything is averaged or ranked."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ORIGIN = "whole_dataset"
+
+
+def by_training_views(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
+    """A dataset that was fitted with several numbers of training views becomes one dataset for each.
+
+    "vortices" with fits from 6 and from 42 views becomes "vortices, 6 views" and "vortices, 42 views" in all
+    tables; a dataset with one number keeps its name. The tables given stay as they are; renamed ones have
+    the former name in a column :data:`ORIGIN`.
+    """
+    results = tables["results"]
+    if results.empty or "requested_views" not in results:
+        return tables
+    numbers = results.groupby("dataset", dropna=False)["requested_views"].nunique()
+    several = set(numbers[numbers > 1].index)
+    return {name: _named(table, several) for name, table in tables.items()}
+
+
+def _named(table: pd.DataFrame, several: set[str]) -> pd.DataFrame:
+    if "requested_views" not in table or not table["dataset"].isin(several).any():
+        return table
+    apart = table["dataset"].isin(several) & table["requested_views"].notna()
+    names = table["dataset"] + ", " + table["requested_views"].astype("string") + " views"
+    named = table.assign(dataset=table["dataset"].where(~apart, names), **{ORIGIN: table["dataset"]})
+    return named.loc[_order(table, apart)].reset_index(drop=True)
+
+
+def _order(table: pd.DataFrame, apart: pd.Series) -> pd.Index:
+    """Datasets stay where they were; within one, few views come first."""
+    place = {name: i for i, name in enumerate(dict.fromkeys(table["dataset"]))}
+    keys = [
+        (place[name], int(count) if split else 0)
+        for name, count, split in zip(table["dataset"], table["requested_views"], apart, strict=True)
+    ]
+    ranked = sorted(range(len(keys)), key=keys.__getitem__)
+    return table.index[ranked]
