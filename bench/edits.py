@@ -34,6 +34,15 @@ def parse_edits(texts: Iterable[str]) -> dict[str, Edit]:
     return edits
 
 
+def edit_of(scene: str, text: str) -> dict[str, Edit]:
+    """The edit of one scene as suites and jobs write it: "opacity=0.5 light=1,0,0"; {} for "".
+
+    Raises:
+        DataError, UnknownName: as :func:`parse_edits`.
+    """
+    return parse_edits(f"{scene}.{part}" for part in text.split())
+
+
 def _value(text: str, kind: str, value: str) -> Any:
     if kind == "palette":
         if not re.fullmatch(r"#[0-9a-fA-F]{6}", value):

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.edits import edit_of
 from bench.records import Job, Request, derived_seed, hash_of
 from bench.suites import ViewPreset
 from datasets.camera import Camera
@@ -86,14 +87,16 @@ def view_size(preset: ViewPreset, native: tuple[int, int] | None) -> tuple[int, 
     )
 
 
-def views(dataset: Dataset, scene: str, request: Request, split: Split) -> ViewSet:
-    """Ground-truth views of a basic scene or composition, from the cache where they are in it."""
-    return views_of(dataset, scene, view_request(request, split))
+def views(dataset: Dataset, scene: str, request: Request, split: Split, edit: str = "") -> ViewSet:
+    """Ground-truth views of a basic scene (edited or not) or of a composition; cached if possible."""
+    return views_of(dataset, scene, view_request(request, split), edit=edit_of(scene, edit))
 
 
-def cost_of_views(dataset: Dataset, scene: str, request: Request, split: Split) -> dict[str, Any] | None:
+def cost_of_views(
+    dataset: Dataset, scene: str, request: Request, split: Split, edit: str = ""
+) -> dict[str, Any] | None:
     """What rendering the cached views took, whenever that was; None for pre-rendered ones."""
-    return render_cost(dataset, scene, view_request(request, split))
+    return render_cost(dataset, scene, view_request(request, split), edit=edit_of(scene, edit))
 
 
 def view_request(request: Request, split: Split) -> ViewRequest:

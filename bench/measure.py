@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bench.edits import edit_of
 from bench.monitor import as_numpy
 from bench.records import MeasureResult, ViewResult
 from bench.timing import (
@@ -37,7 +38,8 @@ def measure(context: Context) -> MeasureResult:
     Memory is read before the ground truth and the metrics come into the process.
 
     Raises:
-        Refused: the scenes are in several models and the method cannot render those together.
+        Refused: the scenes are in several models and the method cannot render those together, or it cannot
+            make the edit.
     """
     from bench.stages import read_cameras
 
@@ -48,6 +50,7 @@ def measure(context: Context) -> MeasureResult:
     shown = context.needed("views")
     assert shown.views is not None
     cameras = read_cameras(context.path_of(shown))
+    edit = edit_of(job.shows, job.edit)
     background = shown.views.background
     method = context.method()
 
@@ -62,7 +65,9 @@ def measure(context: Context) -> MeasureResult:
     context.report(stage="timing")
     before = reference_seconds()
     frames = time_frames(
-        lambda camera: model.render(camera, scenes=scenes, background=background), cameras, job.device
+        lambda camera: model.render(camera, scenes=scenes, edit=edit, background=background),
+        cameras,
+        job.device,
     )
     after = reference_seconds()
     parts = median_timings(lambda camera: model.timings(camera, scenes=scenes), cameras)
@@ -74,7 +79,7 @@ def measure(context: Context) -> MeasureResult:
     from bench.metrics.image import to_8bit
     from datasets.png import write_png
 
-    truth = views(open_dataset(job.dataset), job.shows, job.request, job.split)
+    truth = views(open_dataset(job.dataset), job.shows, job.request, job.split, job.edit)
     if truth.key != shown.views.view_keys[job.split]:
         raise RuntimeError(
             "the ground truth has changed since its views job; delete that job or use a new store"
@@ -84,7 +89,7 @@ def measure(context: Context) -> MeasureResult:
     rows: list[ViewResult] = []
     missing: dict[str, str] = {}
     for index, camera in enumerate(cameras):
-        tensor, tensor_alpha = model.render(camera, scenes=scenes, background=background)
+        tensor, tensor_alpha = model.render(camera, scenes=scenes, edit=edit, background=background)
         rgb, alpha = as_numpy(tensor), as_numpy(tensor_alpha)
         if not (np.isfinite(rgb).all() and np.isfinite(alpha).all()):
             raise FloatingPointError(

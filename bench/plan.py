@@ -99,11 +99,12 @@ class Planner:
             views = {
                 name: self._of_scene("views", chosen, name) for name in (*chosen.hashes, *chosen.compositions)
             }
-            yield from views.values()
+            edited = self._edited_views(chosen)
+            yield from (*views.values(), *edited.values())
             for spec, settings, rates in self._settings:
                 for seed in self._seeds:
                     common = self._common(chosen, spec, settings, seed)
-                    yield from self._of_method(store, spec, common, chosen, views, rates)
+                    yield from self._of_method(store, spec, common, chosen, views, edited, rates)
 
     def _of_method(
         self,
@@ -112,6 +113,7 @@ class Planner:
         common: dict[str, Any],
         chosen: Chosen,
         views: dict[str, Job],
+        edited: dict[tuple[str, str], Job],
         rates: list[float | None],
     ) -> Iterator[Job]:
         partition = None
@@ -136,13 +138,23 @@ class Planner:
                 for scene in group:
                     encodes[scene, rate] = encode
                     yield self._measure([encode], (scene,), views[scene])
+                    for edit in self._selection.suite.edits if rate is None else ():
+                        if (scene, edit) in edited:
+                            yield self._measure([encode], (scene,), edited[scene, edit], edit=edit)
         for name, parts in chosen.compositions.items():
             for rate in rates:
                 needed = list({encodes[part, rate].id: encodes[part, rate] for part in parts}.values())
                 yield self._measure(needed, parts, views[name], name)
 
-    def _measure(self, encodes: list[Job], scenes: tuple[str, ...], views: Job, composition: str = "") -> Job:
-        """Of a basic scene, or of the scenes of a composition together."""
+    def _measure(
+        self,
+        encodes: list[Job],
+        scenes: tuple[str, ...],
+        views: Job,
+        composition: str = "",
+        edit: str = "",
+    ) -> Job:
+        """Of a basic scene, as it is or edited, or of the scenes of a composition together."""
         identity: dict[str, Any] = {
             "views": views.key,
             "split": self._selection.split,
@@ -152,6 +164,8 @@ class Planner:
             identity |= {"encodes": [encode.key for encode in encodes], "scenes": list(scenes)}
         else:
             identity |= {"encode": encodes[0].key, "scene": scenes[0]}
+        if edit:
+            identity["edit"] = edit
         return _job(
             "measure",
             encodes[0],
@@ -159,13 +173,25 @@ class Planner:
             (views.id, *(encode.id for encode in encodes)),
             scenes=scenes,
             composition=composition,
+            edit=edit,
             group=",".join(encode.group for encode in encodes),
             metrics=dict(self._metrics),
         )
 
-    def _of_scene(self, kind: str, chosen: Chosen, name: str) -> Job:
+    def _edited_views(self, chosen: Chosen) -> dict[tuple[str, str], Job]:
+        """Scene and edit -> the views of the edited scene, where scenes can be rendered."""
+        edits = self._selection.suite.edits if chosen.kind == "volume" else ()
+        return {
+            (scene, edit): self._of_scene("views", chosen, scene, edit)
+            for scene in chosen.hashes
+            for edit in edits
+        }
+
+    def _of_scene(self, kind: str, chosen: Chosen, name: str, edit: str = "") -> Job:
         """A job about a scene or composition itself, of no method: its views, or the cost of rendering it."""
         identity = {"kind": kind, "scene": chosen.content(name), "request": chosen.request.model_dump()}
+        if edit:
+            identity["edit"] = edit
         if kind == "views":
             identity["split"] = self._selection.split
         return Job.model_validate(
@@ -177,6 +203,7 @@ class Planner:
                 "dataset_name": chosen.name,
                 "scenes": chosen.compositions.get(name, (name,)),
                 "composition": name if name in chosen.compositions else "",
+                "edit": edit,
                 "request": chosen.request,
                 "split": self._selection.split,
                 "preset": self._preset_name,

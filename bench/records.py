@@ -38,6 +38,7 @@ class Job(_Model):
         scenes: the basic scenes the job is about: one (or those of a composition) for views, dvr and
             measure, a group for fit and encode.
         composition: name of the composition that the scenes make up, "" for a basic scene.
+        edit: what is changed of a basic scene before it is shown (views, measure), as "opacity=0.5".
         group: name of the group of scenes fitted together; of several (measure of a composition), joined
             by commas.
         needs: ids of the jobs that must be finished before.
@@ -53,6 +54,7 @@ class Job(_Model):
     dataset_name: str
     scenes: tuple[str, ...]
     composition: str = ""
+    edit: str = ""
     group: str = ""
     request: Request
     split: Literal["test", "val"] = "test"
@@ -81,6 +83,8 @@ class Job(_Model):
         """For people: what, of which scenes, by which method."""
         about = self.composition or self.group or "+".join(self.scenes)
         parts = [self.kind, f"{self.dataset_name}/{about}"]
+        if self.edit:
+            parts.append(self.edit)
         if self.method:
             parts.append(self.method + (f"[{self.variant}]" if self.variant else ""))
         if self.rate is not None:

@@ -93,13 +93,14 @@ def _views(context: Context) -> ViewsResult:
     keys: dict[str, str] = {}
     cost: dict[str, dict[str, Any]] = {}
     start = time.perf_counter()
-    # Nobody trains on a composition.
-    wanted: tuple[Split, ...] = (measured,) if job.composition else ("trainval", measured)
+    # Nobody trains on a composition or an edited scene.
+    only = job.composition or job.edit
+    wanted: tuple[Split, ...] = (measured,) if only else ("trainval", measured)
     for split in wanted:
         context.report(stage=f"views: {split}")
-        found = views(dataset, job.shows, job.request, split)
+        found = views(dataset, job.shows, job.request, split, job.edit)
         keys[split] = found.key
-        if (spent := cost_of_views(dataset, job.shows, job.request, split)) is not None:
+        if (spent := cost_of_views(dataset, job.shows, job.request, split, job.edit)) is not None:
             cost[split] = spent
     seconds = time.perf_counter() - start
     if len(found) == 0:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from bench.edits import edit_of
 from datasets.errors import DataError
 from datasets.names import unknown
 
@@ -57,6 +58,8 @@ class Suite:
         dvr: time direct volume rendering of each scene, and its memory.
         variants: sets of options, method -> option -> value; {} is the presets' own.
         rates: "default" (each method's own size) or "all" (the rate knobs' values).
+        edits: changes of each basic scene that models are measured with too, against the ground truth of the
+            changed scene, as "opacity=0.5 light=1,0,0"; scenes of pre-rendered views have none.
     """
 
     name: str
@@ -73,6 +76,7 @@ class Suite:
     dvr: bool = False
     stand_ins: Mapping[str, str] = field(default_factory=dict)
     train_views: tuple[int, ...] = ()
+    edits: tuple[str, ...] = ()
 
     def present(self, available: Collection[str]) -> dict[str, tuple[str, ...]]:
         """The datasets to run, given those that have data here: stand-ins take the places of others."""
@@ -111,7 +115,7 @@ def load_suite(name: str) -> Suite:
 def _parse(path: Path, data: dict[str, Any]) -> Suite:
     known = {
         "title", "datasets", "methods", "optional", "seeds", "preset", "presets", "variants", "rates",
-        "compositions", "dvr", "stand_ins", "train_views",
+        "compositions", "dvr", "stand_ins", "train_views", "edits",
     }  # fmt: skip
     for key in data:
         if key not in known:
@@ -135,6 +139,7 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
             dvr=bool(data.get("dvr", False)),
             stand_ins={str(name): str(other) for name, other in data.get("stand_ins", {}).items()},
             train_views=tuple(int(count) for count in data.get("train_views", ())),
+            edits=tuple(str(edit) for edit in data.get("edits", ())),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
@@ -147,6 +152,9 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
         raise unknown("preset", suite.preset, presets, of=str(path))
     if suite.rates not in ("default", "all"):
         raise DataError(path, f"rates = {suite.rates!r}", 'Use "default" or "all"')
+    for edit in suite.edits:
+        if not edit_of("scene", edit):
+            raise DataError(path, "an edit that changes nothing", 'Write edits = ["opacity=0.5"]')
     if not suite.datasets or not suite.seeds:
         raise DataError(path, "no datasets or seeds in it", "Name at least one of each")
     if not suite.methods and not suite.dvr:

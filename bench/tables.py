@@ -25,7 +25,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
         "train_seconds", "group_seconds", "load_seconds", "fps", "peak_host_bytes", "peak_device_bytes",
         "iterations", "train_views", "width", "height", "device", "machine", "threads", "job", "fps_p05",
         "fps_p95", "encode_seconds", "reference_seconds", "identical_views", "stage", "commit",
-        "group_peak_host_bytes", "partition_seconds", "requested_views",
+        "group_peak_host_bytes", "partition_seconds", "requested_views", "edit",
     ),
     "views": ("job", *_AXES, "rate", "preset", "split", "seed", "view", *METRICS, "identical", "truth_file",
               "render_file", "alpha_file", "background", "requested_views"),
@@ -43,7 +43,7 @@ _TEXT = {
     "dataset", "scene", "kind", "method", "variant", "preset", "split", "status", "reason", "group", "device",
     "machine", "job", "stage", "commit", "view", "truth_file", "render_file", "alpha_file", "part", "name",
     "background", "variables", "dtype", "renderer", "version", "backend",
-    "loss_parts",
+    "loss_parts", "edit",
 }  # fmt: skip
 _WHOLE = {
     "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes",
@@ -81,8 +81,9 @@ def rows(
             models = [_Fitted.of(by_id, encode) for encode in _all_needed(by_id, record, "encode")]
             tables["results"].append(_result(record, models, sources or {}))
             tables["views"] += _views(record, _needed(by_id, record, "views"))
-            tables["timing"] += _timing(record)
-            tables["features"] += _features(record)
+            if not job.edit:  # of the same model
+                tables["timing"] += _timing(record)
+                tables["features"] += _features(record)
         elif job.kind == "dvr":
             tables["dvr"].append(_dvr(record))
         elif job.kind == "fit" and record.fit is not None:
@@ -167,7 +168,7 @@ def _result(record: Record, models: list[_Fitted], sources: Mapping[str, str]) -
     trained = fits[0].fit if fits else None
     row: dict[str, Any] = {
         **_axes(job),
-        "kind": "composed" if job.composition else "basic",
+        "kind": "composed" if job.composition else "edited" if job.edit else "basic",
         "split": job.split,
         "status": record.status,
         "reason": record.reason,
@@ -181,6 +182,7 @@ def _result(record: Record, models: list[_Fitted], sources: Mapping[str, str]) -
         "threads": where.threads if where else None,
         "commit": where.commit if where else None,
         "job": job.id,
+        "edit": job.edit,
         "stage": record.stage,
         "train_views": trained.train_views if trained else None,
     }
@@ -338,7 +340,7 @@ def _question(job: Job) -> str:
 def _axes(job: Job) -> dict[str, Any]:
     return {
         "dataset": job.dataset_name,
-        "scene": job.shows,
+        "scene": f"{job.shows} {job.edit}".strip(),
         "method": job.method,
         "variant": job.variant,
         "rate": job.rate,

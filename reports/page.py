@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import claims, datasets, provenance, results_table, scenes
+from reports import claims, datasets, editing, provenance, results_table, scenes
 from reports.chart_sections import Section, chart_sections
 from reports.files import write_files, write_text
 from reports.protocols import by_training_views
@@ -41,10 +41,12 @@ def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path
         tables = by_training_views(tables)
         results = tables["results"]
         pictures = scenes.section(tables, root, out.parent / "charts")
+        edits = editing.section(tables, root, out.parent / "charts")
         sections = [
             Section("results", "Results", results_table.section(results, tables["views"])),
             *([Section("paper", "The paper's tables", paper)] if paper else []),
             Section("scenes", "Scenes", pictures),
+            *([Section("editing", "Editing", edits)] if edits else []),
             *chart_sections(tables),
         ]
     if not dvr.empty:
@@ -106,8 +108,8 @@ def _name(results: pd.DataFrame) -> str:
 
 def _scene_count(results: pd.DataFrame) -> str:
     kinds = results[["dataset", "scene", "kind"]].drop_duplicates()["kind"].value_counts()
-    composed = f" and {kinds['composed']} composed" if "composed" in kinds else ""
-    return f"{kinds.get('basic', 0)}{composed}"
+    others = [f"{kinds[kind]} {kind}" for kind in ("composed", "edited") if kind in kinds]
+    return ", ".join([str(kinds.get("basic", 0)), *others])
 
 
 def _listed(results: pd.DataFrame, column: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from reports.difference import DELTA_E_MAX, scale
-from reports.panels import WHICH, Panel
+from reports.panels import Panel
 from reports.style import label
 from reports.tables import cell
 
@@ -74,7 +74,7 @@ def _row(axes: Axes, panel: Panel, top: float) -> None:
     """One view: all pictures side by side."""
     aspect = _aspect(panel)
     below = top + _TEXT + _CELL * aspect + _GAP
-    words = f"{WHICH[panel.which].lower()}, {panel.view}"
+    words = f"{panel.title[:1].lower()}{panel.title[1:]}, {panel.view}"
     shown: list[tuple[str, Any, Any, str]] = [("Ground truth", panel.truth, None, words)]
     for shot in panel.shots:
         name = label(shot.row["method"], shot.row["variant"], shot.row["rate"])

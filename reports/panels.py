@@ -6,7 +6,7 @@ Nothing in them is chosen by hand: which views, models and zoom windows are show
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,6 +68,7 @@ class Panel:
         truth: (height, width, 3) uint8; None if it cannot be read.
         shots: one per model.
         window: top, left and side of the zoom window in pixels; None without pictures.
+        caption: what it shows, if not the view that ``which`` says.
     """
 
     which: str
@@ -75,6 +76,11 @@ class Panel:
     truth: NDArray[np.uint8] | None
     shots: list[Shot]
     window: tuple[int, int, int] | None
+    caption: str = ""
+
+    @property
+    def title(self) -> str:
+        return self.caption or WHICH[self.which]
 
     def zoom(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """The window cut out of a picture of this view."""
@@ -139,6 +145,14 @@ def panels(shown: pd.DataFrame, views: pd.DataFrame, root: Path) -> Iterator[Pan
     for which, view in choose(of_scene).items():
         rows = of_scene[of_scene["view"] == view].drop_duplicates("job").set_index("job")
         yield _panel(which, view, shown, rows, root)
+
+
+def in_view(shown: pd.DataFrame, views: pd.DataFrame, root: Path, view: str, caption: str) -> Panel:
+    """The panel of one view that was chosen elsewhere; arguments as of :func:`panels`."""
+    rows = views[views["job"].isin(set(shown["job"].dropna())) & (views["view"] == view)]
+    return replace(
+        _panel("median", view, shown, rows.drop_duplicates("job").set_index("job"), root), caption=caption
+    )
 
 
 def _panel(which: str, view: str, shown: pd.DataFrame, rows: pd.DataFrame, root: Path) -> Panel:

@@ -49,13 +49,13 @@ def section(results: pd.DataFrame, views: pd.DataFrame) -> str:
         order = {scene: i for i, scene in enumerate(rows["scene"].unique())}
         # The methods of a scene stand together, to be compared.
         ordered = rows.sort_values("scene", key=lambda s: s.map(order), kind="stable")
-        told: dict[str, list[str]] = {"basic": [], "composed": []}
+        told: dict[str, list[str]] = {"basic": [], "composed": [], "edited": []}
         for index, row in ordered.iterrows():
             told[row["kind"]].append(writer.scene(index, row))
         of_dataset = means[means["dataset"] == dataset]
         lines += told["basic"]
         lines += [writer.mean(index, row) for index, row in of_dataset.iterrows()]
-        lines += told["composed"]
+        lines += told["composed"] + told["edited"]
         bodies.append(f"<tbody>{''.join(lines)}</tbody>")
     heads = "".join(
         f'<th scope="col"{" class=r" if name in numbers else ""} data-better="{_better(name)}">'
@@ -102,7 +102,7 @@ class _Rows:
 
     def scene(self, index: Any, row: Any) -> str:
         cells = self._cells(row, self.marks, index, _reasons(row))
-        kind = "composed" if row["kind"] == "composed" else "scene"
+        kind = "scene" if row["kind"] == "basic" else str(row["kind"])
         return self._line(row, kind, str(row["scene"]), str(row["status"]), markup.status(row), cells)
 
     def mean(self, index: Any, row: Any) -> str:
@@ -188,6 +188,8 @@ def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows) -> str:
             "A composed row shows its scenes rendered together, with the sum of their sizes and times; it "
             "is in no mean or sum. "
         )
+    if (results["kind"] == "edited").any():
+        note += "An edited row is measured against the edited scene's ground truth; it is in no mean or sum. "
     if writer.marked:
         note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
     if writer.undecided:

@@ -33,6 +33,7 @@ def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) ->
     """
     results = tables["results"]
     names = series(results)
+    results = results[results["kind"] != "edited"]
     keys = ["dataset", "scene", "preset", "split"]
     blocks: list[tuple[str, dict[str, str]]] = []
     for _, rows in results.groupby(keys, dropna=False, sort=False):
@@ -48,7 +49,7 @@ def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) ->
         if charts is not None and any(panel.window for panel in made):
             short = panel_figures.write(made, name, charts)
             files = f' <span class="soft">(<a href="charts/{short}.pdf">PDF</a>)</span>'
-        figures = {panel.which: _figure(panel, name, names) for panel in made}
+        figures = {panel.which: figure(panel, name, names) for panel in made}
         if not figures:
             figures = {"median": _nothing(shown, names)}
         blocks.append((f'<section class="scene"><h3>{head}{files}</h3><div class="panels">', figures))
@@ -80,7 +81,8 @@ def _within(room: int, scenes: list[dict[str, str]]) -> tuple[list[list[str]], i
     return kept, left_out
 
 
-def _figure(panel: Panel, scene: str, names: list[str]) -> str:
+def figure(panel: Panel, scene: str, names: list[str]) -> str:
+    """A view as HTML; ``names``: the report's series."""
     where = f"{scene}, view {panel.view}"
     cells = []
     if panel.truth is not None:
@@ -95,7 +97,7 @@ def _figure(panel: Panel, scene: str, names: list[str]) -> str:
         )
     cells += [_shot(panel, shot, where, names) for shot in panel.shots]
     compare = '<button type="button" class="compare" hidden>Compare</button>' if panel.window else ""
-    caption = f"{WHICH[panel.which]} <span class=soft>{escape(panel.view)}</span>"
+    caption = f"{escape(panel.title)} <span class=soft>{escape(panel.view)}</span>"
     return (
         f'<figure class="card panel" data-view="{escape(where)}"><figcaption>{caption} {compare}</figcaption>'
         f'<div class="shots" style="--n:{len(cells)}">{"".join(cells)}</div></figure>'

@@ -6,8 +6,8 @@
   const details = JSON.parse($("#details").textContent);
   const bodies = Array.from(table.tBodies);
   const heads = Array.from(table.tHead.rows[0].cells);
-  // Scenes stand above the means of their dataset, whatever they are sorted by; composed scenes below.
-  const ranks = { scene: 0, mean: 1, composed: 2 };
+  // Scenes stand above the means of their dataset, whatever they are sorted by; composed and edited scenes below.
+  const ranks = { scene: 0, mean: 1, composed: 2, edited: 3 };
   const rows = Array.from(table.querySelectorAll("tr.row"), (tr, index) => ({
     tr, index, body: tr.parentNode, data: tr.dataset, detail: null,
     kind: tr.classList[1], button: tr.cells[0].firstChild,

@@ -57,6 +57,7 @@ RESULTS = [
     "group_peak_host_bytes",
     "partition_seconds",
     "requested_views",
+    "edit",
 ]
 VIEWS = [
     "job",
@@ -205,6 +206,7 @@ class Maker:
         row = {
             **axes,
             "kind": "basic",
+            "edit": "",
             "status": status,
             "reason": reason,
             "stale": stale,

@@ -1,0 +1,77 @@
+"""Suites with edits: edited models are measured against the ground truth of the edited scene."""
+
+from __future__ import annotations
+
+import pytest
+
+from bench.store import Store
+from bench.tables import build_tables
+from datasets.errors import DataError, UnknownName
+from datasets.png import read_png
+
+from .test_compositions import plan, suite  # noqa: F401
+
+EDITS = 'edits = ["palette=#ff0000", "opacity=0.5 light=1,0,0"]'
+
+
+def test_every_scene_is_measured_as_it_is_and_edited(suite) -> None:  # noqa: F811
+    jobs = {job.id: job for job in plan(suite(EDITS))}
+    measured = [job for job in jobs.values() if job.kind == "measure"]
+    assert [(job.shows, job.edit) for job in measured] == [
+        (scene, edit)
+        for scene in ("shock", "bubble")
+        for edit in ("", "palette=#ff0000", "opacity=0.5 light=1,0,0")
+    ]
+    for job in measured:
+        (views,) = [jobs[name] for name in job.needs if name.startswith("views-")]
+        assert (views.shows, views.edit) == (job.shows, job.edit)
+    # nobody trains on an edited scene, and what is not edited is the same job as without edits
+    assert all(not jobs[name].edit for job in jobs.values() if job.kind == "fit" for name in job.needs)
+    assert {job.id for job in jobs.values() if not job.edit} == {job.id for job in plan(suite())}
+
+
+def test_compositions_are_not_edited(suite) -> None:  # noqa: F811
+    jobs = plan(suite('compositions = "all"\n' + EDITS))
+    assert not any(job.edit and job.composition for job in jobs)
+
+
+@pytest.mark.parametrize(
+    ("edit", "error", "words"),
+    [
+        ("opacty=1", UnknownName, "Did you mean opacity"),
+        ("opacity=much", DataError, "is no factor"),
+        ("", DataError, "changes nothing"),
+    ],
+)
+def test_unusable_edits_are_named(suite, edit, error, words) -> None:  # noqa: F811
+    with pytest.raises(error, match=words):
+        plan(suite(f'edits = ["{edit}"]'))
+
+
+def test_pre_rendered_views_have_no_edited_truth(suite, data_folder) -> None:  # noqa: F811
+    views = str(data_folder / "vortex_views")
+    assert not any(job.edit for job in plan(suite(EDITS), datasets=(views,), scenes=("TF01",)))
+
+
+def test_a_run_with_edits(bench, suite) -> None:  # noqa: F811
+    done = bench("run", suite(EDITS), "--method", "fake", "--plugins", bench.plugins, "--out", bench.store)
+    assert "fake: refused: fake cannot edit opacity, light" in done.stderr
+    tables = build_tables(Store(bench.store), write=False)
+    results = tables["results"].set_index(["scene"])
+    assert list(results["kind"]) == ["basic"] * 2 + ["edited"] * 4
+    assert set(results["status"][results["edit"] == "opacity=0.5 light=1,0,0"]) == {"refused"}
+    red = results.loc["shock palette=#ff0000"]
+    assert (red["status"], red["edit"]) == ("ok", "palette=#ff0000")
+    seen = tables["views"][tables["views"]["job"] == red["job"]]
+    first = read_png(bench.store / seen["render_file"].iloc[0])
+    assert (first[..., :3] == [1.0, 0.0, 0.0]).all()  # the model was edited
+    plain = tables["views"][tables["views"]["job"] == results.loc["shock", "job"]]
+    assert (
+        read_png(bench.store / seen["truth_file"].iloc[0])[..., 1:3].sum()
+        < 0.9 * read_png(bench.store / plain["truth_file"].iloc[0])[..., 1:3].sum()
+    )  # and so was the truth
+    assert set(tables["timing"]["scene"]) == {"shock", "bubble"}
+    page = (bench.store / "report.html").read_text(encoding="utf-8")
+    assert 'id="editing"' in page
+    again = bench("run", suite(EDITS), "--method", "fake", "--plugins", bench.plugins, "--out", bench.store)
+    assert "nothing to run" in again.stderr
