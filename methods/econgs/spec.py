@@ -85,6 +85,9 @@ SPEC = MethodSpec(
             "mean", "regulariser of the product of scales over drawn Gaussians", choices=("mean", "sum")
         ),
         "scale_weight": Option(0.01, "its weight (the paper's 0.001 belongs to the sum)", minimum=0.0),
+        "color_weight": Option(
+            0.01, "weight of offset colors squared, ten times as much beyond black and white", minimum=0.0
+        ),
         "palette_lr": Option(1e-4, "learning rate of palette colors", minimum=0.0, maximum=1.0),
         # Context model
         "context": Option(True, "second stage with the context model"),
@@ -129,6 +132,7 @@ SPEC = MethodSpec(
                 "features": 50,
                 "growth_gradient": 2e-4,
                 "direction_start": 1.0,
+                "color_weight": 0.0,
             }
         ),
     },

@@ -15,6 +15,7 @@ from torch import Tensor
 from datasets.camera import Camera
 from econgs.anchors.anchor_set import AnchorSet
 from econgs.anchors.coding import Coding
+from econgs.anchors.colors import offset_colors
 from econgs.anchors.decode import Decoded, decode, draw, visible_anchors
 from econgs.anchors.decoders import Decoders, OffsetColor, Storage
 from econgs.anchors.growing import AnchorRules
@@ -57,6 +58,10 @@ OFFSET_RATE = Rate(1e-2, 1e-4)
 CONTEXT_RATE = Rate(5e-3, 1e-5)
 EMBEDDING_RATE = Rate(2e-3, 2e-5)
 _EMBEDDING_SPREAD = 0.01
+COLOR_SAMPLE = 256
+"""Anchors whose offset colors a step regularises."""
+BEYOND = 10.0
+"""Weight of diffuse colors outside [0, 1] against that of offset colors."""
 _GRIDS = {"small": SMALL_GRID, "hac": HAC_GRID}
 
 
@@ -226,6 +231,8 @@ class Trainer:
         image = over(splats.features, splats.alpha, scene.given.train.background)
         parts = {"image": photometric_loss(image, target, float(self.options["ssim_weight"]))}
         parts["scale"] = self._scale_loss(decoded.scales)
+        if self.options["color_weight"]:
+            parts["color"] = self._color_loss(scene, camera, positions, values.features)
         if rate is not None:
             parts["rate"] = self._rate_weight * (rate.attributes + rate.grid)
         loss = sum(parts.values(), torch.zeros((), device=self.device))
@@ -292,6 +299,24 @@ class Trainer:
             return scales.new_zeros(())
         total = products.mean() if self.options["scale_loss"] == "mean" else products.sum()
         return float(self.options["scale_weight"]) * total
+
+    def _color_loss(self, scene: _Scene, camera: Camera, positions: Tensor, features: Tensor) -> Tensor:
+        """The regulariser of offset colors, over a sample of the anchors in view.
+
+        What cancels in the pictures need not cancel after an edit: a highlight too strong for the light, with
+        an offset that takes its color away again, is right only for the palette color it was learned with.
+        """
+        if not len(positions):
+            return positions.new_zeros(())
+        if len(positions) > COLOR_SAMPLE:
+            chosen = torch.randint(len(positions), (COLOR_SAMPLE,), generator=self.generator).to(self.device)
+            positions, features = positions.index_select(0, chosen), features.index_select(0, chosen)
+        eye = torch.as_tensor(camera.position, dtype=positions.dtype, device=self.device)
+        embedding, palette = (self.optimiser[f"{scene.key}/{what}"] for what in ("embedding", "palette"))
+        offsets = offset_colors(self.decoders, positions, features, embedding, eye)
+        base = palette.detach()[:, None] + offsets
+        beyond = (base - base.clamp(0.0, 1.0)).square().mean()
+        return float(self.options["color_weight"]) * (offsets.square().mean() + BEYOND * beyond)
 
     def _next_view(self) -> tuple[_Scene, int]:
         """Pairs of scene and view come in random order, none twice before all were seen.

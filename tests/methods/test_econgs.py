@@ -13,6 +13,7 @@ import torch
 import methods
 from datasets.errors import DataError
 from datasets.scene import Light
+from econgs.anchors.colors import offset_colors
 from methods.econgs.memory import group_bytes
 from methods.econgs.method import Econgs
 from methods.econgs.spec import SPEC
@@ -152,6 +153,28 @@ def test_edits_change_what_they_name(scene, fitted):
     assert torch.equal(edited(light="headlight")[0], plain)
     darker = edited(ambient=0.0, diffuse=0.0, specular=0.0)[0]
     torch.testing.assert_close(darker, (1.0 - alpha)[..., None].expand(-1, -1, 3), atol=1e-4, rtol=0)
+
+
+def test_offset_colors_are_kept_small_and_in_range(tiny, scene):
+    """Otherwise an offset cancels what a highlight adds, for this palette color alone."""
+
+    def colors(weight):
+        trainer = Trainer([scene], options(color_weight=weight), 120, 0, "cpu")
+        parts = [trainer.step() for _ in range(120)]
+        assert ("color" in parts[-1]) == (weight > 0)
+        state = trainer.scenes[0]
+        eye = torch.tensor(scene.train.cameras[0].position, dtype=torch.float32)
+        values = trainer._attributes(state)
+        embedding = trainer.optimiser[f"{state.key}/embedding"]
+        palette = trainer.optimiser[f"{state.key}/palette"]
+        given = (state.anchors.positions, values.features, embedding, eye)
+        offsets = offset_colors(trainer.decoders, *given).detach()
+        base = palette.detach()[:, None] + offsets
+        return float(offsets.square().mean()), float((base - base.clamp(0, 1)).abs().max())
+
+    (free, beyond), (small, inside) = colors(0.0), colors(1.0)
+    assert small < 0.5 * free
+    assert inside <= beyond
 
 
 @pytest.mark.parametrize(
