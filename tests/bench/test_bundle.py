@@ -59,6 +59,23 @@ def test_a_bundle_holds_and_can_be_reported_on(packed, finished, tmp_path):
     assert rows(Store(tmp_path).records()) == rows(Store(finished.store).records())
 
 
+def test_bundles_made_before_a_column_came_in_still_hold(packed, tmp_path):
+    def older(files):
+        lines = files["tables/results.csv"].decode().splitlines()
+        files["tables/results.csv"] = ("\n".join(line.rpartition(",")[0] for line in lines) + "\n").encode()
+        resigned(files)
+
+    def newer(files):
+        head, _, rest = files["tables/results.csv"].decode().partition("\n")
+        files["tables/results.csv"] = f"{head},dreamt\n{rest}".encode()
+        resigned(files)
+
+    assert verify_bundle(rewritten(packed, tmp_path, older)) == []
+    assert verify_bundle(rewritten(packed, tmp_path, newer)) == [
+        "tables/results.csv: does not follow from the records"
+    ]
+
+
 def test_the_command_says_what_does_not_hold(bench, packed, tmp_path):
     good = bench("verify", packed)
     assert (good.returncode, good.stdout.rstrip()) == (0, f"{packed}: all of it holds")
