@@ -32,7 +32,7 @@ COMMANDS = {
     "verify": "bench.commands.stores:verify",
     "check-plugin": "bench.commands.check_plugin:check_plugin",
 }
-TABLES = ("results", "views", "curve", "ledger", "timing", "features", "dvr")
+TABLES = ("results", "views", "curve", "ledger", "timing", "features", "scenes", "dvr")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

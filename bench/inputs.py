@@ -17,6 +17,7 @@ from bench.suites import ViewPreset
 from datasets.camera import Camera
 from datasets.catalogue import list_datasets, open_dataset
 from datasets.cloud import initial_cloud
+from datasets.edits import edited
 from datasets.errors import DataError
 from datasets.ground_truth.model import MODEL_VERSION
 from datasets.readers.naming import split
@@ -25,6 +26,7 @@ from datasets.scene import Dataset
 from datasets.views import Split, ViewRequest, ViewSet, split_indices
 from methods.interface import SceneInput
 
+_BINS = 128  # of a drawn transfer function
 _IMAGES = {".png", ".json", ".ply"}
 
 
@@ -97,6 +99,29 @@ def cost_of_views(
 ) -> dict[str, Any] | None:
     """What rendering the cached views took, whenever that was; None for pre-rendered ones."""
     return render_cost(dataset, scene, view_request(request, split), edit=edit_of(scene, edit))
+
+
+def shown_transfer(dataset: Dataset, scene: str, edit: str = "") -> dict[str, dict[str, list[list[float]]]]:
+    """Basic scene -> what of it is drawn beside pictures, for a scene (edited or not) or a composition.
+
+    "transfer": color and opacity (of the reference length) of :data:`_BINS` equal bins of normalised values,
+    at the highest opacity in each; "levels": normalised value and color of each isosurface. Empty for scenes
+    that were rendered elsewhere.
+    """
+    changes = edit_of(scene, edit)
+    found = {}
+    for part in dataset.parts(scene) if dataset.kind == "volume" else ():
+        shown = edited(part, changes[part.name]) if part.name in changes else part
+        bins: list[list[float]] = []
+        if shown.transfer is not None:
+            table = shown.transfer.classify(np.linspace(0.0, 1.0, _BINS * 16))
+            table[:, 3] = -np.expm1(-table[:, 3] * shown.transfer.reference_length)
+            fine = table.reshape(_BINS, 16, 4)
+            peaks = fine[np.arange(_BINS), fine[..., 3].argmax(axis=1)]
+            bins = [[float(value) for value in row] for row in peaks.round(3)]
+        levels = [[float(level.value), *map(float, level.color)] for level in shown.isosurfaces]
+        found[part.name] = {"transfer": bins, "levels": levels}
+    return found
 
 
 def view_request(request: Request, split: Split) -> ViewRequest:

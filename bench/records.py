@@ -137,6 +137,7 @@ class ViewsResult(_Model):
 
     ``cost``: split -> what rendering its views took (:func:`datasets.render_views.render_cost`), as stored
     with them in the cache; empty for pre-rendered views. ``render_seconds`` is this job's own wait.
+    ``transfer``: part -> what it shows (:func:`bench.inputs.shown_transfer`); empty for pre-rendered views.
     """
 
     view_keys: dict[str, str]
@@ -144,6 +145,7 @@ class ViewsResult(_Model):
     truth: dict[str, list[str]]
     render_seconds: float
     cost: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    transfer: dict[str, dict[str, list[list[float]]]] = Field(default_factory=dict)
 
 
 class DvrResult(_Model):

@@ -84,7 +84,7 @@ def run_stage(context: Context) -> dict[str, Any]:
 
 def _views(context: Context) -> ViewsResult:
     """Render (or find in the cache) the views, and keep those that are measured on as PNG files."""
-    from bench.inputs import cost_of_views, open_dataset, views
+    from bench.inputs import cost_of_views, open_dataset, shown_transfer, views
     from datasets.png import write_png
 
     job = context.job
@@ -122,6 +122,7 @@ def _views(context: Context) -> ViewsResult:
         truth={measured: names},
         render_seconds=seconds,
         cost=cost,
+        transfer=shown_transfer(dataset, job.shows, job.edit),
     )
 
 

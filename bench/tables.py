@@ -34,6 +34,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "ledger": ("job", *_AXES, "rate", "preset", "seed", "part", "bytes", "requested_views"),
     "timing": ("job", *_AXES, "rate", "preset", "seed", "part", "seconds", "requested_views"),
     "features": ("job", *_AXES, "name", "values", "width", "requested_views"),
+    "scenes": ("job", "dataset", "scene", "preset", "split", "requested_views", "transfer"),
     "dvr": ("job", "dataset", "scene", "kind", "preset", "status", "reason", "nx", "ny", "nz", "variables",
             "dtype", "volume_bytes", "ms_per_view", "ms_p05", "ms_p95", "fps", "load_seconds",
             "setup_seconds", "peak_host_bytes", "peak_device_bytes", "width", "height", "renderer", "version",
@@ -43,7 +44,7 @@ _TEXT = {
     "dataset", "scene", "kind", "method", "variant", "preset", "split", "status", "reason", "group", "device",
     "machine", "job", "stage", "commit", "view", "truth_file", "render_file", "alpha_file", "part", "name",
     "background", "variables", "dtype", "renderer", "version", "backend",
-    "loss_parts", "edit",
+    "loss_parts", "edit", "transfer",
 }  # fmt: skip
 _WHOLE = {
     "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes",
@@ -84,6 +85,9 @@ def rows(
             if not job.edit:  # of the same model
                 tables["timing"] += _timing(record)
                 tables["features"] += _features(record)
+        elif job.kind == "views" and record.views is not None and record.views.transfer:
+            said = json.dumps(record.views.transfer, separators=(",", ":"))
+            tables["scenes"].append({"job": job.id, **_axes(job), "split": job.split, "transfer": said})
         elif job.kind == "dvr":
             tables["dvr"].append(_dvr(record))
         elif job.kind == "fit" and record.fit is not None:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from reports.transfer import AXIS, draw_level, draw_transfer, pixels
+
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
     from PIL.ImageFont import FreeTypeFont
@@ -20,7 +22,7 @@ _WIDTH = 1500  # pixels of a sheet, or as wide as one tile
 _GAP = 14
 _LINE = 18
 _CURVE = 56  # height of a transfer function
-_INK, _PALE, _BARS = (20, 20, 20), (110, 110, 110), (222, 222, 222)
+_INK, _PALE, _BARS = (20, 20, 20), AXIS, (222, 222, 222)
 _LEAST = 420  # a tile is at least so wide that its texts have room
 
 
@@ -84,10 +86,10 @@ def contact_sheet(title: str, tiles: Sequence[Tile]) -> NDArray[np.uint8]:
             _head(draw, tile, left, top, wide)
             at, tall = left, max(v.shape[0] for v in tile.views)
             for view in tile.views:
-                sheet.paste(Image.fromarray(_pixels(view)), (at, top + _LINE + 4))
+                sheet.paste(Image.fromarray(pixels(view)), (at, top + _LINE + 4))
                 at += view.shape[1]
             if tile.has_curve:
-                curve = Image.fromarray(_pixels(_curve(tile, wide)))
+                curve = Image.fromarray(pixels(_curve(tile, wide)))
                 sheet.paste(curve, (left, top + _LINE + 4 + tall + 6))
         top += height
     return np.asarray(sheet)
@@ -119,26 +121,11 @@ def _curve(tile: Tile, wide: int) -> NDArray[np.floating]:
         share = np.log1p(tile.histogram)[bins] / math.log1p(tile.histogram.max())
         picture[up < share[None]] = np.asarray(_BARS) / 255.0
     if tile.transfer is not None:
-        where = np.linspace(0.0, 1.0, len(tile.transfer))
-        # The largest opacity within each column, so that a narrow peak is not missed.
-        cells = np.clip((where * wide).astype(int), 0, wide - 1)
-        opacity = np.interp(across, where, tile.transfer[:, 3])
-        np.maximum.at(opacity, cells, tile.transfer[:, 3])
-        color = np.stack([np.interp(across, where, tile.transfer[:, c]) for c in range(3)], axis=-1)
-        inside = (up < opacity[None]) & (opacity[None] > 0)
-        picture[inside] = np.broadcast_to(color, picture.shape)[inside]
-        edge = inside & ~(up + 1.0 / _CURVE < opacity[None])
-        picture[edge] *= 0.6
+        draw_transfer(picture, tile.transfer)
     for value, level in tile.levels:
-        at = min(int(value * wide), wide - 2)
-        picture[:, at : at + 2] = level
+        draw_level(picture, value, level)
     picture[-1] = np.asarray(_PALE) / 255.0
     return picture
-
-
-def _pixels(image: NDArray[np.floating]) -> NDArray[np.uint8]:
-    pixels: NDArray[np.uint8] = np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
-    return pixels
 
 
 def _fitting(text: str, size: int, room: float, *, bold: bool = False) -> str:

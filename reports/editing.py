@@ -7,9 +7,11 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import markup, panel_figures, scenes
+from reports import markup, panel_figures
 from reports.panels import Panel, choose, in_view, models
+from reports.scenes import figure
 from reports.style import MISSING, label, series
+from reports.transfer import beside
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,12 +41,12 @@ def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) ->
     for name, heads, rows in quality(results):
         parts.append(markup.table(name, heads, ([escape(text) for text in row] for row in rows)))
     room, left_out = PICTURE_BYTES, 0
-    for name, made in sequences(results, tables["views"], root):
+    for name, made in sequences(tables, root):
         files = ""
         if charts is not None:
             short = panel_figures.write(made, f"{name} edited", charts)
             files = f' <span class="soft">(<a href="charts/{short}.pdf">PDF</a>)</span>'
-        figures = [scenes.figure(panel, f"{name}, {panel.caption}", names) for panel in made]
+        figures = [figure(panel, f"{name}, {panel.caption}", names) for panel in made]
         if sum(map(len, figures)) > room:
             left_out += 1
             continue
@@ -79,8 +81,9 @@ def quality(results: pd.DataFrame) -> Iterator[tuple[str, list[str], list[list[s
         yield " \N{MIDDLE DOT} ".join(told), ["Method", UNEDITED, *edits], lines
 
 
-def sequences(results: pd.DataFrame, views: pd.DataFrame, root: Path) -> Iterator[tuple[str, list[Panel]]]:
+def sequences(tables: dict[str, pd.DataFrame], root: Path) -> Iterator[tuple[str, list[Panel]]]:
     """Name of a scene -> it and its edits in one view, the median one of the unedited models."""
+    results, views, scenes = tables["results"], tables["views"], tables.get("scenes")
     touched = results[results["kind"].isin(["basic", "edited"])]
     touched = touched.assign(base=[_base(row) for row in touched.itertuples()])
     keys = [*_KEYS, "base"]
@@ -98,7 +101,7 @@ def sequences(results: pd.DataFrame, views: pd.DataFrame, root: Path) -> Iterato
             view = view or choose(views[views["job"].isin(set(shown["job"].dropna()))]).get("median", "")
             panel = in_view(shown, views, root, view, edit or UNEDITED)
             if panel.window is not None:
-                made.append(panel)
+                made += beside([panel], scenes, shown.iloc[0])
         if made:
             yield " \N{MIDDLE DOT} ".join([f"{dataset} / {base}", *told]), made
 

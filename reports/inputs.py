@@ -35,6 +35,7 @@ _OTHERS = {
     "ledger": "job dataset scene method variant rate preset seed part bytes requested_views",
     "timing": "job dataset scene method variant rate preset seed part seconds requested_views",
     "features": "job dataset scene method variant name values width requested_views",
+    "scenes": "job dataset scene preset split requested_views transfer",
     "dvr": "job dataset scene kind preset status reason nx ny nz variables dtype volume_bytes ms_per_view "
     "ms_p05 ms_p95 fps load_seconds setup_seconds peak_host_bytes peak_device_bytes width height renderer "
     "version backend machine threads reference_seconds commit",

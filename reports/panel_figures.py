@@ -92,6 +92,8 @@ def _row(axes: Axes, panel: Panel, top: float) -> None:
         _show(axes, picture, left, top + _TEXT, _CELL, _CELL * aspect, panel.window)
         _show(axes, panel.zoom(picture), left, below, _HALF, _HALF)
         _frame(axes, left, below, _HALF, _HALF, _FRAME, 1.0)
+        if column == 0 and panel.transfer is not None:
+            _show(axes, panel.transfer, left + _HALF + _GAP, below, _HALF, _HALF)
         if difference is not None:
             wide = min(_HALF, _HALF / aspect)
             _show(axes, difference, left + _HALF + _GAP, below, wide, wide * aspect, panel.window)

@@ -69,6 +69,7 @@ class Panel:
         shots: one per model.
         window: top, left and side of the zoom window in pixels; None without pictures.
         caption: what it shows, if not the view that ``which`` says.
+        transfer: what the scene shows, as (side, side, 3) uint8; None if it is not known.
     """
 
     which: str
@@ -77,6 +78,7 @@ class Panel:
     shots: list[Shot]
     window: tuple[int, int, int] | None
     caption: str = ""
+    transfer: NDArray[np.uint8] | None = None
 
     @property
     def title(self) -> str:

@@ -12,6 +12,7 @@ from reports.panels import RULE, WHICH, Panel, Shot, models, panels
 from reports.pictures import uri
 from reports.style import label, series
 from reports.tables import cell
+from reports.transfer import beside
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,7 +45,7 @@ def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) ->
         head = escape(name)
         if first["kind"] == "composed":
             head += ' <span class="soft">composed</span>'
-        made = list(panels(shown, tables["views"], root))
+        made = beside(panels(shown, tables["views"], root), tables.get("scenes"), first)
         files = ""
         if charts is not None and any(panel.window for panel in made):
             short = panel_figures.write(made, name, charts)
@@ -93,7 +94,7 @@ def figure(panel: Panel, scene: str, names: list[str]) -> str:
         )
         cells.append(
             f'<div class="shot truth"><p>{TRUTH}</p>{_picture(panel, panel.truth, where, TRUTH)}'
-            f'<div class="pair">{zoom}</div></div>'
+            f'<div class="pair">{zoom}{_transfer(panel, where)}</div></div>'
         )
     cells += [_shot(panel, shot, where, names) for shot in panel.shots]
     compare = '<button type="button" class="compare" hidden>Compare</button>' if panel.window else ""
@@ -102,6 +103,12 @@ def figure(panel: Panel, scene: str, names: list[str]) -> str:
         f'<figure class="card panel" data-view="{escape(where)}"><figcaption>{caption} {compare}</figcaption>'
         f'<div class="shots" style="--n:{len(cells)}">{"".join(cells)}</div></figure>'
     )
+
+
+def _transfer(panel: Panel, where: str) -> str:
+    if panel.transfer is None:
+        return ""
+    return f'<div class="tf">{_image(panel.transfer, f"{where}: transfer function")}</div>'
 
 
 def _shot(panel: Panel, shot: Shot, where: str, names: list[str]) -> str:

@@ -46,7 +46,7 @@ def test_edits_are_in_no_mean_of_the_dataset(edited) -> None:
 
 def test_a_sequence_shows_one_view_of_all_edits(edited) -> None:
     tables = edited.tables()
-    (first, second) = editing.sequences(tables["results"], tables["views"], edited.root)
+    (first, second) = editing.sequences(tables, edited.root)
     assert first[0] == "vortex / a"
     assert [panel.caption for panel in first[1]] == ["unedited", "opacity=2", "light=1,0,0"]
     assert len({panel.view for panel in first[1]}) == 1
