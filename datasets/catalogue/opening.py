@@ -74,15 +74,16 @@ def _procedural(name: str, said: dict[str, Any], resolution: int | None) -> Data
     from datasets import procedural
     from datasets.scene import Dataset
 
-    n = procedural.check_resolution(name, resolution)
-    full = name if n == procedural.default_resolution(name) else f"{name}@{n}"
+    field = said.get("field", name)  # several entries may show one field
+    n = procedural.check_resolution(field, resolution)
+    full = name if n == procedural.default_resolution(field) else f"{name}@{n}"
 
     @cache
     def together() -> dict[str, Volume]:  # variables share most of their computation
-        return procedural.make_volumes(name, n)
+        return procedural.make_volumes(field, n)
 
     volumes: dict[str, Callable[[], Volume]] = {
-        variable: partial(_one, together, variable) for variable in procedural.FIELDS[name]
+        variable: partial(_one, together, variable) for variable in procedural.FIELDS[field]
     }
     return Dataset(full, said["title"], "volume", _scenes(said), entries.compositions_of(said), volumes)
 
