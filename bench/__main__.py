@@ -171,8 +171,8 @@ def _parser() -> _Parser:
     score.add_argument("truth", metavar="TRUTH")
     score.add_argument("--format", choices=("csv", "md", "tex", "json"), default="csv")
 
-    merge = command("merge", "join run stores of several machines", plugins)
-    merge.add_argument("stores", nargs="+", metavar="STORE")
+    merge = command("merge", "join run stores and bundles, of several machines", plugins)
+    merge.add_argument("stores", nargs="+", metavar="STORE|BUNDLE")
     merge.add_argument("--out", required=True, metavar="DIR", help="a new run store, or one to add to")
     compare = command("compare", "pair two run stores view by view")
     compare.add_argument("stores", nargs=2, metavar="RUN")

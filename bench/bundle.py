@@ -17,6 +17,7 @@ import uuid
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -135,6 +136,22 @@ def verify_bundle(path: Path) -> list[str]:
         raise DataError(path, "no such file", "Name a file that `bench bundle` wrote") from None
     except _DAMAGE as error:
         raise DataError(path, f"cannot be read as a bundle ({error})", "Get it anew") from error
+
+
+@contextmanager
+def unpacked(path: Path) -> Iterator[Store]:
+    """A bundle as a run store, for as long as the context lasts.
+
+    Raises:
+        DataError: the file is no bundle, or not all of it holds.
+    """
+    if problems := verify_bundle(path):
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise DataError(path, f"does not hold: {problems[0]}{more}", "`bench verify` lists what is wrong")
+    with tempfile.TemporaryDirectory() as folder:
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(folder)
+        yield Store(Path(folder))
 
 
 def _manifest(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:

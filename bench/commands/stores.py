@@ -6,6 +6,7 @@ import shutil
 import sys
 import uuid
 from argparse import Namespace
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,8 +22,16 @@ PAIRING = ("dataset", "scene", "method", "variant", "rate", "preset", "split", "
 
 
 def merge(options: Namespace) -> int:
-    """Join stores: a job finished in one is finished in all; a success goes before a failure."""
-    sources = [Store(Path(root)) for root in options.stores]
+    """Join stores and bundles: a job finished in one is finished in all; a success goes before a failure."""
+    from bench.bundle import unpacked
+
+    with ExitStack() as stack:
+        paths = [Path(given) for given in options.stores]
+        sources = [stack.enter_context(unpacked(path)) if path.is_file() else Store(path) for path in paths]
+        return _merge(sources, options)
+
+
+def _merge(sources: list[Store], options: Namespace) -> int:
     target = Store(Path(options.out), create=True)
     taken = kept = 0
     for source in sources:

@@ -59,6 +59,16 @@ def test_a_bundle_holds_and_can_be_reported_on(packed, finished, tmp_path):
     assert rows(Store(tmp_path).records()) == rows(Store(finished.store).records())
 
 
+def test_bundles_are_merged_like_stores(bench, packed, finished, tmp_path):
+    done = bench("merge", packed, "--out", tmp_path / "all")
+    assert done.returncode == 0, done.stderr
+    assert rows(Store(tmp_path / "all").records()) == rows(Store(finished.store).records())
+    bad = rewritten(packed, tmp_path, lambda files: files.pop("store.json"))
+    refused = bench("merge", bad, "--out", tmp_path / "none")
+    assert refused.returncode == 2
+    assert "does not hold: store.json: missing" in refused.stderr
+
+
 def test_bundles_made_before_a_column_came_in_still_hold(packed, tmp_path):
     def older(files):
         lines = files["tables/results.csv"].decode().splitlines()

@@ -19,7 +19,8 @@ from datasets.catalogue import entries, list_datasets, open_dataset
 from datasets.catalogue.files import safe_name
 from datasets.errors import DataError, UnknownName
 
-ALL = {"vortices", "vortices_fuzzy", "shells", "jet_flame_iso", "vis_male", "fuel", "nucleon", "hydrogen_atom", "boston_teapot", "csafe_heptane",
+ALL = {"vortices", "vortices_fuzzy", "shells", "jet_flame_iso", "vis_male", "fuel", "nucleon",
+       "hydrogen_atom", "boston_teapot", "csafe_heptane",
        "stent_ct", "stroke_mri", "vortex_views", "vortex_views_400"}  # fmt: skip
 
 
