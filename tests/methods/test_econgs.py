@@ -18,7 +18,7 @@ from methods.econgs.memory import group_bytes
 from methods.econgs.method import Econgs
 from methods.econgs.spec import SPEC
 from methods.econgs.training import Trainer
-from methods.interface import Budget, Diverged, Edit, HasAttributes, Refused
+from methods.interface import Budget, Diverged, Edit, HasAttributes, Refused, SceneInput
 from methods.options import resolve
 
 ROOT = Path(methods.__file__).parents[1]
@@ -342,3 +342,46 @@ def test_a_minibatch_of_every_scene(tiny, scene):
     turns = [trainer._next_view()[0].name for _ in range(6)]
     assert len(set(turns[:2])) == 2
     assert turns[:2] * 3 == turns
+
+
+@pytest.mark.slow
+def test_an_edited_palette_looks_like_the_edited_scene():
+    """Against the renderer: the picture that was never trained is nearly as good as those that were."""
+    from bench.edits import edit_of
+    from bench.inputs import camera_extent
+    from datasets.catalogue import open_dataset
+    from datasets.cloud import initial_cloud
+    from datasets.render_views import views_of
+    from datasets.views import ViewRequest
+
+    dataset = open_dataset("shells")
+    train, test, blue = (
+        views_of(dataset, "middle", ViewRequest(split, 42, 16, 96, 96), edit=edit_of("middle", edit))
+        for split, edit in (("train", ""), ("test", ""), ("test", "palette=#2060e0"))
+    )
+    given = SceneInput(
+        scene=dataset.scene("middle"),
+        train=train,
+        validation=test,
+        cloud=initial_cloud(dataset, "middle", 10_000, 0),
+        extent=camera_extent(train.cameras),
+    )
+    trainer = Trainer([given], resolve(SPEC, "quick", {}).options, 800, 0, "cpu")
+    while trainer.iteration < 800:
+        trainer.step()
+    model = trainer.model()
+
+    def psnr(views, edit):
+        pictures = [
+            model.render(camera, edit=edit_of("middle", edit), background=views.background)[0]
+            for camera in views.cameras
+        ]
+        errors = [
+            np.mean((picture.clamp(0, 1).numpy() - views.composited(i)) ** 2)
+            for i, picture in enumerate(pictures)
+        ]
+        return float(np.mean([-10 * math.log10(error) for error in errors]))
+
+    plain, edited = psnr(test, ""), psnr(blue, "palette=#2060e0")
+    assert plain > 30.0
+    assert edited > plain - 3.0
