@@ -100,6 +100,7 @@ SPEC = MethodSpec(
             "int8", "precision of stored decoder weights", choices=("float32", "float16", "int8")
         ),
         # No more than the scene needs
+        "fold_embeddings": Option(True, "store TF embeddings as biases where a group has few scenes"),
         "rent": Option(
             0.01,
             "PSNR (dB) that may go with anchors that add least, twice in a fit",
@@ -133,6 +134,7 @@ SPEC = MethodSpec(
                 "growth_gradient": 2e-4,
                 "direction_start": 1.0,
                 "color_weight": 0.0,
+                "fold_embeddings": False,
             }
         ),
     },

@@ -18,6 +18,7 @@ from econgs.anchors.coding import Coding
 from econgs.anchors.colors import offset_colors
 from econgs.anchors.decode import Decoded, decode, draw, visible_anchors
 from econgs.anchors.decoders import Decoders, OffsetColor, Storage
+from econgs.anchors.folding import fold_embeddings
 from econgs.anchors.growing import AnchorRules
 from econgs.context.arrays import Precision, round_arrays
 from econgs.context.hash_grid import HAC_GRID, SMALL_GRID
@@ -437,6 +438,10 @@ class Trainer:
         """The present state as a model of its own: rounded as its stream would be, in the second stage."""
         now = self.optimiser
         positions = np.concatenate([_numpy(scene.anchors.positions) for scene in self.scenes])
+        embeddings = [now[f"{scene.key}/embedding"].detach() for scene in self.scenes]
+        decoders = self.decoders
+        if self.options["fold_embeddings"]:
+            decoders, embeddings = fold_embeddings(decoders, embeddings)
         scenes = tuple(
             SceneAttributes(
                 name=scene.name,
@@ -444,10 +449,10 @@ class Trainer:
                 **{name: _numpy(v) for name, v in self._attributes(scene)._asdict().items()},
                 parameters={
                     "palette": _numpy(now[f"{scene.key}/palette"]),
-                    "embedding": _numpy(now[f"{scene.key}/embedding"]),
+                    "embedding": _numpy(embedding),
                 },
             )
-            for scene in self.scenes
+            for scene, embedding in zip(self.scenes, embeddings, strict=True)
         )
         coded = self.coding is not None and self.schedule.coded(self.iteration)
         precision = cast("Precision", self.options["decoder_precision"])
@@ -455,11 +460,9 @@ class Trainer:
             scenes,
             PositionGrid.lattice(float(self.options["voxel"]), positions),
             context=CodedContext.of(self.coding.model) if coded and self.coding is not None else None,
-            decoders=round_arrays(
-                {name: _numpy(v) for name, v in self.decoders.state_dict().items()}, precision
-            ),
+            decoders=round_arrays({name: _numpy(v) for name, v in decoders.state_dict().items()}, precision),
             metadata={
-                "decoders": decoders_metadata(self.decoders, precision),
+                "decoders": decoders_metadata(decoders, precision),
                 "scenes": {
                     scene.name: {
                         "background": list(scene.given.train.background),

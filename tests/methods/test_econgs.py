@@ -344,6 +344,31 @@ def test_a_minibatch_of_every_scene(tiny, scene):
     assert turns[:2] * 3 == turns
 
 
+def test_folded_embeddings_make_the_same_pictures_in_fewer_bytes(tiny, scene, tmp_path):
+    group = [scene, renamed(scene, "second")]
+    trainer = Trainer(group, options(fold_embeddings=False, decoder_precision="float32"), 60, 0, "cpu")
+    while trainer.iteration < 60:
+        trainer.step()
+    whole = trainer.model()
+    trainer.options = {**trainer.options, "fold_embeddings": True}
+    folded = trainer.model()
+    for name in ("tiny", "second"):
+        for one, other in zip(
+            pictures(whole, scene.validation, scenes=[name]),
+            pictures(folded, scene.validation, scenes=[name]),
+            strict=True,
+        ):
+            assert torch.allclose(one, other, atol=2e-4)
+    sizes = []
+    for index, model in enumerate((whole, folded)):
+        folder = tmp_path / str(index)
+        folder.mkdir()
+        ledger = model.save(folder)
+        sizes.append(sum(sum(parts.values()) for parts in ledger.values()))
+    # four first layers of 24 x 8 floats give way to one column each
+    assert sizes[0] - sizes[1] > 4 * 4 * 24 * 7 * 0.9
+
+
 @pytest.mark.slow
 def test_an_edited_palette_looks_like_the_edited_scene():
     """Against the renderer: the picture that was never trained is nearly as good as those that were."""
