@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from datasets.scene import RGB
 
 
-SAMPLED = 200
+SAMPLED = 100
 """Primitives of each scene whose attributes go into the record."""
 
 
@@ -133,7 +133,7 @@ def _attributes(model: Model, scenes: Sequence[str]) -> dict[str, list[list[floa
         return {}
     found = model.attributes(scenes[0], SAMPLED)
     return {
-        name: [[float(f"{value:.4g}") for value in row] for row in as_numpy(values)]
+        name: [[float(f"{value:.3g}") for value in row] for row in as_numpy(values)]
         for name, values in found.items()
     }
 
