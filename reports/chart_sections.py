@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable
-from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from reports import confidence, features, markup, plots, rate_distortion, stability, training
-from reports.style import MISSING, absent, color, mib, seconds, series
+from reports import confidence, features, plots, rate_distortion, stability_sections, training
+from reports.chart_parts import Section, chart, charts, legend, table
+from reports.style import MISSING, absent, mib, seconds, series
 
 if TYPE_CHECKING:
     from reports.rate_distortion import Difference
@@ -25,24 +23,6 @@ _TRADEOFFS = (
 )
 
 
-_LONG = 45
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the page.
-
-    Attributes:
-        anchor: id of its heading.
-        title: text of its heading, not escaped.
-        html: what stands under the heading.
-    """
-
-    anchor: str
-    title: str
-    html: str
-
-
 def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
     """The sections for which there are data, in the order of the page.
 
@@ -54,8 +34,8 @@ def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
         _confidence(results, tables["views"]),
         _rate_distortion(results),
         _tradeoffs(results),
-        _stability(tables),
-        _complexity(results),
+        stability_sections.stability_section(tables),
+        stability_sections.complexity_section(results),
         _anytime(tables),
         _convergence(tables),
         _losses(curve),
@@ -95,7 +75,7 @@ def _confidence(results: pd.DataFrame, views: pd.DataFrame) -> Section | None:
     return Section(
         "confidence",
         "How sure",
-        f"<p>{words}</p>{_table('PSNR, how sure it is, and differences', heads, rows)}",
+        f"<p>{words}</p>{table('PSNR, how sure it is, and differences', heads, rows)}",
     )
 
 
@@ -145,11 +125,11 @@ def _rate_distortion(results: pd.DataFrame) -> Section | None:
         "Mean PSNR over size per scene (logarithmic), at all rates that were measured; methods of one size "
         'are single marks. As data: <a href="curves/">one JSON file per method and dataset</a>.'
     )
-    parts = [f'<p>{words}</p><div class="charts">{_charts(figures.items())}</div>']
+    parts = [f'<p>{words}</p><div class="charts">{charts(figures.items())}</div>']
     if differences:
         heads = ["Dataset", "Method", "Against", "BD-rate", "BD-PSNR [dB]", "PSNR shared [dB]"]
         heads += ["Size shared [MiB]", "Overlap", "Remarks"]
-        parts.append(_table("Average differences", heads, [_difference(found) for found in differences]))
+        parts.append(table("Average differences", heads, [_difference(found) for found in differences]))
         parts.append(
             '<p class="note">BD-rate: bytes at equal PSNR against those of the other method. '
             f"BD-PSNR: dB at equal bytes. Interpolated with {rate_distortion.INTERPOLATION} splines over the "
@@ -179,73 +159,9 @@ def _tradeoffs(results: pd.DataFrame) -> Section | None:
         "worse than some method in both.</p>"
     ]
     for dataset in datasets:
-        cards = _charts((caption, drawn[a][dataset]) for caption, a in _TRADEOFFS if dataset in drawn[a])
+        cards = charts((caption, drawn[a][dataset]) for caption, a in _TRADEOFFS if dataset in drawn[a])
         parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{cards}</div>')
     return Section("tradeoffs", "Trade-offs", "\n".join(parts))
-
-
-def _stability(tables: dict[str, pd.DataFrame]) -> Section | None:
-    results = tables["results"]
-    found = stability.records(results, tables["views"])
-    curves = stability.few_views(results)
-    gaps = any(record.seed_gap is not None for record in found)
-    if not curves and not gaps and not any(record.failed for record in found):
-        return None
-    words = (
-        "Where methods fail: what did not finish, how far two seeds lie apart on the same scene, and how far "
-        "the worst view lies under the median one of its scene."
-    )
-    names = series(results, tables["curve"])
-    drawn = plots.over(curves, "training views", "PSNR [dB]", names, log_y=False)
-    heads = ["Dataset", "Method", "Failed", "Two seeds differ by up to [dB]"]
-    heads += ["Worst view under the median [dB]", "Worst view [dB]"]
-    rows = [
-        [
-            record.dataset,
-            record.title,
-            _failed(record),
-            *(
-                MISSING if v is None else f"{v:.2f}"
-                for v in (record.seed_gap, record.view_gap, record.lowest)
-            ),
-        ]
-        for record in found
-    ]
-    legend = _legend(series(results), names) if drawn else ""
-    cards = f'<div class="charts">{_charts(drawn.items())}</div>' if drawn else ""
-    return Section(
-        "stability",
-        "Stability",
-        f"<p>{words}</p>{legend}{cards}{_table('Failures, seeds and worst views', heads, rows)}"
-        '<p class="note">Charts: mean PSNR over scenes and seeds by the number of training views; where any '
-        "fit failed, the mark is left out.</p>",
-    )
-
-
-def _failed(record: stability.Record) -> str:
-    if not record.failed:
-        return f"0 of {record.rows}"
-    told = ", ".join(f"{status} {count}" for status, count in record.failed.items())
-    return f"{sum(record.failed.values())} of {record.rows}: {told}"
-
-
-def _complexity(results: pd.DataFrame) -> Section | None:
-    names = series(results)
-    cards = []
-    for what, title in stability.COMPLEXITY.items():
-        panels = stability.by_complexity(results, what)
-        drawn = plots.over(panels, "number of parts", title, names, log_y=what != "psnr")
-        cards += [(f"{family}: {title}", figure) for family, figure in drawn.items()]
-    if not cards:
-        return None
-    words = (
-        "What methods spend on scenes that hold more and more: datasets whose names differ in a number, "
-        "which counts their parts. A method that models no more than a scene needs grows with it, and starts "
-        "small."
-    )
-    return Section(
-        "complexity", "What a scene needs", f'<p>{words}</p><div class="charts">{_charts(cards)}</div>'
-    )
 
 
 def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
@@ -268,12 +184,12 @@ def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
         for dataset, lines in training.anytime(curve, results, "psnr_val").items()
         for line, times in training.time_to_quality(lines)
     ]
-    table = _table("Time to a quality", heads, rows) if rows else ""
+    times = table("Time to a quality", heads, rows) if rows else ""
     return Section(
         "anytime",
         "Quality over training time",
-        f'<p>{words}</p>{_legend(series(curve), names)}<div class="charts">{_charts(cards)}</div>'
-        f"{table}"
+        f'<p>{words}</p>{legend(series(curve), names)}<div class="charts">{charts(cards)}</div>'
+        f"{times}"
         '<p class="note">Seconds of training per scene until validation PSNR first reaches the level, linear '
         f"between evaluations; {MISSING}: never.</p>",
     )
@@ -291,9 +207,9 @@ def _convergence(tables: dict[str, pd.DataFrame]) -> Section | None:
             " With split “test” these views are trained on too: the curves then show how the fit "
             "proceeds, not how good new views are."
         )
-    parts = [f"<p>{told}</p>{_legend(series(curve), order)}"]
+    parts = [f"<p>{told}</p>{legend(series(curve), order)}"]
     for dataset in dict.fromkeys([*pairs[0], *pairs[1]]):
-        drawn = _charts(("", figures[dataset]) for figures in pairs if dataset in figures)
+        drawn = charts(("", figures[dataset]) for figures in pairs if dataset in figures)
         parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{drawn}</div>')
     return Section("convergence", "Convergence", "\n".join(parts))
 
@@ -310,7 +226,7 @@ def _losses(curve: pd.DataFrame) -> Section | None:
     small = sorted({name for panel, _ in panels for name in panel.small})
     if small:
         words += f" Not drawn, for they are under {training.LEAST_SHARE:g} of it: {escape(', '.join(small))}."
-    cards = _charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in panels)
+    cards = charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in panels)
     return Section("losses", "Parts of the loss", f'<p>{words}</p><div class="charts">{cards}</div>')
 
 
@@ -321,12 +237,12 @@ def _features(tables: dict[str, pd.DataFrame]) -> Section | None:
     if not panels:
         return None
     drawn = list(dict.fromkeys(name for panel, _ in panels for name in panel.shares))
-    cards = _charts((f"{panel.dataset} · {panel.attribute}", figure) for panel, figure in panels)
+    cards = charts((f"{panel.dataset} · {panel.attribute}", figure) for panel, figure in panels)
     parts = ["<p>Distribution of what the primitives carry, all scenes of a dataset together.</p>"]
-    parts.append(f'{_legend(drawn, names)}<div class="charts">{cards}</div>')
+    parts.append(f'{legend(drawn, names)}<div class="charts">{cards}</div>')
     try:
         maps = plots.feature_maps(features.maps(table))
-        cards = _charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in maps)
+        cards = charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in maps)
         parts.append(
             "<h3>Anchors by their features</h3><p>UMAP: neighbours have similar features; distances between "
             f'clusters, and their sizes, say little.</p><div class="charts">{cards}</div>'
@@ -344,7 +260,7 @@ def _timing(table: pd.DataFrame) -> Section | None:
         "Where the time of a frame goes, mean over scenes. The parts are timed one by one, without what "
         "happens between them, which is “other”."
     )
-    return Section("timing", "Time of a frame", f"<p>{words}</p>{_chart(figure, '')}")
+    return Section("timing", "Time of a frame", f"<p>{words}</p>{chart(figure, '')}")
 
 
 def _ledger(table: pd.DataFrame) -> Section | None:
@@ -352,42 +268,4 @@ def _ledger(table: pd.DataFrame) -> Section | None:
     if figure is None:
         return None
     words = "Bytes of the files that a model is loaded from, by part, over all scenes of a dataset."
-    return Section("ledger", "Size ledger", f"<p>{words}</p>{_chart(figure, '')}")
-
-
-def _charts(figures: Iterable[tuple[str, plots.Figure]]) -> str:
-    return "".join(_chart(figure, caption) for caption, figure in figures)
-
-
-def _chart(figure: plots.Figure, caption: str) -> str:
-    """A chart: the element that the page's script draws it into, and after it its JSON."""
-    text = json.dumps(figure, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
-    head = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
-    height = figure["layout"]["height"]
-    return (
-        f'<figure class="card">{head}<div data-figure style="height:{height}px"></div>'
-        f'<script type="application/json">{text}</script></figure>'
-    )
-
-
-def _table(caption: str, heads: list[str], rows: list[list[str]]) -> str:
-    """A table whose long cells are broken."""
-    return markup.table(caption, heads, ([_cell(text) for text in row] for row in rows))
-
-
-def _cell(text: str) -> str:
-    if len(text) <= _LONG:
-        return escape(text)
-    return f'<span style="display:block;white-space:normal;min-width:34ch">{escape(text)}</span>'
-
-
-def _legend(shown: list[str], names: list[str]) -> str:
-    """Which color is which method, where charts have too many lines to name each."""
-    if len(shown) < 2:
-        return ""
-    entries = " &ensp; ".join(
-        f'<span style="white-space:nowrap"><span class="dot" style="background:{color(name, names)}"></span>'
-        f"{escape(name)}</span>"
-        for name in shown
-    )
-    return f'<p class="note">{entries}</p>'
+    return Section("ledger", "Size ledger", f"<p>{words}</p>{chart(figure, '')}")

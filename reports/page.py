@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from reports import claims, datasets, editing, provenance, results_table, scenes
-from reports.chart_sections import Section, chart_sections
+from reports.chart_parts import Section
+from reports.chart_sections import chart_sections
 from reports.files import write_files, write_text
 from reports.protocols import by_training_views
 from reports.style import MISSING, absent, series

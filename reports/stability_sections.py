@@ -1,0 +1,78 @@
+"""Sections of the page on where methods fail and what they spend."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from reports import plots, stability
+from reports.chart_parts import Section, charts, legend, table
+from reports.style import MISSING, series
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def stability_section(tables: dict[str, pd.DataFrame]) -> Section | None:
+    """Failures, spread over seeds and worst views; charts where there are several numbers of views."""
+    results = tables["results"]
+    found = stability.records(results, tables["views"])
+    curves = stability.few_views(results)
+    gaps = any(record.seed_gap is not None for record in found)
+    if not curves and not gaps and not any(record.failed for record in found):
+        return None
+    words = (
+        "Where methods fail: what did not finish, how far two seeds lie apart on the same scene, and how far "
+        "the worst view lies under the median one of its scene."
+    )
+    names = series(results, tables["curve"])
+    drawn = plots.over(curves, "training views", "PSNR [dB]", names, log_y=False)
+    heads = ["Dataset", "Method", "Failed", "Two seeds differ by up to [dB]"]
+    heads += ["Worst view under the median [dB]", "Worst view [dB]"]
+    rows = [
+        [
+            record.dataset,
+            record.title,
+            _failed(record),
+            *(
+                MISSING if v is None else f"{v:.2f}"
+                for v in (record.seed_gap, record.view_gap, record.lowest)
+            ),
+        ]
+        for record in found
+    ]
+    shown = legend(series(results), names) if drawn else ""
+    cards = f'<div class="charts">{charts(drawn.items())}</div>' if drawn else ""
+    return Section(
+        "stability",
+        "Stability",
+        f"<p>{words}</p>{shown}{cards}{table('Failures, seeds and worst views', heads, rows)}"
+        '<p class="note">Charts: mean PSNR over scenes and seeds by the number of training views; where any '
+        "fit failed, the mark is left out.</p>",
+    )
+
+
+def _failed(record: stability.Record) -> str:
+    if not record.failed:
+        return f"0 of {record.rows}"
+    told = ", ".join(f"{status} {count}" for status, count in record.failed.items())
+    return f"{sum(record.failed.values())} of {record.rows}: {told}"
+
+
+def complexity_section(results: pd.DataFrame) -> Section | None:
+    """What grows with the number in the names of datasets."""
+    names = series(results)
+    cards = []
+    for what, title in stability.COMPLEXITY.items():
+        panels = stability.by_complexity(results, what)
+        drawn = plots.over(panels, "number of parts", title, names, log_y=what != "psnr")
+        cards += [(f"{family}: {title}", figure) for family, figure in drawn.items()]
+    if not cards:
+        return None
+    words = (
+        "What methods spend on scenes that hold more and more: datasets whose names differ in a number, "
+        "which counts their parts. A method that models no more than a scene needs grows with it, and starts "
+        "small."
+    )
+    return Section(
+        "complexity", "What a scene needs", f'<p>{words}</p><div class="charts">{charts(cards)}</div>'
+    )
