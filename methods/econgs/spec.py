@@ -55,7 +55,9 @@ SPEC = MethodSpec(
         "features": Option(32, "values of an anchor's feature", minimum=4, maximum=256),
         "offsets": Option(10, "Gaussians of an anchor (K)", minimum=1, maximum=64),
         "embedding": Option(50, "values of a scene's TF embedding", minimum=0, maximum=256),
-        "hidden": Option(50, "hidden units of each decoder", minimum=8, maximum=256),
+        "hidden": Option(
+            0, "hidden units of each decoder; 0: one per 50 first anchors, 25 to 50", minimum=0, maximum=256
+        ),
         "view_direction": Option(True, "decoders see the viewing direction"),
         "direction_start": Option(
             0.0,
@@ -93,6 +95,12 @@ SPEC = MethodSpec(
         "context": Option(True, "second stage with the context model"),
         "rate_weight": Option(1e-4, "weight of the estimated bits (lambda_e)", minimum=0.0, maximum=1.0),
         "grid": Option("small", "size of the binary hash grids", choices=("small", "hac")),
+        "context_hidden": Option(
+            0,
+            "hidden units of the context model; 0: one per 100 first anchors, 4 to 50",
+            minimum=0,
+            maximum=256,
+        ),
         "feature_step": Option(0.1, "quantisation step Q of features", minimum=1e-6),
         "scaling_step": Option(0.001, "quantisation step Q of scalings", minimum=1e-8),
         "offset_step": Option(0.2, "quantisation step Q of offsets", minimum=1e-6),
@@ -135,6 +143,8 @@ SPEC = MethodSpec(
                 "direction_start": 1.0,
                 "color_weight": 0.0,
                 "fold_embeddings": False,
+                "hidden": 50,
+                "context_hidden": 50,
             }
         ),
     },

@@ -73,15 +73,13 @@ class _Scene:
         self,
         key: str,
         given: SceneInput,
+        start: tuple[NDArray[np.float32], NDArray[np.float32]],
         options: Mapping[str, OptionValue],
-        seed: int,
         decoders: Decoders,
         generator: torch.Generator,
         device: str,
     ) -> None:
-        if len(given.train) == 0:
-            raise Refused(f"scene {given.name!r} has no training views")
-        points, color = starting_points(given, options, seed)
+        points, color = start
         self.key, self.given, self.name = key, given, given.name
         self.anchors = AnchorSet(
             key,
@@ -126,11 +124,16 @@ class Trainer:
         self.schedule = Schedule(iterations, float(options["growth_stop"]), bool(options["context"]))
         self.generator = torch.Generator().manual_seed(seed)
         bias = float(options["shading_bias"])
+        for given in group:
+            if len(given.train) == 0:
+                raise Refused(f"scene {given.name!r} has no training views")
+        starts = [starting_points(given, options, seed) for given in group]
+        first = sum(len(points) for points, _ in starts)
         self.decoders = Decoders(
             int(options["features"]),
             int(options["offsets"]),
             int(options["embedding"]),
-            hidden=int(options["hidden"]),
+            hidden=int(options["hidden"]) or _units(first, 50, 25),
             view_direction=bool(options["view_direction"]),
             direction_start=float(options["direction_start"]),
             offset_color=cast("OffsetColor", options["offset_color"]),
@@ -138,8 +141,11 @@ class Trainer:
             shading_bias=(bias, bias, 0.0, 0.0),
             generator=self.generator,
         ).to(device)
-        shared = (options, seed, self.decoders, self.generator, device)
-        self.scenes = [_Scene(str(i), given, *shared) for i, given in enumerate(group)]
+        shared = (options, self.decoders, self.generator, device)
+        self.scenes = [
+            _Scene(str(i), given, start, *shared)
+            for i, (given, start) in enumerate(zip(group, starts, strict=True))
+        ]
         self.rules = AnchorRules(
             voxel=float(options["voxel"]),
             init_factor=int(options["init_factor"]),
@@ -161,7 +167,7 @@ class Trainer:
             groups[f"{scene.key}/embedding"] = (_EMBEDDING_SPREAD * embedding).to(device)
         groups |= {name: list(self.decoders.network(name).tensors()) for name in self.decoders.names}
         self.coding = (
-            Coding(_context(options, self.decoders.width), self.schedule, self.generator, device)
+            Coding(_context(options, self.decoders.width, first), self.schedule, self.generator, device)
             if self.schedule.context
             else None
         )
@@ -503,14 +509,20 @@ class Trainer:
                 self.coding.place([scene.anchors for scene in self.scenes])
 
 
-def _context(options: Mapping[str, OptionValue], features: int) -> ContextConfig:
+def _context(options: Mapping[str, OptionValue], features: int, anchors: int) -> ContextConfig:
     scaling = float(options["scaling_step"])
     return ContextConfig(
         features=features,
         offsets=int(options["offsets"]),
         steps=(float(options["feature_step"]), scaling, scaling, float(options["offset_step"])),
         grid=_GRIDS[str(options["grid"])],
+        hidden=int(options["context_hidden"]) or _units(anchors, 100, 4),
     )
+
+
+def _units(anchors: int, per_unit: int, least: int) -> int:
+    """Hidden units of a network that so many first anchors are to pay for; 50, the paper's, at most."""
+    return min(max(anchors // per_unit, least), 50)
 
 
 def _numpy(tensor: Tensor) -> NDArray[np.float32]:

@@ -344,6 +344,19 @@ def test_a_minibatch_of_every_scene(tiny, scene):
     assert turns[:2] * 3 == turns
 
 
+def test_networks_are_as_wide_as_the_scene_asks_for(tiny, scene):
+    def widths(points, **changed):
+        cloud = np.random.default_rng(0).uniform(-0.5, 0.5, (points, 3))
+        wide = options(hidden=0, start_spacing=0.0, voxel=0.001, **changed)
+        trainer = Trainer([tiny.with_cloud(scene, cloud)], wide, 10, 0, "cpu")
+        return trainer.decoders.hidden, trainer.coding.model.config.hidden
+
+    assert widths(300) == (25, 4)
+    assert widths(2_000) == (40, 20)
+    assert widths(9_000) == (50, 50)
+    assert widths(300, context_hidden=12) == (25, 12)
+
+
 def test_folded_embeddings_make_the_same_pictures_in_fewer_bytes(tiny, scene, tmp_path):
     group = [scene, renamed(scene, "second")]
     trainer = Trainer(group, options(fold_embeddings=False, decoder_precision="float32"), 60, 0, "cpu")
