@@ -25,6 +25,7 @@ from bench.records import SCHEMA, Record, hash_of
 from bench.store import Store, read_record
 from bench.tables import frame, rows
 from datasets.errors import DataError
+from reports.tables import to_csv
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,16 +89,12 @@ def _contents(store: Store, records: list[Record], models: bool) -> Iterator[tup
                     yield f"jobs/{record.job.id}/{path.relative_to(folder).as_posix()}", path.read_bytes()
     for name, table in _tables(records).items():
         if name not in _LONG:
-            yield f"tables/{name}.csv", _csv(table).encode()
+            yield f"tables/{name}.csv", to_csv(table).encode()
 
 
 def _tables(records: list[Record]) -> dict[str, pd.DataFrame]:
     """The documented tables that have rows; the machine they are made on leaves no trace in them."""
     return {name: frame(name, table) for name, table in rows(records).items() if table}
-
-
-def _csv(table: pd.DataFrame) -> str:
-    return table.to_csv(index=False, lineterminator="\n")
 
 
 def _environments(records: list[Record]) -> list[dict[str, Any]]:
@@ -211,7 +208,7 @@ def _check_store(root: Path, files: set[str]) -> list[str]:
         # A bundle may be older than a column of its tables.
         columns = text.partition("\n")[0].split(",")
         table = tables.get(name)
-        if table is None or not set(columns) <= set(table.columns) or text != _csv(table[columns]):
+        if table is None or not set(columns) <= set(table.columns) or text != to_csv(table[columns]):
             problems.append(f"tables/{name}.csv: does not follow from the records")
     return problems
 

@@ -317,8 +317,19 @@ def title(name: str) -> str:
 
 
 def to_csv(table: pd.DataFrame) -> str:
-    """All columns with raw values; missing is empty."""
-    return table.to_csv(index=False, lineterminator="\n")
+    """All columns with raw values; missing is empty.
+
+    Numbers are written as Python does: NumPy's text has fewer digits once any library in the process has set
+    its print options (colour-science does).
+    """
+    import pandas as pd
+
+    plain = table.copy()
+    for name in plain.columns:
+        if plain[name].dtype.kind == "f":
+            values = [None if absent(value) else float(value) for value in plain[name]]
+            plain[name] = pd.Series(values, plain.index, dtype=object)
+    return plain.to_csv(index=False, lineterminator="\n")
 
 
 def to_markdown(table: pd.DataFrame, views: pd.DataFrame | None = None) -> str:

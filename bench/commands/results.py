@@ -52,7 +52,9 @@ def write_html(tables: dict[str, pd.DataFrame], store: Store, out: Path | None =
 def print_as(table: pd.DataFrame, form: str) -> None:
     """Write a table to standard output as csv, md, tex or json."""
     if form == "csv":
-        sys.stdout.write(table.to_csv(index=False, lineterminator="\n"))
+        from reports.tables import to_csv
+
+        sys.stdout.write(to_csv(table))
     elif form == "json":
         print(table.to_json(orient="records", indent=1, double_precision=15))
     else:

@@ -59,6 +59,17 @@ def test_a_bundle_holds_and_can_be_reported_on(packed, finished, tmp_path):
     assert rows(Store(tmp_path).records()) == rows(Store(finished.store).records())
 
 
+def test_print_options_of_other_libraries_leave_tables_as_they_are(packed):
+    import numpy as np
+
+    before = np.get_printoptions()
+    try:
+        np.set_printoptions(legacy="1.13")  # what colour-science does when it is imported
+        assert verify_bundle(packed) == []
+    finally:
+        np.set_printoptions(**before)
+
+
 def test_bundles_are_merged_like_stores(bench, packed, finished, tmp_path):
     done = bench("merge", packed, "--out", tmp_path / "all")
     assert done.returncode == 0, done.stderr
