@@ -119,16 +119,21 @@ def verify_bundle(path: Path) -> list[str]:
     Raises:
         DataError: the file is no bundle of this format.
     """
+    with tempfile.TemporaryDirectory() as folder:
+        return _unpack(path, Path(folder))
+
+
+def _unpack(path: Path, folder: Path) -> list[str]:
+    """Into a folder, unless the files themselves do not hold; returns and raises as :func:`verify_bundle`."""
     try:
         with zipfile.ZipFile(path) as archive:
             manifest = _manifest(archive, path)
             problems = _check_files(archive, manifest["files"])
             if problems:
                 return problems
-            with tempfile.TemporaryDirectory() as folder:
-                for name in manifest["files"]:
-                    archive.extract(name, folder)
-                return _check_store(Path(folder), set(manifest["files"]))
+            for name in manifest["files"]:
+                archive.extract(name, folder)
+            return _check_store(folder, set(manifest["files"]))
     except FileNotFoundError:
         raise DataError(path, "no such file", "Name a file that `bench bundle` wrote") from None
     except _DAMAGE as error:
@@ -142,12 +147,10 @@ def unpacked(path: Path) -> Iterator[Store]:
     Raises:
         DataError: the file is no bundle, or not all of it holds.
     """
-    if problems := verify_bundle(path):
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise DataError(path, f"does not hold: {problems[0]}{more}", "`bench verify` lists what is wrong")
     with tempfile.TemporaryDirectory() as folder:
-        with zipfile.ZipFile(path) as archive:
-            archive.extractall(folder)
+        if problems := _unpack(path, Path(folder)):
+            more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+            raise DataError(path, f"does not hold: {problems[0]}{more}", "`bench verify` lists what is wrong")
         yield Store(Path(folder))
 
 

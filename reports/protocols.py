@@ -11,24 +11,30 @@ ORIGIN = "whole_dataset"
 
 
 def by_training_views(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
-    """A dataset that was fitted with several numbers of training views becomes one dataset for each.
+    """A dataset fitted with several numbers of training views at one preset becomes one dataset for each.
 
     "vortices" with fits from 6 and from 42 views becomes "vortices, 6 views" and "vortices, 42 views" in all
-    tables; a dataset with one number keeps its name. The tables given stay as they are; renamed ones have
+    tables; one with a number per preset keeps its name. The tables given stay as they are; renamed ones have
     the former name in a column :data:`ORIGIN`.
     """
     results = tables["results"]
     if results.empty or "requested_views" not in results:
         return tables
-    numbers = results.groupby("dataset", dropna=False)["requested_views"].nunique()
-    several = set(numbers[numbers > 1].index)
+    numbers = results.groupby(["dataset", "preset"], dropna=False)["requested_views"]
+    mixed = results[(numbers.transform("nunique") > 1) & results["requested_views"].notna()]
+    several = set(zip(mixed["dataset"], mixed["requested_views"], strict=True))
     return {name: _named(table, several) for name, table in tables.items()}
 
 
-def _named(table: pd.DataFrame, several: set[str]) -> pd.DataFrame:
-    if "requested_views" not in table or not table["dataset"].isin(several).any():
+def _named(table: pd.DataFrame, several: set[tuple[str, int]]) -> pd.DataFrame:
+    import pandas as pd
+
+    if "requested_views" not in table:
         return table
-    apart = table["dataset"].isin(several) & table["requested_views"].notna()
+    pairs = zip(table["dataset"], table["requested_views"], strict=True)
+    apart = pd.Series([pair in several for pair in pairs], table.index, dtype=bool)
+    if not apart.any():
+        return table
     names = table["dataset"] + ", " + table["requested_views"].astype("string") + " views"
     named = table.assign(dataset=table["dataset"].where(~apart, names), **{ORIGIN: table["dataset"]})
     return named.loc[_order(table, apart)].reset_index(drop=True)

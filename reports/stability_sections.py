@@ -33,10 +33,7 @@ def stability_section(tables: dict[str, pd.DataFrame]) -> Section | None:
             record.dataset,
             record.title,
             _failed(record),
-            *(
-                MISSING if v is None else f"{v:.2f}"
-                for v in (record.seed_gap, record.view_gap, record.lowest)
-            ),
+            *(MISSING if gap is None else f"{gap:.2f}" for gap in record.gaps),
         ]
         for record in found
     ]

@@ -51,6 +51,13 @@ def test_one_number_of_views_changes_nothing(maker) -> None:
     assert by_training_views(tables)["results"].equals(tables["results"])
 
 
+def test_presets_with_a_number_each_are_not_renamed(maker) -> None:
+    maker.run(requested_views=42)
+    maker.run(requested_views=92, preset="standard")
+    tables = maker.tables()
+    assert by_training_views(tables)["results"].equals(tables["results"])
+
+
 def test_few_views_leave_out_what_failed(few) -> None:
     panels = stability.few_views(by_training_views(few)["results"])
     assert list(panels) == ["bubble"]
