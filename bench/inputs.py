@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.edits import edit_of
 from bench.records import Job, Request, derived_seed, hash_of
@@ -23,6 +24,7 @@ from datasets.ground_truth.model import MODEL_VERSION
 from datasets.readers.naming import split
 from datasets.render_views import render_cost, views_of, volume_digest
 from datasets.scene import Dataset
+from datasets.transfer import TransferFunction
 from datasets.views import Split, ViewRequest, ViewSet, split_indices
 from methods.interface import SceneInput
 
@@ -101,6 +103,13 @@ def cost_of_views(
     return render_cost(dataset, scene, view_request(request, split), edit=edit_of(scene, edit))
 
 
+def drawn_transfer(transfer: TransferFunction, entries: int) -> NDArray[np.float64]:
+    """(entries, 4) color, and opacity over one reference length, at equidistant normalised values."""
+    table = transfer.classify(np.linspace(0.0, 1.0, entries))
+    table[:, 3] = -np.expm1(-table[:, 3] * transfer.reference_length)
+    return table
+
+
 def shown_transfer(dataset: Dataset, scene: str, edit: str = "") -> dict[str, dict[str, list[list[float]]]]:
     """Basic scene -> what of it is drawn beside pictures, for a scene (edited or not) or a composition.
 
@@ -114,9 +123,7 @@ def shown_transfer(dataset: Dataset, scene: str, edit: str = "") -> dict[str, di
         shown = edited(part, changes[part.name]) if part.name in changes else part
         bins: list[list[float]] = []
         if shown.transfer is not None:
-            table = shown.transfer.classify(np.linspace(0.0, 1.0, _BINS * 16))
-            table[:, 3] = -np.expm1(-table[:, 3] * shown.transfer.reference_length)
-            fine = table.reshape(_BINS, 16, 4)
+            fine = drawn_transfer(shown.transfer, _BINS * 16).reshape(_BINS, 16, 4)
             peaks = fine[np.arange(_BINS), fine[..., 3].argmax(axis=1)]
             bins = [[float(value) for value in row] for row in peaks.round(3)]
         levels = [[float(level.value), *map(float, level.color)] for level in shown.isosurfaces]

@@ -56,20 +56,16 @@ def records(results: pd.DataFrame, views: pd.DataFrame) -> list[Record]:
     basic = results[results["kind"] == "basic"]
     made = []
     axes = ["dataset", "method", "variant", "preset", "split"]
-    several = {name: basic[name].nunique() > 1 for name in ("preset", "split")}
     for keys, rows in basic.groupby(axes, dropna=False, sort=False):
         good = rows[rows["status"] == "ok"]
         failed = rows.loc[rows["status"] != "ok", "status"].value_counts()
         seen = views[views["job"].isin(set(good["job"]))]
         per_job = seen.groupby(["job", "rate"], dropna=False)["psnr"]
         gaps = (per_job.median() - per_job.min()).dropna()
-        words = [label(keys[1], keys[2])]
-        words += [str(keys[3])] if several["preset"] else []
-        words += [str(keys[4])] if several["split"] else []
         made.append(
             Record(
                 dataset=str(keys[0]),
-                title=" ".join(words),
+                title=_title(label(keys[1], keys[2]), basic, *keys[3:]),
                 rows=len(rows),
                 failed={str(status): int(count) for status, count in failed.items()},
                 seed_gap=_seed_gap(good),
@@ -154,10 +150,11 @@ def families(datasets: Iterable[str]) -> dict[str, dict[str, int]]:
 def _methods(rows: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
     """Title, series and rows of each method; of several presets and splits, each on its own."""
     axes = ["method", "variant", "rate", "preset", "split"]
-    several = {name: rows[name].nunique() > 1 for name in ("preset", "split")}
     for keys, fits in rows.groupby(axes, dropna=False, sort=False):
-        name = label(keys[0], keys[1])
-        words = [label(keys[0], keys[1], keys[2])]
-        words += [str(keys[3])] if several["preset"] else []
-        words += [str(keys[4])] if several["split"] else []
-        yield " ".join(words), name, fits
+        yield _title(label(*keys[:3]), rows, *keys[3:]), label(*keys[:2]), fits
+
+
+def _title(name: str, rows: pd.DataFrame, preset: object, split: object) -> str:
+    """A method's name, with preset and split where the rows have several."""
+    told = [str(v) for v, axis in ((preset, "preset"), (split, "split")) if rows[axis].nunique() > 1]
+    return " ".join([name, *told])
