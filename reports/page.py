@@ -13,7 +13,7 @@ from reports.chart_parts import Section
 from reports.chart_sections import chart_sections
 from reports.files import write_files, write_text
 from reports.protocols import by_training_views
-from reports.style import MISSING, absent, series
+from reports.style import MISSING, absent, label
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -118,6 +118,15 @@ def _listed(results: pd.DataFrame, column: str) -> str:
     return ", ".join(str(value) for value in results[column].dropna().unique() if str(value))
 
 
+def _methods(results: pd.DataFrame) -> str:
+    """The methods; in how many variants where several were measured, since the names of all would fill the page."""
+    variants = results.fillna({"variant": ""}).groupby("method", sort=False)["variant"].unique()
+    return ", ".join(
+        label(method, names[0]) if len(names) == 1 else f"{label(method)} in {len(names)} variants"
+        for method, names in variants.items()
+    )
+
+
 def _head(name: str, tables: dict[str, pd.DataFrame], sections: list[Section]) -> str:
     """Heading, how the runs went, links to the sections, and what was run."""
     results = tables["results"]
@@ -134,7 +143,7 @@ def _head(name: str, tables: dict[str, pd.DataFrame], sections: list[Section]) -
         if not absent(w)
     }
     facts = [
-        ("Methods", ", ".join(series(results))),
+        ("Methods", _methods(results)),
         ("Datasets", _listed(results, "dataset")),
         ("Scenes", _scene_count(results)),
         ("Preset, split", f"{_listed(results, 'preset')}, {_listed(results, 'split')}"),

@@ -143,6 +143,14 @@ def test_the_page_says_when_curves_are_of_views_that_are_trained_on(maker):
     assert "trained on too" not in text
 
 
+def test_variants_are_counted_where_several_were_measured(maker):
+    maker.run(method="3dgs", views=0)
+    maker.run(method="hac", variant="configuration=paper", views=0)
+    maker.run(method="econgs", views=0)
+    maker.run(method="econgs", variant="shading=false", views=0)
+    assert "Methods 3DGS, HAC [configuration=paper], ECoNGS in 2 variants Datasets" in page(maker)[1]
+
+
 def test_a_missing_metric_is_a_dash_with_its_reason(maker):
     maker.run()
     source, text = page(maker)
