@@ -125,6 +125,12 @@ INLINE Shaded shade(const float* raw, int64_t plane, V3 mean, const DecodeView& 
   return s;
 }
 
+// The color without shading.
+INLINE V3 plain_color(const float* raw, int64_t plane) {
+  const V3 color = load3(raw + RAW_COLOR * plane, plane);
+  return {sigmoid(color.x), sigmoid(color.y), sigmoid(color.z)};
+}
+
 INLINE vf clamp01(vf x) { return min(max(x, vf{}), set(1.0f)); }
 
 // `runs` times K floats, and what spills over to the next whole vector.
@@ -297,26 +303,31 @@ static void decode_block(const DecodeShape& s, const DecodeInputs& in, const Dec
   float* const hidden = rows ? rows : scratch.hidden;
   float* const raw = kept ? kept : scratch.raw;
   decode_inputs(s, in, view, begin, count, scratch.inputs);
-  product<RELU>(count, 3 * s.hidden, s.inputs, {scratch.inputs, s.input_stride, 1}, w.first_t + s.hidden,
+  product<RELU>(count, (s.nets - 1) * s.hidden, s.inputs, {scratch.inputs, s.input_stride, 1}, w.first_t + s.hidden,
                 s.hidden_stride, hidden + s.hidden, s.hidden_stride, w.first_bias + s.hidden);
   int into = 0;
-  for (int net = NET_COVARIANCE; net < NETS; ++net) {
+  for (int net = NET_COVARIANCE; net < s.nets; ++net) {
     const int width = whole16(s.out_width[net]);
     product<BIAS>(count, s.out_width[net], s.hidden, {hidden + net * s.hidden, s.hidden_stride, 1}, w.second_t[net],
                   width, scratch.outputs, width, w.second_bias[net]);
-    for (int attribute = 0; attribute < NET_ATTRIBUTES[net]; ++attribute, ++into)
+    for (int attribute = 0; attribute < s.attributes[net]; ++attribute, ++into)
       copy_runs(scratch.outputs + attribute * many, width, raw + into * plane, many, many, count);
   }
   decode_anchors(s, in, opacity, begin, count, scratch.at);
 
   const int slots = count * many;
+  const bool shaded = s.nets == NETS;
   float* const made = scratch.made;
   for (int i = 0; i < slots; i += LANES) {
     const float *const from = raw + i, *const at = scratch.at + i;
-    const V3 mean = load3(at + AT_MEAN * plane, plane);
-    const Shaded shaded = shade(from, plane, mean, view);
-    store3(made + OUT_COLOR * plane + i, plane,
-           {clamp01(shaded.color.x), clamp01(shaded.color.y), clamp01(shaded.color.z)});
+    V3 color;
+    if (shaded) {
+      const V3 lit = shade(from, plane, load3(at + AT_MEAN * plane, plane), view).color;
+      color = {clamp01(lit.x), clamp01(lit.y), clamp01(lit.z)};
+    } else {
+      color = plain_color(from, plane);
+    }
+    store3(made + OUT_COLOR * plane + i, plane, color);
     for (int d = 0; d < 3; ++d)
       store(made + (OUT_SCALE + d) * plane + i,
             load(at + (AT_SCALING + d) * plane) * sigmoid(load(from + (RAW_SCALE + d) * plane)));
@@ -376,58 +387,73 @@ INLINE void decode_scatter(const float* t, int slots, int64_t plane, int64_t fir
     for (int i = (slots + 3) / 4 * 4; i < slots + LANES; ++i) planes[d * plane + i] = 0.0f;
 }
 
+// From the gradient of shaded colors (planes OUT_COLOR of `grad`) to those of raw outputs, of means (added to planes
+// OUT_MEAN) and of the palette.
+INLINE void shade_backward(const DecodeView& view, int64_t plane, vi drawn, const float* at, const float* from, float* to,
+                           float* grad, V3& palette) {
+  const V3 mean = load3(at + AT_MEAN * plane, plane);
+  const Shaded s = shade(from, plane, mean, view);
+
+  const V3 outer = load3(grad + OUT_COLOR * plane, plane);
+  const V3 g = {where(drawn & (s.color.x >= 0.0f) & (s.color.x <= 1.0f), outer.x),
+                where(drawn & (s.color.y >= 0.0f) & (s.color.y <= 1.0f), outer.y),
+                where(drawn & (s.color.z >= 0.0f) & (s.color.z <= 1.0f), outer.z)};
+  const vf cosine = abs(s.toward);
+  const V3 base = g * fma(s.diffuse, cosine, s.ambient);
+  palette = palette + V3{where(drawn, base.x), where(drawn, base.y), where(drawn, base.z)};
+  const V3 offset = s.base - set3(view.palette);
+  const V3 color = view.sigmoid_color
+      ? V3{offset.x * (1.0f - offset.x), offset.y * (1.0f - offset.y), offset.z * (1.0f - offset.z)}
+      : V3{1.0f - offset.x * offset.x, 1.0f - offset.y * offset.y, 1.0f - offset.z * offset.z};
+  store3(to + RAW_COLOR * plane, plane, {base.x * color.x, base.y * color.y, base.z * color.z});
+  const vf body = dot(g, s.base), highlight = g.x + g.y + g.z;
+  store(to + RAW_AMBIENT * plane, body * view.ambient);
+  store(to + RAW_DIFFUSE * plane, body * cosine * view.diffuse);
+  const vf specular = highlight * s.peak * (MAX_SPECULAR * view.specular);
+  store(to + RAW_SPECULAR * plane, specular * s.bounded_specular * (1.0f - s.bounded_specular));
+  const vf peak = highlight * s.specular * s.peak;  // times the logarithm's derivatives
+  store(to + RAW_SHININESS * plane,
+        peak * s.base_log * (0.693147181f * MAX_SHININESS * view.shininess) * s.bounded_shininess *
+            (1.0f - s.bounded_shininess));
+  const vf size = abs(s.cosine);
+  const vf along_half = size >= MIN_BASE ? peak * s.shininess / s.cosine : vf{};
+  const vf diffuse = body * s.diffuse;
+  const vf along_light = s.toward > vf{} ? diffuse : s.toward < vf{} ? -diffuse : vf{};
+  V3 normal, to_view;
+  if (view.headlight) {
+    const vf along = along_half + along_light;
+    normal = s.view.unit * along;
+    to_view = s.normal * along;
+  } else {
+    normal = set3(view.light) * along_light + s.half.unit * along_half;
+    to_view = direction_backward(s.half, s.normal * along_half);
+  }
+  const vf held = s.normal_long ? dot(s.normal, normal) : vf{};
+  const V3 to_normal = (normal - s.normal * held) * s.normal_inverse;
+  store3(to + RAW_NORMAL * plane, plane, to_normal);
+  const V3 to_mean = load3(grad + OUT_MEAN * plane, plane) - direction_backward(s.view, to_view);
+  store3(grad + OUT_MEAN * plane, plane, to_mean);
+}
+
+INLINE void plain_color_backward(int64_t plane, vi drawn, const float* from, float* to, const float* grad) {
+  const V3 outer = load3(grad + OUT_COLOR * plane, plane), color = plain_color(from, plane);
+  store3(to + RAW_COLOR * plane, plane,
+         {where(drawn, outer.x) * (color.x * (1.0f - color.x)), where(drawn, outer.y) * (color.y * (1.0f - color.y)),
+          where(drawn, outer.z) * (color.z * (1.0f - color.z))});
+}
+
 // From gradients of what was made (planes `made`) to those of raw outputs (planes `to`, and for the raw opacity plane
 // OUT_PLANES of `made`). Plane OUT_MEAN + d of `made` then holds the gradient of the mean, OUT_SCALE + d that of the
 // last three scalings.
-INLINE void decode_activations_backward(const DecodeView& view, int slots, int64_t plane, const float* at,
+INLINE void decode_activations_backward(const DecodeView& view, bool shaded, int slots, int64_t plane, const float* at,
                                         const float* raw, float* to_raw, float* made, V3& palette) {
   for (int i = 0; i < slots; i += LANES) {
     const float* const from = raw + i;
     float *const to = to_raw + i, *const grad = made + i;
     const vf t = load(at + AT_OPACITY * plane + i);
     const vi drawn = t > vf{};
-    const V3 mean = load3(at + AT_MEAN * plane + i, plane);
-    const Shaded s = shade(from, plane, mean, view);
-
-    const V3 outer = load3(grad + OUT_COLOR * plane, plane);
-    const V3 g = {where(drawn & (s.color.x >= 0.0f) & (s.color.x <= 1.0f), outer.x),
-                  where(drawn & (s.color.y >= 0.0f) & (s.color.y <= 1.0f), outer.y),
-                  where(drawn & (s.color.z >= 0.0f) & (s.color.z <= 1.0f), outer.z)};
-    const vf cosine = abs(s.toward);
-    const V3 base = g * fma(s.diffuse, cosine, s.ambient);
-    palette = palette + V3{where(drawn, base.x), where(drawn, base.y), where(drawn, base.z)};
-    const V3 offset = s.base - set3(view.palette);
-    const V3 color = view.sigmoid_color
-        ? V3{offset.x * (1.0f - offset.x), offset.y * (1.0f - offset.y), offset.z * (1.0f - offset.z)}
-        : V3{1.0f - offset.x * offset.x, 1.0f - offset.y * offset.y, 1.0f - offset.z * offset.z};
-    store3(to + RAW_COLOR * plane, plane, {base.x * color.x, base.y * color.y, base.z * color.z});
-    const vf body = dot(g, s.base), highlight = g.x + g.y + g.z;
-    store(to + RAW_AMBIENT * plane, body * view.ambient);
-    store(to + RAW_DIFFUSE * plane, body * cosine * view.diffuse);
-    const vf specular = highlight * s.peak * (MAX_SPECULAR * view.specular);
-    store(to + RAW_SPECULAR * plane, specular * s.bounded_specular * (1.0f - s.bounded_specular));
-    const vf peak = highlight * s.specular * s.peak;  // times the logarithm's derivatives
-    store(to + RAW_SHININESS * plane,
-          peak * s.base_log * (0.693147181f * MAX_SHININESS * view.shininess) * s.bounded_shininess *
-              (1.0f - s.bounded_shininess));
-    const vf size = abs(s.cosine);
-    const vf along_half = size >= MIN_BASE ? peak * s.shininess / s.cosine : vf{};
-    const vf diffuse = body * s.diffuse;
-    const vf along_light = s.toward > vf{} ? diffuse : s.toward < vf{} ? -diffuse : vf{};
-    V3 normal, to_view;
-    if (view.headlight) {
-      const vf along = along_half + along_light;
-      normal = s.view.unit * along;
-      to_view = s.normal * along;
-    } else {
-      normal = set3(view.light) * along_light + s.half.unit * along_half;
-      to_view = direction_backward(s.half, s.normal * along_half);
-    }
-    const vf held = s.normal_long ? dot(s.normal, normal) : vf{};
-    const V3 to_normal = (normal - s.normal * held) * s.normal_inverse;
-    store3(to + RAW_NORMAL * plane, plane, to_normal);
-    const V3 to_mean = load3(grad + OUT_MEAN * plane, plane) - direction_backward(s.view, to_view);
-    store3(grad + OUT_MEAN * plane, plane, to_mean);
+    if (shaded) shade_backward(view, plane, drawn, at + i, from, to, grad, palette);
+    else plain_color_backward(plane, drawn, from, to, grad);
 
     for (int d = 0; d < 3; ++d) {
       const vf bounded = sigmoid(load(from + (RAW_SCALE + d) * plane));
@@ -469,19 +495,19 @@ static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const 
   decode_scatter<3>(t, slots, plane, first, all, grad.colors, made + OUT_COLOR * plane);
   decode_scatter<1>(t, slots, plane, first, all, grad.opacities, made + OUT_PLANES * plane);
   V3 palette = {};
-  decode_activations_backward(view, slots, plane, scratch.at, raw, scratch.raw, made, palette);
+  decode_activations_backward(view, s.nets == NETS, slots, plane, scratch.at, raw, scratch.raw, made, palette);
   sums.palette[0] += sum(palette.x);
   sums.palette[1] += sum(palette.y);
   sums.palette[2] += sum(palette.z);
 
   // Second layers: rows again, then gradients of the weights and of the hidden units.
   int from = 0;
-  for (int net = 0; net < NETS; ++net) {
+  for (int net = 0; net < s.nets; ++net) {
     const int width = whole16(s.out_width[net]);
     const float* const source = net == NET_OPACITY ? made + OUT_PLANES * plane : scratch.raw + from * plane;
     for (int a = 0; a < count; ++a)  // row by row: the last run may spill into the next row
-      copy_runs(source + a * many, plane, scratch.outputs + (int64_t)a * width, many, many, NET_ATTRIBUTES[net]);
-    if (net != NET_OPACITY) from += NET_ATTRIBUTES[net];
+      copy_runs(source + a * many, plane, scratch.outputs + (int64_t)a * width, many, many, s.attributes[net]);
+    if (net != NET_OPACITY) from += s.attributes[net];
     for (int o = 0; o < s.out_width[net]; o += LANES) {
       vf total = {};
       for (int a = 0; a < count; ++a) total += load(scratch.outputs + (int64_t)a * width + o);
@@ -492,7 +518,7 @@ static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const 
     product<GATE>(count, s.hidden, s.out_width[net], {scratch.outputs, width, 1}, w.second[net],
                   whole16(s.hidden), scratch.hidden_grad + net * s.hidden, s.hidden_stride, rows + net * s.hidden);
   }
-  const int units = NETS * s.hidden;
+  const int units = s.nets * s.hidden;
   for (int a = 0; a < count; ++a)
     for (int j = units; j < units + LANES; ++j) scratch.hidden_grad[(int64_t)a * s.hidden_stride + j] = 0.0f;
 

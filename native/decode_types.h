@@ -7,8 +7,9 @@
 namespace econgs {
 
 enum { NET_OPACITY, NET_COVARIANCE, NET_SHADING, NET_NORMAL, NETS };
-constexpr int NET_ATTRIBUTES[NETS] = {1, 7, 7, 3};  // per Gaussian
-constexpr int RAW_PLANES = 17;                      // outputs but the opacity, by attribute
+// Per Gaussian. Without shading (Scaffold-GS, HAC) the third network puts out a color alone and there is no fourth.
+constexpr int NET_ATTRIBUTES[NETS] = {1, 7, 7, 3}, PLAIN_ATTRIBUTES[NETS] = {1, 7, 3, 0};
+constexpr int RAW_PLANES = 17;  // outputs but the opacity, by attribute
 
 // Constants of the shading (econgs/anchors/shading.py).
 constexpr float MIN_NORMAL = 1e-3f, MIN_LENGTH = 1e-6f, MIN_BASE = 1e-6f, MAX_SPECULAR = 5.0f, MAX_SHININESS = 50.0f;
@@ -23,6 +24,7 @@ __attribute__((always_inline)) static inline int whole16(int n) { return (n + 15
 // Sizes and strides in floats. Strides are multiples of 16 for every ISA; pads hold zeros or finite leftovers.
 struct DecodeShape {
   int features, directions, embedding, hidden, offsets;
+  int nets, attributes[NETS];  // how many networks there are, and what each puts out per Gaussian
   int inputs;                // features + directions
   int input_stride, hidden_stride;
   int out_first[NETS], out_width[NETS], out_stride;  // a row of outputs: each network's, padded
@@ -44,7 +46,7 @@ struct DecodeView {
 struct DecodeWeights {
   const float* first_t;       // inputs x hidden_stride
   const float* first_bias;    // hidden_stride; with what the embedding adds
-  const float* first;         // 4 hidden x input_stride (backward only)
+  const float* first;         // nets hidden x input_stride (backward only)
   const float* second_t[NETS];     // hidden x whole16(out_width)
   const float* second_bias[NETS];  // whole16(out_width)
   const float* second[NETS];       // out_width x whole16(hidden) (backward only)

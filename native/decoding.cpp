@@ -23,7 +23,7 @@ bool all_finite(const float* p, int64_t n) {
 
 bool all_finite(const DecodeShape& s, const Networks& nets) {
   bool fine = all_finite(nets.embedding, s.embedding);
-  for (int net = 0; net < NETS; ++net)
+  for (int net = 0; net < s.nets; ++net)
     fine = fine && all_finite(nets.first[net], int64_t{1} * s.hidden * (s.inputs + s.embedding)) &&
            all_finite(nets.first_bias[net], s.hidden) &&
            all_finite(nets.second[net], int64_t{1} * s.out_width[net] * s.hidden) &&
@@ -57,14 +57,14 @@ int64_t lay_out(const DecodeShape& s, float* base, bool sums, bool backward, Pac
   Parts parts(base);
   p.first_t = parts.take(int64_t{1} * s.inputs * s.hidden_stride);
   p.first_bias = parts.take(s.hidden_stride);
-  for (int net = 0; net < NETS; ++net) {
+  for (int net = 0; net < s.nets; ++net) {
     p.second_t[net] = parts.take(int64_t{1} * s.hidden * whole16(s.out_width[net]));
     p.second_bias[net] = parts.take(whole16(s.out_width[net]));
   }
   if (sums) p.palette = parts.take(3);
   if (backward) {
-    p.first = parts.take(int64_t{1} * NETS * s.hidden * s.input_stride);
-    for (int net = 0; net < NETS; ++net) p.second[net] = parts.take(int64_t{1} * s.out_width[net] * whole16(s.hidden));
+    p.first = parts.take(int64_t{1} * s.nets * s.hidden * s.input_stride);
+    for (int net = 0; net < s.nets; ++net) p.second[net] = parts.take(int64_t{1} * s.out_width[net] * whole16(s.hidden));
   }
   return parts.size;
 }
@@ -77,7 +77,7 @@ void pack(const DecodeShape& s, const Networks& nets, DecodeFrame& frame) {
   std::memset(base, 0, size * sizeof(float));
   lay_out(s, base, false, frame.keep, p);
   const int wide = s.inputs + s.embedding;
-  for (int net = 0; net < NETS; ++net) {
+  for (int net = 0; net < s.nets; ++net) {
     for (int j = 0; j < s.hidden; ++j) {
       const float* const row = nets.first[net] + int64_t{1} * j * wide;
       const int unit = net * s.hidden + j;
@@ -98,7 +98,7 @@ void pack(const DecodeShape& s, const Networks& nets, DecodeFrame& frame) {
   frame.weights.first_t = p.first_t;
   frame.weights.first_bias = p.first_bias;
   frame.weights.first = frame.keep ? p.first : nullptr;
-  for (int net = 0; net < NETS; ++net) {
+  for (int net = 0; net < s.nets; ++net) {
     frame.weights.second_t[net] = p.second_t[net];
     frame.weights.second_bias[net] = p.second_bias[net];
     frame.weights.second[net] = frame.keep ? p.second[net] : nullptr;
@@ -109,7 +109,7 @@ void pack(const DecodeShape& s, const Networks& nets, DecodeFrame& frame) {
 void unpack(const DecodeShape& s, const Packed& sums, const Networks& nets, const NetworkGradients& to) {
   const int wide = s.inputs + s.embedding;
   std::vector<double> embedding(s.embedding, 0.0);
-  for (int net = 0; net < NETS; ++net) {
+  for (int net = 0; net < s.nets; ++net) {
     for (int j = 0; j < s.hidden; ++j) {
       const int unit = net * s.hidden + j;
       float* const row = to.first[net] + int64_t{1} * j * wide;
@@ -140,8 +140,8 @@ float* rows_of(const DecodeFrame& frame, int64_t block) {
 
 }  // namespace
 
-DecodeShape decode_shape(int features, int directions, int embedding, int hidden, int offsets) {
-  DecodeShape s;
+DecodeShape decode_shape(int features, int directions, int embedding, int hidden, int offsets, bool shaded) {
+  DecodeShape s = {};
   s.features = features;
   s.directions = directions;
   s.embedding = embedding;
@@ -149,10 +149,12 @@ DecodeShape decode_shape(int features, int directions, int embedding, int hidden
   s.offsets = offsets;
   s.inputs = features + directions;
   s.input_stride = whole16(s.inputs);
-  s.hidden_stride = whole16(NETS * hidden) + 16;  // the last network's pad
+  s.nets = shaded ? NETS : NETS - 1;
+  s.hidden_stride = whole16(s.nets * hidden) + 16;  // the last network's pad
   s.out_stride = 0;
-  for (int net = 0; net < NETS; ++net) {
-    s.out_width[net] = NET_ATTRIBUTES[net] * offsets;
+  for (int net = 0; net < s.nets; ++net) {
+    s.attributes[net] = (shaded ? NET_ATTRIBUTES : PLAIN_ATTRIBUTES)[net];
+    s.out_width[net] = s.attributes[net] * offsets;
     s.out_stride = std::max(s.out_stride, whole16(s.out_width[net]));
   }
   s.plane = whole16(DECODE_BLOCK * offsets) + 16;

@@ -10,7 +10,7 @@
 namespace econgs {
 
 // The networks' tensors as torch holds them: per network first weight (hidden x (inputs + embedding)), first bias,
-// second weight (attributes * K x hidden), second bias.
+// second weight (attributes * K x hidden), second bias. Without shading there are three networks.
 struct Networks {
   const float *first[NETS], *first_bias[NETS], *second[NETS], *second_bias[NETS];
   const float* embedding;
@@ -32,7 +32,7 @@ struct DecodeFrame {
   std::vector<int64_t> first;  // row of the outputs, by block, and the number of all
 };
 
-DecodeShape decode_shape(int features, int directions, int embedding, int hidden, int offsets);
+DecodeShape decode_shape(int features, int directions, int embedding, int hidden, int offsets, bool shaded);
 
 // Decodes the opacities (N x K). Returns null if an input or a weight is not finite.
 std::unique_ptr<DecodeFrame> decode_begin(const DecodeShape&, const DecodeInputs&, const DecodeView&, const Networks&,

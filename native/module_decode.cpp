@@ -25,8 +25,8 @@ DecodeInputs inputs_of(const DecodeShape& s, const In& anchors, const In& featur
 template <class A, class T>
 void networks_of(const DecodeShape& s, const std::vector<A>& tensors, T** first, T** first_bias, T** second,
                  T** second_bias) {
-  expect(tensors.size() == 4 * NETS, "four tensors per network are needed");
-  for (int net = 0; net < NETS; ++net) {
+  expect(static_cast<int>(tensors.size()) == 4 * s.nets, "four tensors per network are needed");
+  for (int net = 0; net < s.nets; ++net) {
     const A* const four = &tensors[4 * net];
     expect(is(four[0], {s.hidden, s.inputs + s.embedding}) && is(four[1], {s.hidden}) &&
                is(four[2], {s.out_width[net], s.hidden}) && is(four[3], {s.out_width[net]}),
@@ -39,7 +39,7 @@ void networks_of(const DecodeShape& s, const std::vector<A>& tensors, T** first,
 }
 
 Networks networks_of(const DecodeShape& s, const std::vector<In>& weights, const In& embedding) {
-  Networks nets;
+  Networks nets = {};
   networks_of(s, weights, nets.first, nets.first_bias, nets.second, nets.second_bias);
   expect(is(embedding, {s.embedding}), "embedding must have shape (E,)");
   nets.embedding = embedding.data();
@@ -50,12 +50,12 @@ DecodeFrame* begin_checked(const In& anchors, const In& features, const In& scal
                    const std::vector<In>& weights, const In& embedding, const Vector3& palette, const Vector3& eye,
                    std::optional<Vector3> light, const std::vector<float>& factors, bool directions,
                    bool sigmoid_color, const Array& opacities, bool keep) {
-  expect(features.ndim() == 2 && offsets.ndim() == 3 && embedding.ndim() == 1 && weights.size() == 4 * NETS &&
-             weights[0].ndim() == 2 && factors.size() == 5,
+  expect(features.ndim() == 2 && offsets.ndim() == 3 && embedding.ndim() == 1 &&
+             (weights.size() == 4 * NETS || weights.size() == 4 * (NETS - 1)) && weights[0].ndim() == 2 && factors.size() == 5,
          "decode: arguments of the wrong kind");
   const DecodeShape shape =
       decode_shape(static_cast<int>(features.shape(1)), directions ? 3 : 0, static_cast<int>(embedding.shape(0)),
-                   static_cast<int>(weights[0].shape(0)), static_cast<int>(offsets.shape(1)));
+                   static_cast<int>(weights[0].shape(0)), static_cast<int>(offsets.shape(1)), weights.size() == 4 * NETS);
   expect(shape.features >= 1 && shape.hidden >= 1 && shape.offsets >= 1, "decode: a width is zero");
   const DecodeInputs in = inputs_of(shape, anchors, features, scalings, offsets);
   const Networks nets = networks_of(shape, weights, embedding);
@@ -119,7 +119,7 @@ void backward_checked(const DecodeFrame& frame, const In& anchors, const In& fea
                                    data_or_null(opaque), data_or_null(colors)};
   const DecodeInputGradients to = {to_anchors ? to_anchors->data() : nullptr, to_features.data(), to_scalings.data(),
                                    to_offsets.data()};
-  NetworkGradients made;
+  NetworkGradients made = {};
   networks_of(s, to_weights, made.first, made.first_bias, made.second, made.second_bias);
   made.embedding = to_embedding.data();
   made.palette = to_palette.data();

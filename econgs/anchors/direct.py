@@ -159,21 +159,7 @@ def _native_decode(
     eye: Tensor,
     shown: bool,
 ) -> Decoded:
-    """By the kernel of ECoNGS's decoders: ambient light alone, with coefficient 1, leaves the color as it is.
-
-    The outputs that only shading needs are constant, by weights of zero.
-    """
-    many, hidden = decoders.offsets, decoders.features
-    tensors = [one for name in ("opacity", "covariance") for one in decoders.network(name).tensors()]
-    first, first_bias, second, second_bias = decoders.network("color").tensors()
-    constant = torch.cat([second_bias.new_ones(many), second_bias.new_zeros(3 * many)])
-    tensors += [first, first_bias, torch.cat([second, second.new_zeros(4 * many, hidden)])]
-    tensors += [torch.cat([second_bias, constant])]
-    tensors += [torch.zeros_like(first), torch.zeros_like(first_bias)]
-    tensors += [second.new_zeros(3 * many, hidden), second.new_zeros(3 * many)]
-    none, palette = anchors.new_zeros(0), anchors.new_zeros(3)
+    tensors = [one for name in NETWORKS for one in decoders.network(name).tensors()]
     native = importlib.import_module("econgs.anchors.native")
-    factors = [float(shown), 1.0, 0.0, 0.0, 0.0]
-    inputs = (anchors, features, scalings, offsets, none, palette)
-    decoded: Decoded = native.decode_plain(inputs, tensors, eye, factors)
+    decoded: Decoded = native.decode_plain((anchors, features, scalings, offsets), tensors, eye, shown)
     return decoded

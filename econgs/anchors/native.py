@@ -90,18 +90,18 @@ def decode(
     return Decoded(*outputs)
 
 
-def decode_plain(
-    inputs: Sequence[Tensor], weights: Sequence[Tensor], eye: Tensor, factors: list[float]
-) -> Decoded:
-    """The kernel itself, for networks that :mod:`econgs.anchors.direct` lays out: sigmoid colors, headlight.
+def decode_plain(inputs: Sequence[Tensor], weights: Sequence[Tensor], eye: Tensor, shown: bool) -> Decoded:
+    """What :func:`econgs.anchors.direct.decode_colors` does: three networks, sigmoid colors, no shading.
 
     Args:
-        inputs: as of :func:`decode`.
-        weights: first weight and bias, second weight and bias of the four networks.
+        inputs: anchors, features, scalings, offsets.
+        weights: first weight and bias, second weight and bias of the three networks.
         eye: (3,) camera centre.
-        factors: on opacity, ambient, diffuse, specular and shininess.
+        shown: False: everything is culled.
 
     Raises:
         ValueError: NaN or infinity among the inputs.
     """
-    return Decoded(*_Decode.apply(True, True, eye, None, factors, *inputs, *weights))
+    none = (eye.new_zeros(0), eye.new_zeros(3))  # neither embedding nor palette
+    factors = [float(shown), 1.0, 1.0, 1.0, 1.0]
+    return Decoded(*_Decode.apply(True, True, eye, None, factors, *inputs, *none, *weights))
