@@ -119,7 +119,7 @@ def _listed(results: pd.DataFrame, column: str) -> str:
 
 
 def _methods(results: pd.DataFrame) -> str:
-    """The methods; in how many variants where several were measured, since the names of all would fill the page."""
+    """The methods; in how many variants where several were measured: all names would fill the page."""
     variants = results.fillna({"variant": ""}).groupby("method", sort=False)["variant"].unique()
     return ", ".join(
         label(method, names[0]) if len(names) == 1 else f"{label(method)} in {len(names)} variants"
