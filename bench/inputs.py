@@ -25,7 +25,7 @@ from datasets.readers.naming import split
 from datasets.render_views import render_cost, views_of, volume_digest
 from datasets.scene import Dataset
 from datasets.transfer import TransferFunction
-from datasets.views import Split, ViewRequest, ViewSet, split_indices
+from datasets.views import Split, ViewRequest, ViewSet
 from methods.interface import SceneInput
 
 _BINS = 128  # of a drawn transfer function
@@ -136,25 +136,23 @@ def view_request(request: Request, split: Split) -> ViewRequest:
     return ViewRequest(split, request.train_views, request.test_views, request.width, request.height)
 
 
-def scene_inputs(job: Job) -> tuple[list[SceneInput], dict[str, ViewSet]]:
-    """The scenes of a fit, and the validation views for its anytime curve.
+def scene_inputs(job: Job) -> list[SceneInput]:
+    """The scenes of a fit.
 
     With ``--split val`` the validation views (every tenth training view) are left out of the fit and
     given to the method for its choices. With ``--split test`` the fit uses every training view and
-    the method gets no validation views; the curve is then taken on those same tenth views.
+    the method gets no validation views.
     """
     dataset = open_dataset(job.dataset)
-    inputs, curve = [], {}
+    inputs = []
     for name in job.scenes:
         scene = dataset.scene(name)
         if job.split == "val":
             train = views(dataset, name, job.request, "train")
-            given = curve[name] = views(dataset, name, job.request, "val")
+            given = views(dataset, name, job.request, "val")
         else:
             train = views(dataset, name, job.request, "trainval")
-            tenth = split_indices(len(train), "val")  # none of six
-            curve[name] = _subset(train, tenth)
-            given = _subset(train, [])
+            given = ViewSet((), train.images[:0], train.background, train.key)
         seed = derived_seed("cloud", job.dataset_name, name, job.seed)
         inputs.append(
             SceneInput(
@@ -166,12 +164,7 @@ def scene_inputs(job: Job) -> tuple[list[SceneInput], dict[str, ViewSet]]:
                 volume=partial(dataset.volume, scene.variable) if dataset.volumes else None,
             )
         )
-    return inputs, curve
-
-
-def _subset(views: ViewSet, indices: list[int]) -> ViewSet:
-    cameras = tuple(views.cameras[i] for i in indices)
-    return ViewSet(cameras, views.images[indices], views.background, views.key)
+    return inputs
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:

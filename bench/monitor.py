@@ -21,7 +21,6 @@ from methods.interface import Checkpoint, Diverged, EstimatesBytes, Model
 
 CHECKPOINT_SECONDS = 30.0
 CURVE_POINTS = 8
-CURVE_VIEWS = 4
 REPORT_SECONDS = 0.5
 
 
@@ -61,14 +60,13 @@ class FitMonitor:
     """Implements :class:`methods.interface.Monitor`.
 
     The training clock runs from :meth:`start` to :meth:`stop` and stands still inside :meth:`pause`.
-    Anytime evaluations take place at moments spread evenly over the logarithm of the iteration, on
-    a few validation views of the group's first scenes; a checkpoint is written every 30 s, at the last
-    iteration and when the job is asked to stop.
+    Anytime evaluations take place at moments spread evenly over the logarithm of the iteration; a checkpoint
+    is written every 30 s, at the last iteration and when the job is asked to stop.
 
     Args:
         folder: where checkpoints go.
         iterations: the budget.
-        validation: scene -> validation views.
+        held_out: scene -> the views of anytime evaluations. The method never sees them.
         report: takes progress.
         stop: says when to end early.
         every: seconds between checkpoints.
@@ -78,14 +76,14 @@ class FitMonitor:
         self,
         folder: Path,
         iterations: int,
-        validation: Mapping[str, ViewSet],
+        held_out: Mapping[str, ViewSet],
         report: Callable[..., None],
         stop: Stop,
         every: float = CHECKPOINT_SECONDS,
     ) -> None:
         self._folder = folder
         self._iterations = iterations
-        self._views = _some_views(validation)
+        self._views = held_out
         self._report = report
         self._stop = stop
         self._every = every
@@ -191,11 +189,11 @@ class FitMonitor:
         )
 
     def _evaluate(self, iteration: int, model: Model) -> None:
-        values = []
-        for scene, index, views in self._views:
-            rgb, _ = model.render(views.cameras[index], scenes=[scene], background=views.background)
-            values.append(_psnr(as_numpy(rgb), views.composited(index)))
-        self._psnr = float(np.mean(values)) if values else None
+        found = {
+            scene: float(np.mean([_psnr(model, scene, views, i) for i in range(len(views))]))
+            for scene, views in self._views.items()
+        }
+        self._psnr = float(np.mean(list(found.values()))) if found else None
         self._primitives = model.primitives()
         size = model.bytes_estimate() if isinstance(model, EstimatesBytes) else None
         self.curve.append(
@@ -203,7 +201,7 @@ class FitMonitor:
                 iteration=iteration,
                 train_seconds=self._clock,
                 loss=self._loss,
-                psnr_val=self._psnr,
+                psnr=found,
                 primitives=self._primitives,
                 bytes_estimate=size,
                 loss_parts=self._parts,
@@ -248,16 +246,10 @@ def _moments(iterations: int) -> list[int]:
     return sorted({round(m) for m in np.geomspace(first, iterations, CURVE_POINTS)})
 
 
-def _some_views(validation: Mapping[str, ViewSet]) -> list[tuple[str, int, ViewSet]]:
-    """At most four validation views, spread over scenes and cameras."""
-    each = max(1, CURVE_VIEWS // max(1, len(validation)))
-    chosen = []
-    for scene, views in validation.items():
-        picks = {round(i) for i in np.linspace(0, len(views) - 1, each)} if len(views) else set()
-        chosen += [(scene, index, views) for index in sorted(picks)]
-    return chosen[:CURVE_VIEWS]
-
-
-def _psnr(rgb: Any, truth: Any) -> float:
-    """The metric ``psnr``; NaN where the model renders values that are not finite."""
-    return psnr(Pair(to_8bit(truth), to_8bit(rgb), None)) if np.isfinite(rgb).all() else math.nan
+def _psnr(model: Model, scene: str, views: ViewSet, index: int) -> float:
+    """The metric ``psnr`` of one view; NaN where the model renders values that are not finite."""
+    rendered, _ = model.render(views.cameras[index], scenes=[scene], background=views.background)
+    rgb = as_numpy(rendered)
+    if not np.isfinite(rgb).all():
+        return math.nan
+    return psnr(Pair(to_8bit(views.composited(index)), to_8bit(rgb), None))

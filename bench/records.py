@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-SCHEMA = 1
+SCHEMA = 2
 """Raised when a record of an older store could be misread."""
 
 Kind = Literal["views", "dvr", "partition", "fit", "encode", "measure"]
@@ -121,12 +122,15 @@ class Provenance(_Model):
 
 
 class CurvePoint(_Model):
-    """An anytime evaluation on the validation views."""
+    """An anytime evaluation.
+
+    ``psnr``: scene -> PSNR of a few of the views that are measured on; none of them is trained on.
+    """
 
     iteration: int
     train_seconds: float
     loss: float | None
-    psnr_val: float | None
+    psnr: Mapping[str, float | None]
     primitives: int
     bytes_estimate: int | None = None
     loss_parts: dict[str, float] = Field(default_factory=dict)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bench.inputs import camera_from_json, camera_to_json, scene_inputs
 from bench.monitor import FitMonitor, Progress, Stop
 from bench.records import (
@@ -23,8 +25,13 @@ from bench.records import (
 from bench.store import Store, write_text
 from bench.timing import mean_of, reference_seconds, synchronise
 from datasets.errors import DataError
-from datasets.views import Split
+from datasets.png import read_png
+from datasets.prerendered import evenly_spaced
+from datasets.views import Split, ViewSet
 from methods.interface import Budget, Checkpoint, Method, MethodSpec, Model
+
+CURVE_VIEWS = 4
+"""Of each scene, for anytime evaluations."""
 
 
 @dataclass
@@ -136,7 +143,7 @@ def read_cameras(folder: Path) -> list[Any]:
 
 def _partition(context: Context) -> PartitionResult:
     job = context.job
-    scenes, _ = scene_inputs(job)
+    scenes = scene_inputs(job)
     method = context.method()
     context.report(stage="partition")
     start = time.perf_counter()
@@ -155,11 +162,12 @@ def _partition(context: Context) -> PartitionResult:
 def _fit(context: Context) -> FitResult:
     job = context.job
     context.report(stage="loading")
-    scenes, validation = scene_inputs(job)
+    scenes = scene_inputs(job)
     method = context.method()
     assert job.iterations is not None
+    held_out = {scene.name: _curve_views(context, scene.name) for scene in scenes}
     monitor = FitMonitor(
-        context.folder / "checkpoint", job.iterations, validation, context.report, context.stop
+        context.folder / "checkpoint", job.iterations, held_out, context.report, context.stop
     )
     resume = monitor.resume()
     before = reference_seconds()
@@ -184,6 +192,18 @@ def _fit(context: Context) -> FitResult:
         resumed=monitor.resumed,
         reference_seconds=mean_of(before, after),
     )
+
+
+def _curve_views(context: Context, scene: str) -> ViewSet:
+    """A few of the views that are measured on, evenly spaced, as the views job stored them."""
+    record = next(one for one in context.all_needed("views") if one.job.shows == scene)
+    assert record.views is not None
+    folder, files = context.path_of(record), record.views.truth[context.job.split]
+    cameras = read_cameras(folder)
+    chosen = evenly_spaced(len(files), CURVE_VIEWS)
+    images = np.stack([read_png(folder / "truth" / files[i]) for i in chosen])
+    key = f"{record.views.view_keys[context.job.split]}-curve"
+    return ViewSet(tuple(cameras[i] for i in chosen), images, record.views.background, key)
 
 
 def _seed(job: Job) -> int:
@@ -217,7 +237,7 @@ def _encode(context: Context) -> EncodeResult:
     if found is None:
         raise RuntimeError("the fit has no checkpoint")
     context.report(stage="loading")
-    scenes, _ = scene_inputs(job)
+    scenes = scene_inputs(job)
     method = context.method()
     assert job.iterations is not None
     model = method.fit(

@@ -29,7 +29,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     ),
     "views": ("job", *_AXES, "rate", "preset", "split", "seed", "view", *METRICS, "identical", "truth_file",
               "render_file", "alpha_file", "background", "requested_views"),
-    "curve": ("job", *_AXES, "preset", "seed", "iteration", "train_seconds", "loss", "psnr_val", "primitives",
+    "curve": ("job", *_AXES, "preset", "seed", "iteration", "train_seconds", "loss", "psnr", "primitives",
               "bytes_estimate", "loss_parts", "requested_views"),
     "ledger": ("job", *_AXES, "rate", "preset", "seed", "part", "bytes", "requested_views"),
     "timing": ("job", *_AXES, "rate", "preset", "seed", "part", "seconds", "requested_views"),
@@ -92,7 +92,7 @@ def rows(
             tables["dvr"].append(_dvr(record))
         elif job.kind == "fit" and record.fit is not None:
             tables["curve"] += [
-                {"job": job.id, **_axes(job), **_point(point), "scene": scene}
+                {"job": job.id, **_axes(job), **_point(point, scene)}
                 for scene in job.scenes
                 for point in record.fit.curve
             ]
@@ -107,8 +107,9 @@ def rows(
     return tables
 
 
-def _point(point: CurvePoint) -> dict[str, Any]:
-    return point.model_dump() | {"loss_parts": json.dumps(point.loss_parts)}
+def _point(point: CurvePoint, scene: str) -> dict[str, Any]:
+    changed = {"scene": scene, "psnr": point.psnr.get(scene), "loss_parts": json.dumps(point.loss_parts)}
+    return point.model_dump() | changed
 
 
 def build_tables(

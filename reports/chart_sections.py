@@ -167,13 +167,13 @@ def _tradeoffs(results: pd.DataFrame) -> Section | None:
 def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
     results, curve = tables["results"], tables["curve"]
     names = series(results, curve)
-    quality, size = (plots.anytime(curve, results, what, names) for what in ("psnr_val", "bytes_estimate"))
+    quality, size = (plots.anytime(curve, results, what, names) for what in ("psnr", "bytes_estimate"))
     if not quality and not size:
         return None
     words = (
         "What a method has reached after so many seconds of training, mean over scenes. A joint fit of n "
-        "scenes counts for each with its time / n. PSNR is of a few validation views; size is the method's "
-        "own estimate."
+        "scenes counts for each with its time / n. PSNR is of a few of the views that are measured on; size is "
+        "the method's own estimate."
     )
     cards = []
     for dataset in dict.fromkeys([*quality, *size]):
@@ -181,7 +181,7 @@ def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
     heads = ["Dataset", "Method", *(f"{level:g} dB" for level in training.LEVELS)]
     rows = [
         [dataset, line.title, *(MISSING if t is None else seconds(t) for t in times)]
-        for dataset, lines in training.anytime(curve, results, "psnr_val").items()
+        for dataset, lines in training.anytime(curve, results, "psnr").items()
         for line, times in training.time_to_quality(lines)
     ]
     times = table("Time to a quality", heads, rows) if rows else ""
@@ -190,8 +190,8 @@ def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
         "Quality over training time",
         f'<p>{words}</p>{legend(series(curve), names)}<div class="charts">{charts(cards)}</div>'
         f"{times}"
-        '<p class="note">Seconds of training per scene until validation PSNR first reaches the level, linear '
-        f"between evaluations; {MISSING}: never.</p>",
+        '<p class="note">Seconds of training per scene until the PSNR of these views first reaches the level, '
+        f"linear between evaluations; {MISSING}: never.</p>",
     )
 
 
@@ -201,12 +201,10 @@ def _convergence(tables: dict[str, pd.DataFrame]) -> Section | None:
     pairs = [plots.convergence(curve, against, order) for against in ("train_seconds", "iteration")]
     if not any(pairs):
         return None
-    told = "PSNR on a few validation views while training; the clock stands still meanwhile."
-    if (results["split"] == "test").any():
-        told += (
-            " With split “test” these views are trained on too: the curves then show how the fit "
-            "proceeds, not how good new views are."
-        )
+    told = (
+        "PSNR of a few of the views that are measured on, while training; the clock stands still meanwhile. "
+        "No method sees these views."
+    )
     parts = [f"<p>{told}</p>{legend(series(curve), order)}"]
     for dataset in dict.fromkeys([*pairs[0], *pairs[1]]):
         drawn = charts(("", figures[dataset]) for figures in pairs if dataset in figures)

@@ -45,7 +45,7 @@ def figures(tables: dict[str, pd.DataFrame]) -> dict[str, Callable[[], Figure]]:
     for short, against in _TRADEOFFS.items():
         if data.tradeoff(results, against):
             wanted[f"psnr-{short}"] = lambda against=against: tradeoff(results, against)  # type: ignore[misc]
-    for short, what in (("psnr", "psnr_val"), ("size", "bytes_estimate")):
+    for short, what in (("psnr", "psnr"), ("size", "bytes_estimate")):
         if training.anytime(curve, results, what):
             wanted[f"anytime-{short}"] = lambda what=what: anytime(curve, results, what, names)  # type: ignore[misc]
     for short, against in (("seconds", "train_seconds"), ("iterations", "iteration")):

@@ -30,7 +30,7 @@ _NUMBERS = (
 _OTHERS = {
     "views": "job dataset scene method variant rate preset split seed view psnr psnr_fg ssim lpips_vgg flip "
     "delta_e_uv identical truth_file render_file alpha_file background requested_views",
-    "curve": "job dataset scene method variant preset seed iteration train_seconds loss psnr_val primitives "
+    "curve": "job dataset scene method variant preset seed iteration train_seconds loss psnr primitives "
     "bytes_estimate loss_parts requested_views",
     "ledger": "job dataset scene method variant rate preset seed part bytes requested_views",
     "timing": "job dataset scene method variant rate preset seed part seconds requested_views",

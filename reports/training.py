@@ -16,9 +16,12 @@ if TYPE_CHECKING:
 CURVE_AXIS = {"train_seconds": "training time of the fit [s]", "iteration": "iteration"}
 LEVELS = (30.0, 32.0, 34.0)
 """PSNR, dB, that the time to is told of."""
-ANYTIME_AXIS = {"psnr_val": "validation PSNR [dB]", "bytes_estimate": "estimated size per scene [MiB]"}
-_UNIT = {"psnr_val": 1.0, "bytes_estimate": MIB}
-_FIT = ["job", "method", "variant", "preset", "seed"]
+ANYTIME_AXIS = {
+    "psnr": "PSNR of a few held-out views [dB]",
+    "bytes_estimate": "estimated size per scene [MiB]",
+}
+_UNIT = {"psnr": 1.0, "bytes_estimate": MIB}
+_FIT = ["job", "method", "variant", "preset", "seed", "scene"]
 LEAST_SHARE = 1e-5
 """Parts that never reach this share of the loss are not drawn."""
 
@@ -41,41 +44,31 @@ class Curve:
 
 
 def convergence(curve: pd.DataFrame, against: str) -> dict[str, list[Curve]]:
-    """Dataset -> validation PSNR of each fit, titled by what tells them apart (method, scenes, seed).
+    """Dataset -> PSNR of each scene while its fit went on, titled by what tells it apart.
 
     Args:
-        curve: the documented table; the rows of a group's scenes are one curve, for it is of them all.
+        curve: the documented table.
         against: "train_seconds" or "iteration".
     """
     panels: dict[str, list[Curve]] = {}
     if curve.empty:
         return panels
-    known = curve[curve["psnr_val"].notna() & curve[against].notna()]
+    known = curve[curve["psnr"].notna() & curve[against].notna()]
     for dataset, rows in known.groupby("dataset", sort=False):
         methods = len({label(m, v) for m, v in zip(rows["method"], rows["variant"], strict=True)})
         many = {axis: rows[axis].nunique() > 1 for axis in ("scene", "seed", "preset")}
         lines = []
-        for (_, method, variant, preset, seed), fit in rows.groupby(_FIT, dropna=False, sort=False):
+        for (_, method, variant, preset, seed, scene), fit in rows.groupby(_FIT, dropna=False, sort=False):
             name = label(method, variant)
-            for scenes, group in _alike(fit, against):
-                words = [name] if methods > 1 else []
-                words += [" + ".join(scenes)] if many["scene"] or not words else []
-                words += [str(preset)] if many["preset"] and not absent(preset) else []
-                words += [f"seed {seed}"] if many["seed"] else []
-                x, y = ([float(v) for v in group[column]] for column in (against, "psnr_val"))
-                lines.append(Curve(name, " · ".join(words), x, y))
+            words = [name] if methods > 1 else []
+            words += [str(scene)] if many["scene"] or not words else []
+            words += [str(preset)] if many["preset"] and not absent(preset) else []
+            words += [f"seed {seed}"] if many["seed"] else []
+            ordered = fit.sort_values("iteration")
+            x, y = ([float(v) for v in ordered[column]] for column in (against, "psnr"))
+            lines.append(Curve(name, " · ".join(words), x, y))
         panels[str(dataset)] = lines
     return panels
-
-
-def _alike(fit: pd.DataFrame, against: str) -> list[tuple[list[str], pd.DataFrame]]:
-    """The scenes of a fit with one curve in common, and that curve; several if they have their own."""
-    found: dict[tuple, tuple[list[str], pd.DataFrame]] = {}
-    for scene, group in fit.groupby("scene", sort=True):
-        group = group.sort_values("iteration")
-        key = (*group[against], *group["psnr_val"])
-        found.setdefault(key, ([], group))[0].append(str(scene))
-    return list(found.values())
 
 
 def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
@@ -88,7 +81,7 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, 
     Args:
         curve: the documented table.
         results: the documented table: which scenes there are, so that a mean of fewer is titled so.
-        what: "psnr_val" or "bytes_estimate" (in MiB).
+        what: "psnr" or "bytes_estimate" (in MiB).
     """
     panels: dict[str, list[Curve]] = {}
     if curve.empty or what not in curve:
@@ -112,15 +105,13 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, 
 
 
 def _shares(fit: pd.DataFrame, what: str) -> tuple[list[float], list[float], int]:
-    """Seconds and values of a fit, per scene, and its number of scenes."""
+    """Seconds and values of a fit, mean over its scenes, and their number."""
     scenes = len(set(fit["scene"]))
-    points = {
-        int(iteration): (float(clock), float(value))
-        for iteration, clock, value in zip(fit["iteration"], fit["train_seconds"], fit[what], strict=True)
-    }
+    points = fit.groupby("iteration", sort=True)[["train_seconds", what]].mean()
+    # The bytes are of all scenes together, in every scene's row.
     divisor = _UNIT[what] * (scenes if what == "bytes_estimate" else 1)
-    ordered = [points[iteration] for iteration in sorted(points)]
-    return [clock / scenes for clock, _ in ordered], [value / divisor for _, value in ordered], scenes
+    x, y = points["train_seconds"] / scenes, points[what] / divisor
+    return [float(clock) for clock in x], [float(value) for value in y], scenes
 
 
 def _mean(fits: list[tuple[list[float], list[float], int]]) -> tuple[list[float], list[float]]:

@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 def convergence(
     curve: pd.DataFrame, against: str = "train_seconds", names: list[str] | None = None
 ) -> Figure:
-    """Validation PSNR over training seconds or iterations; a panel per dataset, a line per fit."""
+    """PSNR of held-out views over training seconds or iterations; a panel per dataset, a line per fit."""
     panels = training.convergence(curve, against)
-    x, y = training.CURVE_AXIS[against], training.ANYTIME_AXIS["psnr_val"]
+    x, y = training.CURVE_AXIS[against], training.ANYTIME_AXIS["psnr"]
     return _lines(panels, x, y, names or series(curve))
 
 
 def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str, names: list[str]) -> Figure:
-    """Validation PSNR or estimated size over training seconds per scene (log), a line per method."""
+    """PSNR of held-out views or estimated size over training seconds per scene (log), a line per method."""
     panels = training.anytime(curve, results, what)
     x = "training time per scene [s]"
     return _lines(panels, x, training.ANYTIME_AXIS[what], names, log=True, log_y=what == "bytes_estimate")

@@ -14,21 +14,21 @@ if TYPE_CHECKING:
 
 
 def convergence(curve: pd.DataFrame, against: str, names: list[str]) -> dict[str, Figure]:
-    """Dataset -> validation PSNR over "train_seconds" or "iteration"; ``names``: the report's series."""
+    """Dataset -> PSNR of held-out views over "train_seconds" or "iteration"; ``names``: of the report."""
     title = training.CURVE_AXIS[against]
     made = {}
     for dataset, lines in training.convergence(curve, against).items():
         ends = (0.0, _widened(max(max(row.x) for row in lines), lines))
         x_axis = {"range": list(ends), "title": {"text": title}}
         y_range = linear_range([y for row in lines for y in row.y], 2.0)
-        y_axis = {"range": list(y_range), "title": {"text": training.ANYTIME_AXIS["psnr_val"]}}
+        y_axis = {"range": list(y_range), "title": {"text": training.ANYTIME_AXIS["psnr"]}}
         hover = f"{title} %{{x:.5~g}}<br>%{{y:.2f}} dB"
         made[dataset] = _lines(lines, x_axis, y_axis, hover, names)
     return made
 
 
 def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str, names: list[str]) -> dict[str, Figure]:
-    """Dataset -> validation PSNR or estimated size (log) over training seconds per scene (log)."""
+    """Dataset -> PSNR of held-out views or estimated size (log) over training seconds per scene (log)."""
     made = {}
     for dataset, lines in training.anytime(curve, results, what).items():
         room = room_for([row.title for row in lines])

@@ -83,7 +83,7 @@ VIEWS = [
     "background",
     "requested_views",
 ]
-CURVE = "job dataset scene method variant preset seed iteration train_seconds loss psnr_val primitives "
+CURVE = "job dataset scene method variant preset seed iteration train_seconds loss psnr primitives "
 CURVE += "bytes_estimate requested_views"
 LEDGER = "job dataset scene method variant rate preset seed part bytes requested_views"
 DVR = """job dataset scene kind preset status reason nx ny nz variables dtype volume_bytes ms_per_view ms_p05
@@ -110,7 +110,6 @@ NUMBERS = {
     "encode_seconds",
     "reference_seconds",
     "loss",
-    "psnr_val",
     "partition_seconds",
 }
 WHOLE = {
@@ -275,7 +274,7 @@ class Maker:
                     "iteration": step * 100,
                     "train_seconds": seconds * step / 7,
                     "loss": 0.1,
-                    "psnr_val": psnr - 12 * 0.5**step,
+                    "psnr": psnr - 12 * 0.5**step,
                     "primitives": 1000,
                 }
             )

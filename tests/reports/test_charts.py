@@ -21,7 +21,7 @@ def curve_table(rows):
         "method",
         "iteration",
         "train_seconds",
-        "psnr_val",
+        "psnr",
         "bytes_estimate",
         "loss_parts",
     ]
@@ -139,17 +139,7 @@ def test_no_rate_chart_where_every_method_has_one_size(maker):
 # --------------------------------------------------------------------------- training
 
 
-def test_scenes_of_a_joint_fit_share_one_curve_and_one_label():
-    rows = [
-        ("j", s, "econgs", i, float(i), 30.0 + i, None, "") for s in ("TF01", "TF03", "TF04") for i in (1, 2)
-    ]
-    rows += [("k", "TF02", "econgs", i, float(i), 35.0 + i, None, "") for i in (1, 2)]
-    lines = training.convergence(curve_table(rows), "iteration")["d"]
-    assert [line.title for line in lines] == ["TF01 + TF03 + TF04", "TF02"]
-    assert lines[0].y == [31.0, 32.0]
-
-
-def test_scenes_of_a_fit_with_curves_of_their_own_keep_them():
+def test_each_scene_of_a_joint_fit_has_its_curve():
     rows = [
         ("j", s, "econgs", i, float(i), p + i, None, "")
         for s, p in (("a", 30.0), ("b", 33.0))
@@ -159,12 +149,16 @@ def test_scenes_of_a_fit_with_curves_of_their_own_keep_them():
 
 
 def test_anytime_counts_a_joint_fit_by_shares(maker):
-    rows = [("j", s, "econgs", i, 20.0 * i, 30.0 + i, 2 << 20, "") for s in "ab" for i in (1, 2)]
+    rows = [
+        ("j", s, "econgs", i, 20.0 * i, p + i, 2 << 20, "")
+        for s, p in (("a", 29.0), ("b", 31.0))
+        for i in (1, 2)
+    ]
     rows += [
         (s, s, "3dgs", i, 10.0 * i, p + i, 4 << 20, "") for s, p in (("a", 20.0), ("b", 30.0)) for i in (1, 2)
     ]
     results = results_table(maker, econgs="ab", **{"3dgs": "ab"})
-    joint, single = training.anytime(curve_table(rows), results, "psnr_val")["d"]
+    joint, single = training.anytime(curve_table(rows), results, "psnr")["d"]
     assert (joint.x, joint.y) == ([10.0, 20.0], [31.0, 32.0])
     assert (single.x, single.y) == ([10.0, 20.0], [26.0, 27.0])
     sizes = training.anytime(curve_table(rows), results, "bytes_estimate")["d"]
@@ -174,14 +168,14 @@ def test_anytime_counts_a_joint_fit_by_shares(maker):
 def test_anytime_weighs_scenes_and_a_finished_fit_keeps_its_value(maker):
     rows = [("j", s, "m", i, 3.0 * i, 30.0, None, "") for s in "abc" for i in (1, 2)]
     rows += [("k", "d", "m", 1, 1.0, 34.0, None, ""), ("k", "d", "m", 2, 5.0, 38.0, None, "")]
-    (line,) = training.anytime(curve_table(rows), results_table(maker, m="abcd"), "psnr_val")["d"]
+    (line,) = training.anytime(curve_table(rows), results_table(maker, m="abcd"), "psnr")["d"]
     assert line.x == [1.0, 2.0, 5.0]
     assert line.y == pytest.approx([31.0, 31.25, 32.0])
 
 
 def test_anytime_says_where_scenes_are_missing(maker):
     rows = [("j", "a", "m", 1, 3.0, 30.0, None, "")]
-    (line,) = training.anytime(curve_table(rows), results_table(maker, m="ab"), "psnr_val")["d"]
+    (line,) = training.anytime(curve_table(rows), results_table(maker, m="ab"), "psnr")["d"]
     assert line.title == "m (1 of 2 scenes)"
 
 
@@ -324,6 +318,6 @@ def test_every_series_of_a_figure_is_named(maker):
     fill(maker, "failures")
     results = maker.tables()["results"]
     names = series(results)
-    figure = charts.anytime(maker.tables()["curve"], results, "psnr_val", names)
+    figure = charts.anytime(maker.tables()["curve"], results, "psnr", names)
     assert {text.get_text() for text in figure.axes[0].texts} == {"3DGS (1 of 2 scenes)", "ECoNGS"}
     assert frame(["psnr"], []).empty

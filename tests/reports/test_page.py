@@ -133,16 +133,6 @@ def test_a_screen_reader_finds_its_way(maker):
     assert outline.refers <= set(outline.ids)
 
 
-def test_the_page_says_when_curves_are_of_views_that_are_trained_on(maker):
-    maker.run()
-    assert "With split “test” these views are trained on too" in page(maker)[1]
-    for row in maker.rows["results"]:
-        row["split"] = "val"
-    text = page(maker)[1]
-    assert "PSNR on a few validation views while training" in text
-    assert "trained on too" not in text
-
-
 def test_variants_are_counted_where_several_were_measured(maker):
     maker.run(method="3dgs", views=0)
     maker.run(method="hac", variant="configuration=paper", views=0)
