@@ -172,8 +172,8 @@ def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
         return None
     words = (
         "What a method has reached after so many seconds of training, mean over scenes. A joint fit of n "
-        "scenes counts for each with its time / n. PSNR is of a few of the views that are measured on; size is "
-        "the method's own estimate."
+        "scenes counts for each with its time / n. PSNR is of a few of the views that are measured on; size "
+        "is the method's own estimate."
     )
     cards = []
     for dataset in dict.fromkeys([*quality, *size]):
@@ -190,8 +190,8 @@ def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
         "Quality over training time",
         f'<p>{words}</p>{legend(series(curve), names)}<div class="charts">{charts(cards)}</div>'
         f"{times}"
-        '<p class="note">Seconds of training per scene until the PSNR of these views first reaches the level, '
-        f"linear between evaluations; {MISSING}: never.</p>",
+        '<p class="note">Seconds of training per scene until the PSNR of these views first reaches the '
+        f"level, linear between evaluations; {MISSING}: never.</p>",
     )
 
 
