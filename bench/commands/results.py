@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.store import Store
 from bench.tables import build_tables
+from datasets.errors import DataError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,26 +28,33 @@ def report(options: Namespace) -> int:
     from reports import claims, paper_documents, paper_tables
 
     store = Store(Path(options.runs))
+    page = _page(Path(options.out)) if options.out else store.root / "report.html"
     tables = build_tables(store, current(options))
     measured = paper_tables.paper_tables(tables["results"], tables["views"], tables["timing"])
     for table in measured:
         print(paper_documents.to_text(table))
     if options.check_claims:
         print(claims.to_text(claims.check(measured)))
-    print(write_html(tables, store, Path(options.out) if options.out else None))
+    write_html(tables, store, page)
+    print(page)
     return 0
 
 
-def write_html(tables: dict[str, pd.DataFrame], store: Store, out: Path | None = None) -> Path:
-    """The report of a store, in a folder of its own or as a page by name; returns its path."""
+def _page(out: Path) -> Path:
+    """The page itself where it is named, else the one in that folder, which is made."""
+    path = out if out.suffix == ".html" else out / "report.html"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise DataError(path.parent, "is not a folder", "Name another folder, or a page (x.html)") from None
+    return path
+
+
+def write_html(tables: dict[str, pd.DataFrame], store: Store, page: Path) -> None:
+    """The report of a store, as a page and the files that go beside it."""
     from reports.page import write_report
 
-    path = out or store.root
-    if path.suffix != ".html":
-        path = path / "report.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_report(tables, store.root, path)
-    return path
+    write_report(tables, store.root, page)
 
 
 def print_as(table: pd.DataFrame, form: str) -> None:

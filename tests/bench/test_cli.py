@@ -195,6 +195,13 @@ def test_a_report_goes_into_a_folder_or_under_a_name(finished, tmp_path, capsys,
     assert (tmp_path / page).with_name("results.csv").exists()
 
 
+def test_a_report_does_not_go_into_a_file(finished, tmp_path, capsys) -> None:
+    (tmp_path / "file").write_text("mine")
+    store = ["report", "--runs", str(finished.store), "--plugins", str(finished.plugins)]
+    _refusal([*store, "--out", str(tmp_path / "file")], capsys, "is not a folder. Name another")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
 def test_debug_shows_where_it_failed(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(Exception, match="no run store"):
