@@ -169,11 +169,14 @@ def _blocks(
     """One per published dataset that this one is or imitates, and per protocol (preset, split, views)."""
     references = [row["dataset"] for row in reference_rows(name)]
     sole = references[0] if len(set(references)) == 1 else ""
-    known = [
-        (published, about)
+    of_paper = {
+        published: about
         for published, about in layouts()["datasets"].items()
-        if dataset in (*about["real"], *about["stand_ins"]) and published in said.get("only", references)
-    ]
+        if dataset in (*about["real"], *about["stand_ins"])
+    }
+    if "only" in said and of_paper and not set(said["only"]) & set(of_paper):
+        return  # the paper's, but for another of its tables
+    known = [(name, about) for name, about in of_paper.items() if name in said.get("only", references)]
     found = 0
     for published, about in known:
         rows = results[[fnmatch.fnmatch(str(scene), about.get("scenes", "*")) for scene in results["scene"]]]
@@ -206,6 +209,8 @@ def _of_protocols(
             for line, said_line in zip(lines, said["rows"], strict=True)
             if any(value.mean is not None for value in line.values.values())
         }
+        if by_views and not about and len({views for *_, views in measured}) < _LEAST_ROWS:
+            continue  # says nothing about the number of views
         same = dataset in about.get("real", ())
         lines = [line for line in lines if line.note != "not measured" or _has_published(line)]
         if len(measured) < (1 if same else _LEAST_ROWS):

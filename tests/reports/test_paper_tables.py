@@ -102,6 +102,16 @@ def test_one_row_without_published_values_is_no_table():
     assert paper_tables(results()) == []
 
 
+def test_tables_of_other_questions_are_not_filled_with_what_happens_to_fit():
+    rows = [one for m in ("econgs", "ivr-gs") for one in four(m, 35.0)]
+    assert not {"multivariate", "limited-views"} & {one.name for one in paper_tables(results(*rows))}
+    fewer = [one for m in ("econgs", "ivr-gs") for one in four(m, 30.0, train_views=12, requested_views=12)]
+    found = paper_tables(results(*rows, *fewer))
+    assert "limited-views" in {one.name for one in found}
+    ours = [one | {"dataset": "cth_impact", "scene": one["scene"]} for one in rows]
+    assert "multivariate" in {one.name for one in paper_tables(results(*ours))}
+
+
 def test_quality_is_not_ranked_where_views_cannot_tell():
     rows = results(*four("econgs", 35.0), *four("3dgs", 34.9), *four("ivr-gs", 30.0))
 
