@@ -123,8 +123,11 @@ def annotate(
     avoid: list[tuple[float, float]],
 ) -> None:
     """Write each text (x, y, text, color) beside its point, in points of 1/72 inch."""
+    from matplotlib.patheffects import withStroke
+
     scale = 72.0 / axis.figure.dpi
     box = axis.get_window_extent()
+    halo = [withStroke(linewidth=2.0, foreground="white")]  # lines run behind texts, not through them
 
     def place(x: float, y: float) -> tuple[float, float]:
         px, py = axis.transData.transform((x, y))
@@ -145,6 +148,7 @@ def annotate(
             va="center",
             color=shade,
             fontsize=8,
+            path_effects=halo,
         )
 
 
