@@ -66,7 +66,7 @@ class FitMonitor:
     Args:
         folder: where checkpoints go.
         iterations: the budget.
-        held_out: scene -> the views of anytime evaluations. The method never sees them.
+        held_out: scene -> the views of anytime evaluations. None of them is trained on.
         report: takes progress.
         stop: says when to end early.
         every: seconds between checkpoints.

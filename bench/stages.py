@@ -25,8 +25,6 @@ from bench.records import (
 from bench.store import Store, write_text
 from bench.timing import mean_of, reference_seconds, synchronise
 from datasets.errors import DataError
-from datasets.png import read_png
-from datasets.prerendered import evenly_spaced
 from datasets.views import Split, ViewSet
 from methods.interface import Budget, Checkpoint, Method, MethodSpec, Model
 
@@ -196,6 +194,9 @@ def _fit(context: Context) -> FitResult:
 
 def _curve_views(context: Context, scene: str) -> ViewSet:
     """A few of the views that are measured on, evenly spaced, as the views job stored them."""
+    from datasets.png import read_png  # not in processes that measure memory and read no picture
+    from datasets.prerendered import evenly_spaced
+
     record = next(one for one in context.all_needed("views") if one.job.shows == scene)
     assert record.views is not None
     folder, files = context.path_of(record), record.views.truth[context.job.split]

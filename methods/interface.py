@@ -139,7 +139,7 @@ class SceneInput:
     Attributes:
         scene: its definition.
         train: training views (validation views left out when validation leads the choices).
-        validation: views for anytime curves and choices; never trained on. May be empty.
+        validation: views for choices; never trained on. May be empty.
         cloud: initial points with colors, in scene space.
         extent: 1.1 x the greatest distance of a training camera from the mean camera centre.
         volume: reads the scene's volume; None for pre-rendered scenes.

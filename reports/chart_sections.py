@@ -203,7 +203,7 @@ def _convergence(tables: dict[str, pd.DataFrame]) -> Section | None:
         return None
     told = (
         "PSNR of a few of the views that are measured on, while training; the clock stands still meanwhile. "
-        "No method sees these views."
+        "No method trains on these views."
     )
     parts = [f"<p>{told}</p>{legend(series(curve), order)}"]
     for dataset in dict.fromkeys([*pairs[0], *pairs[1]]):

@@ -174,9 +174,9 @@ def _blocks(
         for published, about in layouts()["datasets"].items()
         if dataset in (*about["real"], *about["stand_ins"])
     }
-    if "only" in said and of_paper and not set(said["only"]) & set(of_paper):
+    if "only" in said and of_paper and set(said["only"]).isdisjoint(of_paper):
         return  # the paper's, but for another of its tables
-    known = [(name, about) for name, about in of_paper.items() if name in said.get("only", references)]
+    known = [(one, about) for one, about in of_paper.items() if one in said.get("only", references)]
     found = 0
     for published, about in known:
         rows = results[[fnmatch.fnmatch(str(scene), about.get("scenes", "*")) for scene in results["scene"]]]

@@ -26,6 +26,7 @@ def results(options: Namespace) -> int:
 def report(options: Namespace) -> int:
     """Print those of the paper's tables that a store has rows of, and write its HTML report."""
     from reports import claims, paper_documents, paper_tables
+    from reports.page import write_report
 
     store = Store(Path(options.runs))
     page = _page(Path(options.out)) if options.out else store.root / "report.html"
@@ -35,7 +36,7 @@ def report(options: Namespace) -> int:
         print(paper_documents.to_text(table))
     if options.check_claims:
         print(claims.to_text(claims.check(measured)))
-    write_html(tables, store, page)
+    write_report(tables, store.root, page)
     print(page)
     return 0
 
@@ -48,13 +49,6 @@ def _page(out: Path) -> Path:
     except (FileExistsError, NotADirectoryError):
         raise DataError(path.parent, "is not a folder", "Name another folder, or a page (x.html)") from None
     return path
-
-
-def write_html(tables: dict[str, pd.DataFrame], store: Store, page: Path) -> None:
-    """The report of a store, as a page and the files that go beside it."""
-    from reports.page import write_report
-
-    write_report(tables, store.root, page)
 
 
 def print_as(table: pd.DataFrame, form: str) -> None:

@@ -40,7 +40,7 @@ def run(options: Namespace) -> int:
     ids = {record.job.id for record in outcome.records}
     shown = {name: tables[name][tables[name]["job"].isin(ids)] for name in ("results", "dvr")}
     if any(map(len, shown.values())):
-        from bench.commands.results import print_results, print_table, write_html
+        from bench.commands.results import print_results, print_table
         from reports.datasets import costs
 
         if len(shown["results"]):
@@ -50,7 +50,9 @@ def run(options: Namespace) -> int:
         page = store.root / "report.html"
         if not options.no_report:
             if outcome.ran or not page.is_file():
-                write_html(tables, store, page)
+                from reports.page import write_report
+
+                write_report(tables, store.root, page)
             print(f"report: {page}")
     return _verdict(outcome, planned)
 
