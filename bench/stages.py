@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from bench.store import Store, write_text
 from bench.timing import mean_of, reference_seconds, synchronise
 from datasets.errors import DataError
 from datasets.views import Split, ViewSet
-from methods.interface import Budget, Checkpoint, Method, MethodSpec, Model
+from methods.interface import Budget, Checkpoint, Method, MethodSpec, Model, Refused, SceneInput
 
 CURVE_VIEWS = 4
 """Of each scene, for anytime evaluations."""
@@ -162,6 +162,7 @@ def _fit(context: Context) -> FitResult:
     context.report(stage="loading")
     scenes = scene_inputs(job)
     method = context.method()
+    _refuse_without_volume(context.spec, scenes)
     assert job.iterations is not None
     held_out = {scene.name: _curve_views(context, scene.name) for scene in scenes}
     monitor = FitMonitor(
@@ -183,6 +184,7 @@ def _fit(context: Context) -> FitResult:
         )
     return FitResult(
         seconds=monitor.seconds,
+        cpu_seconds=monitor.cpu_seconds,
         iterations=job.iterations,
         primitives={name: model.primitives(name) for name in job.scenes},
         train_views=sum(len(scene.train) for scene in scenes) // len(scenes),
@@ -205,6 +207,12 @@ def _curve_views(context: Context, scene: str) -> ViewSet:
     images = np.stack([read_png(folder / "truth" / files[i]) for i in chosen])
     key = f"{record.views.view_keys[context.job.split]}-curve"
     return ViewSet(tuple(cameras[i] for i in chosen), images, record.views.background, key)
+
+
+def _refuse_without_volume(spec: MethodSpec | None, scenes: Sequence[SceneInput]) -> None:
+    for scene in scenes:
+        if spec is not None and spec.needs_volume and scene.volume is None:
+            raise Refused(f"{spec.name} reads the volume itself, and scene {scene.name!r} has only views")
 
 
 def _seed(job: Job) -> int:

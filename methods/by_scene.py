@@ -7,12 +7,15 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Generic, TypeVar
 
+import numpy as np
 import torch
 
 from datasets.names import unknown
+from econgs.anchors.shading import Factors
 from methods.interface import Edit, Refused, edits_by_scene
 
 S = TypeVar("S")
+Direction = tuple[float, float, float]
 
 
 class ByScene(Generic[S]):
@@ -65,6 +68,44 @@ def opacity_factors(
             raise Refused(f"opacity factor {factor} of scene {name!r} is not a finite number >= 0")
         factors[name] = factor
     return factors
+
+
+def shading_edit(
+    name: str, palette: torch.Tensor, light: Direction | None, edit: Edit
+) -> tuple[torch.Tensor, Direction | None, Factors]:
+    """Palette color, light and factors of an edited scene that is shaded.
+
+    Args:
+        name: of the scene.
+        palette: (3,) its own color.
+        light: unit vector to its own directional light; None for a headlight.
+        edit: what is wanted.
+
+    Raises:
+        Refused: a value out of range.
+    """
+    numbers = {
+        part: 1.0 if value is None else float(value)
+        for part in ("opacity", "ambient", "diffuse", "specular", "shininess")
+        for value in (getattr(edit, part),)
+    }
+    for part, value in numbers.items():
+        if not (math.isfinite(value) and value >= 0.0):
+            raise Refused(f"{part} factor {value} of scene {name!r} is not a finite number >= 0")
+    if edit.palette is not None:
+        if not all(math.isfinite(value) and 0.0 <= value <= 1.0 for value in edit.palette):
+            raise Refused(f"palette color {edit.palette} of scene {name!r} is not in [0, 1]")
+        palette = palette.new_tensor(edit.palette)
+    if edit.light == "headlight":
+        light = None
+    elif edit.light is not None:
+        direction = np.asarray(edit.light, dtype=np.float64)
+        length = float(np.linalg.norm(direction))
+        if direction.shape != (3,) or not math.isfinite(length) or length < 1e-6:
+            raise Refused(f"light {edit.light} of scene {name!r} is no direction")
+        x, y, z = (direction / length).tolist()
+        light = (x, y, z)
+    return palette, light, Factors(**numbers)
 
 
 def seconds(like: torch.Tensor) -> float:

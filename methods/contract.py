@@ -7,6 +7,7 @@ with what is wrong.
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import time
@@ -65,7 +66,11 @@ class Recorder:
         given = checkpoint()
         # As if written and read: what training goes on with must not be shared.
         arrays = {name: values.clone() for name, values in given.arrays.items()}
-        self.checkpoints[iteration] = Checkpoint(given.iteration, arrays, dict(given.scalars))
+        try:
+            scalars = json.loads(json.dumps(given.scalars))
+        except TypeError as error:
+            raise AssertionError(f"a checkpoint's scalars cannot be written as JSON: {error}") from error
+        self.checkpoints[iteration] = Checkpoint(given.iteration, arrays, scalars)
 
     def stage(self, name: str) -> None:
         pass
@@ -97,9 +102,13 @@ class Subject:
         self.spec, self.method, self.folder, self.device = spec, method, folder, device
         self.iterations, self.plugins = iterations, tuple(plugins)
         self.overrides = dict(overrides or {})
-        self.scene = tiny_scene("tiny")
+        self.scene = self.tiny("tiny")
         self.stops = sorted({max(1, iterations * part // 8) for part in (1, 3, 5, 7)} | {iterations})
         self._first: tuple[Model, Recorder] | None = None
+
+    def tiny(self, name: str, turn: float = 0.0) -> SceneInput:
+        """The tiny scene; it has a volume only if the method says that it reads one."""
+        return tiny_scene(name, turn, volume=self.spec.needs_volume)
 
     def fit(
         self,
@@ -196,7 +205,7 @@ def specification(subject: Subject) -> str:
 
 def partition(subject: Subject) -> str:
     """Every scene lies in one group; a method that is not joint refuses a group of two."""
-    scenes = [tiny_scene(name) for name in ("a", "b", "c")]
+    scenes = [subject.tiny(name) for name in ("a", "b", "c")]
     options = resolve(subject.spec, "quick", subject.overrides).options
     groups = subject.method.partition(scenes, options)
     names = [scene.name for group in groups for scene in group]
@@ -346,10 +355,38 @@ def resumable(subject: Subject) -> str:
     return f"stopped at {', '.join(map(str, subject.stops))}"
 
 
+def joint(subject: Subject) -> str:
+    """A method that is joint fits two scenes as one group, saves, loads and resumes them."""
+    if not subject.spec.joint:
+        return "each scene on its own"
+    pair = [subject.tiny("tiny"), subject.tiny("other", turn=1.0)]
+    stop = subject.stops[len(subject.stops) // 2]
+    recorder = Recorder([stop])
+    try:
+        model = subject.fit(pair, recorder)
+    except Refused as error:
+        raise AssertionError(f"a group of two scenes: refused ({error})") from error
+    assert sorted(model.scenes) == ["other", "tiny"], f"the model holds {model.scenes}"
+    assert model.primitives() == sum(model.primitives(name) for name in model.scenes)
+    folder, ledger = subject.saved(model, "joint")
+    total = _check_ledger(ledger, folder, model)
+    loaded = subject.method.load(folder, subject.device)
+    camera = subject.scene.validation.cameras[0]
+    pictures = {name: _picture(model, camera, scenes=[name]) for name in model.scenes}
+    for name, pictured in pictures.items():
+        _same(_picture(loaded, camera, scenes=[name]), pictured, f"scene {name}, loaded")
+    assert not torch.equal(pictures["tiny"][0], pictures["other"][0]), "both scenes look the same"
+    assert recorder.checkpoints, f"asked to pause after {stop}, it did not"
+    resumed = subject.fit(pair, resume=recorder.checkpoints[stop])
+    found = files_of(subject.saved(resumed, "joint-resumed")[0])
+    assert found == files_of(folder), f"the model of two scenes differs after a stop at {stop}"
+    return f"2 scenes in {total} bytes"
+
+
 def composition(subject: Subject) -> str:
     """Models of two groups render together, and each alone as before; or composing is refused."""
     one, _ = subject.first()
-    other = subject.fit([tiny_scene("other", turn=1.0)])
+    other = subject.fit([subject.tiny("other", turn=1.0)])
     if not subject.spec.composable:
         _refused("composing", lambda: subject.method.compose([one, other]))
         return "refused"
@@ -450,6 +487,7 @@ CHECKS: tuple[Callable[[Subject], str], ...] = (
     nothing_visible,
     deterministic,
     resumable,
+    joint,
     composition,
     rates,
     bad_files,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -12,6 +13,7 @@ from datasets.camera import Camera
 from datasets.cloud import PointCloud
 from datasets.scene import BasicScene
 from datasets.views import ViewSet
+from datasets.volume import Volume
 from econgs.splat.rasterise import rasterise
 from methods.interface import SceneInput
 
@@ -63,7 +65,20 @@ def known_gaussians(turn: float = 0.0) -> dict[str, torch.Tensor]:
     }
 
 
-def tiny_scene(name: str, turn: float = 0.0) -> SceneInput:
+def tiny_volume(turn: float = 0.0, size: int = 24) -> Volume:
+    """Summed densities of the known Gaussians on a grid over the unit box."""
+    known = known_gaussians(turn)
+    axis = torch.linspace(-0.5, 0.5, size)
+    z, y, x = torch.meshgrid(axis, axis, axis, indexing="ij")
+    places = torch.stack([x, y, z], dim=-1)
+    values = torch.zeros(size, size, size)
+    for mean, scales, opacity in zip(known["means"], known["scales"], known["opacities"], strict=True):
+        squared = ((places - mean) / scales.mean()).square().sum(-1)
+        values += opacity * torch.exp(-0.5 * squared)
+    return Volume("density", values.numpy(), (1.0, 1.0, 1.0), (0.0, float(values.max())), "contract")
+
+
+def tiny_scene(name: str, turn: float = 0.0, volume: bool = False) -> SceneInput:
     """Twelve training and three validation views of 32 x 32 pixels; a cloud of noisy gray points."""
     known = known_gaussians(turn)
 
@@ -82,4 +97,5 @@ def tiny_scene(name: str, turn: float = 0.0) -> SceneInput:
         validation=views(cameras(3, phase=1.0)),
         cloud=PointCloud(points, np.full_like(points, 0.5)),
         extent=1.1 * _DISTANCE,
+        volume=partial(tiny_volume, turn) if volume else None,
     )

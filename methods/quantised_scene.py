@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 from urllib.parse import quote
 
 import numpy as np
@@ -20,6 +20,7 @@ from datasets.scene import RGB
 from econgs.codebooks import Codebook, code_ids, decode_ids, decoded, pack_ids, unpack_ids
 
 SUFFIX = ".safetensors"
+R = TypeVar("R")
 Ids = Literal["fixed", "entropy"]
 Column = Tensor | tuple[Codebook, ...]
 """(N, width) values stored in half precision, or codebooks whose words add up to them."""
@@ -97,16 +98,17 @@ def read_folder(
     method: str,
     kind: str,
     widths: Mapping[str, int],
-    check: Callable[[QuantisedScene], object],
-) -> list[QuantisedScene]:
-    """The scenes of a folder that a method saved, on the CPU.
+    ready: Callable[[QuantisedScene], R],
+) -> list[tuple[QuantisedScene, R]]:
+    """The scenes of a folder that a method saved, as they are stored (on the CPU) and as they are shown.
 
     Args:
         folder: of the model.
         method: name, for messages.
         kind: name and version of the format.
         widths: column -> numbers per Gaussian.
-        check: raises ``ValueError``, ``KeyError`` or ``TypeError`` where a scene is not one of the method's.
+        ready: makes a scene ready to render; raises ``ValueError``, ``KeyError`` or ``TypeError`` where it is
+            not one of the method's.
 
     Raises:
         DataError: no scene is there, or a file is damaged or of another kind.
@@ -117,8 +119,8 @@ def read_folder(
     scenes = []
     for file in files:
         try:
-            scenes.append(_read(file, kind, widths))
-            check(scenes[-1])
+            scene = _read(file, kind, widths)
+            scenes.append((scene, ready(scene)))
         except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
             raise DataError(file, f"not a scene of {method} ({error})", "Save the model again") from error
     return scenes

@@ -124,7 +124,7 @@ class GrownAnchors:
         anchors: (A, 3) positions, on the lattice of their level.
         log_scalings: (A, 6), the logarithm of the cell's side.
         features: (A, F) element-wise maximum over the anchors whose Gaussians asked for it.
-        limited: the limit kept some from being added.
+        limited: the limit kept some from being added; those with the largest gradients came in.
     """
 
     anchors: Tensor
@@ -182,9 +182,12 @@ def grow(
         parents = features[asking // many]
         best.scatter_reduce_(0, place[:, None].expand_as(parents), parents, "amax")
         best = best[free]
-        if len(new) > room:
+        if len(new) > room:  # those that ask loudest, wherever they lie
             limited = True
-            new, best = new[: int(room)], best[: int(room)]
+            asked = gradients.reshape(-1)[asking]
+            loudest = asked.new_zeros(len(cells)).scatter_reduce_(0, place, asked, "amax")[free]
+            kept = loudest.topk(int(room)).indices.sort().values
+            new, best = new[kept], best[kept]
         room -= len(new)
         added.append((new, log_scalings.new_full((len(new), 6), math.log(cell)), best))
         lattice = torch.cat([lattice, new])

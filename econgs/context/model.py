@@ -379,12 +379,17 @@ class ContextModel(nn.Module):
         return Noisy(Attributes(*whole), torch.cat(sampled, 1))
 
     def round(self, values: Attributes, steps: Tensor) -> Attributes:
-        """Attributes rounded to multiples of the steps; straight-through gradients to the values."""
+        """Attributes rounded to multiples of the steps.
+
+        Gradients reach the values straight through, and the steps as those of :meth:`perturb` do, with what
+        rounding adds in place of noise: steps that only the rate pulled at would grow without end.
+        """
 
         def rounded(one: Tensor, step: Tensor) -> Tensor:
             with torch.no_grad():
-                difference = torch.floor(one / step + 0.5) * step - one
-            return one + difference
+                whole = torch.floor(one / step + 0.5)
+                difference, noise = whole * step - one, whole - one / step
+            return one + difference + noise * (step - step.detach())
 
         scaling_steps = steps[:, 1:3].repeat_interleave(3, 1, output_size=6)
         features, scalings, offsets = values

@@ -18,6 +18,8 @@ from datasets.camera import Camera
 from datasets.names import unknown
 
 BACKENDS = ("native", "gsplat", "torch")
+MIN_ALPHA = 1.0 / 255.0
+"""Whatever is fainter is skipped."""
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
+from econgs.splat.rasterise import MIN_ALPHA
 
 TILE = 16  # pixels
 BLUR = 0.3  # px², added to the diagonal of the projected covariance
 MAX_ALPHA = 0.99
-MIN_ALPHA = 1.0 / 255.0
 MIN_TRANSMITTANCE = 1e-4
 CLAMP = 1.3  # the Jacobian is taken no further out than this many half fields of view
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +15,13 @@ from datasets.errors import DataError
 from datasets.scene import RGB
 from econgs.anchors.decode import Decoded, decode, draw, visible_anchors
 from econgs.anchors.decoders import Decoders
-from econgs.anchors.shading import Factors
 from econgs.context.arrays import Precision
 from econgs.context.container import Kind, overhead, read_container
-from econgs.context.stream import GroupAttributes, SceneAttributes, decode_group, encode_group
+from econgs.context.stream import GroupAttributes, SceneAttributes, encode_group
 from econgs.splat.composite import over
-from methods.by_scene import ByScene, seconds
+from methods.by_scene import ByScene, seconds, shading_edit
 from methods.interface import Edit, Refused, edits_by_scene
+from methods.streams import read_streams
 
 Direction = tuple[float, float, float]
 SUFFIX = ".econgs"
@@ -208,7 +207,7 @@ class EcongsModel(ByScene[tuple[Group, SceneAnchors]]):
         group, scene = self._find(name)
         palette, light, factors = scene.palette, scene.light, None
         if edit is not None:
-            palette, light, factors = _edited(name, scene, edit)
+            palette, light, factors = shading_edit(name, palette, light, edit)
         tensors = (scene.positions, scene.features, scene.scalings, scene.offsets)
         seen = visible_anchors(camera, scene.positions, scene.scalings)
         if not bool(seen.all()):
@@ -241,42 +240,4 @@ def load_model(folder: Path, device: str) -> EcongsModel:
     Raises:
         DataError: a stream is missing, damaged or of another kind.
     """
-    files = sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else []
-    if not files:
-        raise DataError(folder, "no saved econgs model in it", "Give the folder that Model.save wrote")
-    groups = []
-    for file in files:
-        try:
-            data = file.read_bytes()
-        except OSError as error:
-            raise DataError(
-                file, f"cannot be read ({error})", "Check the file and its permissions"
-            ) from error
-        groups.append(Group(decode_group(data, str(file)), device, str(file)))
-    return EcongsModel(groups)
-
-
-def _edited(name: str, scene: SceneAnchors, edit: Edit) -> tuple[Tensor, Direction | None, Factors]:
-    numbers = {
-        part: 1.0 if value is None else float(value)
-        for part in ("opacity", "ambient", "diffuse", "specular", "shininess")
-        for value in (getattr(edit, part),)
-    }
-    for part, value in numbers.items():
-        if not (math.isfinite(value) and value >= 0.0):
-            raise Refused(f"{part} factor {value} of scene {name!r} is not a finite number >= 0")
-    palette, light = scene.palette, scene.light
-    if edit.palette is not None:
-        if not all(math.isfinite(value) and 0.0 <= value <= 1.0 for value in edit.palette):
-            raise Refused(f"palette color {edit.palette} of scene {name!r} is not in [0, 1]")
-        palette = torch.tensor(edit.palette).to(scene.palette)
-    if edit.light == "headlight":
-        light = None
-    elif edit.light is not None:
-        direction = np.asarray(edit.light, dtype=np.float64)
-        length = float(np.linalg.norm(direction))
-        if direction.shape != (3,) or not math.isfinite(length) or length < 1e-6:
-            raise Refused(f"light {edit.light} of scene {name!r} is no direction")
-        x, y, z = (direction / length).tolist()
-        light = (x, y, z)
-    return palette, light, Factors(**numbers)
+    return EcongsModel([Group(g, device, file) for file, g in read_streams(folder, SUFFIX, "econgs")])

@@ -10,7 +10,7 @@ SPEC = MethodSpec(
     ),
     version="1",
     implementation="methods.econgs.method:Econgs",
-    source=("methods.econgs", "econgs"),
+    source=("methods.econgs", "methods.by_scene", "econgs", "datasets.cloud"),
     joint=True,
     composable=True,
     edits=frozenset({"palette", "opacity", "light", "shading"}),
@@ -128,6 +128,7 @@ SPEC = MethodSpec(
     presets={"quick": {"growth_gradient": 6e-4}, "standard": {}, "paper": {}},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={
+        "fair": Configuration(),
         # What the paper states and what its code base implies where it is silent (docs/econgs.md).
         "paper": Configuration(
             {

@@ -33,9 +33,8 @@ from methods.econgs.model import EcongsModel, Group, decoders_metadata
 from methods.econgs.rent import contributions, some_views, who_stays
 from methods.econgs.schedule import Schedule
 from methods.econgs.start import starting_points
-from methods.interface import Checkpoint, Diverged, Monitor, OptionValue, Refused, SceneInput
-
-_CHECK_EVERY = 100
+from methods.interface import Checkpoint, OptionValue, Refused, SceneInput
+from methods.trainer import CHECK_EVERY, TrainingLoop, under
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ class _Scene:
         self.light = None if light is None else light.direction
 
 
-class Trainer:
+class Trainer(TrainingLoop):
     """State of a fit: anchors of every scene, shared networks, optimiser, order of views, random state.
 
     Args:
@@ -120,9 +119,9 @@ class Trainer:
         seed: int,
         device: str,
     ) -> None:
-        self.options, self.device = options, device
+        super().__init__(seed, device)
+        self.options = options
         self.schedule = Schedule(iterations, float(options["growth_stop"]), bool(options["context"]))
-        self.generator = torch.Generator().manual_seed(seed)
         bias = float(options["shading_bias"])
         for given in group:
             if len(given.train) == 0:
@@ -154,11 +153,8 @@ class Trainer:
             anchor_visits=self.schedule.visits(80.0),
             limit=int(options["max_anchors"]),
         )
-        self.iteration = 0
         self.batch = len(self.scenes) if options["minibatch"] == "scenes" else 1
         self.fresh = True  # no gradients wait for the rest of a batch
-        self.pending: list[tuple[int, int]] = []  # (scene, view) pairs not yet drawn in this round
-        self.limited = False
         groups: dict[str, Tensor | Sequence[Tensor]] = {}
         for scene in self.scenes:
             groups |= scene.anchors.groups()
@@ -183,21 +179,15 @@ class Trainer:
         """Number of anchors of all scenes."""
         return sum(len(scene.anchors) for scene in self.scenes)
 
-    def run(self, monitor: Monitor) -> None:
-        """Train to the end of the budget.
+    @property
+    def iterations(self) -> int:
+        """The whole budget."""
+        return self.schedule.iterations
 
-        Raises:
-            Diverged: a loss or a parameter is not finite.
-        """
-        stage = ""
-        while self.iteration < self.schedule.iterations:
-            if stage != (stage := self._stage()):
-                monitor.stage(stage)
-            losses = self.step()
-            monitor.progress(self.iteration, losses, self.count)
-            if self.fresh and monitor.due(self.iteration):
-                monitor.pause(self.iteration, self.model, self.checkpoint)
-        self._check_finite()
+    @property
+    def may_pause(self) -> bool:
+        """Whether no gradients wait for the rest of a batch."""
+        return self.fresh
 
     def _stage(self) -> str:
         stage = self.schedule.stage(self.iteration + 1)
@@ -218,7 +208,8 @@ class Trainer:
         if self.coding is not None and self.iteration == self.schedule.context_start + 1:
             self.coding.place([scene.anchors for scene in self.scenes])
             self.coding.begin([self._attributes(scene) for scene in self.scenes])
-        scene, view = self._next_view()
+        place, view = self._next_view()
+        scene = self.scenes[place]
         camera = scene.given.train.cameras[view]
         truth = scene.images[view].to(self.device)
         target = over(truth[..., :3], truth[..., 3], scene.given.train.background)
@@ -243,10 +234,7 @@ class Trainer:
         if rate is not None:
             parts["rate"] = self._rate_weight * (rate.attributes + rate.grid)
         loss = sum(parts.values(), torch.zeros((), device=self.device))
-        shown = {name: float(part.detach()) for name, part in parts.items()}
-        for name, value in shown.items():
-            if not math.isfinite(value):
-                raise Diverged(f"the {name} loss is {value} at iteration {self.iteration}")
+        shown = self._shown(parts)
         if self.fresh:
             self.optimiser.zero_grad()
             self.fresh = False
@@ -266,7 +254,7 @@ class Trainer:
         if self.control.active and self.schedule.corrects_rate(self.iteration, STEPS):
             model = self.model()
             self.control.correct(model.bytes_estimate(), self._psnr(model))
-        if self.iteration % _CHECK_EVERY == 0:
+        if self.iteration % CHECK_EVERY == 0:
             self._check_finite()
         bits = {} if rate is None else {"bits per attribute": float(rate.attributes.detach())}
         return {"loss": sum(shown.values()), **shown, **bits}
@@ -325,26 +313,16 @@ class Trainer:
         beyond = (base - base.clamp(0.0, 1.0)).square().mean()
         return float(self.options["color_weight"]) * (offsets.square().mean() + BEYOND * beyond)
 
-    def _next_view(self) -> tuple[_Scene, int]:
-        """Pairs of scene and view come in random order, none twice before all were seen.
-
-        With a minibatch of every scene, scenes take turns.
-        """
-        if not self.pending:
-            counts = [len(scene.images) for scene in self.scenes]
-            if self.batch > 1:
-                orders = [torch.randperm(count, generator=self.generator).tolist() for count in counts]
-                self.pending = [
-                    (i, order[turn % len(order)])
-                    for turn in range(max(counts))
-                    for i, order in enumerate(orders)
-                ]
-            else:
-                pairs = [(i, view) for i, count in enumerate(counts) for view in range(count)]
-                order = torch.randperm(len(pairs), generator=self.generator).tolist()
-                self.pending = [pairs[i] for i in order]
-        place, view = self.pending.pop()
-        return self.scenes[place], view
+    def _round(self) -> list[tuple[int, int]]:
+        """Pairs of scene and view; with a minibatch of every scene, scenes take turns."""
+        counts = [len(scene.images) for scene in self.scenes]
+        if self.batch > 1:
+            orders = [self._order(count) for count in counts]
+            return [
+                (i, order[turn % len(order)]) for turn in range(max(counts)) for i, order in enumerate(orders)
+            ]
+        pairs = [(i, view) for i, count in enumerate(counts) for view in range(count)]
+        return [pairs[i] for i in self._order(len(pairs))]
 
     def _settle_rent(self) -> None:
         """Anchors whose removal the pictures hardly show go; what is left learns to do without them."""
@@ -429,14 +407,6 @@ class Trainer:
         features = self.optimiser[scene.anchors.name("features")]
         return self.decoders.implicit_offsets(features, self.optimiser[f"{scene.key}/embedding"])
 
-    @torch.no_grad()
-    def _check_finite(self) -> None:
-        for name, group in self.optimiser.parameters.items():
-            for tensor in group:
-                values = tensor.exp() if name.endswith("log_scalings") else tensor
-                if not math.isfinite(float(values.sum())):
-                    raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
-
     # ------------------------------------------------------------------ what comes out
 
     @torch.no_grad()
@@ -482,27 +452,21 @@ class Trainer:
 
     def checkpoint(self) -> Checkpoint:
         """All that :meth:`restore` needs to go on as if nothing had happened."""
-        arrays = {f"optimiser/{name}": values.clone() for name, values in self.optimiser.state().items()}
+        state = super().checkpoint()
         for scene in self.scenes:
-            arrays |= {f"anchors/{name}": v.clone() for name, v in scene.anchors.state().items()}
-        arrays["generator"] = self.generator.get_state()
+            state.arrays |= {f"anchors/{name}": v.clone() for name, v in scene.anchors.state().items()}
         if self.coding is not None:
-            arrays |= self.coding.state()
-        scalars = {"pending": [list(pair) for pair in self.pending], "limited": self.limited}
-        scalars["rate_factor"] = self.control.factor
-        return Checkpoint(self.iteration, arrays, scalars)
+            state.arrays |= self.coding.state()
+        state.scalars["rate_factor"] = self.control.factor
+        return state
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint of the same fit."""
-        arrays = {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
-        self.optimiser.load_state(_under("optimiser/", arrays))
+        super().restore(checkpoint)
+        arrays = self.arrays(checkpoint)
         for scene in self.scenes:
-            scene.anchors.load_state(_under("anchors/", arrays))
-        self.generator.set_state(checkpoint.arrays["generator"].cpu())
-        self.pending = [(int(scene), int(view)) for scene, view in checkpoint.scalars["pending"]]
-        self.limited = bool(checkpoint.scalars["limited"])
+            scene.anchors.load_state(under("anchors/", arrays))
         self.control.factor = float(checkpoint.scalars["rate_factor"])
-        self.iteration = checkpoint.iteration
         if self.coding is not None:
             self.coding.load_state(arrays)
             if self.schedule.coded(self.iteration):
@@ -527,7 +491,3 @@ def _units(anchors: int, per_unit: int, least: int) -> int:
 
 def _numpy(tensor: Tensor) -> NDArray[np.float32]:
     return tensor.detach().cpu().numpy().copy()
-
-
-def _under(prefix: str, arrays: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): v for name, v in arrays.items() if name.startswith(prefix)}

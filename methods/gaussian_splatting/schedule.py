@@ -1,16 +1,14 @@
-"""When things happen in a fit: phase boundaries scale with the budget, intervals do not."""
+"""When things happen in a fit of 3DGS."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-PUBLISHED = 30_000
-"""Iterations of the published schedule; boundaries below are given in its iterations."""
+from methods.schedule import Proportional
 
 
 @dataclass(frozen=True)
-class Schedule:
+class Schedule(Proportional):
     """The published schedule, fitted to a budget.
 
     Iterations count from 1. Phase boundaries (start and end of growth, SH degrees, end of the
@@ -18,19 +16,14 @@ class Schedule:
     iterations as published, or more often where that would leave fewer than ten growth events.
 
     Attributes:
-        iterations: the budget.
         sh_degree: final SH degree.
         resets: whether opacities are reset at all.
         early_reset: also reset when growth starts (white background).
     """
 
-    iterations: int
     sh_degree: int = 3
     resets: bool = True
     early_reset: bool = False
-
-    def _scaled(self, published: int) -> int:
-        return max(1, round(published * self.iterations / PUBLISHED))
 
     @property
     def growth_start(self) -> int:
@@ -67,8 +60,3 @@ class Schedule:
         if not self.resets or iteration >= self.growth_stop:
             return False
         return iteration % self.reset_interval == 0 or (self.early_reset and iteration == self.growth_start)
-
-    def decayed(self, iteration: int, first: float, last: float) -> float:
-        """Log-linear decay from ``first`` to ``last`` over the budget."""
-        t = min(1.0, iteration / self.iterations)
-        return math.exp((1.0 - t) * math.log(first) + t * math.log(last))

@@ -1,6 +1,9 @@
 """3D Gaussian splatting: what it can do and how it is set."""
 
-from methods.interface import MethodSpec, Option
+from methods.interface import Configuration, MethodSpec, Option, OptionValue
+
+PUBLISHED: dict[str, OptionValue] = {"start": "random", "sh_rest_lr": 1.25e-4}
+"""How the released code starts on scenes without a cloud of their own, and its rate of SH at every preset."""
 
 SPEC = MethodSpec(
     name="3dgs",
@@ -11,7 +14,14 @@ SPEC = MethodSpec(
     ),
     version="2",
     implementation="methods.gaussian_splatting.method:GaussianSplatting",
-    source=("methods.gaussian_splatting", "econgs.splat", "econgs.losses", "econgs.optim", "econgs.points"),
+    source=(
+        "methods.gaussian_splatting",
+        "methods.by_scene",
+        "econgs.splat",
+        "econgs.losses",
+        "econgs.optim",
+        "econgs.points",
+    ),
     joint=False,
     composable=True,
     edits=frozenset({"opacity"}),
@@ -54,7 +64,8 @@ SPEC = MethodSpec(
     presets={
         "quick": {"sh_rest_lr": 1e-3},
         "standard": {"sh_rest_lr": 5e-4},
-        "paper": {"start": "random"},
+        "paper": {},
     },
     iterations={"quick": 1_200, "standard": 7_000, "paper": 30_000},
+    configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import torch
@@ -18,7 +17,8 @@ from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, ca
 from methods.gaussian_splatting.initialise import initial_parameters
 from methods.gaussian_splatting.model import GaussianModel, SceneGaussians
 from methods.gaussian_splatting.schedule import Schedule
-from methods.interface import Checkpoint, Diverged, Monitor, OptionValue, Refused, SceneInput
+from methods.interface import Checkpoint, OptionValue, Refused, SceneInput
+from methods.trainer import CHECK_EVERY, TrainingLoop, under
 
 PARAMETERS = ("means", "log_scales", "quats", "logits", "sh_dc", "sh_rest")
 LEARNING_RATES = {"log_scales": 5e-3, "quats": 1e-3, "sh_dc": 2.5e-3}
@@ -27,10 +27,9 @@ POSITION_DECAY = 0.01
 """Positions end at this fraction of their first rate."""
 
 _BACKGROUNDS: dict[str, RGB] = {"white": WHITE, "black": (0.0, 0.0, 0.0)}
-_CHECK_EVERY = 100
 
 
-class Trainer:
+class Trainer(TrainingLoop):
     """State of a fit: parameters, optimiser, densification statistics, order of views, random state.
 
     Methods that begin as 3DGS build on it: vq-3dgs, ivr-gs.
@@ -51,7 +50,8 @@ class Trainer:
     ) -> None:
         if len(scene.train) == 0:
             raise Refused(f"scene {scene.name!r} has no training views")
-        self.scene, self.options, self.device = scene, options, device
+        super().__init__(seed, device)
+        self.scene, self.options = scene, options
         choice = str(options["background"])
         self.background = scene.train.background if choice == "scene" else _BACKGROUNDS.get(choice)
         self.schedule = self._schedule(iterations)
@@ -62,11 +62,7 @@ class Trainer:
             extent=scene.extent,
             limit=int(options["max_gaussians"]),
         )
-        self.generator = torch.Generator().manual_seed(seed)
         self.images = torch.from_numpy(scene.train.images)
-        self.iteration = 0
-        self.pending: list[int] = []  # views not yet drawn in this round
-        self.limited = False
         parameters, rates = self._start()
         self.optimiser = Adam({name: values.to(device) for name, values in parameters.items()}, rates)
         self.statistics = GrowthStatistics.zeros(self.count, device)
@@ -104,22 +100,6 @@ class Trainer:
         """The whole budget."""
         return self.schedule.iterations
 
-    def run(self, monitor: Monitor) -> None:
-        """Train to the end of the budget.
-
-        Raises:
-            Diverged: a loss or a parameter is not finite.
-        """
-        stage = ""
-        while self.iteration < self.iterations:
-            if stage != (stage := self._stage()):
-                monitor.stage(stage)
-            loss = self.step()
-            monitor.progress(self.iteration, {"loss": loss}, self.count)
-            if monitor.due(self.iteration):
-                monitor.pause(self.iteration, self.model, self.checkpoint)
-        self._check_finite()
-
     def _stage(self) -> str:
         if self.count == 0:
             return "no Gaussians left"
@@ -127,11 +107,11 @@ class Trainer:
             return "refinement"
         return f"growth, stopped at {self.rules.limit} Gaussians" if self.limited else "growth"
 
-    def step(self) -> float:
+    def step(self) -> dict[str, float]:
         """One step of the optimiser on one view, and what the schedule adds to it.
 
         Returns:
-            The loss.
+            The loss ("loss") and, where it has several, its parts.
 
         Raises:
             Diverged: a loss or a parameter is not finite.
@@ -140,35 +120,34 @@ class Trainer:
         view = self._next_view()
         camera = self.scene.train.cameras[view]
         back = self._background_color()
-        loss, offset, radii = self._loss(camera, self.images[view].to(self.device), back)
-        value = float(loss.detach())
-        if not math.isfinite(value):
-            raise Diverged(f"the loss is {value} at iteration {self.iteration}")
+        parts, offset, radii = self._losses(camera, self.images[view].to(self.device), back)
+        shown = self._shown(parts)
+        loss = sum(parts.values(), torch.zeros((), device=self.device))
         if loss.requires_grad:
             self.optimiser.zero_grad()
             loss.backward()
             if offset is not None and offset.grad is not None:
                 self._record(offset.grad, radii, camera)
-            self.optimiser.rates["means"] = self._position_rate()
+            self._set_rates()
             self.optimiser.step()
         if self.schedule.grows(self.iteration):
             self._grow()
         if self.schedule.resets_opacity(self.iteration):
             self.optimiser.overwrite("logits", capped_logits(self.optimiser["logits"]))
-        if self.iteration % _CHECK_EVERY == 0:
+        if self.iteration % CHECK_EVERY == 0:
             self._check_finite()
-        return value
+        return {"loss": sum(shown.values()), **(shown if len(shown) > 1 else {})}
 
-    def _loss(
+    def _losses(
         self, camera: Camera, truth: torch.Tensor, back: RGB | torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor | None, torch.Tensor]:
-        """Loss against a view (H, W, 4), screen offsets whose gradient densification reads, radii."""
+    ) -> tuple[dict[str, torch.Tensor], torch.Tensor | None, torch.Tensor]:
+        """Parts of the loss against a view (H, W, 4), screen offsets that densification reads, radii."""
         splats, offset = self._splat(self._colors(camera), camera)
-        loss = self._image_loss(splats.features, splats.alpha, truth, back)
-        return loss, offset, splats.radii
+        image = self._image_loss(splats.features, splats.alpha, truth, back)
+        return {"image": image}, offset, splats.radii
 
     def _splat(self, features: torch.Tensor, camera: Camera) -> tuple[Rasterised, torch.Tensor | None]:
-        """Features splatted, and the screen offsets of :meth:`_loss`."""
+        """Features splatted, and the screen offsets of :meth:`_losses`."""
         now = self.optimiser
         offset = None
         if self.schedule.collects(self.iteration):
@@ -204,18 +183,16 @@ class Trainer:
         position = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
         return spherical_harmonics(degree, now["means"], position, now["sh_dc"], now["sh_rest"])
 
-    def _next_view(self) -> int:
-        """Views come in random order, none twice before all were seen."""
-        if not self.pending:
-            self.pending = torch.randperm(len(self.scene.train), generator=self.generator).tolist()
-        return self.pending.pop()
+    def _round(self) -> list[int]:
+        return self._order(len(self.scene.train))
 
     def _background_color(self) -> RGB | torch.Tensor:
         return torch.rand(3, generator=self.generator) if self.background is None else self.background
 
-    def _position_rate(self) -> float:
+    def _set_rates(self) -> None:
+        """Learning rates of this iteration, as far as they change."""
         first = float(self.options["position_lr"]) * self.scene.extent
-        return self.schedule.decayed(self.iteration, first, POSITION_DECAY * first)
+        self.optimiser.rates["means"] = self.schedule.decayed(self.iteration, first, POSITION_DECAY * first)
 
     def _grow(self, also: torch.Tensor | None = None) -> None:
         self._check_finite()
@@ -232,15 +209,6 @@ class Trainer:
         self.statistics = GrowthStatistics.zeros(self.count, self.device)
         self.limited |= growth.limited
 
-    def _check_finite(self) -> None:
-        with torch.no_grad():
-            for name in self.names:
-                values = self.optimiser[name]
-                # A logarithm may be finite and its exponential not.
-                total = values.exp().sum() if name == "log_scales" else values.sum()
-                if not math.isfinite(float(total)):
-                    raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
-
     # ------------------------------------------------------------------ what comes out
 
     def model(self) -> GaussianModel:
@@ -251,22 +219,12 @@ class Trainer:
 
     def checkpoint(self) -> Checkpoint:
         """All that :meth:`restore` needs to go on as if nothing had happened."""
-        arrays = {f"optimiser/{name}": values.clone() for name, values in self.optimiser.state().items()}
-        arrays |= {f"statistics/{name}": values.clone() for name, values in vars(self.statistics).items()}
-        arrays["generator"] = self.generator.get_state()
-        return Checkpoint(self.iteration, arrays, {"pending": list(self.pending), "limited": self.limited})
+        state = super().checkpoint()
+        state.arrays |= {f"statistics/{name}": v.clone() for name, v in vars(self.statistics).items()}
+        return state
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint of the same fit."""
-        arrays = {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
-        prefix = "optimiser/"
-        self.optimiser.load_state(
-            {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
-        )
-        self.statistics = GrowthStatistics(
-            *(arrays[f"statistics/{name}"].clone() for name in ("gradients", "visits", "radii"))
-        )
-        self.generator.set_state(checkpoint.arrays["generator"].cpu())
-        self.pending = [int(view) for view in checkpoint.scalars["pending"]]
-        self.limited = bool(checkpoint.scalars["limited"])
-        self.iteration = checkpoint.iteration
+        super().restore(checkpoint)
+        statistics = under("statistics/", self.arrays(checkpoint))
+        self.statistics = GrowthStatistics(**{name: values.clone() for name, values in statistics.items()})

@@ -14,9 +14,10 @@ from datasets.errors import DataError
 from datasets.scene import RGB
 from econgs.anchors.direct import ColorDecoders
 from econgs.context.model import Attributes
-from econgs.context.stream import GroupAttributes, decode_group, encode_group
+from econgs.context.stream import GroupAttributes, encode_group
 from methods.interface import Refused
 from methods.scaffold_gs.model import AnchorModel, SceneAnchors
+from methods.streams import read_streams
 
 SUFFIX = ".hac"
 _METHOD = "hac"
@@ -33,15 +34,16 @@ class HacModel(AnchorModel):
     Args:
         groups: of one scene each; values are those that decoding their streams gives.
         device: where it renders.
-        what: file, for messages.
+        files: theirs, for messages; none where they come from training.
 
     Raises:
         DataError: a group is not one of this method.
     """
 
-    def __init__(self, groups: Sequence[GroupAttributes], device: str, what: str = "group") -> None:
+    def __init__(self, groups: Sequence[GroupAttributes], device: str, files: Sequence[str] = ()) -> None:
         self.groups, self.device = tuple(groups), device
-        super().__init__(_METHOD, [_ready(group, device, what) for group in groups])
+        named = zip(self.groups, files or ["group"] * len(self.groups), strict=True)
+        super().__init__(_METHOD, [_ready(group, device, file) for group, file in named])
 
     def bytes_estimate(self) -> int:
         """Bytes that :meth:`save` would write."""
@@ -70,21 +72,8 @@ def load_model(folder: Path, device: str) -> HacModel:
     Raises:
         DataError: a stream is missing, damaged or of another kind.
     """
-    files = sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else []
-    if not files:
-        raise DataError(folder, "no saved hac model in it", "Give the folder that Model.save wrote")
-    groups = []
-    for file in files:
-        try:
-            data = file.read_bytes()
-        except OSError as error:
-            raise DataError(
-                file, f"cannot be read ({error})", "Check the file and its permissions"
-            ) from error
-        group = decode_group(data, str(file))
-        _ready(group, "cpu", str(file))
-        groups.append(group)
-    return HacModel(groups, device)
+    files, groups = zip(*read_streams(folder, SUFFIX, _METHOD), strict=True)
+    return HacModel(groups, device, files)
 
 
 def _ready(group: GroupAttributes, device: str, what: str) -> SceneAnchors:

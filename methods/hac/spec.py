@@ -1,7 +1,7 @@
 """HAC: what it can do and how it is set."""
 
 from methods.interface import Configuration, MethodSpec, Option, RateKnob
-from methods.scaffold_gs.spec import OPTIONS, PUBLISHED
+from methods.scaffold_gs.spec import OPTIONS, PUBLISHED, SOURCE
 
 SPEC = MethodSpec(
     name="hac",
@@ -12,7 +12,7 @@ SPEC = MethodSpec(
     ),
     version="1",
     implementation="methods.hac.method:Hac",
-    source=("methods.hac", "methods.scaffold_gs", "econgs"),
+    source=("methods.hac", *SOURCE, "econgs"),
     joint=False,
     composable=True,
     edits=frozenset({"opacity"}),

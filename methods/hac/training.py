@@ -104,7 +104,7 @@ class Trainer(scaffold_gs.Trainer):
     def restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint of the same fit."""
         super().restore(checkpoint)
-        self.coding.load_state({name: values.to(self.device) for name, values in checkpoint.arrays.items()})
+        self.coding.load_state(self.arrays(checkpoint))
 
 
 def _context(options: Mapping[str, OptionValue]) -> ContextConfig:

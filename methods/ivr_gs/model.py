@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import cast
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -18,7 +18,7 @@ from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
 from econgs.codebooks import quantise_scalars
 from econgs.splat.composite import over, thinned
 from econgs.splat.rasterise import Rasterised, rasterise
-from methods.by_scene import ByScene, seconds
+from methods.by_scene import ByScene, seconds, shading_edit
 from methods.interface import Edit, Refused, edits_by_scene
 from methods.quantised_scene import Column, QuantisedScene, half_exact, read_folder
 
@@ -128,12 +128,12 @@ class Stored:
 
     Attributes:
         coded: at the default codebook size.
-        raw: column -> (N, width) values that were learned.
+        raw: column -> (N, width) values that were learned; None where a file was read, which has one size.
         with_codebooks: names of columns that have one.
     """
 
     coded: QuantisedScene
-    raw: Mapping[str, Tensor]
+    raw: Mapping[str, Tensor] | None
     with_codebooks: frozenset[str]
 
     @classmethod
@@ -157,6 +157,8 @@ class Stored:
         """The scene with codebooks of another size; the default's where it is None."""
         if size is None:
             return self.coded
+        if self.raw is None:
+            raise Refused("ivr-gs saves a model that was loaded at the codebook size that it has")
         if size != int(size) or not 1 <= size <= 65536:
             raise Refused(f"ivr-gs has no codebooks of {size:g} words: 1 to 65536")
         return _coded(self.coded, self.raw, self.with_codebooks, int(size))
@@ -270,7 +272,7 @@ class IvrModel(ByScene[ShadedGaussians]):
             eye = torch.as_tensor(camera.position, dtype=scene.means.dtype, device=scene.means.device)
             palette, light, factors = scene.palette, scene.light, Factors()
             if name in edits:
-                palette, light, factors = _edited(scene, edits[name])
+                palette, light, factors = shading_edit(name, palette, light, edits[name])
             colors.append(scene.colors(eye, palette, light, factors))
         return colors
 
@@ -293,50 +295,18 @@ class IvrModel(ByScene[ShadedGaussians]):
         )
 
 
-def _edited(scene: ShadedGaussians, edit: Edit) -> tuple[Tensor, Direction | None, Factors]:
-    """Palette, light and factors of an edited scene."""
-    numbers = {
-        part: 1.0 if getattr(edit, part) is None else float(getattr(edit, part))
-        for part in ("opacity", "ambient", "diffuse", "specular", "shininess")
-    }
-    for part, value in numbers.items():
-        if not (math.isfinite(value) and value >= 0.0):
-            raise Refused(f"{part} factor {value} of scene {scene.name!r} is not a finite number >= 0")
-    palette, light = scene.palette, scene.light
-    if edit.palette is not None:
-        if not all(math.isfinite(value) and 0.0 <= value <= 1.0 for value in edit.palette):
-            raise Refused(f"palette color {edit.palette} of scene {scene.name!r} is not in [0, 1]")
-        palette = palette.new_tensor(edit.palette)
-    if edit.light == "headlight":
-        light = None
-    elif edit.light is not None:
-        direction = np.asarray(edit.light, dtype=np.float64)
-        length = float(np.linalg.norm(direction))
-        if direction.shape != (3,) or not math.isfinite(length) or length < 1e-6:
-            raise Refused(f"light {edit.light} of scene {scene.name!r} is no direction")
-        light = _direction((direction / length).tolist())
-    return palette, light, Factors(**numbers)
-
-
 def load_model(folder: Path, device: str) -> IvrModel:
     """Read what :meth:`IvrModel.save` wrote.
 
     Raises:
         DataError: a file is missing, damaged or of another kind.
     """
-    stored = [
-        Stored(
-            coded,
-            {name: coded.column(name, width) for name, width in WIDTHS.items()},
-            frozenset(name for name, column in coded.columns.items() if not isinstance(column, Tensor)),
-        )
-        for coded in read_folder(folder, METHOD, FORMAT, WIDTHS, _check)
-    ]
-    return IvrModel([ready(one.coded, device) for one in stored], stored)
+    read = read_folder(folder, METHOD, FORMAT, WIDTHS, partial(_checked, device=device))
+    return IvrModel([shown for _, shown in read], [Stored(coded, None, frozenset()) for coded, _ in read])
 
 
-def _check(coded: QuantisedScene) -> None:
-    scene = ready(coded, "cpu")
+def _checked(coded: QuantisedScene, device: str) -> ShadedGaussians:
+    scene = ready(coded, device)
     numbers = [*scene.palette.tolist(), *(scene.light or ())]
     if len(scene.palette) != 3 or not all(math.isfinite(number) for number in numbers):
         raise ValueError("its palette or light is not three finite numbers")
@@ -344,3 +314,4 @@ def _check(coded: QuantisedScene) -> None:
         raise ValueError("a scale is not finite")
     if not bool((scene.quats.square().sum(1) > 0).all()):
         raise ValueError("a rotation is zero")
+    return scene

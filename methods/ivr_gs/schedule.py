@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from methods.gaussian_splatting.schedule import Schedule
 
-PUBLISHED = 40_000
-"""Iterations of the published schedule; boundaries below are given in its iterations."""
 SHADED = 30_000
 _EVENTS = 10  # of growth in the first stage, at least
 
@@ -20,10 +19,8 @@ class IvrSchedule(Schedule):
         grows_shaded: whether Gaussians also grow in the first part of the second stage.
     """
 
+    published: ClassVar[int] = 40_000
     grows_shaded: bool = True
-
-    def _scaled(self, published: int) -> int:
-        return max(1, round(published * self.iterations / PUBLISHED))
 
     @property
     def shading_start(self) -> int:

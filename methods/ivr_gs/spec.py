@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+from methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBLISHED
 from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.interface import Configuration, Option, OptionValue, RateKnob
 
-PUBLISHED: dict[str, OptionValue] = {"start": "random", "background": "white", "shading_start": 0.0}
+PUBLISHED: dict[str, OptionValue] = {**PLAIN_PUBLISHED, "background": "white", "shading_start": 0.0}
 """How the released code starts."""
 
 SPEC = replace(
@@ -57,11 +58,6 @@ SPEC = replace(
         # Storage
         "codebook_size": Option(256, "words of each codebook", minimum=2, maximum=65536),
         "quantised": Option("all", "attributes with codebooks: all, none, or names joined by +"),
-    },
-    presets={
-        "quick": {"sh_rest_lr": 1e-3},
-        "standard": {"sh_rest_lr": 5e-4},
-        "paper": {},
     },
     iterations={"quick": 1_600, "standard": 9_300, "paper": 40_000},
     rate_knobs=(RateKnob("codebook size", (4, 16, 64, 256, 1024), refit=False),),

@@ -13,7 +13,7 @@ from datasets.scene import RGB, WHITE
 from econgs.anchors.shading import MIN_NORMAL, Factors
 from econgs.losses import ssim
 from econgs.optim import Adam
-from econgs.splat.rasterise import Rasterised
+from econgs.splat.rasterise import MIN_ALPHA, Rasterised
 from methods.gaussian_splatting.densify import GrowthStatistics
 from methods.gaussian_splatting.training import LEARNING_RATES, Trainer
 from methods.interface import Checkpoint, OptionValue, SceneInput
@@ -32,8 +32,6 @@ GEOMETRY = ("means", "log_scales", "quats", "logits", "normals")
 SHADING = ("offset_color", "ambient", "diffuse", "specular", "shininess")
 NORMAL_RATE = 0.01
 FIRST_SHININESS = 1.0
-VISIBLE = 1.0 / 255.0
-"""The rasteriser skips whatever is fainter."""
 _SSIM_SHARE = 0.2  # of the alpha mask's loss; the published one's other part has no gradient
 
 
@@ -81,13 +79,13 @@ class IvrTrainer(Trainer):
         """Whether the second stage has begun."""
         return "ambient" in self.names
 
-    def step(self) -> float:
+    def step(self) -> dict[str, float]:
         if self.schedule.shaded(self.iteration + 1) and not self.shading:
             self._begin_shading({name: self.optimiser[name].detach().clone() for name in GEOMETRY})
-        value = super().step()
+        losses = super().step()
         if self.schedule.prunes(self.iteration):
             self._prune()
-        return value
+        return losses
 
     def _begin_shading(self, geometry: dict[str, Tensor]) -> None:
         """A fresh optimiser for what the second stage learns."""
@@ -112,44 +110,45 @@ class IvrTrainer(Trainer):
 
     # ------------------------------------------------------------------ losses
 
-    def _loss(
+    def _losses(
         self, camera: Camera, truth: Tensor, back: RGB | Tensor
-    ) -> tuple[Tensor, Tensor | None, Tensor]:
+    ) -> tuple[dict[str, Tensor], Tensor | None, Tensor]:
         now = self.optimiser
         normals = now["normals"]
         unit = normals / torch.linalg.vector_norm(normals, dim=1, keepdim=True).clamp(min=MIN_NORMAL)
         if not self.shading:
             splats, offset = self._splat(torch.cat([self._colors(camera), unit], dim=1), camera)
-            return self._common_loss(splats, camera, truth, back), offset, splats.radii
+            return self._common_losses(splats, camera, truth, back), offset, splats.radii
         scene = self._shaded()
         eye = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
         colors = scene.colors(eye, self.palette, self.light, Factors())
         features = torch.cat([colors, unit, scene.offsets, scene.coefficients[:, :3]], dim=1)
         splats, offset = self._splat(features, camera)
-        loss = self._common_loss(splats, camera, truth, back)
-        loss = loss + self._shading_loss(splats.features[..., 6:], truth)
-        if bool((seen := splats.radii > 0).any()):
-            loss = loss + float(self.options["opacity_weight"]) * scene.opacities[seen].mean()
-        return loss, offset, splats.radii
-
-    def _common_loss(self, splats: Rasterised, camera: Camera, truth: Tensor, back: RGB | Tensor) -> Tensor:
-        """What both stages ask for: the picture, the mask and normals."""
-        loss = self._image_loss(splats.features[..., :3], splats.alpha, truth, back)
-        weight = _SSIM_SHARE * float(self.options["alpha_weight"])
-        if weight:
-            loss = loss + weight * (1.0 - ssim(splats.alpha[..., None], truth[..., 3:].contiguous()))
-        weight = float(self.options["normal_weight"])
-        if weight:
-            loss = loss + weight * normal_loss(splats.features[..., 3:6], splats.depth, splats.alpha, camera)
-        return loss
-
-    def _shading_loss(self, maps: Tensor, truth: Tensor) -> Tensor:
-        """What is asked of splatted offset colors (channels 0 to 2) and coefficients (3 to 5)."""
+        losses = self._common_losses(splats, camera, truth, back)
+        offsets, coefficients = splats.features[..., 6:9], splats.features[..., 9:12]
         shown = truth[..., 3] > 0
-        loss = float(self.options["offset_weight"]) * mean_over(maps[..., :3].square(), shown)
-        return loss + float(self.options["smoothness_weight"]) * smoothness_loss(
-            maps[..., 3:6], truth[..., :3]
-        )
+        losses["offset colors"] = self._weight("offset") * mean_over(offsets.square(), shown)
+        losses["smoothness"] = self._weight("smoothness") * smoothness_loss(coefficients, truth[..., :3])
+        if bool((seen := splats.radii > 0).any()):
+            losses["opacity"] = self._weight("opacity") * scene.opacities[seen].mean()
+        return losses, offset, splats.radii
+
+    def _common_losses(
+        self, splats: Rasterised, camera: Camera, truth: Tensor, back: RGB | Tensor
+    ) -> dict[str, Tensor]:
+        """What both stages ask for: the picture, the mask and normals."""
+        losses = {"image": self._image_loss(splats.features[..., :3], splats.alpha, truth, back)}
+        weight = _SSIM_SHARE * self._weight("alpha")
+        if weight:
+            losses["alpha"] = weight * (1.0 - ssim(splats.alpha[..., None], truth[..., 3:].contiguous()))
+        weight = self._weight("normal")
+        if weight:
+            normals = splats.features[..., 3:6]
+            losses["normals"] = weight * normal_loss(normals, splats.depth, splats.alpha, camera)
+        return losses
+
+    def _weight(self, part: str) -> float:
+        return float(self.options[f"{part}_weight"])
 
     def _columns(self) -> dict[str, Tensor]:
         """The second stage's parameters as columns of the model."""
@@ -184,7 +183,7 @@ class IvrTrainer(Trainer):
 
     def _prune(self) -> None:
         """What cannot be seen goes."""
-        seen = self.optimiser["logits"].detach().sigmoid() >= VISIBLE
+        seen = self.optimiser["logits"].detach().sigmoid() >= MIN_ALPHA
         if not bool(seen.all()):
             self.optimiser.keep(seen, self.names)
             self._forget()
@@ -205,7 +204,7 @@ class IvrTrainer(Trainer):
             self._begin_shading({name: self.optimiser[name].detach().clone() for name in GEOMETRY})
         if self.iteration < self.iterations:
             return IvrModel([_detached(self._shaded())], None)
-        seen = self.optimiser["logits"].sigmoid() >= VISIBLE
+        seen = self.optimiser["logits"].sigmoid() >= MIN_ALPHA
         raw = {name: values.detach()[seen].clone() for name, values in self._columns().items()}
         normals = raw["normal"]
         length = torch.linalg.vector_norm(normals, dim=1, keepdim=True)
@@ -228,7 +227,7 @@ class IvrTrainer(Trainer):
         return state
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        arrays = {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
+        arrays = self.arrays(checkpoint)
         if "optimiser/ambient/0/value" in arrays:
             self._begin_shading({name: arrays[f"optimiser/{name}/0/value"].clone() for name in GEOMETRY})
         super().restore(checkpoint)

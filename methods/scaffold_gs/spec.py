@@ -39,6 +39,8 @@ OPTIONS = {
 }
 """What HAC has in common with it."""
 
+SOURCE = ("methods.scaffold_gs", "methods.gaussian_splatting.ply", "methods.by_scene", "datasets.cloud")
+
 PUBLISHED: dict[str, OptionValue] = {"start": "random", "background": "white", "max_anchors": 0}
 """How the released code starts on scenes without a cloud of their own."""
 
@@ -52,8 +54,7 @@ SPEC = MethodSpec(
     version="1",
     implementation="methods.scaffold_gs.method:ScaffoldGS",
     source=(
-        "methods.scaffold_gs",
-        "methods.gaussian_splatting.ply",
+        *SOURCE,
         "econgs.anchors",
         "econgs.context.model",
         "econgs.splat",

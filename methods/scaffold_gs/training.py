@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -22,11 +21,11 @@ from econgs.losses import photometric_loss
 from econgs.optim import Adam
 from econgs.points import median_neighbour_distance
 from econgs.splat.composite import over
-from methods.interface import Checkpoint, Diverged, Model, Monitor, OptionValue, Refused, SceneInput
+from methods.interface import Checkpoint, Model, OptionValue, Refused, SceneInput
 from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
+from methods.trainer import CHECK_EVERY, TrainingLoop, under
 
-_CHECK_EVERY = 100
 Rate = tuple[float, float]
 """First and last learning rate; between them it decays log-linearly."""
 DECODER_RATES: dict[str, Rate] = {"opacity": (2e-3, 2e-5), "covariance": (4e-3, 4e-3), "color": (8e-3, 5e-5)}
@@ -50,7 +49,7 @@ class Prepared:
     losses: Mapping[str, Tensor] = field(default_factory=dict)
 
 
-class Trainer:
+class Trainer(TrainingLoop):
     """State of a fit: anchors, networks, optimiser, order of views, random state.
 
     Args:
@@ -78,9 +77,9 @@ class Trainer:
     ) -> None:
         if len(scene.train) == 0:
             raise Refused(f"scene {scene.name!r} has no training views")
-        self.scene, self.options, self.device = scene, options, device
+        super().__init__(seed, device)
+        self.scene, self.options = scene, options
         self.schedule = Schedule(iterations, self.quantised)
-        self.generator = torch.Generator().manual_seed(seed)
         points = torch.from_numpy(_start(scene, options, seed))
         voxel = float(options["voxel"]) or median_neighbour_distance(points, 0.01 * scene.extent)
         self.anchors = AnchorSet(
@@ -96,15 +95,18 @@ class Trainer:
         limit = int(options["max_anchors"])
         if 0 < limit < len(self.anchors):
             raise Refused(f"{len(self.anchors)} initial anchors are more than max_anchors = {limit}")
-        self.rules = AnchorRules(
-            voxel=voxel,
-            init_factor=int(options["init_factor"]),
-            levels=int(options["growth_levels"]),
-            gradient=float(options["growth_gradient"]),
-            offset_visits=self.schedule.visits(40.0),
-            anchor_visits=self.schedule.visits(80.0),
-            limit=limit,
-        )
+        try:
+            self.rules = AnchorRules(
+                voxel=voxel,
+                init_factor=int(options["init_factor"]),
+                levels=int(options["growth_levels"]),
+                gradient=float(options["growth_gradient"]),
+                offset_visits=self.schedule.visits(40.0),
+                anchor_visits=self.schedule.visits(80.0),
+                limit=limit,
+            )
+        except ValueError as error:  # options that are possible one by one
+            raise Refused(str(error)) from error
         self.decoders = ColorDecoders(
             int(options["features"]),
             int(options["offsets"]),
@@ -113,11 +115,18 @@ class Trainer:
         ).to(device)
         self.background = _background(scene, str(options["background"]))
         self.images = torch.from_numpy(scene.train.images)
-        self.iteration = 0
-        self.pending: list[int] = []  # views not yet drawn in this round
-        self.limited = False
         groups = self.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
+
+    @property
+    def iterations(self) -> int:
+        """The whole budget."""
+        return self.schedule.iterations
+
+    @property
+    def count(self) -> int:
+        """Number of anchors."""
+        return len(self.anchors)
 
     # ------------------------------------------------------------------ what HAC changes
 
@@ -165,23 +174,7 @@ class Trainer:
         )
         return ScaffoldModel([stored], self.device)
 
-    # ------------------------------------------------------------------ the loop
-
-    def run(self, monitor: Monitor) -> None:
-        """Train to the end of the budget.
-
-        Raises:
-            Diverged: a loss or a parameter is not finite.
-        """
-        stage = ""
-        while self.iteration < self.schedule.iterations:
-            if stage != (stage := self._stage()):
-                monitor.stage(stage)
-            losses = self.step()
-            monitor.progress(self.iteration, losses, len(self.anchors))
-            if monitor.due(self.iteration):
-                monitor.pause(self.iteration, self.model, self.checkpoint)
-        self._check_finite()
+    # ------------------------------------------------------------------ a step
 
     def step(self) -> dict[str, float]:
         """One step of the optimiser on one view, and what the schedule adds to it.
@@ -216,10 +209,7 @@ class Trainer:
         if len(decoded.scales):
             losses["scale"] = float(self.options["scale_weight"]) * decoded.scales.prod(dim=1).mean()
         losses |= prepared.losses
-        shown = {name: float(part.detach()) for name, part in losses.items()}
-        for name, value in shown.items():
-            if not math.isfinite(value):
-                raise Diverged(f"the {name} loss is {value} at iteration {self.iteration}")
+        shown = self._shown(losses)
         loss = torch.stack(list(losses.values())).sum()
         if loss.requires_grad:
             self.optimiser.zero_grad()
@@ -237,7 +227,7 @@ class Trainer:
             self.optimiser.step()
         if self.schedule.grows(self.iteration):
             self.grow()
-        if self.iteration % _CHECK_EVERY == 0:
+        if self.iteration % CHECK_EVERY == 0:
             self._check_finite()
         return {"loss": sum(shown.values()), **shown}
 
@@ -262,11 +252,8 @@ class Trainer:
             return f"{stage}, no anchors left"
         return f"{stage}, stopped at {self.rules.limit} anchors" if self.limited else stage
 
-    def _next_view(self) -> int:
-        """Views come in random order, none twice before all were seen."""
-        if not self.pending:
-            self.pending = torch.randperm(len(self.images), generator=self.generator).tolist()
-        return self.pending.pop()
+    def _round(self) -> list[int]:
+        return self._order(len(self.images))
 
     def _background_now(self) -> tuple[float, float, float]:
         if self.background is not None:
@@ -274,32 +261,18 @@ class Trainer:
         red, green, blue = torch.rand(3, generator=self.generator).tolist()
         return red, green, blue
 
-    @torch.no_grad()
-    def _check_finite(self) -> None:
-        for name, group in self.optimiser.parameters.items():
-            for tensor in group:
-                values = tensor.exp() if name.endswith("log_scalings") else tensor
-                if not math.isfinite(float(values.sum())):
-                    raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
-
     # ------------------------------------------------------------------ checkpoints
 
     def checkpoint(self) -> Checkpoint:
         """All that :meth:`restore` needs to go on as if nothing had happened."""
-        arrays = {f"optimiser/{name}": values.clone() for name, values in self.optimiser.state().items()}
-        arrays |= {f"anchors/{name}": values.clone() for name, values in self.anchors.state().items()}
-        arrays["generator"] = self.generator.get_state()
-        return Checkpoint(self.iteration, arrays, {"pending": list(self.pending), "limited": self.limited})
+        state = super().checkpoint()
+        state.arrays |= {f"anchors/{name}": values.clone() for name, values in self.anchors.state().items()}
+        return state
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint of the same fit."""
-        arrays = {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
-        self.optimiser.load_state(_under("optimiser/", arrays))
-        self.anchors.load_state(_under("anchors/", arrays))
-        self.generator.set_state(checkpoint.arrays["generator"].cpu())
-        self.pending = [int(view) for view in checkpoint.scalars["pending"]]
-        self.limited = bool(checkpoint.scalars["limited"])
-        self.iteration = checkpoint.iteration
+        super().restore(checkpoint)
+        self.anchors.load_state(under("anchors/", self.arrays(checkpoint)))
 
 
 def _start(scene: SceneInput, options: Mapping[str, OptionValue], seed: int) -> NDArray[np.float32]:
@@ -320,7 +293,3 @@ def _background(scene: SceneInput, wanted: str) -> tuple[float, float, float] | 
 def to_numpy(tensor: Tensor) -> NDArray[np.float32]:
     """A copy as float32 array."""
     return tensor.detach().cpu().numpy().copy()
-
-
-def _under(prefix: str, arrays: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): v for name, v in arrays.items() if name.startswith(prefix)}

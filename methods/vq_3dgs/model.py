@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from econgs.codebooks import quantise, quantise_scalars
+from econgs.splat.rasterise import MIN_ALPHA
 from methods.gaussian_splatting.model import SceneGaussians, SplatModel
 from methods.interface import Refused
 from methods.quantised_scene import Column, QuantisedScene, half_exact, read_folder
@@ -18,8 +20,6 @@ GROUPS = {"color": 3, "sh1": 9, "sh2": 15, "sh3": 21, "scale": 3, "rotation": 4}
 """The factors of the product: what shares an id -> numbers per Gaussian."""
 WIDTHS = {"opacity": 1, **GROUPS}
 OPACITIES = 256
-INVISIBLE = 1.0 / 255.0
-"""The rasteriser skips whatever is fainter."""
 
 
 def grouped(scene: SceneGaussians) -> dict[str, Tensor]:
@@ -39,7 +39,7 @@ def grouped(scene: SceneGaussians) -> dict[str, Tensor]:
 
 def quantised(scene: SceneGaussians, size: int, stages: int, seed: int) -> QuantisedScene:
     """Codebooks of the Gaussians that can be seen at all."""
-    rows = (scene.logits.sigmoid() >= INVISIBLE).nonzero()[:, 0]
+    rows = (scene.logits.sigmoid() >= MIN_ALPHA).nonzero()[:, 0]
     columns: dict[str, Column] = {"opacity": (quantise_scalars(scene.logits[rows], OPACITIES, seed),)}
     for name, values in grouped(scene).items():
         columns[name] = quantise(values[rows], size, seed, stages)
@@ -120,14 +120,17 @@ def load_model(folder: Path, device: str) -> VqModel:
     Raises:
         DataError: a file is missing, damaged or of another kind.
     """
-    return VqModel.of([[scene] for scene in read_folder(folder, "vq-3dgs", FORMAT, WIDTHS, _check)], device)
+    read = read_folder(folder, "vq-3dgs", FORMAT, WIDTHS, partial(_checked, device=device))
+    return VqModel([[coded] for coded, _ in read], [shown for _, shown in read], device)
 
 
-def _check(coded: QuantisedScene) -> None:
+def _checked(coded: QuantisedScene, device: str) -> SceneGaussians:
     degree, size = coded.about["sh degree"], coded.about["codebook size"]
     if not isinstance(degree, int) or not 0 <= degree <= 3 or not isinstance(size, int):
         raise ValueError(f"SH degree {degree}, codebooks of {size} words")
-    if not bool((coded.column("rotation", 4).square().sum(1) > 0).all()):
+    shown = _placed(gaussians(coded), device)
+    if not bool((shown.quats.square().sum(1) > 0).all()):
         raise ValueError("a rotation is zero")
-    if not bool(torch.isfinite(coded.column("scale", 3).exp()).all()):
+    if not bool(torch.isfinite(shown.log_scales.exp()).all()):
         raise ValueError("a scale is not finite")
+    return shown

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from methods.gaussian_splatting.spec import SPEC as PLAIN
-from methods.interface import Configuration, Option, RateKnob
+from methods.interface import Option, RateKnob
 
 SIZES = (16, 64, 256, 1024)
 """Codebook sizes that one fit prepares."""
@@ -40,11 +40,5 @@ SPEC = replace(
             1.0, "learning rates of words, as a share of those of 3DGS", minimum=0.0, maximum=10.0
         ),
     },
-    presets={
-        "quick": {"sh_rest_lr": 1e-3},
-        "standard": {"sh_rest_lr": 5e-4},
-        "paper": {},
-    },
     rate_knobs=(RateKnob("codebook size", SIZES, refit=False),),
-    configurations={"fair": Configuration(), "paper": Configuration({"start": "random"})},
 )

@@ -52,16 +52,16 @@ class VqTrainer(Trainer):
     def _stage(self) -> str:
         return "codebooks" if self.iteration >= self.schedule.iterations else super()._stage()
 
-    def step(self) -> float:
+    def step(self) -> dict[str, float]:
         if self.iteration >= self.schedule.iterations and not self.coded:
             self._place({size: self._quantised(size) for size in SIZES})
         return super().step()
 
-    def _loss(
+    def _losses(
         self, camera: Camera, truth: Tensor, back: RGB | Tensor
-    ) -> tuple[Tensor, Tensor | None, Tensor]:
+    ) -> tuple[dict[str, Tensor], Tensor | None, Tensor]:
         if not self.coded:
-            return super()._loss(camera, truth, back)
+            return super()._losses(camera, truth, back)
         position = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
         now = gaussians(self._now(SIZES[self.iteration % len(SIZES)]))
         splats = rasterise(
@@ -72,16 +72,15 @@ class VqTrainer(Trainer):
             spherical_harmonics(now.sh_degree, now.means, position, now.sh_dc, now.sh_rest),
             camera,
         )
-        return self._image_loss(splats.features, splats.alpha, truth, back), None, splats.radii
+        return {"image": self._image_loss(splats.features, splats.alpha, truth, back)}, None, splats.radii
 
-    def _position_rate(self) -> float:
+    def _set_rates(self) -> None:
         if not self.coded:
-            return super()._position_rate()
-        # Asked before every step: here it sets the rates of words, and positions do not move.
+            super()._set_rates()
+            return
         done = (self.iteration - self.schedule.iterations) / max(1, self.total - self.schedule.iterations)
         for name, first in self._word_rates().items():
             self.optimiser.rates[name] = first * _LAST**done
-        return 0.0
 
     # ------------------------------------------------------------------ codebooks
 
@@ -150,7 +149,7 @@ class VqTrainer(Trainer):
         return state
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        arrays = {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
+        arrays = self.arrays(checkpoint)
         if f"positions/{SIZES[0]}" in arrays:
             self._place({size: self._stored(size, arrays) for size in SIZES})
         super().restore(checkpoint)

@@ -102,6 +102,23 @@ def test_noise_stands_for_rounding(backend: Any, monkeypatch: pytest.MonkeyPatch
     ).all()
 
 
+def test_rounding_pulls_at_steps_as_noise_of_its_size_would() -> None:
+    """Without a gradient of the distortion only the rate would move steps, and only upwards."""
+    _, values = scene(40)
+    steps = torch.rand(40, 4, generator=torch.Generator().manual_seed(3)) * 0.1 + 0.05
+    steps.requires_grad_(True)
+    model = model_for(values)
+    rounded = model.round(values, steps)
+    outer = Attributes(*(torch.randn(one.shape) for one in values))
+    sum((a * b).sum() for a, b in zip(rounded, outer, strict=True)).backward()  # type: ignore[union-attr]
+    each = model.element_steps(steps.detach())
+    noise = torch.round(values.flat / each) - values.flat / each
+    parts = (noise * outer.flat).split(CONFIG.widths, 1)
+    torch.testing.assert_close(
+        steps.grad, torch.stack([one.sum(1) for one in parts], 1), atol=1e-3, rtol=1e-3
+    )
+
+
 def test_gradients_of_noise_and_head() -> None:
     """Of the fused functions, in float64 by finite differences."""
     random = torch.Generator().manual_seed(0)

@@ -94,6 +94,19 @@ def test_the_limit_holds_and_is_told():
     assert grown.limited
 
 
+def test_at_the_limit_the_largest_gradients_come_in():
+    """Not those of the smallest x, in which order cells are found."""
+    offsets = [[float(i), 0.0, 0.0] for i in range(1, 21)]
+    gradients = [1.1 + 0.01 * i for i in range(20)]  # the far ones ask loudest; level 0 only
+    *state, statistics = setting(offsets, gradients)
+    free = [AnchorStatistics(*(v.clone() for v in vars(statistics).values())) for _ in range(2)]
+    every = grow(*state, free[0], RULES, generator())
+    few = grow(*state, free[1], AnchorRules(voxel=0.01, gradient=1.0, limit=4), generator())
+    assert len(every.anchors) > 6
+    assert few.limited
+    torch.testing.assert_close(few.anchors, every.anchors[-3:])  # found in order of x
+
+
 def test_faint_anchors_are_pruned_once_seen_often_enough():
     statistics = AnchorStatistics.zeros(4, 2, "cpu")
     statistics.visits[:] = torch.tensor([100.0, 100.0, 80.0, 100.0])

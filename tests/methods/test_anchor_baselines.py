@@ -237,6 +237,11 @@ def test_what_cannot_be_fitted_is_refused(kind, tiny, scene):
         fit(kind, blind, tiny.Recorder(), 5)
 
 
+def test_cells_of_no_size_are_refused(kind, tiny, scene):
+    with pytest.raises(Refused, match="cells"):
+        fit(kind, scene, tiny.Recorder(), 5, init_factor=4)
+
+
 def test_growth_stops_at_the_limit(kind, tiny, scene):
     recorder = tiny.Recorder()
     limit = len(np.unique(np.round(scene.cloud.points / 0.01), axis=0)) + 5
@@ -276,3 +281,16 @@ def test_the_schedule_is_the_published_one_at_its_budget():
     assert next(i for i in range(1, 30_001) if coding.coded(i)) == 10_001
     assert not any(plain.noisy(i) or plain.coded(i) or plain.exact(i) for i in (5_000, 20_000, 30_000))
     assert sum(Schedule(600, coding=True).grows(i) for i in range(601)) >= 10
+
+
+def test_hac_pays_for_bits_and_masks(tiny, scene):
+    """A larger lambda makes smaller streams; a larger weight of masks pushes them down."""
+    kind = KINDS["hac"]
+    sizes = [fit(kind, scene, tiny.Recorder(), 400, rate_weight=w).bytes_estimate() for w in (0.0, 0.05)]
+    assert sizes[1] < 0.9 * sizes[0]
+    masks = []
+    for weight in (0.0, 0.1):
+        trainer = HacTrainer(scene, options(kind, mask_weight=weight), 400, 0, "cpu")
+        trainer.run(tiny.Recorder())
+        masks.append(float(trainer.optimiser[trainer.anchors.name("masks")].detach().mean()))
+    assert masks[1] < masks[0] - 0.1

@@ -7,7 +7,7 @@ import pytest
 from datasets.errors import DataError, UnknownName
 from methods.interface import Configuration, Option
 from methods.options import resolve
-from methods.registry import check_spec
+from methods.registry import Registry, check_spec
 from methods.scaffold_gs.spec import SPEC
 
 
@@ -22,6 +22,17 @@ def test_what_is_set_overlays_the_configuration_which_overlays_the_preset():
     assert (found.iterations, found.variant) == (77, "configuration=own,features=9")
     assert resolve(spec, "paper", {"configuration": "own"}).iterations == spec.iterations["paper"]
     assert resolve(spec, "quick", {"configuration": "own", "iterations": 5}).iterations == 5
+
+
+@pytest.mark.parametrize("name", Registry().names())
+def test_every_method_has_a_fair_configuration_and_its_authors(name):
+    spec = Registry().spec(name)
+    fair, paper = (resolve(spec, "paper", {"configuration": one}) for one in ("fair", "paper"))
+    assert fair == resolve(spec, "paper")
+    assert fair.options["start"] == "cloud"
+    assert fair.options.get("background", "scene") == "scene"
+    assert paper.variant == "configuration=paper"
+    assert paper.options != fair.options
 
 
 def test_unknown_configurations_come_with_near_matches():

@@ -339,7 +339,7 @@ def test_a_minibatch_of_every_scene(tiny, scene):
     for a, b in zip(pictures(whole, scene.validation), pictures(again, scene.validation), strict=True):
         assert torch.equal(a, b)
     trainer = Trainer(group, given, 300, 0, "cpu")
-    turns = [trainer._next_view()[0].name for _ in range(6)]
+    turns = [trainer.scenes[trainer._next_view()[0]].name for _ in range(6)]
     assert len(set(turns[:2])) == 2
     assert turns[:2] * 3 == turns
 

@@ -113,7 +113,8 @@ def test_start_from_the_cloud_takes_its_points_and_colors(tiny, scene, options):
 
 
 def test_random_start_fills_its_cube(scene):
-    options = resolve(SPEC, "paper", {"random_half_extent": "0.7", "random_points": "5000"}).options
+    wanted = {"start": "random", "random_half_extent": "0.7", "random_points": "5000"}
+    options = resolve(SPEC, "paper", wanted).options
     means = Trainer(scene, options, 10, 0, "cpu").model().gaussians("tiny").means
     assert means.shape == (5000, 3)
     assert means.abs().max() <= 0.7

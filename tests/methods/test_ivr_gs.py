@@ -73,24 +73,47 @@ def test_24_bytes_per_gaussian_and_ten_codebooks_of_256(tmp_path):
     assert ledger["codebooks"] == 5_120
 
 
-def test_values_are_activated_once(scene, fitted, tmp_path):
-    """With nothing quantised but to half precision, what is loaded is what was learned.
+def test_values_are_activated_once(tiny, scene, tmp_path):
+    """What is loaded shows what training saw, as far as half precision goes.
 
     The published code activates specular coefficients and shininess a second time.
     """
-    model, _ = fitted
+    trainer = IvrTrainer(scene, options(), 400, 0, "cpu")
+    trainer.run(tiny.Recorder())
+    with torch.no_grad():
+        trainer.optimiser["specular"].add_(1.0)  # highlights that a second sigmoid would change
     camera = scene.validation.cameras[0]
-    (stored,) = model.stored
-    exact = type(model)([_plain(stored)], None)
+    with torch.no_grad():
+        learned = IvrModel([trainer._shaded()], None).render(camera)[0]
+    model = trainer.model()
     many, _ = saved(model, tmp_path / "many", 65536.0)
-    torch.testing.assert_close(many.render(camera)[0], exact.render(camera)[0], atol=0.02, rtol=0)
+    torch.testing.assert_close(many.render(camera)[0], learned, atol=0.02, rtol=0)
     sizes = [saved(model, tmp_path / str(size), size)[0] for size in (4.0, 32.0, 256.0)]
-    far = [float((one.render(camera)[0] - exact.render(camera)[0]).norm()) for one in sizes]
+    far = [float((one.render(camera)[0] - learned).norm()) for one in sizes]
     assert far == sorted(far, reverse=True)
+    with pytest.raises(Refused, match="at the codebook size that it has"):
+        saved(many, tmp_path / "again", 1024.0)
 
 
-def _plain(stored):
-    return ready(replace(stored.coded, columns=stored.raw), "cpu")
+def test_parts_of_the_loss_carry_their_weights(tiny, scene):
+    """Each part is its weight times what it was: twice the weight is twice the part."""
+    names = {"alpha": "alpha", "normal": "normals", "offset": "offset colors",
+             "smoothness": "smoothness", "opacity": "opacity"}  # fmt: skip
+    trainer = IvrTrainer(scene, options(), 40, 0, "cpu")
+    while not trainer.shading:
+        trainer.step()
+    camera, back = scene.train.cameras[0], scene.train.background
+    for option, name in names.items():
+        values = []
+        for weight in (0.5, 1.0):
+            trainer.options = {**trainer.options, f"{option}_weight": weight}
+            found, _, _ = trainer._losses(camera, trainer.images[0], back)
+            values.append(float(found[name].detach()))
+        assert values[1] == pytest.approx(2.0 * values[0])
+        assert values[1] > 0.0
+    trainer.options = {**trainer.options, "alpha_weight": 0.0, "normal_weight": 0.0}
+    found, _, _ = trainer._losses(camera, trainer.images[0], back)
+    assert set(found) == {"image", "offset colors", "smoothness", "opacity"}
 
 
 def test_attributes_chosen_have_codebooks_and_the_others_none(tiny, scene, tmp_path):

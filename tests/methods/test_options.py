@@ -9,12 +9,12 @@ from methods.options import check, parse_assignments, resolve
 
 
 def test_preset_overlays_defaults_and_the_user_overlays_the_preset():
-    assert resolve(SPEC, "quick").options["start"] == "cloud"
-    paper = resolve(SPEC, "paper")
-    assert (paper.options["start"], paper.iterations, paper.variant) == ("random", 30_000, "")
-    own = resolve(SPEC, "paper", {"start": "cloud", "iterations": "7_000", "sh_degree": "3"})
-    assert (own.options["start"], own.iterations) == ("cloud", 7_000)
-    assert own.variant == "iterations=7000,start=cloud", "what equals the preset is no variant"
+    assert SPEC.options["sh_rest_lr"].default == 1.25e-4
+    quick = resolve(SPEC, "quick")
+    assert (quick.options["sh_rest_lr"], quick.iterations, quick.variant) == (1e-3, 1_200, "")
+    own = resolve(SPEC, "quick", {"sh_rest_lr": "0.002", "iterations": "7_000", "sh_degree": "3"})
+    assert (own.options["sh_rest_lr"], own.iterations) == (0.002, 7_000)
+    assert own.variant == "iterations=7000,sh_rest_lr=0.002", "what equals the preset is no variant"
     assert set(own.options) == set(SPEC.options)
 
 

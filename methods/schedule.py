@@ -1,0 +1,76 @@
+"""What schedules have in common: phase boundaries scale with the budget, intervals do not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+
+@dataclass(frozen=True)
+class Proportional:
+    """A published schedule, fitted to a budget. Iterations count from 1.
+
+    Attributes:
+        iterations: the budget.
+        published: that of the published schedule.
+    """
+
+    iterations: int
+    published: ClassVar[int] = 30_000
+
+    def _scaled(self, published: int) -> int:
+        return max(1, round(published * self.iterations / self.published))
+
+    def decayed(self, iteration: int, first: float, last: float) -> float:
+        """Log-linear decay from ``first`` to ``last`` over the budget."""
+        t = min(1.0, iteration / self.iterations)
+        return math.exp((1.0 - t) * math.log(first) + t * math.log(last))
+
+
+class AnchorSchedule(Proportional):
+    """What the schedules of anchors share: Scaffold-GS, HAC, ECoNGS."""
+
+    @property
+    def growth_start(self) -> int:
+        return self._scaled(1_500)
+
+    @property
+    def growth_stop(self) -> int:
+        return self._scaled(15_000)
+
+    @property
+    def noise_start(self) -> int:
+        """Attributes are trained under quantisation noise from here on, where they are quantised."""
+        return self._scaled(3_000)
+
+    @property
+    def context_start(self) -> int:
+        """From here on steps and probabilities come from the context model, and the rate counts."""
+        return self._scaled(10_000)
+
+    @property
+    def rest(self) -> range:
+        """Iterations in which nothing grows since the noise is new."""
+        return range(self.noise_start, self._scaled(4_000))
+
+    @property
+    def growth_interval(self) -> int:
+        """100 iterations as published, fewer where that would leave less than ten growth events."""
+        return max(1, min(100, (self.growth_stop - self.growth_start - len(self.rest)) // 11))
+
+    def visits(self, published: float) -> float:
+        """A number of visits that was published for a growth interval of 100 iterations.
+
+        A fifth of it at least: after fewer views nothing can be judged.
+        """
+        return published * max(self.growth_interval / 100.0, 0.2)
+
+    def collects(self, iteration: int) -> bool:
+        """Whether growth statistics are taken."""
+        return self._scaled(500) < iteration < self.growth_stop
+
+    def grows(self, iteration: int) -> bool:
+        """Whether a growth event follows."""
+        growing = self.growth_start < iteration < self.growth_stop
+        return growing and iteration not in self.rest and iteration % self.growth_interval == 0
