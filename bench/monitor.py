@@ -59,7 +59,8 @@ class Progress:
 class FitMonitor:
     """Implements :class:`methods.interface.Monitor`.
 
-    The training clock runs from :meth:`start` to :meth:`stop` and stands still inside :meth:`pause`.
+    The clocks of training (wall and processor time) run from :meth:`start` to :meth:`stop` and stand still
+    inside :meth:`pause`.
     Anytime evaluations take place at moments spread evenly over the logarithm of the iteration; a checkpoint
     is written every 30 s, at the last iteration and when the job is asked to stop.
 
@@ -89,7 +90,8 @@ class FitMonitor:
         self._every = every
         self._moments = _moments(iterations)
         self._clock = 0.0
-        self._since: float | None = None
+        self._cpu_clock: float | None = 0.0
+        self._since: tuple[float, float] | None = None
         self._loss: float | None = None
         self._parts: dict[str, float] = {}
         self._primitives = 0
@@ -112,6 +114,7 @@ class FitMonitor:
             return None
         checkpoint, harness = found
         self._clock = harness["seconds"]
+        self._cpu_clock = harness.get("cpu_seconds")  # checkpoints of older versions have none
         self.curve = [CurvePoint.model_validate(point) for point in harness["curve"]]
         self.resumed = harness["resumed"] + 1
         self.iteration = checkpoint.iteration
@@ -120,18 +123,25 @@ class FitMonitor:
         return checkpoint
 
     def start(self) -> None:
-        self._since = time.perf_counter()
+        self._since = time.perf_counter(), time.process_time()
 
     def stop(self) -> None:
         if self._since is not None:
-            self._clock += time.perf_counter() - self._since
+            wall, cpu = self._since
+            self._clock += time.perf_counter() - wall
+            if self._cpu_clock is not None:
+                self._cpu_clock += time.process_time() - cpu
             self._since = None
 
     @property
     def seconds(self) -> float:
-        """Training time so far."""
-        running = time.perf_counter() - self._since if self._since is not None else 0.0
-        return self._clock + running
+        """Training time up to the last stop."""
+        return self._clock
+
+    @property
+    def cpu_seconds(self) -> float | None:
+        """Processor time of all threads in the same time; None where part of it is not known."""
+        return self._cpu_clock
 
     # ------------------------------------------------------------------ the method's side
 
@@ -179,6 +189,7 @@ class FitMonitor:
     def _write(self, checkpoint: Checkpoint) -> None:
         harness = {
             "seconds": self._clock,
+            "cpu_seconds": self._cpu_clock,
             "curve": [point.model_dump() for point in self.curve],
             "resumed": self.resumed,
         }

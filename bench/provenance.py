@@ -106,10 +106,11 @@ def _versions() -> dict[str, str]:
 
 
 def _commit() -> str | None:
-    """Commit of the clone that the package runs from ("+" if it has changes); None when installed."""
-    root = Path(__file__).resolve().parent.parent
+    """Commit of the clone that the package runs from or was built in ("+" if it had changes), if any."""
+    here = Path(__file__).resolve()
+    root, built = here.parent.parent, here.with_name("commit.txt")  # see CMakeLists.txt
     if not (root / ".git").exists():
-        return None
+        return built.read_text().strip() if built.exists() else None
     try:
         head = subprocess.run(
             ["git", "-C", str(root), "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"],

@@ -188,9 +188,13 @@ class PartitionResult(_Model):
 
 
 class FitResult(_Model):
-    """``seconds``: the training clock, summed over resumes."""
+    """``seconds``: the training clock, summed over resumes; ``cpu_seconds``: processor time of all threads.
+
+    On a machine that others use as well the second says more about the work; the first is what one waits.
+    """
 
     seconds: float
+    cpu_seconds: float | None = None
     iterations: int
     primitives: dict[str, int]
     train_views: int

@@ -61,6 +61,7 @@ def test_the_clock_stands_still_while_it_evaluates(tmp_path) -> None:
     wall = time.perf_counter() - start
     assert len(monitor.curve) >= 6
     assert monitor.seconds <= wall - 0.05 * len(monitor.curve)
+    assert monitor.cpu_seconds > 0.0
 
 
 def test_a_resumed_fit_continues_clock_and_curve(tmp_path) -> None:
@@ -78,6 +79,7 @@ def test_a_resumed_fit_continues_clock_and_curve(tmp_path) -> None:
     assert second.resumed == 1
     assert [p.iteration for p in second.curve] == [p.iteration for p in first.curve]
     assert 0.0 < second.seconds <= first.seconds
+    assert 0.0 < second.cpu_seconds <= first.cpu_seconds
     second.start()
     _drive(second, 51, 100)
     whole = _monitor(tmp_path / "whole")
