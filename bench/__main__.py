@@ -32,7 +32,7 @@ COMMANDS = {
     "verify": "bench.commands.stores:verify",
     "check-plugin": "bench.commands.check_plugin:check_plugin",
 }
-TABLES = ("results", "views", "curve", "ledger", "timing", "features", "scenes", "dvr")
+TABLES = ("results", "views", "curve", "ledger", "timing", "features", "scenes", "dvr", "superseded")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -133,7 +133,9 @@ def _parser() -> _Parser:
         help="folder for report.html and what goes with it, or the page's name (default: the run store)",
     )
     report.add_argument(
-        "--check-claims", action="store_true", help="list the paper's claims: hold, do not, not measured"
+        "--check-claims",
+        action="store_true",
+        help="list the paper's claims: hold, do not, not decided, not measured",
     )
 
     render = command("render", "write pictures: ground truth, or those of a finished model", plugins, runs)

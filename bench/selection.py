@@ -88,14 +88,15 @@ def chosen_datasets(selection: Selection, preset: ViewPreset) -> list[Chosen]:
             known = {*(scene.name for scene in dataset.scenes), *dataset.compositions}
             scenes_known |= known
             compositions_known |= set(dataset.compositions)
-            named: Sequence[str] = () if selection.datasets else present[name]
+            choices: Sequence[Sequence[str]] = [()] if selection.datasets else present[name]
             if selection.scenes:
                 named = [scene for scene in selection.scenes if scene in known]
-            if named or not selection.scenes:
-                chosen += [
-                    _choose(source, dataset, named, wanted, replace(preset, train_views=count))
-                    for count in suite.train_views or (preset.train_views,)
-                ]
+                choices = [named] if named else []
+            chosen += [
+                _choose(source, dataset, choice, wanted, replace(preset, train_views=count))
+                for choice in choices
+                for count in suite.train_views or (preset.train_views,)
+            ]
         except DataError as error:
             problems.append(error)
     if problems:

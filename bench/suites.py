@@ -49,7 +49,8 @@ class Suite:
     """What a suite file says.
 
     Attributes:
-        datasets: dataset name -> scenes, or compositions with their scenes (empty: all scenes).
+        datasets: dataset name -> which of its scenes are run together, one choice after the other: names of
+            scenes, or of compositions with their scenes (empty: all scenes).
         stand_ins: dataset -> the procedural one that takes its place where its data are missing; "": none,
             it is left out there.
         train_views: numbers of training views to fit with; empty: the preset's.
@@ -64,7 +65,7 @@ class Suite:
 
     name: str
     title: str
-    datasets: Mapping[str, tuple[str, ...]]
+    datasets: Mapping[str, tuple[tuple[str, ...], ...]]
     methods: tuple[str, ...]
     optional: tuple[str, ...]
     seeds: tuple[int, ...]
@@ -78,9 +79,9 @@ class Suite:
     train_views: tuple[int, ...] = ()
     edits: tuple[str, ...] = ()
 
-    def present(self, available: Collection[str]) -> dict[str, tuple[str, ...]]:
+    def present(self, available: Collection[str]) -> dict[str, tuple[tuple[str, ...], ...]]:
         """The datasets to run, given those that have data here: stand-ins take the places of others."""
-        chosen: dict[str, tuple[str, ...]] = {}
+        chosen: dict[str, tuple[tuple[str, ...], ...]] = {}
         for name, scenes in self.datasets.items():
             there = name if name in available else self.stand_ins.get(name, name)
             if there:
@@ -112,6 +113,14 @@ def load_suite(name: str) -> Suite:
     return _parse(path, data)
 
 
+def _choices(scenes: list[Any]) -> tuple[tuple[str, ...], ...]:
+    """A list of names is one choice of scenes, a list of lists several."""
+    several = [choice for choice in scenes if isinstance(choice, list)]
+    if several and len(several) < len(scenes):
+        raise TypeError("scenes are names, or lists of names, not both")
+    return tuple(map(tuple, several)) or (tuple(scenes),)
+
+
 def _parse(path: Path, data: dict[str, Any]) -> Suite:
     known = {
         "title", "datasets", "methods", "optional", "seeds", "preset", "presets", "variants", "rates",
@@ -127,7 +136,7 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
         suite = Suite(
             name=path.stem,
             title=str(data["title"]),
-            datasets={str(name): tuple(scenes) for name, scenes in data["datasets"].items()},
+            datasets={str(name): _choices(scenes) for name, scenes in data["datasets"].items()},
             methods=tuple(data.get("methods", ())),
             optional=tuple(data.get("optional", ())),
             seeds=tuple(int(seed) for seed in data.get("seeds", [0])),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.records import CurvePoint, EncodeResult, FitResult, Job, Record
 from bench.store import Store
+from bench.versions import is_stale, standing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,7 +26,8 @@ COLUMNS: dict[str, tuple[str, ...]] = {
         "train_seconds", "group_seconds", "load_seconds", "fps", "peak_host_bytes", "peak_device_bytes",
         "iterations", "train_views", "width", "height", "device", "machine", "threads", "job", "fps_p05",
         "fps_p95", "encode_seconds", "reference_seconds", "identical_views", "stage", "commit",
-        "group_peak_host_bytes", "partition_seconds", "requested_views", "edit",
+        "group_peak_host_bytes", "partition_seconds", "requested_views", "edit", "source",
+        "cpu_seconds",
     ),
     "views": ("job", *_AXES, "rate", "preset", "split", "seed", "view", *METRICS, "identical", "truth_file",
               "render_file", "alpha_file", "background", "requested_views"),
@@ -33,18 +35,20 @@ COLUMNS: dict[str, tuple[str, ...]] = {
               "bytes_estimate", "loss_parts", "requested_views"),
     "ledger": ("job", *_AXES, "rate", "preset", "seed", "part", "bytes", "requested_views"),
     "timing": ("job", *_AXES, "rate", "preset", "seed", "part", "seconds", "requested_views"),
-    "features": ("job", *_AXES, "name", "values", "width", "requested_views"),
+    "features": ("job", *_AXES, "preset", "name", "values", "width", "requested_views"),
     "scenes": ("job", "dataset", "scene", "preset", "split", "requested_views", "transfer"),
     "dvr": ("job", "dataset", "scene", "kind", "preset", "status", "reason", "nx", "ny", "nz", "variables",
             "dtype", "volume_bytes", "ms_per_view", "ms_p05", "ms_p95", "fps", "load_seconds",
             "setup_seconds", "peak_host_bytes", "peak_device_bytes", "width", "height", "renderer", "version",
             "backend", "machine", "threads", "reference_seconds", "commit"),
+    "superseded": ("job", "dataset", "scene", "kind", "method", "variant", "rate", "preset", "split", "seed",
+                   "status", "psnr", "size_bytes", "commit", "requested_views"),
 }  # fmt: skip
 _TEXT = {
     "dataset", "scene", "kind", "method", "variant", "preset", "split", "status", "reason", "group", "device",
     "machine", "job", "stage", "commit", "view", "truth_file", "render_file", "alpha_file", "part", "name",
     "background", "variables", "dtype", "renderer", "version", "backend",
-    "loss_parts", "edit", "transfer",
+    "loss_parts", "edit", "transfer", "source",
 }  # fmt: skip
 _WHOLE = {
     "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes",
@@ -115,8 +119,18 @@ def _point(point: CurvePoint, scene: str) -> dict[str, Any]:
 def build_tables(
     store: Store, sources: Mapping[str, str] | None = None, *, write: bool = True
 ) -> dict[str, pd.DataFrame]:
-    """Derive all tables of a store, and write them as Parquet (each file whole or as before)."""
-    frames = {name: frame(name, table) for name, table in rows(store.records(), sources).items()}
+    """Derive all tables of a store, and write them as Parquet (each file whole or as before).
+
+    Where the store holds several versions of a model, one is in them (:func:`bench.versions.standing`);
+    the rows of the others are in the table ``superseded`` alone.
+    """
+    records = list(store.records())
+    shown = standing(records, sources or {})
+    tables = rows(shown, sources)
+    if len(shown) < len(records):
+        kept = {record.job.id for record in shown}
+        tables["superseded"] = [row for row in rows(records, sources)["results"] if row["job"] not in kept]
+    frames = {name: frame(name, table) for name, table in tables.items()}
     if write:
         with store.lock("tables"):
             for name, table in frames.items():
@@ -177,7 +191,7 @@ def _result(record: Record, models: list[_Fitted], sources: Mapping[str, str]) -
         "split": job.split,
         "status": record.status,
         "reason": record.reason,
-        "stale": any(_stale(job, fit, sources) for fit in fits),
+        "stale": any(is_stale(job, fit, sources) for fit in fits),
         "group": job.group,
         "iterations": job.iterations,
         "width": job.request.width,
@@ -186,6 +200,7 @@ def _result(record: Record, models: list[_Fitted], sources: Mapping[str, str]) -
         "machine": where.machine if where else None,
         "threads": where.threads if where else None,
         "commit": where.commit if where else None,
+        "source": next((fit.provenance.source for fit in fits if fit.provenance), None),
         "job": job.id,
         "edit": job.edit,
         "stage": record.stage,
@@ -254,7 +269,11 @@ def _times(
     seconds = trained.seconds + encode.seconds
     if partition is not None and partition.partition is not None:
         seconds += partition.partition.seconds * len(group) / len(partition.job.scenes)
-    return {"group_seconds": seconds, "train_seconds": seconds * len(scenes) / len(group)}
+    share_of = len(scenes) / len(group)
+    times = {"group_seconds": seconds, "train_seconds": seconds * share_of}
+    if trained.cpu_seconds is not None:  # older records have none
+        times["cpu_seconds"] = trained.cpu_seconds * share_of
+    return times
 
 
 def _views(record: Record, shown: Record | None) -> list[dict[str, Any]]:
@@ -353,12 +372,6 @@ def _axes(job: Job) -> dict[str, Any]:
         "seed": job.seed,
         "requested_views": job.request.train_views,
     }
-
-
-def _stale(job: Job, fit: Record | None, sources: Mapping[str, str]) -> bool:
-    current = sources.get(job.method or "")
-    made_with = fit.provenance.source if fit and fit.provenance else None
-    return current is not None and made_with is not None and current != made_with
 
 
 def _needed(by_id: Mapping[str, Record], record: Record | None, kind: str) -> Record | None:

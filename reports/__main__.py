@@ -10,7 +10,7 @@ from reports.inputs import NEEDED, Unusable, read_results
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Write the page, charts and tables; returns 0, or 2 for an unusable input."""
+    """Write the page, charts and tables; returns 0, or 2 for an unusable input or output."""
     parser = argparse.ArgumentParser(prog="python -m reports", description="A report of a table of results.")
     columns = ", ".join(NEEDED)
     parser.add_argument(
@@ -27,6 +27,12 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     from reports.page import write_report
 
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        told = f"no folder can be made there ({error.strerror}); name another with --out"
+        print(f"error: {options.out}: {told}", file=sys.stderr)
+        return 2
     print(write_report(tables, options.table.parent, options.out / "report.html"))
     return 0
 

@@ -9,11 +9,18 @@ import pandas as pd
 
 from reports import confidence, features, plots, rate_distortion, stability_sections, training
 from reports.chart_parts import Section, chart, charts, legend, table
-from reports.style import MISSING, absent, mib, seconds, series
+from reports.protocols import comparable
+from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, absent, legend_entries, mib, seconds, series
 
 if TYPE_CHECKING:
     from reports.rate_distortion import Difference
 
+_HELD_OUT = "a few held-out views (of the measured split; no method trains on them)"
+_GRAY = (
+    f" A chart with more than {MOST_NAMED} variants colors and names each method's default alone; the others "
+    "are gray and named when pointed at."
+)
+_FRONT = " What is on the front keeps its color, and is named by its options."
 _TRADEOFFS = (
     ("PSNR and size", "size_bytes"),
     ("PSNR and speed", "fps"),
@@ -60,7 +67,7 @@ def _confidence(results: pd.DataFrame, views: pd.DataFrame) -> Section | None:
         best = str(max(records, key=lambda row: row["mean"])["method"])
         for row in records:
             told = [row["dataset"], row["method"], *(row[axis] for axis in several), f"{row['mean']:.2f}"]
-            told += [_range(row["low"], row["high"]), _seeds(row)]
+            told += [confidence.ends(row["low"], row["high"]), _seeds(row)]
             rows.append([*told, *_against(pairs, row, best)])
     heads = ["Dataset", "Method", *(axis.capitalize() for axis in several), "PSNR [dB]", "95 % over views"]
     heads += ["Over seeds", "To the highest [dB]", "95 % of the difference", "Ranking"]
@@ -99,20 +106,20 @@ def _against(pairs: pd.DataFrame, row: dict, best: str) -> list[str]:
         found = pairs[same & (pairs[mine] == row["method"]) & (pairs[other] == best)]
         if len(found):
             pair = found.iloc[0]
-            ends = (pair["low"], pair["high"]) if sign > 0 else (_minus(pair["high"]), _minus(pair["low"]))
+            low, high = pair["low"], pair["high"]
+            if sign < 0:
+                low, high = _minus(high), _minus(low)
             verdict = "lower" if pair["apart"] else "not ranked"
-            return [f"{sign * pair['difference']:+.2f}", _range(ends[0], ends[1], sign=True), verdict]
+            return [
+                confidence.signed(sign * pair["difference"]),
+                confidence.ends(low, high, sign=True),
+                verdict,
+            ]
     return [MISSING, MISSING, "other scenes"]
 
 
 def _minus(value: float | None) -> float | None:
     return None if absent(value) else -float(value)  # type: ignore[arg-type]
-
-
-def _range(low: float | None, high: float | None, sign: bool = False) -> str:
-    if absent(low) or absent(high):
-        return MISSING
-    return f"{low:+.2f} to {high:+.2f}" if sign else f"{low:.2f} to {high:.2f}"
 
 
 def _rate_distortion(results: pd.DataFrame) -> Section | None:
@@ -122,8 +129,9 @@ def _rate_distortion(results: pd.DataFrame) -> Section | None:
     curves = rate_distortion.curves(results)
     differences = rate_distortion.differences(curves)
     words = (
-        "Mean PSNR over size per scene (logarithmic), at all rates that were measured; methods of one size "
-        'are single marks. As data: <a href="curves/">one JSON file per method and dataset</a>.'
+        "Mean PSNR over size per scene (logarithmic), at all rates that were measured; of methods of one "
+        "size the default settings are a single mark. All as data: "
+        '<a href="curves/">one JSON file per method and dataset</a>.'
     )
     parts = [f'<p>{words}</p><div class="charts">{charts(figures.items())}</div>']
     if differences:
@@ -139,12 +147,17 @@ def _rate_distortion(results: pd.DataFrame) -> Section | None:
     return Section("rate-distortion", "Rate and distortion", "".join(parts))
 
 
+def _many(table: pd.DataFrame) -> bool:
+    """Whether some panel of a dataset's variants has more than are named."""
+    return any(len(series(rows)) > MOST_NAMED for _, rows in comparable(table))
+
+
 def _difference(found: Difference) -> list[str]:
     who = [found.dataset, found.test, found.reference]
     if found.rate is None or found.psnr is None or found.psnr_range is None or found.bytes_range is None:
         return [*who, *[MISSING] * 5, f"refused: {found.refused}"]
     sizes = " to ".join(mib(value) for value in found.bytes_range)
-    numbers = [f"{found.rate:+.1f} %", f"{found.psnr:+.2f}", _range(*found.psnr_range), sizes]
+    numbers = [f"{found.rate:+.1f} %", f"{found.psnr:+.2f}", confidence.ends(*found.psnr_range), sizes]
     return [*who, *numbers, f"{100 * found.overlap:.0f} %", "; ".join(found.warnings)]
 
 
@@ -156,7 +169,7 @@ def _tradeoffs(results: pd.DataFrame) -> Section | None:
     parts = [
         "<p>Large marks: mean over the dataset's scenes; small marks: single scenes. Horizontal axes are "
         "logarithmic. The dashed line is the Pareto front of the means; what lies in the shaded region is "
-        "worse than some method in both.</p>"
+        f"worse than some method in both.{_GRAY + _FRONT if _many(results) else ''}</p>"
     ]
     for dataset in datasets:
         cards = charts((caption, drawn[a][dataset]) for caption, a in _TRADEOFFS if dataset in drawn[a])
@@ -172,8 +185,12 @@ def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
         return None
     words = (
         "What a method has reached after so many seconds of training, mean over scenes. A joint fit of n "
-        "scenes counts for each with its time / n. PSNR is of a few of the views that are measured on; size "
-        "is the method's own estimate."
+        f"scenes counts for each with its time / n. PSNR is of {_HELD_OUT}; size is "
+        f"the method's own estimate."
+    )
+    panels = [training.anytime(curve, results, what) for what in ("psnr", "bytes_estimate")]
+    entries = legend_entries(
+        [[line.name for line in lines] for each in panels for lines in each.values()], names
     )
     cards = []
     for dataset in dict.fromkeys([*quality, *size]):
@@ -181,14 +198,15 @@ def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
     heads = ["Dataset", "Method", *(f"{level:g} dB" for level in training.LEVELS)]
     rows = [
         [dataset, line.title, *(MISSING if t is None else seconds(t) for t in times)]
-        for dataset, lines in training.anytime(curve, results, "psnr").items()
+        for dataset, lines in panels[0].items()
         for line, times in training.time_to_quality(lines)
     ]
+    words += _GRAY if OTHERS_NAME in entries else ""
     times = table("Time to a quality", heads, rows) if rows else ""
     return Section(
         "anytime",
         "Quality over training time",
-        f'<p>{words}</p>{legend(series(curve), names)}<div class="charts">{charts(cards)}</div>'
+        f'<p>{words}</p>{legend(entries)}<div class="charts">{charts(cards)}</div>'
         f"{times}"
         '<p class="note">Seconds of training per scene until the PSNR of these views first reaches the '
         f"level, linear between evaluations; {MISSING}: never.</p>",
@@ -201,11 +219,11 @@ def _convergence(tables: dict[str, pd.DataFrame]) -> Section | None:
     pairs = [plots.convergence(curve, against, order) for against in ("train_seconds", "iteration")]
     if not any(pairs):
         return None
-    told = (
-        "PSNR of a few of the views that are measured on, while training; the clock stands still meanwhile. "
-        "No method trains on these views."
-    )
-    parts = [f"<p>{told}</p>{legend(series(curve), order)}"]
+    told = f"PSNR of {_HELD_OUT} while training; the clock stands still while it is measured."
+    lines = training.convergence(curve, "iteration") | training.convergence(curve, "train_seconds")
+    entries = legend_entries([[line.name for line in each] for each in lines.values()], order)
+    told += _GRAY if OTHERS_NAME in entries else ""
+    parts = [f"<p>{told}</p>{legend(entries)}"]
     for dataset in dict.fromkeys([*pairs[0], *pairs[1]]):
         drawn = charts(("", figures[dataset]) for figures in pairs if dataset in figures)
         parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{drawn}</div>')
@@ -218,8 +236,8 @@ def _losses(curve: pd.DataFrame) -> Section | None:
         return None
     words = (
         "The training loss and its weighted parts (logarithmic), mean over the fits. A dashed line stands at "
-        "the first evaluation with a part that was not there before, such as the rate under quantisation "
-        "noise: the loss may rise there."
+        "the first evaluation that has seen a part, such as the rate under quantisation noise; it may have "
+        "joined at any time since the evaluation before, and the loss may rise with it."
     )
     small = sorted({name for panel, _ in panels for name in panel.small})
     if small:
@@ -234,10 +252,16 @@ def _features(tables: dict[str, pd.DataFrame]) -> Section | None:
     panels = plots.histograms(table, names)
     if not panels:
         return None
-    drawn = list(dict.fromkeys(name for panel, _ in panels for name in panel.shares))
+    entries = legend_entries([panel.shares for panel, _ in panels], names)
     cards = charts((f"{panel.dataset} · {panel.attribute}", figure) for panel, figure in panels)
-    parts = ["<p>Distribution of what the primitives carry, all scenes of a dataset together.</p>"]
-    parts.append(f'{legend(drawn, names)}<div class="charts">{cards}</div>')
+    words = (
+        "Distribution of what the primitives carry, all scenes of a dataset together. Quantised values are "
+        "spread over neighbouring bins as far as their steps reach."
+    )
+    if _many(table):
+        words += f" Of more than {MOST_NAMED} variants each method's default is shown alone."
+    bare = {name: look._replace(marker="") for name, look in entries.items()}
+    parts = [f'<p>{words}</p>{legend(bare)}<div class="charts">{cards}</div>']
     try:
         maps = plots.feature_maps(features.maps(table))
         cards = charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in maps)
@@ -265,5 +289,8 @@ def _ledger(table: pd.DataFrame) -> Section | None:
     figure = plots.ledger(table)
     if figure is None:
         return None
-    words = "Bytes of the files that a model is loaded from, by part, over all scenes of a dataset."
+    words = (
+        "Bytes of the files that a model is loaded from, by what they hold, over all scenes of a dataset. "
+        "Pointed at, a bar names its parts; what is under 1 % of every bar is “other”."
+    )
     return Section("ledger", "Size ledger", f"<p>{words}</p>{chart(figure, '')}")

@@ -6,17 +6,21 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from reports.paper_documents import to_html as table_html
-from reports.paper_tables import Block, PaperTable, paper_tables
+from reports.paper_layouts import layouts
+from reports.paper_values import QUANTITIES, Block, PaperTable, Row
+from reports.statistics import METRICS, Interval, Views
 
 if TYPE_CHECKING:
     import pandas as pd
 
-HOLDS, FAILS, UNKNOWN = "holds", "does not hold", "not measured"
+HOLDS, EXCEEDS, FAILS = "holds", "holds, exceeds", "does not hold"
+UNSURE = "not decided"
+UNKNOWN = "not measured"
+SKIPPED = "not evaluated"
+VERDICTS = (HOLDS, EXCEEDS, FAILS, UNSURE, UNKNOWN, SKIPPED)
 
 
 @dataclass(frozen=True)
@@ -26,20 +30,25 @@ class Verdict:
     Attributes:
         claim: its identifier.
         text: what is claimed.
-        dataset: where it was checked; "" if nowhere.
+        where: dataset and protocol that it was checked on; "" if nowhere.
         same: whether that is the paper's own dataset.
         measured: the quantity that the claim bounds, None if it was not measured.
         bounds: what the paper states of it.
-        verdict: :data:`HOLDS`, :data:`FAILS` or :data:`UNKNOWN`.
+        verdict: one of :data:`VERDICTS`. :data:`EXCEEDS`: by more than the paper states; :data:`UNSURE`: the
+            interval of the paired difference contains the bound.
+        interval: its 95 % interval over views, where it is a difference of quality.
+        why: why it is not evaluated, or what its rows differ in besides what is claimed.
     """
 
     claim: str
     text: str
-    dataset: str
+    where: str
     same: bool
     measured: float | None
     bounds: str
     verdict: str
+    interval: Interval | None = None
+    why: str = ""
 
 
 @cache
@@ -49,41 +58,94 @@ def claims() -> list[dict[str, Any]]:
     return list(tomllib.loads(path.read_text(encoding="utf-8"))["claims"])
 
 
-def check(tables: Sequence[PaperTable]) -> list[Verdict]:
-    """Every claim on every dataset of its table; one verdict without dataset where none was measured."""
+def check(tables: Sequence[PaperTable], views: pd.DataFrame | None = None) -> list[Verdict]:
+    """Every claim on every dataset of its table; one verdict without dataset where none was measured.
+
+    Args:
+        tables: of the paper, as measured.
+        views: the documented table; with it differences of quality have intervals.
+    """
     by_name = {table.name: table for table in tables}
+    seen = Views(views) if views is not None and not views.empty else None
     verdicts: list[Verdict] = []
     for claim in claims():
         table = by_name.get(claim.get("table", ""))
-        found = [_verdict(claim, block) for block in table.blocks if _about(claim, block)] if table else []
-        known = [one for one in found if one.measured is not None]
-        verdicts += known or [Verdict(claim["id"], claim["text"], "", False, None, _bounds(claim), UNKNOWN)]
+        blocks = [block for block in table.blocks if _about(claim, block)] if table else []
+        known = [one for one in (_verdict(claim, block, seen) for block in blocks) if one is not None]
+        if not known:
+            why = claim.get("why", "")
+            verdict = SKIPPED if why else UNKNOWN
+            known = [Verdict(claim["id"], claim["text"], "", False, None, _bounds(claim), verdict, None, why)]
+        verdicts += known
     return verdicts
 
 
 def _about(claim: dict[str, Any], block: Block) -> bool:
     """Claims about one dataset by name are not asked of others, except of what imitates it."""
+    if claim.get("own") and not block.same:
+        return False
     return "datasets" not in claim or block.published in claim["datasets"]
 
 
-def _verdict(claim: dict[str, Any], block: Block) -> Verdict:
-    by_label = {row.label: row for row in block.rows}
-    values = []
-    for label in claim["rows"]:
-        row = by_label.get(label)
-        values.append(row.values[claim["column"]].mean if row is not None else None)
-    known = [value for value in values if value is not None]
-    measured = _measured(claim.get("what", "value"), known) if len(known) == len(values) else None
-    verdict = UNKNOWN
-    if measured is not None:
-        # As exact as the paper prints its own numbers: "2.2 times" is what rounds to it.
-        half = 0.5 * 10.0 ** -_digits(claim)
-        low, high = claim.get("least"), claim.get("most")
-        good = (low is None or measured >= low - (half if low else 0.0)) and (
-            high is None or measured <= high + half
-        )
-        verdict = HOLDS if good else FAILS
-    return Verdict(claim["id"], claim["text"], block.dataset, block.same, measured, _bounds(claim), verdict)
+def _verdict(claim: dict[str, Any], block: Block, views: Views | None) -> Verdict | None:
+    """None if the block lacks what the claim is about."""
+    rows = _rows(claim, block)
+    if rows is None:
+        return None
+    column, what = claim["column"], claim.get("what", "value")
+    values = [float(row.values[column].mean or 0.0) for row in rows]
+    if "of" in claim:
+        whole = rows[0].values[claim["of"]].mean
+        if whole is None:
+            return None
+        values = [values[0] / QUANTITIES[column].scale, whole / QUANTITIES[claim["of"]].scale]
+    measured = _measured(what, values)
+    interval = None
+    if what == "gain" and column in METRICS and views is not None:
+        first, second = (views.sample(row.jobs, column) for row in rows)
+        interval = first.minus(second) if first and second else None
+    verdict = _decide(claim, measured, interval)
+    where = f"{block.dataset}, {block.protocol}" if block.protocol else block.dataset
+    why = _mixed(claim, rows)
+    return Verdict(
+        claim["id"], claim["text"], where, block.same, measured, _bounds(claim), verdict, interval, why
+    )
+
+
+def _mixed(claim: dict[str, Any], rows: list[Row]) -> str:
+    """Whether rows of one method are of several versions of it, which may be what their difference tells."""
+    methods = {line["label"]: line["method"] for line in layouts()["tables"][claim["table"]]["rows"]}
+    sources = {row.sources for row in rows}
+    alike = len({methods.get(row.label) for row in rows}) == 1
+    return "rows of several versions of the method" if alike and len(sources) > 1 else ""
+
+
+def _rows(claim: dict[str, Any], block: Block) -> list[Row] | None:
+    """The rows that a claim compares, of several rivals the best one; None if any is missing."""
+    column = claim["column"]
+    by_label = {row.label: row for row in block.rows if row.values[column].mean is not None}
+    found = []
+    for labels in claim["rows"]:
+        named = [labels] if isinstance(labels, str) else labels
+        rivals = [by_label[name] for name in named if name in by_label]
+        if not rivals:
+            return None
+        better = QUANTITIES[column].better
+        found.append(max(rivals, key=lambda row: better * float(row.values[column].mean or 0.0)))
+    return found
+
+
+def _decide(claim: dict[str, Any], measured: float, interval: Interval | None) -> str:
+    # As exact as the paper prints its own numbers: "2.2 times" is what rounds to it.
+    half = 0.0 if claim.get("exact") else 0.5 * 10.0 ** -_digits(claim)
+    low, high, top = claim.get("least"), claim.get("most"), claim.get("top")
+    floor = None if low is None else low - (half if low else 0.0)
+    good = (floor is None or measured >= floor) and (high is None or measured <= high + half)
+    if floor is not None and interval is not None and interval.contains(floor):
+        return UNSURE
+    if not good:
+        return FAILS
+    return EXCEEDS if top is not None and measured > top + half else HOLDS
 
 
 def _measured(what: str, values: list[float]) -> float:
@@ -97,67 +159,18 @@ def _measured(what: str, values: list[float]) -> float:
 
 def _digits(claim: dict[str, Any]) -> int:
     """Decimals of a claim's bounds as printed."""
-    bounds = [str(claim[key]) for key in ("least", "most") if key in claim]
+    bounds = [str(claim[key]) for key in ("least", "most", "top") if key in claim]
     return max((len(text.partition(".")[2].rstrip("0")) for text in bounds), default=0)
 
 
 def _bounds(claim: dict[str, Any]) -> str:
     if "column" not in claim:
         return ""
-    unit = {"gain": " dB", "value": ""}.get(claim.get("what", "value"), " times")
-    low, high = claim.get("least"), claim.get("most")
-    if low is not None and high is not None:
-        return f"{low:g} to {high:g}{unit}"
-    return f"≥ {low:g}{unit}" if high is None else f"≤ {high:g}{unit}"
-
-
-def section(tables: dict[str, pd.DataFrame]) -> str:
-    """HTML of all the paper's tables and of the claims they decide; "" if there is nothing to compare."""
-    measured = paper_tables(tables["results"], tables["views"], tables["timing"])
-    if not measured:
-        return ""
-    note = (
-        "<p>What was measured here, above what the paper reports (its FPS and times on an RTX 4090, its "
-        "pictures 800 \N{MULTIPLICATION SIGN} 800). Quality and FPS are means over scenes, size, time and "
-        "anchors sums. Second lines on other data than the paper's show its numbers, not a goal.</p>"
-    )
-    return note + "\n".join(table_html(table) for table in measured) + to_html(check(measured))
-
-
-def to_html(verdicts: Sequence[Verdict]) -> str:
-    """A table of those that were measured, and how many were not."""
-    rows = [
-        f'<tr><th scope="row">{escape(one.text)}</th><td>{escape(one.dataset)}'
-        f"{'' if one.same else ' <span class=soft>(other data)</span>'}</td>"
-        f'<td class="r">{one.measured:.3g}</td><td class="r">{escape(one.bounds)}</td>'
-        f'<td><span class="tag {"ok" if one.verdict == HOLDS else "bad"}">{one.verdict}</span></td></tr>'
-        for one in verdicts
-        if one.measured is not None
-    ]
-    missing = sum(one.measured is None for one in verdicts)
-    if not rows:
-        return ""
-    head = "".join(
-        f'<th scope="col">{text}</th>' for text in ("Claim", "Dataset", "Measured", "Claimed", "Verdict")
-    )
-    return (
-        "<h3>The paper's claims</h3>"
-        f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
-        f'<p class="note">{missing} further claims were not measured '
-        "(<code>bench report --check-claims</code> lists them).</p>"
-    )
-
-
-def to_text(verdicts: Sequence[Verdict]) -> str:
-    """For a terminal: a line per verdict, then the counts."""
-    lines = []
-    for one in verdicts:
-        told = ""
-        if one.measured is not None:
-            where = one.dataset if one.same else f"{one.dataset}, other data than the paper's"
-            told = f" [{one.measured:.3g}, claimed {one.bounds}; {where}]"
-        lines.append(f"{one.verdict:<14} {one.claim:<20} {one.text}{told}")
-    counts = ", ".join(
-        f"{sum(one.verdict == verdict for one in verdicts)} {verdict}" for verdict in (HOLDS, FAILS, UNKNOWN)
-    )
-    return "\n".join([*lines, "", counts]) + "\n"
+    unit = {"gain": " dB", "value": "", "share": ""}.get(claim.get("what", "value"), " times")
+    low, high = claim.get("least"), claim.get("most", claim.get("top"))
+    if low is None or high is None or low == high:
+        sign = "≥ " if high is None else "≤ " if low is None else ""
+        text = f"{sign}{high if low is None else low:g}"
+    else:
+        text = f"{low:g} to {high:g}"
+    return text.replace("-", "\N{MINUS SIGN}") + unit

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from reports.statistics import METRICS, Interval, Sample, Views
-from reports.style import label
+from reports.style import MISSING, absent, label
 from reports.tables import summary
 
 if TYPE_CHECKING:
@@ -72,6 +72,24 @@ def comparisons(results: pd.DataFrame, views: pd.DataFrame) -> pd.DataFrame:
     return table.sort_values("metric", key=lambda names: names.map(order), kind="stable").reset_index(
         drop=True
     )
+
+
+def ends(low: float | None, high: float | None, sign: bool = False) -> str:
+    """An interval as "-0.56 to -0.003": as many digits as tell its ends from zero, where it excludes zero."""
+    if absent(low) or absent(high):
+        return MISSING
+    low, high = float(low or 0.0), float(high or 0.0)
+    apart = low > 0 or high < 0
+    enough = (n for n in range(2, 6) if not apart or (round(low, n) and round(high, n)))
+    digits = next(enough, 6)
+    return f"{signed(low, digits, sign)} to {signed(high, digits, sign)}"
+
+
+def signed(value: float, digits: int = 2, sign: bool = True) -> str:
+    """A number with a minus sign that is none of a hyphen's length; never "-0.00"."""
+    rounded = round(value, digits) + 0.0
+    text = f"{rounded:+.{digits}f}" if sign else f"{rounded:.{digits}f}"
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def _measured(results: pd.DataFrame, views: pd.DataFrame) -> list[tuple[Any, dict[str, Sample]]]:

@@ -10,8 +10,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from reports import parts
+from reports.parts import OTHER
+from reports.protocols import comparable
 from reports.rate_distortion import split_rate
-from reports.style import MIB, label, mib, row_key, seconds
+from reports.style import MIB, OTHERS, Look, label, look, mean_key, mib, named, options_of, seconds
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,8 +37,7 @@ AXIS = {
     "peak_device_bytes": AxisSpec("peak device memory [MiB]", MIB, "MiB", -1),
 }
 
-
-MOST_LABELS = 24
+_FEW = 30  # points of a panel
 
 
 @dataclass
@@ -46,7 +48,7 @@ class Line:
         name: series that decides the color.
         title: what it is called.
         x, y: the means, from the smallest model to the largest; ``size`` in bytes.
-        keys: of the table's rows that they are in; ``scene_keys`` of the scenes'.
+        keys: of each mean, the keys of the table's rows that it stands for; ``scene_keys`` of the scenes'.
     """
 
     name: str
@@ -54,18 +56,18 @@ class Line:
     x: list[float] = field(default_factory=list)
     y: list[float] = field(default_factory=list)
     size: list[float] = field(default_factory=list)
-    keys: list[str] = field(default_factory=list)
+    keys: list[list[str]] = field(default_factory=list)
     scene_x: list[float] = field(default_factory=list)
     scene_y: list[float] = field(default_factory=list)
     scenes: list[str] = field(default_factory=list)
-    scene_keys: list[str] = field(default_factory=list)
+    scene_keys: list[list[str]] = field(default_factory=list)
 
 
 @dataclass
 class Panel:
-    """One dataset's chart."""
+    """The chart of a dataset at one preset and split, which its title names where there are several."""
 
-    dataset: str
+    title: str
     lines: list[Line]
     better: int = -1
 
@@ -101,19 +103,39 @@ class Panel:
     def all_y(self) -> list[float]:
         return [y for line in self.lines for y in (*line.y, *line.scene_y)]
 
-    def labels(self) -> list[tuple[float, float, str, str]]:
-        """(x, y, text, series): a line's title at its right end; at a scene if it has no mean of its own.
+    @property
+    def to_avoid(self) -> list[tuple[float, float]]:
+        """What labels keep clear of: the means, and the scenes where they are few."""
+        every = list(zip(self.all_x, self.all_y, strict=True))
+        return every if len(every) <= _FEW else self.means
 
-        None if there are more than :data:`MOST_LABELS`: they would not find room.
-        """
+    def looks(self, names: list[str]) -> list[tuple[Line, Look]]:
+        """The lines with their looks, gray ones first; what is on the Pareto front is never gray."""
+        told = named(line.title for line in self.lines)
+        front = set(self.front)
+        shown = [
+            line.title in told or not front.isdisjoint(zip(line.x, line.y, strict=True))
+            for line in self.lines
+        ]
+        pairs = [
+            (line, look(line.name, names) if own else OTHERS)
+            for line, own in zip(self.lines, shown, strict=True)
+        ]
+        return sorted(pairs, key=lambda pair: pair[1] is not OTHERS)
+
+    def labels(self, names: list[str]) -> list[tuple[float, float, str, str]]:
+        """(x, y, text, color): a line's title at its right end; at a scene if it has no mean of its own."""
         spots: list[tuple[float, float, str, str]] = []
-        if len(self.lines) > MOST_LABELS:
-            return spots
-        for line in self.lines:
+        told = named(line.title for line in self.lines)
+        for line, style in self.looks(names):
+            if style is OTHERS:
+                continue
             xs, ys = (line.x, line.y) if line.x else (line.scene_x, line.scene_y)
             end = max(range(len(xs)), key=xs.__getitem__)
-            text = line.title if line.x else f"{line.title} (incomplete)"
-            spots.append((xs[end], ys[end], text, line.name))
+            # In the color of its method, which is named at another mark.
+            text = line.title if line.title in told else options_of(line.title) or line.title
+            text += "" if line.x else " (incomplete)"
+            spots.append((xs[end], ys[end], text, style.color))
         return spots
 
 
@@ -139,38 +161,33 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
     """
     if results.empty or against not in results:
         return []
-    basic = results[results["kind"] == "basic"]
+    unit = AXIS[against].unit
     panels = []
-    for dataset, rows in basic.groupby("dataset", sort=False):
+    for title, rows in comparable(results[results["kind"] == "basic"]):
         good = rows[
             (rows["status"] == "ok") & rows["psnr"].notna() & rows[against].notna() & (rows[against] > 0)
         ]
         if good.empty:
             continue
-        lines: dict[tuple, Line] = {}
-        for keys, group in good.groupby(
-            ["method", "variant", "rate", "preset", "split"], dropna=False, sort=False
-        ):
-            name = label(keys[0], keys[1])
-            told = [str(keys[i]) for i, axis in ((3, "preset"), (4, "split")) if rows[axis].nunique() > 1]
+        wanted = set(rows["scene"])
+        lines: dict[str, Line] = {}
+        for keys, group in good.groupby(["method", "variant", "rate"], dropna=False, sort=False):
             family = label(keys[0], split_rate(keys[1])[0])
-            line = lines.setdefault((family, *keys[3:]), Line(name, " ".join([family, *told])))
-            unit = AXIS[against].unit
-            same = (rows["preset"] == keys[3]) & (rows["split"] == keys[4])
-            wanted = set(rows.loc[same, "scene"])
-            per_scene = group.groupby("scene", sort=False)[[against, "psnr"]].mean()
-            line.scene_x += [float(v) / unit for v in per_scene[against]]
-            line.scene_y += [float(v) for v in per_scene["psnr"]]
-            line.scenes += [str(scene) for scene in per_scene.index]
-            line.scene_keys += [row_key(dataset, scene, *keys[:3]) for scene in per_scene.index]
-            if wanted == set(per_scene.index):
-                line.x.append(float(per_scene[against].mean()) / unit)
-                line.y.append(float(per_scene["psnr"].mean()))
-                line.keys.append(row_key(dataset, "", *keys[:3]))
+            line = lines.setdefault(family, Line(label(keys[0], keys[1]), family))
+            per_scene = group.groupby("scene", sort=False)
+            means = per_scene[[against, "psnr"]].mean()
+            line.scene_x += [float(v) / unit for v in means[against]]
+            line.scene_y += [float(v) for v in means["psnr"]]
+            line.scenes += [str(scene) for scene in means.index]
+            line.scene_keys += [[str(job) for job in seeds["job"]] for _, seeds in per_scene]
+            if wanted == set(means.index):
+                line.x.append(float(means[against].mean()) / unit)
+                line.y.append(float(means["psnr"].mean()))
+                line.keys.append([mean_key(group.iloc[0])])
                 line.size.append(float(group["size_bytes"].fillna(0).astype(float).mean()))
         for line in lines.values():
             _sort(line)
-        panels.append(Panel(str(dataset), list(lines.values()), AXIS[against].better))
+        panels.append(Panel(title, list(lines.values()), AXIS[against].better))
     return panels
 
 
@@ -187,14 +204,16 @@ class Bar:
 
     Attributes:
         title: of the bar.
-        amounts: part -> bytes or seconds.
+        amounts: part (of bytes: family of parts) -> bytes or seconds.
         told: what the whole is.
+        details: family -> its parts, as the method names them.
     """
 
     dataset: str
     title: str
     amounts: dict[str, float]
     told: str = ""
+    details: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
     def total(self) -> float:
@@ -205,7 +224,7 @@ class Bar:
 
 
 def ledger(table: pd.DataFrame) -> tuple[list[Bar], list[str]]:
-    """Bytes of all scenes and what they share: the bars, and the parts in order of their total size."""
+    """Bytes of all scenes and what they share: the bars, and the families of parts in their order."""
     if table.empty:
         return [], []
     bars = []
@@ -214,12 +233,21 @@ def ledger(table: pd.DataFrame) -> tuple[list[Bar], list[str]]:
         # One fit listed twice (under two runs) is one set of bytes.
         rows = rows.drop_duplicates(["job", "scene", "part"])
         sums = {str(part): float(count) for part, count in rows.groupby("part")["bytes"].sum().items()}
-        bars.append(Bar(str(axes[0]), _title(table, *axes), sums, f"{mib(sum(sums.values()))} MiB"))
-    return _by_dataset(table, bars), _parts(bars)
+        bar = Bar(str(axes[0]), _title(table, *axes), {}, f"{mib(sum(sums.values()))} MiB")
+        for part, count in sums.items():
+            family = parts.family(part)
+            bar.amounts[family] = bar.amounts.get(family, 0.0) + count
+            bar.details.setdefault(family, {})[part] = count
+        bars.append(bar)
+    for family in parts.merged(bar.amounts for bar in bars) - {OTHER}:
+        for bar in bars:
+            if family in bar.amounts:
+                bar.amounts[OTHER] = bar.amounts.get(OTHER, 0.0) + bar.amounts.pop(family)
+                bar.details.setdefault(OTHER, {}).update(bar.details.pop(family))
+    return _by_dataset(table, bars), parts.ordered(family for bar in bars for family in bar.amounts)
 
 
-FRAME, OTHER = "frame", "other"
-_STAGES = ("decode", "shade", "rasterise")
+FRAME = "frame"
 
 
 def timing(table: pd.DataFrame) -> tuple[list[Bar], list[str]]:
@@ -235,28 +263,19 @@ def timing(table: pd.DataFrame) -> tuple[list[Bar], list[str]]:
         rows = rows.drop_duplicates(["job", "part"])
         means = {str(part): float(value) for part, value in rows.groupby("part")["seconds"].mean().items()}
         frame = means.pop(FRAME, 0.0)
-        parts = {part: value for part, value in means.items() if value > 0}
-        if not parts:
+        amounts = {part: value for part, value in means.items() if value > 0}
+        if not amounts:
             continue
-        parts[OTHER] = max(0.0, frame - sum(parts.values()))
-        whole = frame or sum(parts.values())
-        bars.append(Bar(str(axes[0]), _title(table, *axes), parts, seconds(whole)))
-    order = {part: i for i, part in enumerate((*_STAGES, "", OTHER))}
-    return _by_dataset(table, bars), sorted(_parts(bars), key=lambda part: order.get(part, len(_STAGES)))
+        amounts[OTHER] = max(0.0, frame - sum(amounts.values()))
+        whole = frame or sum(amounts.values())
+        bars.append(Bar(str(axes[0]), _title(table, *axes), amounts, seconds(whole)))
+    return _by_dataset(table, bars), parts.ordered(part for bar in bars for part in bar.amounts)
 
 
 def _by_dataset(table: pd.DataFrame, bars: list[Bar]) -> list[Bar]:
     """The bars of a dataset stand together."""
     order = {str(dataset): i for i, dataset in enumerate(table["dataset"].unique())}
     return sorted(bars, key=lambda bar: order[bar.dataset])
-
-
-def _parts(bars: list[Bar]) -> list[str]:
-    totals: dict[str, float] = {}
-    for bar in bars:
-        for part, amount in bar.amounts.items():
-            totals[part] = totals.get(part, 0.0) + amount
-    return sorted(totals, key=lambda part: -totals[part])
 
 
 def _title(table: pd.DataFrame, *axes: Any) -> str:

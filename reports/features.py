@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.style import label
+from reports.protocols import comparable
+from reports.style import label, named
 
 if TYPE_CHECKING:
     import pandas as pd
 
 BINS = 60
+_MOST_PEAKS = 3
+"""Of a histogram; more are taken for the steps of quantised values."""
+_PEAK = 0.05  # share of the highest bin that a peak stands out by
 _TAIL = 0.002
 """Share of the samples at each end that a histogram's axis leaves out."""
 MOST_ANCHORS = 4000
@@ -31,6 +35,7 @@ class Histogram:
     """Samples of one attribute on one dataset.
 
     Attributes:
+        dataset: with its preset where there are several.
         edges: of the bins, ascending.
         shares: series -> percent of its samples in each bin.
     """
@@ -44,33 +49,50 @@ class Histogram:
 def histograms(features: pd.DataFrame) -> list[Histogram]:
     """Of all attributes; scenes, seeds and the components of a vector are pooled.
 
+    With many variants only the defaults are shown (:func:`reports.style.named`).
+
     Args:
         features: the documented table.
     """
-    pools: dict[tuple[str, str], dict[str, list[NDArray[np.float64]]]] = {}
-    for row in features.itertuples(index=False):
-        values = np.asarray(row.values, dtype=np.float64)
-        name = label(row.method, row.variant)
-        pools.setdefault((str(row.dataset), str(row.name)), {}).setdefault(name, []).append(
-            values[np.isfinite(values)]
-        )
     made = []
-    for (dataset, attribute), by_name in pools.items():
-        joined = {name: np.concatenate(arrays) for name, arrays in by_name.items()}
-        joined = {name: values for name, values in joined.items() if len(values)}
-        if not joined:
-            continue
-        ends = [np.quantile(values, [_TAIL, 1 - _TAIL]) for values in joined.values()]
-        low, high = float(min(e[0] for e in ends)), float(max(e[1] for e in ends))
-        if low == high:
-            low, high = low - 0.5, high + 0.5
-        edges = np.linspace(low, high, BINS + 1)
-        shares = {
-            name: [float(v) for v in 100.0 * np.histogram(values, edges)[0] / len(values)]
-            for name, values in joined.items()
-        }
-        made.append(Histogram(dataset, attribute, [float(e) for e in edges], shares))
+    for dataset, every in comparable(features):
+        told = named(label(*pair) for pair in zip(every["method"], every["variant"], strict=True))
+        for attribute, rows in every.groupby("name", sort=False):
+            pools: dict[str, list[NDArray[np.float64]]] = {}
+            for row in rows.itertuples(index=False):
+                values = np.asarray(row.values, dtype=np.float64)
+                name = label(row.method, row.variant)
+                if name in told:
+                    pools.setdefault(name, []).append(values[np.isfinite(values)])
+            joined = {name: np.concatenate(arrays) for name, arrays in pools.items()}
+            joined = {name: values for name, values in joined.items() if len(values)}
+            if joined:
+                edges = _edges(list(joined.values()))
+                shares = {name: _shares(values, edges).tolist() for name, values in joined.items()}
+                made.append(Histogram(dataset, str(attribute), edges.tolist(), shares))
     return made
+
+
+def _edges(samples: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Of the bins, over the range of all samples."""
+    ends = [np.quantile(values, [_TAIL, 1 - _TAIL]) for values in samples]
+    low, high = float(min(e[0] for e in ends)), float(max(e[1] for e in ends))
+    if low == high:
+        low, high = low - 0.5, high + 0.5
+    return np.linspace(low, high, BINS + 1)
+
+
+def _shares(values: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Percent of the samples in each bin; quantised values are spread until they are no comb."""
+    from scipy.signal import find_peaks
+
+    counted = 100.0 * np.histogram(values, edges)[0] / len(values)
+    for reach in range(1, BINS // 4):
+        weights = 1.0 - np.abs(np.arange(1 - reach, reach)) / reach
+        spread = np.convolve(np.pad(counted, reach), weights / weights.sum(), "same")
+        if len(find_peaks(spread, prominence=_PEAK * spread.max())[0]) <= _MOST_PEAKS:
+            break
+    return spread[reach:-reach]
 
 
 @dataclass(frozen=True)
@@ -117,12 +139,17 @@ def maps(features: pd.DataFrame) -> list[Map]:
 
 
 def _vectors(features: pd.DataFrame) -> dict[tuple[str, str], dict[str, NDArray[np.float64]]]:
-    """(dataset, method) -> scene -> (n, components); of seeds the first."""
+    """(dataset, method) -> scene -> (n, components); of seeds the first, of many variants the defaults."""
     found: dict[tuple[str, str], dict[str, NDArray[np.float64]]] = {}
     if features.empty or "width" not in features:
         return found
-    for row in features[(features["name"] == VECTOR) & (features["width"] > 2)].itertuples(index=False):
-        vectors = np.asarray(row.values, dtype=np.float64).reshape(-1, int(row.width))  # type: ignore[arg-type]
-        scenes = found.setdefault((str(row.dataset), label(row.method, row.variant)), {})
-        scenes.setdefault(str(row.scene), vectors)
+    for dataset, every in comparable(features):
+        rows = every[(every["name"] == VECTOR) & (every["width"] > 2)]
+        told = named(label(*pair) for pair in zip(rows["method"], rows["variant"], strict=True))
+        for row in rows.itertuples(index=False):
+            name = label(row.method, row.variant)
+            if name not in told:
+                continue
+            vectors = np.asarray(row.values, dtype=np.float64).reshape(-1, int(row.width))  # type: ignore[arg-type]
+            found.setdefault((dataset, name), {}).setdefault(str(row.scene), vectors)
     return found

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from reports import charts, confidence, datasets, paper_documents, paper_tables, rate_distortion
 from reports.protocols import by_training_views
-from reports.tables import to_csv, to_latex, to_markdown
+from reports.tables import left_out, to_csv, to_latex, to_markdown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,13 +34,14 @@ def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         shown = by_training_views(tables)
         charts.write(shown, folder / "charts")
-        for table in paper_tables.paper_tables(results, tables["views"], tables["timing"]):
+        for table in paper_tables.of_tables(tables):
             write_text(folder / "paper" / f"{table.name}.md", paper_documents.to_markdown(table))
             write_text(folder / "paper" / f"{table.name}.tex", paper_documents.to_latex(table))
         write_text(folder / "results.csv", to_csv(results))
         _replace(folder / "results.parquet", results.to_parquet(None, index=False))
-        write_text(folder / "results.md", to_markdown(shown["results"], shown["views"]))
-        write_text(folder / "results.tex", to_latex(shown["results"], shown["views"]))
+        remark = left_out(tables.get("superseded"))
+        write_text(folder / "results.md", to_markdown(shown["results"], shown["views"], remark))
+        write_text(folder / "results.tex", to_latex(shown["results"], shown["views"], remark))
         _write_statistics(shown, folder)
         _write_rates(shown["results"], folder)
     if not dvr.empty:

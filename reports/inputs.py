@@ -26,6 +26,7 @@ _WHOLE = (
 _NUMBERS = (
     "rate", "psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv", "train_seconds", "group_seconds",
     "load_seconds", "fps", "fps_p05", "fps_p95", "encode_seconds", "reference_seconds", "partition_seconds",
+    "cpu_seconds",
 )  # fmt: skip
 _OTHERS = {
     "views": "job dataset scene method variant rate preset split seed view psnr psnr_fg ssim lpips_vgg flip "
@@ -34,7 +35,7 @@ _OTHERS = {
     "bytes_estimate loss_parts requested_views",
     "ledger": "job dataset scene method variant rate preset seed part bytes requested_views",
     "timing": "job dataset scene method variant rate preset seed part seconds requested_views",
-    "features": "job dataset scene method variant name values width requested_views",
+    "features": "job dataset scene method variant preset name values width requested_views",
     "scenes": "job dataset scene preset split requested_views transfer",
     "dvr": "job dataset scene kind preset status reason nx ny nz variables dtype volume_bytes ms_per_view "
     "ms_p05 ms_p95 fps load_seconds setup_seconds peak_host_bytes peak_device_bytes width height renderer "

@@ -8,17 +8,18 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import claims, datasets, editing, provenance, results_table, scenes
+from reports import claims_documents, datasets, editing, provenance, results_table, scenes
 from reports.chart_parts import Section
 from reports.chart_sections import chart_sections
 from reports.files import write_files, write_text
 from reports.protocols import by_training_views
-from reports.style import MISSING, absent, label
+from reports.style import absent, label
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _WEB = Path(__file__).parent / "web"
+_LONG = 50  # characters of a fact that needs a wide box
 
 
 def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path:
@@ -38,21 +39,25 @@ def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path
     write_files(tables, out.parent)
     sections = []
     if not results.empty:
-        paper = claims.section(tables)
+        paper = claims_documents.section(tables)
         tables = by_training_views(tables)
         results = tables["results"]
         pictures = scenes.section(tables, root, out.parent / "charts")
         edits = editing.section(tables, root, out.parent / "charts")
         sections = [
-            Section("results", "Results", results_table.section(results, tables["views"])),
+            Section(
+                "results",
+                "Results",
+                results_table.section(results, tables["views"], tables.get("superseded")),
+            ),
             *([Section("paper", "The paper's tables", paper)] if paper else []),
-            Section("scenes", "Scenes", pictures),
+            *([Section("scenes", "Scenes", pictures)] if pictures else []),
             *([Section("editing", "Editing", edits)] if edits else []),
             *chart_sections(tables),
         ]
     if not dvr.empty:
         sections.append(Section("datasets", "Rendering the volumes", datasets.section(dvr)))
-    if not results.empty:
+    if not results[["machine", "commit"]].dropna(how="all").empty:
         sections.append(Section("provenance", "Provenance", provenance.section(results)))
     name = _name(dvr if results.empty else results)
     write_text(out, _document(name, _head(name, tables, sections), sections))
@@ -118,6 +123,10 @@ def _listed(results: pd.DataFrame, column: str) -> str:
     return ", ".join(str(value) for value in results[column].dropna().unique() if str(value))
 
 
+def _joined(*texts: str) -> str:
+    return ", ".join(text for text in texts if text)
+
+
 def _methods(results: pd.DataFrame) -> str:
     """The methods; in how many variants where several were measured: all names would fill the page."""
     variants = results.fillna({"variant": ""}).groupby("method", sort=False)["variant"].unique()
@@ -146,13 +155,17 @@ def _head(name: str, tables: dict[str, pd.DataFrame], sections: list[Section]) -
         ("Methods", _methods(results)),
         ("Datasets", _listed(results, "dataset")),
         ("Scenes", _scene_count(results)),
-        ("Preset, split", f"{_listed(results, 'preset')}, {_listed(results, 'split')}"),
-        ("Image size", ", ".join(sorted(sizes)) or MISSING),
-        ("Training views", _listed(results, "train_views") or MISSING),
+        ("Preset, split", _joined(_listed(results, "preset"), _listed(results, "split"))),
+        ("Image size", ", ".join(sorted(sizes))),
+        ("Training views", _listed(results, "train_views")),
         ("Seeds", _listed(results, "seed")),
-        ("Machine", f"{_listed(results, 'machine')} ({_listed(results, 'device')})"),
+        ("Machine, device", _joined(_listed(results, "machine"), _listed(results, "device"))),
     ]
-    cards = "".join(f'<div class="fact"><dt>{escape(k)}</dt><dd>{escape(v)}</dd></div>' for k, v in facts)
+    cards = "".join(
+        f'<div class="fact{" long" if len(v) > _LONG else ""}"><dt>{escape(k)}</dt><dd>{escape(v)}</dd></div>'
+        for k, v in facts
+        if v
+    )
     tags = " ".join(
         f'<span class="tag {"ok" if status == "ok" else "bad"}">{count} {escape(str(status))}</span>'
         for status, count in results["status"].value_counts().items()

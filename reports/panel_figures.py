@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,6 +76,7 @@ def _row(axes: Axes, panel: Panel, top: float) -> None:
     aspect = _aspect(panel)
     below = top + _TEXT + _CELL * aspect + _GAP
     words = f"{panel.title[:1].lower()}{panel.title[1:]}, {panel.view}"
+    words = textwrap.fill(words, _LETTERS)
     shown: list[tuple[str, Any, Any, str]] = [("Ground truth", panel.truth, None, words)]
     for shot in panel.shots:
         name = label(shot.row["method"], shot.row["variant"], shot.row["rate"])

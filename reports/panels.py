@@ -34,6 +34,7 @@ RULE = (
     "below the picture, beside the difference. Of several seeds the first is shown, of several rates the "
     "middle one."
 )
+ABSENT = "no picture in this store"
 _ZOOM = 4  # a zoom window is this part of the picture's shorter side
 _LEAST = 12  # pixels, of a zoom window
 
@@ -79,6 +80,11 @@ class Panel:
     window: tuple[int, int, int] | None
     caption: str = ""
     transfer: NDArray[np.uint8] | None = None
+
+    @property
+    def tells(self) -> bool:
+        """Whether it has pictures, or a reason for their lack that is none of the whole store."""
+        return self.window is not None or any(shot.problem not in ("", ABSENT) for shot in self.shots)
 
     @property
     def title(self) -> str:
@@ -174,7 +180,7 @@ def _panel(which: str, view: str, shown: pd.DataFrame, rows: pd.DataFrame, root:
             if not truth.shape == seen.shape == picture.shape:
                 raise ValueError(f"sizes differ: {truth.shape[:2]} and {picture.shape[:2]}")
         except (OSError, ValueError, SyntaxError) as error:
-            shots.append(Shot(model, psnr, ssim, delta_e, problem=f"no picture: {error}"))
+            shots.append(Shot(model, psnr, ssim, delta_e, problem=_why(error)))
             continue
         difference = delta_e_uv(truth / 255.0, picture / 255.0)
         differences.append(difference)
@@ -185,3 +191,12 @@ def _panel(which: str, view: str, shown: pd.DataFrame, rows: pd.DataFrame, root:
         side = min(shorter, max(_LEAST, shorter // _ZOOM))
         window = (*largest_window(np.mean(differences, axis=0), side), side)
     return Panel(which, view, truth, shots, window)
+
+
+def _why(error: Exception) -> str:
+    """Why there is no picture, without paths of this machine."""
+    if isinstance(error, FileNotFoundError):
+        return ABSENT
+    if isinstance(error, OSError):
+        return f"no picture: {error.strerror or 'the file is none'}"
+    return f"no picture: {error}"

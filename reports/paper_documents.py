@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from html import escape
 from typing import Any
 
-from reports.paper_tables import QUANTITIES, Block, PaperTable, Quantity, Value
+from reports.paper_values import NOT_MEASURED, QUANTITIES, Block, PaperTable, Quantity, Value
 from reports.style import MISSING
-from reports.tables import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, tex
+from reports.tables import UNDECIDED, UNDECIDED_SIGN, tex, tex_notes
 
 
 def measured_text(value: Value, quantity: Quantity) -> str:
@@ -50,7 +50,7 @@ def to_markdown(table: PaperTable) -> str:
         lines.append("|---|" + "---:|" * len(table.columns))
         for label, cells in _cells(table, block, {1: "**{}**", 2: "*{}*", UNDECIDED: near}, "<br>{}", str):
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
-        lines += _remarks(block)
+        lines += [line for text in _remarks(block) for line in ("", text)]
     return "\n".join(lines) + "\n"
 
 
@@ -64,7 +64,7 @@ def to_html(table: PaperTable) -> str:
             f'<tr><th scope="row">{label}</th>' + "".join(f'<td class="r">{c}</td>' for c in cells) + "</tr>"
             for label, cells in _cells(table, block, marks, '<br><span class="soft">{}</span>', escape)
         )
-        remarks = "".join(f'<p class="note">{escape(text)}</p>' for text in _remarks(block) if text)
+        remarks = "".join(f'<p class="note">{escape(text)}</p>' for text in _remarks(block))
         parts.append(
             f'<div class="wide"><table><caption>{escape(_heading(block))}</caption>'
             f'<thead><tr><th scope="col">{escape(table.head)}</th>{head}'
@@ -74,16 +74,16 @@ def to_html(table: PaperTable) -> str:
 
 
 def to_latex(table: PaperTable) -> str:
-    """One booktabs tabular with a rule between blocks; best bold, second best underlined."""
+    """One booktabs tabular with a rule between blocks; best bold, second best underlined; notes below it."""
     lines = ["% needs \\usepackage{booktabs}", f"\\begin{{tabular}}{{l{'r' * len(table.columns)}}}"]
     lines += [
         "\\toprule",
         tex(table.head) + "".join(f" & {tex(QUANTITIES[n].title)}" for n in table.columns) + r" \\",
     ]
+    marks = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", UNDECIDED: r"{}\rlap{{$^{{\approx}}$}}"}
     for block in table.blocks:
         lines.append(r"\midrule")
         lines.append(rf"\multicolumn{{{len(table.columns) + 1}}}{{l}}{{\emph{{{tex(_heading(block))}}}}} \\")
-        marks = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", UNDECIDED: r"{}\rlap{{$^{{\approx}}$}}"}
         for i, row in enumerate(block.rows):
             cells = [
                 marks.get(block.marks.get((i, name), 0), "{}").format(
@@ -98,8 +98,17 @@ def to_latex(table: PaperTable) -> str:
             if any(second):
                 small = "".join(f" & \\footnotesize {tex(text)}" if text else " &" for text in second)
                 lines.append(r"\quad \footnotesize published" + small + r" \\")
-        lines += [f"% {text}" for text in _remarks(block) if text]
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
+    told: dict[str, list[str]] = {}
+    for block in table.blocks:
+        for text in _remarks(block):
+            told.setdefault(text, []).append(f"{block.dataset} ({block.protocol})")
+    several = len(table.blocks) > 1
+    # What holds for all blocks is said once.
+    notes = [
+        f"{', '.join(where)}: {text}" if several and len(where) < len(table.blocks) else text
+        for text, where in told.items()
+    ]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", *tex_notes(notes)]) + "\n"
 
 
 def to_text(table: PaperTable) -> str:
@@ -121,7 +130,7 @@ def to_text(table: PaperTable) -> str:
             cells = [line[0].ljust(widths[0])]
             cells += [text.rjust(width) for text, width in zip(line[1:], widths[1:], strict=True)]
             lines.append("  ".join(cells).rstrip())
-        lines += _remarks(block)
+        lines += ["", *_remarks(block)]
     return "\n".join(lines) + "\n"
 
 
@@ -142,8 +151,8 @@ def _cells(
 
 
 def _remarks(block: Block) -> list[str]:
-    """Why rows lack values, the usual reason apart."""
-    told = [f"{row.label}: {row.note}" for row in block.rows if row.note and row.note != "not measured"]
-    if UNDECIDED in block.marks.values():
-        told.append(UNDECIDED_NOTE)
-    return ["", *told] if told else []
+    """Why values are missing and what marks mean."""
+    told = [f"{row.label}: {row.note}" for row in block.rows if row.note and row.note != NOT_MEASURED]
+    if any(row.note == NOT_MEASURED for row in block.rows):
+        told.append(f"Rows of {MISSING} alone: not measured here.")
+    return [*told, *block.remarks]

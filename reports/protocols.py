@@ -2,12 +2,36 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import pandas as pd
 
 ORIGIN = "whole_dataset"
+_CONDITIONS = ("preset", "split")
+
+
+def comparable(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Title and rows of each dataset at one preset and split: what one chart may compare.
+
+    Preset and split are in the title where the table has several.
+    """
+    axes = ["dataset", *(axis for axis in _CONDITIONS if axis in table)]
+    shown = [axis == "dataset" or table[axis].nunique() > 1 for axis in axes]
+    for keys, rows in table.groupby(axes, dropna=False, sort=False):
+        yield " \N{MIDDLE DOT} ".join(str(key) for key, told in zip(keys, shown, strict=True) if told), rows
+
+
+def together(dataset: str, count: int) -> str:
+    """What a dataset is called of which so many scenes were learned together, and elsewhere more."""
+    return f"{dataset}, {count} scenes together"
+
+
+def whole(dataset: str) -> str:
+    """The dataset itself of a name that :func:`together` made."""
+    return re.sub(r", \d+ scenes together$", "", dataset)
 
 
 def by_training_views(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:

@@ -39,6 +39,7 @@ DETAILS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "width": ("Image width", str),
     "height": ("Image height", str),
     "group_seconds": ("Fit of the group", lambda value: seconds(float(value))),
+    "cpu_seconds": ("Processor time of the fit, its share", lambda value: seconds(float(value))),
     "encode_seconds": ("Encoding", lambda value: seconds(float(value))),
     "group_bytes": ("Files of the group", _mib),
     "standalone_bytes": ("Files for this scene alone", _mib),

@@ -6,7 +6,8 @@ import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from reports.style import MIB, absent, label, row_key
+from reports.protocols import comparable
+from reports.style import MIB, OTHERS, Look, absent, label, look, mean_key, method_of, named
 from reports.tables import summary
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class Point:
     @property
     def key(self) -> str:
         """Of the table's row."""
-        return row_key(self.row["dataset"], "", self.row["method"], self.row["variant"], self.row["rate"])
+        return mean_key(self.row)
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class Curve:
     """A method (with options that are no rate knob) on a dataset; points from the smallest to the largest.
 
     Attributes:
+        dataset: with preset and split where there are several.
         name: of its first row as a series, which decides its color.
         title: what it is called.
     """
@@ -82,7 +84,8 @@ class Curve:
                 columns[name] = [None if absent(value) else float(value) for value in values]  # type: ignore[arg-type]
         first = self.points[0].row
         scenes, seeds = first["scenes"].split()[0], first["seeds"]
-        told = f"{self.dataset}, preset {first['preset']}, {first['split']} views: means over {scenes} scenes"
+        told = f"{first['dataset']}, preset {first['preset']}, {first['split']} views: "
+        told += f"means over {scenes} scenes"
         told += "" if seeds == 1 else f" and {seeds} seeds"
         return {"name": self.title, "description": told, "results": columns}
 
@@ -109,31 +112,29 @@ def split_rate(variant: Any) -> tuple[str, str]:
 
 
 def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
-    """Dataset -> its curves; a method of one size is a curve of one point.
+    """Dataset (with preset and split where there are several) -> its curves.
 
     The points are the rates that one fit was saved at (column ``rate``), or fits that differ only in a rate
-    knob (:data:`RATE_OPTIONS` in ``variant``). Sets that lack a scene are left out, seeds are averaged.
+    knob (:data:`RATE_OPTIONS` in ``variant``); a method of one size is a curve of one point. Sets that lack a
+    scene are left out, seeds are averaged.
     """
     if results.empty:
         return {}
-    means = summary(results)
-    means = means[means["complete"] & means["psnr"].notna() & (means["size_bytes"] > 0)]
-    several = {axis: means[axis].nunique() > 1 for axis in ("preset", "split")}
-    gathered: dict[tuple[str, ...], list[tuple[str, Point]]] = {}
-    for _, row in means.iterrows():
-        rest, knob = split_rate(row["variant"])
-        scenes = int(row["scenes"].split()[0])
-        rate = knob if absent(row["rate"]) else f"{row['rate']:g}"
-        point = Point(rate, float(row["size_bytes"]) / scenes, float(row["psnr"]), dict(row))
-        key = (str(row["dataset"]), str(row["method"]), rest, str(row["preset"]), str(row["split"]))
-        gathered.setdefault(key, []).append((label(row["method"], row["variant"]), point))
     made: dict[str, list[Curve]] = {}
-    for (dataset, method, rest, preset, split), found in gathered.items():
-        words = [label(method, rest)]
-        words += [preset] if several["preset"] else []
-        words += [split] if several["split"] else []
-        points = _distinct([point for _, point in found])
-        made.setdefault(dataset, []).append(Curve(dataset, method, found[0][0], " ".join(words), points))
+    for dataset, rows in comparable(summary(results)):
+        gathered: dict[tuple[str, str], list[tuple[str, Point]]] = {}
+        for _, row in rows[rows["complete"] & rows["psnr"].notna() & (rows["size_bytes"] > 0)].iterrows():
+            rest, knob = split_rate(row["variant"])
+            scenes = int(row["scenes"].split()[0])
+            rate = knob if absent(row["rate"]) else f"{row['rate']:g}"
+            point = Point(rate, float(row["size_bytes"]) / scenes, float(row["psnr"]), dict(row))
+            key = (str(row["method"]), rest)
+            gathered.setdefault(key, []).append((label(row["method"], row["variant"]), point))
+        for (method, rest), found in gathered.items():
+            points = _distinct([point for _, point in found])
+            made.setdefault(dataset, []).append(
+                Curve(dataset, method, found[0][0], label(method, rest), points)
+            )
     return made
 
 
@@ -236,18 +237,44 @@ def _points(count: int) -> str:
 
 
 def drawn(curves: dict[str, list[Curve]]) -> dict[str, list[Curve]]:
-    """The datasets on which some method was measured at several rates: what a chart is for."""
-    return {dataset: rows for dataset, rows in curves.items() if any(len(curve.points) > 1 for curve in rows)}
+    """What a chart shows of the datasets on which some method was measured at several rates.
+
+    Those methods, and of the others the default settings (the first where there are none): single sizes of
+    all variants are what the trade-off charts are for.
+    """
+    made = {}
+    for dataset, rows in curves.items():
+        titles = {curve.title for curve in rows if len(curve.points) > 1}
+        if not titles:
+            continue
+        seen = {method_of(title) for title in titles}
+        for curve in sorted(rows, key=lambda curve: curve.title != method_of(curve.title)):
+            method = method_of(curve.title)
+            if curve.title == method or method not in seen:
+                titles.add(curve.title)
+                seen.add(method)
+        made[dataset] = [curve for curve in rows if curve.title in titles]
+    return made
 
 
-def labels(curves: list[Curve]) -> tuple[list[tuple[float, float, str, str]], list[tuple[float, float]]]:
-    """(x in MiB, y, text, series) at each curve's right end, and points along the curves to keep clear of."""
+def looks(curves: list[Curve], names: list[str]) -> list[tuple[Curve, Look]]:
+    """The curves of a panel with their looks, gray ones first."""
+    told = named(curve.title for curve in curves)
+    pairs = [(curve, look(curve.name, names) if curve.title in told else OTHERS) for curve in curves]
+    return sorted(pairs, key=lambda pair: pair[1] is not OTHERS)
+
+
+def labels(
+    curves: list[Curve], names: list[str]
+) -> tuple[list[tuple[float, float, str, str]], list[tuple[float, float]]]:
+    """(x in MiB, y, text, color) at each named curve's right end, and points along all to keep clear of."""
     import numpy as np
 
     ends, along = [], []
-    for curve in curves:
+    for curve, style in looks(curves, names):
         x, y = np.array(curve.mebibytes), np.array([point.psnr for point in curve.points])
-        ends.append((float(x[-1]), float(y[-1]), curve.title, curve.name))
+        if style is not OTHERS:
+            ends.append((float(x[-1]), float(y[-1]), curve.title, style.color))
         at = np.geomspace(x[0], x[-1], 40) if len(x) > 1 else x
         along += list(zip(map(float, at), map(float, np.interp(np.log(at), np.log(x), y)), strict=True))
     return ends, along

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from reports import markup
 from reports.provenance import DETAILS, details
-from reports.style import MISSING, absent, label, row_key, series
+from reports.style import MISSING, absent, label, mean_key, series
 from reports.tables import (
     COLUMNS,
     UNDECIDED,
     UNDECIDED_NOTE,
     UNDECIDED_SIGN,
     cell,
+    left_out,
     quality,
     ranks,
     summary,
@@ -25,19 +26,21 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def section(results: pd.DataFrame, views: pd.DataFrame) -> str:
+def section(results: pd.DataFrame, views: pd.DataFrame, superseded: pd.DataFrame | None = None) -> str:
     """The table with its controls, what the columns mean, and what did not finish.
 
     Args:
         results: the documented table.
         views: the documented table; with it, differences are marked that are none by chance.
+        superseded: the documented table; how many rows it has is told.
     """
-    numbers = [
+    wanted = [
         *quality(results), "size_bytes", "primitives", "train_seconds", "load_seconds", "fps",
-        "peak_host_bytes",
+        "peak_host_bytes", "peak_device_bytes",
     ]  # fmt: skip
-    if results["peak_device_bytes"].notna().any():
-        numbers.append("peak_device_bytes")
+    explained = {name for _, row in results.iterrows() for name in _reasons(row)}
+    always = {"psnr", "size_bytes", *explained}
+    numbers = [name for name in wanted if name in always or results[name].notna().any()]
     axes = [a for a in ("kind", "preset", "split", "seed", "device") if results[a].nunique(dropna=False) > 1]
     means = summary(results)
     writer = _Rows(results, numbers, axes, ranks(results, views), ranks(means, views))
@@ -72,7 +75,7 @@ def section(results: pd.DataFrame, views: pd.DataFrame) -> str:
         "A row opens to show where its numbers come from.</caption>"
         f"<thead><tr>{heads}</tr></thead>{''.join(bodies)}</table></div>"
         f'<script type="application/json" id="details">{data}</script>'
-        f"{_notes(results, numbers, writer)}{_failures(results)}"
+        f"{_notes(results, numbers, writer, left_out(superseded))}{_failures(results)}"
     )
 
 
@@ -117,8 +120,7 @@ class _Rows:
     def _line(self, row: Any, kind: str, name: str, status: str, state: str, cells: str) -> str:
         self.details.append(details(row))
         dataset = escape(str(row["dataset"]))
-        scene = "" if kind == "mean" else str(row["scene"])
-        key = row_key(row["dataset"], scene, row["method"], row["variant"], row["rate"])
+        key = mean_key(row) if kind == "mean" else str(row["job"])
         shown = "".join(f"<td>{escape(cell(axis, row.get(axis)))}</td>" for axis in self.axes)
         return (
             f'<tr class="row {kind}" data-dataset="{dataset}" data-status="{escape(status)}" '
@@ -178,7 +180,7 @@ def _controls(results: pd.DataFrame) -> str:
     )
 
 
-def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows) -> str:
+def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows, superseded: str) -> str:
     note = (
         "Quality and FPS of the rows “all” are means over scenes, size and time are sums, memory is the "
         "maximum. Sizes are MiB (2<sup>20</sup> bytes). "
@@ -194,8 +196,10 @@ def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows) -> str:
         note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
     if writer.undecided:
         note += f"{UNDECIDED_NOTE} "
-    if numbers[0] == "ssim":
+    if numbers[0] == "ssim" and "lpips_vgg" in numbers:
         note += "LPIPS could not be computed (the reason stands in its cells), so SSIM and FLIP lead. "
+    if superseded:
+        note += f"<b>{escape(superseded)}</b> "
     note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '
     note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
     meanings = "".join(

@@ -25,7 +25,9 @@ TRUTH = "Ground truth"
 
 
 def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) -> str:
-    """Panels of all scenes. Where room is short, all median views come before the worst ones.
+    """Panels of all scenes that have pictures; "" where none was to have any.
+
+    Where room is short, all median views come before the worst ones.
 
     Args:
         tables: results and views as documented.
@@ -37,6 +39,7 @@ def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) ->
     results = results[results["kind"] != "edited"]
     keys = ["dataset", "scene", "preset", "split"]
     blocks: list[tuple[str, dict[str, str]]] = []
+    absent = 0
     for _, rows in results.groupby(keys, dropna=False, sort=False):
         shown = models(rows)
         first = shown.iloc[0]
@@ -46,16 +49,18 @@ def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) ->
         if first["kind"] == "composed":
             head += ' <span class="soft">composed</span>'
         made = beside(panels(shown, tables["views"], root), tables.get("scenes"), first)
+        absent += bool(made) and not any(panel.tells for panel in made)
+        made = [panel for panel in made if panel.tells]
+        if not made:
+            continue
         files = ""
         if charts is not None and any(panel.window for panel in made):
             short = panel_figures.write(made, name, charts)
             files = f' <span class="soft">(<a href="charts/{short}.pdf">PDF</a>)</span>'
         figures = {panel.which: figure(panel, name, names) for panel in made}
-        if not figures:
-            figures = {"median": _nothing(shown, names)}
         blocks.append((f'<section class="scene"><h3>{head}{files}</h3><div class="panels">', figures))
     kept, left_out = _within(PICTURE_BYTES, [figures for _, figures in blocks])
-    parts = [_legend()]
+    parts = [_legend()] if blocks else []
     for (head, _), fitting in zip(blocks, kept, strict=True):
         parts.append(f"{head}{''.join(fitting)}</div></section>")
     if left_out:
@@ -63,6 +68,10 @@ def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) ->
             f'<p class="note">{left_out} panels were left out to keep this page small; '
             "the PDF of their scene has them.</p>"
         )
+    if absent:
+        counted = "1 scene" if absent == 1 else f"{absent} scenes"
+        which = f"The pictures of {counted}" if blocks else "The scenes' pictures"
+        parts.append(f'<p class="note">{which} are not in this store: bundles carry numbers alone.</p>')
     return "\n".join(parts)
 
 
@@ -149,15 +158,6 @@ def _image(pixels: NDArray[np.uint8], alt: str, called: str = "") -> str:
     named = f' data-as="{escape(called)}"' if called else ""
     size = f'width="{width}" height="{height}"'
     return f'<img src="{uri(pixels)}" alt="{escape(alt)}" {size}{named} decoding="async">'
-
-
-def _nothing(shown: pd.DataFrame, names: list[str]) -> str:
-    """For a scene of which there are no views."""
-    lines = "".join(
-        f"<p>{markup.method(row, names)} {'' if row['status'] == 'ok' else markup.status(row)}</p>"
-        for _, row in shown.iterrows()
-    )
-    return f'<div class="card"><p class="note">No pictures of this scene.</p>{lines}</div>'
 
 
 def _legend() -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from reports import plots, stability
 from reports.chart_parts import Section, charts, legend, table
-from reports.style import MISSING, series
+from reports.style import MISSING, legend_entries, series
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,7 +37,7 @@ def stability_section(tables: dict[str, pd.DataFrame]) -> Section | None:
         ]
         for record in found
     ]
-    shown = legend(series(results), names) if drawn else ""
+    shown = legend(legend_entries([[line.name for line in lines] for lines in curves.values()], names))
     cards = f'<div class="charts">{charts(drawn.items())}</div>' if drawn else ""
     return Section(
         "stability",

@@ -36,6 +36,14 @@ class Interval(NamedTuple):
     high: float | None
     views: int
 
+    def contains(self, value: float) -> bool:
+        """Whether it is known and has a value between its ends."""
+        return self.low is not None and self.high is not None and self.low < value < self.high
+
+    def lies(self, side: int) -> bool:
+        """Whether it is known and lies above zero (side 1), or below (-1)."""
+        return self.excludes_zero and (self.mean > 0) == (side > 0)
+
     @property
     def excludes_zero(self) -> bool:
         """Whether it is known and lies on one side of zero. A difference of exactly nothing does not."""

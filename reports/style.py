@@ -11,10 +11,12 @@ if TYPE_CHECKING:
 
 # Okabe & Ito (2008) without its yellow, which is too pale on white; black last.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7F7F7F", "#000000")
+DARK = {"#000000": "#ffffff", "#0072B2": "#4ba3dc", "#D55E00": "#f2803a"}
+"""What would drown on dark -> what stands there instead; the page's script has the same."""
 MARKERS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "star", "x", "cross")
 DASHES = ("solid", "dash", "dot", "dashdot")
-# For parts of a whole (the size ledger): muted, so that they are not taken for methods.
-PARTS = ("#4C6A92", "#A7BBD1", "#B5838D", "#E5C1BD", "#6D8B74", "#C9D7B8", "#8D7B68", "#D9CBB3", "#999999")
+MOST_NAMED = 10
+"""Series of a panel; of more, only each method's default has its color and name."""
 MIB = float(2**20)
 MISSING = "\N{EN DASH}"
 TITLES = {
@@ -41,13 +43,14 @@ def label(method: Any, variant: Any = "", rate: Any = None) -> str:
     return " ".join(parts)
 
 
-def row_key(dataset: Any, scene: Any, method: Any, variant: Any = "", rate: Any = None) -> str:
-    """What links a row of the page's table to its points in charts; the scene is "" for a dataset's means."""
-    return f"{dataset} / {scene} / {label(method, variant, rate)}"
+def mean_key(row: Any) -> str:
+    """What links a row of means in the page's table to its points in charts; a scene's row has its job."""
+    name = label(row["method"], row["variant"], row["rate"])
+    return " / ".join([str(row["dataset"]), name, str(row["preset"]), str(row["split"])])
 
 
 def series(*tables: pd.DataFrame) -> list[str]:
-    """The names (method with variant) of tables, in order of appearance; their index picks the color."""
+    """The names (method with variant) of tables, in order of appearance, which picks their looks."""
     names: dict[str, None] = {}
     for table in tables:
         rows = zip(table["method"], table["variant"], strict=True)
@@ -55,20 +58,87 @@ def series(*tables: pd.DataFrame) -> list[str]:
     return list(names)
 
 
+def method_of(name: str) -> str:
+    """A series' name without its variant; names of default settings are their methods'."""
+    return name.partition(" [")[0]
+
+
+def options_of(name: str) -> str:
+    """What tells a series from the default; "" for the default."""
+    return name.partition(" [")[2].removesuffix("]")
+
+
+class Look(NamedTuple):
+    """How a series is drawn: color, and marker and line in plotly's names."""
+
+    color: str
+    marker: str
+    dash: str
+
+
+OTHERS = Look("#A6A6A6", "circle", "solid")
+"""Of series that are not told apart."""
+OTHERS_NAME = "other variants"
+
+
+def look(name: str, names: Sequence[str]) -> Look:
+    """The color is the method's, the same in every chart of a report; variants differ in marker and line.
+
+    Args:
+        name: a series.
+        names: all of the report (:func:`series`).
+    """
+    methods = list(dict.fromkeys(map(method_of, names)))
+    place = {method: i % len(PALETTE) for i, method in enumerate(methods)}
+    hue = place[method_of(name)]
+    alike = [other for other in names if place[method_of(other)] == hue]
+    rank = sorted(alike, key=lambda other: other != method_of(other)).index(name)
+    turn = rank + rank // len(MARKERS)  # so that marker and line repeat together late
+    return Look(PALETTE[hue], MARKERS[(hue + rank) % len(MARKERS)], DASHES[turn % len(DASHES)])
+
+
 def color(name: str, names: Sequence[str]) -> str:
-    """A series' color: by its place among all series of the report, so it is the same in every chart."""
-    return PALETTE[list(names).index(name) % len(PALETTE)]
+    """Of :func:`look`."""
+    return look(name, names).color
 
 
-def marker(name: str, names: Sequence[str]) -> str:
-    """A series' marker, in plotly's names; differs where the colors begin again."""
-    index = list(names).index(name)
-    return MARKERS[(index + index // len(PALETTE)) % len(MARKERS)]
+def named(names: Iterable[str]) -> set[str]:
+    """Those series of a panel that are told apart.
+
+    All up to :data:`MOST_NAMED`; of more, one per method: its default, or the first where it has none.
+    """
+    every = list(dict.fromkeys(names))
+    if len(every) <= MOST_NAMED:
+        return set(every)
+    chosen: dict[str, str] = {}
+    for name in sorted(every, key=lambda name: name != method_of(name)):
+        chosen.setdefault(method_of(name), name)
+    return set(chosen.values())
 
 
-def dash(name: str, names: Sequence[str]) -> str:
-    """A series' line, in plotly's names; differs where the colors begin again."""
-    return DASHES[list(names).index(name) // len(PALETTE) % len(DASHES)]
+def looks(drawn: Iterable[str], names: Sequence[str]) -> dict[str, Look]:
+    """Series of a panel -> its look; those that are not told apart come first, to be drawn below."""
+    every = list(dict.fromkeys(drawn))
+    told = named(every)
+    ordered = sorted(every, key=lambda name: name in told)
+    return {name: look(name, names) if name in told else OTHERS for name in ordered}
+
+
+def legend_entries(panels: Iterable[Iterable[str]], names: Sequence[str]) -> dict[str, Look]:
+    """What a legend of panels names: what they draw, in the order of the report; the gray ones together."""
+    drawn: dict[str, Look] = {}
+    for panel in panels:
+        for name, style in looks(panel, names).items():
+            if style is not OTHERS or name not in drawn:
+                drawn[name] = style
+    entries = {name: drawn[name] for name in names if drawn.get(name, OTHERS) is not OTHERS}
+    return entries | ({OTHERS_NAME: OTHERS} if OTHERS in drawn.values() else {})
+
+
+_LIFTS = 24
+"""Heights at which a label is tried."""
+FAR = 1.5
+"""Lines of text above or below its point beyond which a label has a line to it."""
 
 
 class Label(NamedTuple):
@@ -105,7 +175,7 @@ def place_labels(
     for (x, y), text in zip(points, texts, strict=True):
         best: tuple[float, Label, tuple[float, float, float, float]] | None = None
         long = char * len(text)
-        for step in range(12):
+        for step in range(_LIFTS):
             lift = line * ((step + 1) // 2) * (1 if step % 2 else -1)
             for anchor in ("left", "right", "center"):
                 if anchor == "center" and step == 0:
@@ -115,7 +185,10 @@ def place_labels(
                 box = (left, y + lift - line / 2, left + long, y + lift + line / 2)
                 outside = max(0.0, -box[0]) + max(0.0, box[2] - width)
                 outside += max(0.0, -box[1]) + max(0.0, box[3] - height)
-                cost = 50.0 * outside + abs(lift) + sum(100.0 * _overlap(box, other) for other in taken)
+                cost = 3000.0 * outside + abs(lift)
+                if best is not None and cost >= best[0]:
+                    continue
+                cost += sum(100.0 * _overlap(box, other) for other in taken)
                 if best is None or cost < best[0]:
                     best = (cost, Label(dx, lift, anchor), box)
         assert best is not None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from reports.statistics import METRICS, Sample, Views
@@ -113,23 +114,20 @@ def is_results(table: pd.DataFrame) -> bool:
 def shown(results: pd.DataFrame) -> pd.DataFrame:
     """What people read of `results`: method with variant and rate in one name, no columns of bookkeeping.
 
-    Columns that say the same for all rows (seed, device memory where there is none, a metric that nobody
-    has) are left out; reasons are those of rows that did not finish.
+    Columns that say the same for all rows (one seed, what nobody has measured) are left out; reasons are
+    those of rows that did not finish.
     """
     import pandas as pd
 
     names = ["dataset", "scene", "method", *quality(results), "size_bytes", "primitives", "train_seconds"]
-    names += ["load_seconds", "fps", "peak_host_bytes"]
-    if results["peak_device_bytes"].notna().any():
-        names.append("peak_device_bytes")
+    names += ["load_seconds", "fps", "peak_host_bytes", "peak_device_bytes"]
+    names = [name for name in names if name in ("psnr", "size_bytes") or results[name].notna().any()]
     out = pd.DataFrame({name: results[name] for name in names}, index=results.index)
     out["method"] = [label(*row) for row in results[["method", "variant", "rate"]].itertuples(index=False)]
     for axis in ("kind", "preset", "split", "seed", "device"):
         if results[axis].nunique(dropna=False) > 1:
             out.insert(3, axis, results[axis])
     out["status"] = [_status(row) for row in results[["status", "stale"]].itertuples(index=False)]
-    if out["lpips_vgg"].isna().all():
-        out = out.drop(columns="lpips_vgg")
     unfinished = results["status"] != "ok"
     if unfinished.any():
         out["reason"] = results["reason"].where(unfinished, None)
@@ -140,6 +138,16 @@ def notes(results: pd.DataFrame) -> list[str]:
     """Why finished rows lack a metric, each reason once."""
     finished = results[results["status"] == "ok"]
     return list(dict.fromkeys(str(reason) for reason in finished["reason"] if not absent(reason) and reason))
+
+
+def left_out(superseded: pd.DataFrame | None) -> str:
+    """How many rows the tables leave out for others of the same model; "" if none."""
+    count = 0 if superseded is None else len(superseded)
+    if not count:
+        return ""
+    rows = "1 row" if count == 1 else f"{count} rows"
+    verb = "is" if count == 1 else "are"
+    return f"{rows} of older versions of the same models {verb} left out."
 
 
 def _readable(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
@@ -269,31 +277,46 @@ def ranks(results: pd.DataFrame, views: pd.DataFrame | None = None) -> dict[tupl
             samples: dict[Any, Sample | None] = dict.fromkeys(order)
             if measured is not None and name in METRICS:
                 samples = {index: measured.sample(_jobs(rivals.loc[index]), name) for index in order}
-            for index, place in standing(order, texts, samples).items():
+            apart = partial(told_apart, samples, column.better)
+            for index, place in standing(order, texts, apart).items():
                 places[index, name] = place
     return places
 
 
-def standing(order: list[Any], texts: dict[Any, str], samples: dict[Any, Sample | None]) -> dict[Any, int]:
-    """Places of rows that are ordered from the best."""
+def standing(order: list[Any], texts: dict[Any, str], apart: Callable[[Any, Any], bool]) -> dict[Any, int]:
+    """Places of rows that are ordered from the best.
+
+    Args:
+        order: the rows.
+        texts: their values as shown; equal ones share a place.
+        apart: whether a row and one after it can be told apart.
+    """
     places: dict[Any, int] = {}
     rest = order
     for place in (1, 2):
         leaders = [index for index in rest if texts[index] == texts[rest[0]]]
         rest = rest[len(leaders) :]
-        near = [index for index in rest if not _apart(samples[leaders[0]], samples[index])]
+        near = [index for index in rest if not all(apart(leader, index) for leader in leaders)]
         places |= dict.fromkeys([*leaders, *near], UNDECIDED if near else place)
         if near or not rest:
             break
     return places
 
 
-def _apart(first: Sample | None, second: Sample | None) -> bool:
-    """Whether a difference can be told from zero; where the views are not at hand it is taken as it is."""
-    if first is None or second is None:
+def told_apart(samples: Mapping[Any, Sample | None], better: int, first: Any, second: Any) -> bool:
+    """Whether views say too that the first is better; where they are not at hand it is taken as it is.
+
+    Args:
+        samples: of all rows.
+        better: 1 if more is, -1 if less is.
+        first: the row whose mean is better.
+        second: the other.
+    """
+    a, b = samples[first], samples[second]
+    if a is None or b is None:
         return True
-    difference = first.minus(second)
-    return difference is None or difference.excludes_zero
+    difference = a.minus(b)
+    return difference is None or difference.lies(better)
 
 
 def _jobs(row: Any) -> list[str]:
@@ -332,15 +355,17 @@ def to_csv(table: pd.DataFrame) -> str:
     return plain.to_csv(index=False, lineterminator="\n")
 
 
-def to_markdown(table: pd.DataFrame, views: pd.DataFrame | None = None) -> str:
+def to_markdown(table: pd.DataFrame, views: pd.DataFrame | None = None, remark: str = "") -> str:
     """A pipe table; the best value in bold, the second in italics. `results` is cut to what people read.
 
     Args:
         table: `results` or any other.
         views: what :func:`ranks` asks.
+        remark: to stand under it, besides those that follow from its rows.
     """
     marks = ranks(table, views)
     table, remarks = _readable(table)
+    remarks += [remark] if remark else []
     lines = ["| " + " | ".join(_md(title(name)) for name in table.columns) + " |"]
     lines.append("|" + "|".join("---:" if _right(name) else "---" for name in table.columns) + "|")
     for index, row in table.iterrows():
@@ -357,21 +382,31 @@ def to_markdown(table: pd.DataFrame, views: pd.DataFrame | None = None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def to_latex(table: pd.DataFrame, views: pd.DataFrame | None = None) -> str:
-    """A booktabs tabular; the best value bold, the second underlined. `results` is cut to what is read.
+def to_latex(table: pd.DataFrame, views: pd.DataFrame | None = None, remark: str = "") -> str:
+    """With booktabs; the best value bold, the second underlined. `results` is cut to what is read.
+
+    `results` becomes a longtable, which breaks across pages, any other table a tabular.
 
     Args:
         table: `results` or any other.
         views: what :func:`ranks` asks.
+        remark: to stand under it, besides those that follow from its rows.
     """
     marks = ranks(table, views)
     results = is_results(table)
+    notes = [UNDECIDED_NOTE] if UNDECIDED in marks.values() else []
+    notes += _unfinished(table) if results else []
     table, remarks = _readable(table)
+    notes += [*remarks, *([remark] if remark else [])]
     if results:
         table = table.drop(columns="reason", errors="ignore")
     spec = "".join("r" if _right(name) else "l" for name in table.columns)
-    lines = ["% needs \\usepackage{booktabs}", f"\\begin{{tabular}}{{{spec}}}", "\\toprule"]
-    lines += [" & ".join(tex(title(name)) for name in table.columns) + r" \\", r"\midrule"]
+    head = [r"\toprule", " & ".join(tex(title(name)) for name in table.columns) + r" \\", r"\midrule"]
+    if results:
+        lines = [r"% needs \usepackage{booktabs,longtable}; wide: landscape, small type"]
+        lines += [rf"\begin{{longtable}}{{{spec}}}", *head, r"\endhead", r"\bottomrule", r"\endfoot"]
+    else:
+        lines = [r"% needs \usepackage{booktabs}", rf"\begin{{tabular}}{{{spec}}}", *head]
     for index, row in table.iterrows():
         texts = []
         for name in table.columns:
@@ -382,12 +417,22 @@ def to_latex(table: pd.DataFrame, views: pd.DataFrame | None = None) -> str:
             macro = {1: "textbf", 2: "underline"}.get(mark)
             texts.append(f"\\{macro}{{{text}}}" if macro else text)
         lines.append(" & ".join(texts) + r" \\")
-    lines += [r"\bottomrule"]
-    if UNDECIDED in marks.values():
-        note = f"\\multicolumn{{{len(spec)}}}{{l}}{{\\footnotesize {tex(UNDECIDED_NOTE)}}}"
-        lines.append(note + r" \\")
-    lines += [r"\end{tabular}", *(f"% {' '.join(remark.split())}" for remark in remarks)]
-    return "\n".join(lines) + "\n"
+    lines += [r"\end{longtable}"] if results else [r"\bottomrule", r"\end{tabular}"]
+    return "\n".join([*lines, *tex_notes(notes)]) + "\n"
+
+
+def _unfinished(results: pd.DataFrame) -> list[str]:
+    """Of each row that did not finish, why."""
+    return [
+        f"{row['dataset']}, {row['scene']}, {label(row['method'], row['variant'], row['rate'])}: "
+        f"{row['status']}{'' if absent(row['reason']) else f' ({row.reason})'}"
+        for _, row in results[results["status"] != "ok"].iterrows()
+    ]
+
+
+def tex_notes(notes: Iterable[str]) -> list[str]:
+    """What stands below a LaTeX table, a paragraph each."""
+    return [rf"\par\noindent{{\footnotesize {tex(note)}\par}}" for note in notes]
 
 
 _FIRST_TO_GO = (
@@ -431,6 +476,7 @@ _TEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{",
     "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\n": " ", "Δ": r"$\Delta$",
     "±": r"$\pm$", MISSING: "--",
+    "\N{MINUS SIGN}": "$-$",
     "*": r"$^{*}$", UNDECIDED_SIGN: r"$\approx$", "\N{MULTIPLICATION SIGN}": r"$\times$",
 }  # fmt: skip
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reports.style import MIB, PALETTE, absent, label
+from reports.protocols import comparable
+from reports.style import MIB, PALETTE, label
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,7 +22,7 @@ ANYTIME_AXIS = {
     "bytes_estimate": "estimated size per scene [MiB]",
 }
 _UNIT = {"psnr": 1.0, "bytes_estimate": MIB}
-_FIT = ["job", "method", "variant", "preset", "seed", "scene"]
+_FIT = ["job", "method", "variant", "seed", "scene"]
 LEAST_SHARE = 1e-5
 """Parts that never reach this share of the loss are not drawn."""
 
@@ -44,7 +45,7 @@ class Curve:
 
 
 def convergence(curve: pd.DataFrame, against: str) -> dict[str, list[Curve]]:
-    """Dataset -> PSNR of each scene while its fit went on, titled by what tells it apart.
+    """Dataset (with its preset where there are several) -> PSNR of each scene while its fit went on.
 
     Args:
         curve: the documented table.
@@ -53,26 +54,23 @@ def convergence(curve: pd.DataFrame, against: str) -> dict[str, list[Curve]]:
     panels: dict[str, list[Curve]] = {}
     if curve.empty:
         return panels
-    known = curve[curve["psnr"].notna() & curve[against].notna()]
-    for dataset, rows in known.groupby("dataset", sort=False):
+    for title, every in comparable(curve):
+        rows = every[every["psnr"].notna() & every[against].notna()]
         methods = len({label(m, v) for m, v in zip(rows["method"], rows["variant"], strict=True)})
-        many = {axis: rows[axis].nunique() > 1 for axis in ("scene", "seed", "preset")}
-        lines = []
-        for (_, method, variant, preset, seed, scene), fit in rows.groupby(_FIT, dropna=False, sort=False):
+        many = {axis: rows[axis].nunique() > 1 for axis in ("scene", "seed")}
+        for (_, method, variant, seed, scene), fit in rows.groupby(_FIT, dropna=False, sort=False):
             name = label(method, variant)
             words = [name] if methods > 1 else []
             words += [str(scene)] if many["scene"] or not words else []
-            words += [str(preset)] if many["preset"] and not absent(preset) else []
             words += [f"seed {seed}"] if many["seed"] else []
             ordered = fit.sort_values("iteration")
             x, y = ([float(v) for v in ordered[column]] for column in (against, "psnr"))
-            lines.append(Curve(name, " · ".join(words), x, y))
-        panels[str(dataset)] = lines
+            panels.setdefault(title, []).append(Curve(name, " \N{MIDDLE DOT} ".join(words), x, y))
     return panels
 
 
 def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
-    """Dataset -> a curve per method over training seconds per scene; mean over scenes and seeds.
+    """As :func:`convergence`, but a curve per method over seconds per scene; mean over scenes and seeds.
 
     A fit of n scenes counts for each of them with its time / n (and its bytes / n), as in `results`, so that
     joint and single fits compare. A mean begins where all fits have been evaluated; a finished fit keeps its
@@ -86,21 +84,20 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, 
     panels: dict[str, list[Curve]] = {}
     if curve.empty or what not in curve:
         return panels
-    known = curve[curve[what].notna() & curve["train_seconds"].notna()]
-    presets = known["preset"].nunique() > 1
-    for (dataset, method, variant, preset), rows in known.groupby(
-        ["dataset", "method", "variant", "preset"], dropna=False, sort=False
-    ):
-        fits = [_shares(fit, what) for _, fit in rows.groupby("job", sort=False)]
-        x, y = _mean(fits)
-        if not x:
-            continue
-        title = " ".join([label(method, variant), *([str(preset)] if presets else [])])
-        basic = (results["kind"] == "basic") & (results["dataset"] == dataset) & (results["preset"] == preset)
-        wanted, have = set(results.loc[basic, "scene"]), set(rows["scene"])
-        if wanted - have:
-            title += f" ({len(wanted & have)} of {len(wanted)} scenes)"
-        panels.setdefault(str(dataset), []).append(Curve(label(method, variant), title, x, y))
+    for panel, every in comparable(curve):
+        known = every[every[what].notna() & every["train_seconds"].notna()]
+        first = every.iloc[0]
+        basic = (results["kind"] == "basic") & (results["dataset"] == first["dataset"])
+        wanted = set(results.loc[basic & (results["preset"] == first["preset"]), "scene"])
+        for names, rows in known.groupby(["method", "variant"], dropna=False, sort=False):
+            x, y = _mean([_shares(fit, what) for _, fit in rows.groupby("job", sort=False)])
+            if not x:
+                continue
+            name = title = label(*names)
+            have = wanted & set(rows["scene"])
+            if wanted - have:
+                title += f" ({len(have)} of {len(wanted)} scenes)"
+            panels.setdefault(panel, []).append(Curve(name, title, x, y))
     return panels
 
 
@@ -146,7 +143,8 @@ class Losses:
     """The loss of a method on a dataset, mean over its fits.
 
     Attributes:
-        title: dataset and method.
+        dataset: with its preset where there are several.
+        title: of the method.
         parts: over iterations; the whole first.
         joins: (iteration, part): first evaluation with a part that the first evaluation had not.
         small: names of parts too small to be drawn.
@@ -163,25 +161,21 @@ def losses(curve: pd.DataFrame) -> list[Losses]:
     """The losses by part of all methods that tell them; figures that are no part of the sum are left out."""
     if curve.empty or "loss_parts" not in curve:
         return []
-    known = curve[curve["loss_parts"].notna() & curve["loss"].notna()]
-    presets = known["preset"].nunique() > 1
     made = []
-    for (dataset, method, variant, preset), rows in known.groupby(
-        ["dataset", "method", "variant", "preset"], dropna=False, sort=False
-    ):
-        table = _parts_table(rows)
-        if len(table.columns) < 2:
-            continue
-        title = " ".join([label(method, variant), *([str(preset)] if presets else [])])
-        floor = LEAST_SHARE * float(table["loss"].max())
-        drawn = [name for name in table.columns if float(table[name].max()) > floor]
-        parts = [_part(name, table[name]) for name in drawn]
-        begin = float(table.index[0])
-        joins = [(part.x[0], part.name) for part in parts if part.x[0] > begin]
-        small = [str(name) for name in table.columns if name not in drawn]
-        made.append(Losses(str(dataset), title, parts, joins, small))
-    order = {str(dataset): i for i, dataset in enumerate(known["dataset"].unique())}
-    return sorted(made, key=lambda panel: order[panel.dataset])
+    for dataset, every in comparable(curve):
+        known = every[every["loss_parts"].notna() & every["loss"].notna()]
+        for names, rows in known.groupby(["method", "variant"], dropna=False, sort=False):
+            table = _parts_table(rows)
+            if len(table.columns) < 2:
+                continue
+            floor = LEAST_SHARE * float(table["loss"].max())
+            drawn = [name for name in table.columns if float(table[name].max()) > floor]
+            parts = [_part(name, table[name]) for name in drawn]
+            begin = float(table.index[0])
+            joins = [(part.x[0], part.name) for part in parts if part.x[0] > begin]
+            small = [str(name) for name in table.columns if name not in drawn]
+            made.append(Losses(dataset, label(*names), parts, joins, small))
+    return made
 
 
 def _parts_table(rows: pd.DataFrame) -> pd.DataFrame:
@@ -208,6 +202,16 @@ def _part(name: Any, values: pd.Series) -> Curve:
     return Curve(str(name), str(name), x, [float(value) for value in present])
 
 
-def shades(panel: Losses) -> list[str]:
-    """Colors of the parts, in their order; the whole is black."""
-    return [PALETTE[-1], *(PALETTE[i % (len(PALETTE) - 1)] for i in range(len(panel.parts) - 1))]
+def shades(panel: Losses, panels: list[Losses]) -> list[str]:
+    """Colors of a panel's parts; a name has the same in all panels, the whole is black."""
+    names = list(dict.fromkeys(part.name for each in panels for part in each.parts[1:]))
+    return [PALETTE[-1], *(PALETTE[names.index(part.name) % (len(PALETTE) - 1)] for part in panel.parts[1:])]
+
+
+def along(panel: Losses) -> list[tuple[float, float]]:
+    """Points along a panel's lines, which labels keep clear of."""
+    spots: list[tuple[float, float]] = []
+    for part in panel.parts:
+        x = np.linspace(part.x[0], part.x[-1], 40)
+        spots += zip(x.tolist(), (10 ** np.interp(x, part.x, np.log10(part.y))).tolist(), strict=True)
+    return spots

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from bench.store import Store
 from bench.tables import build_tables
@@ -20,25 +20,36 @@ def results(options: Namespace) -> int:
     store = Store(Path(options.runs))
     tables = build_tables(store, current(options), write=False)
     print_as(tables[options.table], options.format)
+    if options.table != "superseded":
+        _tell_left_out(tables, sys.stderr)
     return 0
 
 
 def report(options: Namespace) -> int:
     """Print those of the paper's tables that a store has rows of, and write its HTML report."""
-    from reports import claims, paper_documents, paper_tables
+    from reports import claims, claims_documents, paper_documents, paper_tables
     from reports.page import write_report
 
     store = Store(Path(options.runs))
     page = _page(Path(options.out)) if options.out else store.root / "report.html"
     tables = build_tables(store, current(options))
-    measured = paper_tables.paper_tables(tables["results"], tables["views"], tables["timing"])
+    measured = paper_tables.of_tables(tables)
     for table in measured:
         print(paper_documents.to_text(table))
     if options.check_claims:
-        print(claims.to_text(claims.check(measured)))
+        print(claims_documents.to_text(claims.check(measured, tables["views"])))
+    _tell_left_out(tables, sys.stdout)
     write_report(tables, store.root, page)
     print(page)
     return 0
+
+
+def _tell_left_out(tables: dict[str, pd.DataFrame], out: TextIO) -> None:
+    from reports.tables import left_out
+
+    told = left_out(tables["superseded"])
+    if told:
+        print(f"{told} `bench results --table superseded` lists them.", file=out)
 
 
 def _page(out: Path) -> Path:

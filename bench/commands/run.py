@@ -20,7 +20,7 @@ def run(options: Namespace) -> int:
     """Run what a suite and the selectors name, then show the table and write the report."""
     from bench.executor import Limits, LocalExecutor
     from bench.provenance import current_sources
-    from bench.tables import build_tables
+    from bench.tables import build_tables, frame, rows
 
     planner = _planner(options)
     store = Store(Path(options.out), create=True)
@@ -37,8 +37,9 @@ def run(options: Namespace) -> int:
     )
     outcome = executor.run()
     tables = build_tables(store, sources)
-    ids = {record.job.id for record in outcome.records}
-    shown = {name: tables[name][tables[name]["job"].isin(ids)] for name in ("results", "dvr")}
+    # Of this run alone: in the store's tables another version of a model may stand.
+    measured = rows(outcome.records, sources)
+    shown = {name: frame(name, measured[name]) for name in ("results", "dvr")}
     if any(map(len, shown.values())):
         from bench.commands.results import print_results, print_table
         from reports.datasets import costs

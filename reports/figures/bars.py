@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from reports import data, features
-from reports.figures.frame import legend_below, new_figure, settle, style, titled
-from reports.style import PALETTE, PARTS, color
+from reports.figures.frame import LINES, legend_below, new_figure, settle, style, titled
+from reports.parts import colors
+from reports.style import PALETTE, Look, legend_entries, looks
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,9 +32,9 @@ def _stacked(bars: list[data.Bar], parts: list[str], x: str) -> Figure:
         figure, (axis,) = new_figure(1, 7.2 + 0.07 * max(0, longest - 45), height)
         rows = range(len(bars))  # titles may be equal
         left = [0.0] * len(bars)
-        for i, part in enumerate(parts):
+        for part, shade in colors(parts).items():
             widths = [bar.percent(part) for bar in bars]
-            axis.barh(rows, widths, left=left, color=PARTS[i % len(PARTS)], label=part, height=0.62)
+            axis.barh(rows, widths, left=left, color=shade, label=part, height=0.62)
             left = [a + b for a, b in zip(left, widths, strict=True)]
         for i, bar in enumerate(bars):
             axis.text(101, i, bar.told, va="center", fontsize=8)
@@ -55,12 +56,13 @@ def histograms(table: pd.DataFrame, names: list[str]) -> Figure:
     with style():
         figure, axes = new_figure(len(panels), height=2.9)
         for axis, panel in zip(axes, panels, strict=False):
-            for name, shares in panel.shares.items():
-                axis.stairs(shares, panel.edges, color=color(name, names), linewidth=1.3)
+            for name, look in looks(panel.shares, names).items():
+                axis.stairs(panel.shares[name], panel.edges, color=look.color, linestyle=LINES[look.dash],
+                            linewidth=1.3)  # fmt: skip
             titled(axis, f"{panel.dataset} · {panel.attribute}", panel.attribute, "samples per bin [%]")
-        drawn = {name for panel in panels for name in panel.shares}
-        if len(drawn) > 1:
-            legend_below(figure, {name: (color(name, names), "-") for name in names if name in drawn})
+        entries = legend_entries([panel.shares for panel in panels], names)
+        if len(entries) > 1:
+            legend_below(figure, {name: look._replace(marker="") for name, look in entries.items()})
         settle(figure)
     return figure
 
@@ -77,6 +79,6 @@ def feature_maps(panels: list[features.Map]) -> Figure:
             titled(axis, f"{panel.dataset} · {panel.title}", "UMAP 1", "UMAP 2")
             axis.set_xticks([])
             axis.set_yticks([])
-        legend_below(figure, {scene: (shade, "-") for scene, shade in shades.items()})
+        legend_below(figure, {scene: Look(shade, "circle", "") for scene, shade in shades.items()})
         settle(figure)
     return figure

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
-from reports.style import log_range, log_ticks, place_labels
+from reports.style import FAR, Look, log_range, log_ticks, place_labels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,13 +23,17 @@ MARKERS = {
     "star": "*",
     "x": "X",
     "cross": "P",
+    "": "",
 }
-LINES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
+LINES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-.", "": ""}
 COLUMNS = 3
 """Panels in a row."""
 MOST_LABELS = 10
 """More lines than this are named in a legend."""
 _CHARACTER = 4.9  # width of a label's character in points
+_TITLE = 42  # characters of a line
+_MOST_ROOM = 0.35
+_LINE = 11.0  # height of a label in points
 _PANEL = 270.0  # width of a panel's drawing area in points
 _RC: Any = {
     "font.size": 9,
@@ -72,15 +77,15 @@ def new_figure(panels: int, width: float = 4.6, height: float = 3.6) -> tuple[Fi
 
 
 def settle(figure: Figure) -> None:
-    """Lay the axes out once; saving would otherwise do it again for each format."""
+    """Lay the axes out once; with a layout engine, even an idle one, saving draws everything twice."""
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")
+    figure.set_layout_engine(None)
 
 
 def room_for(titles: Sequence[str]) -> float:
-    """Share of a panel's width that labels to the right of their points take; at most half of it."""
+    """Share of a panel's width that labels to the right of their points take; of a long one's not all."""
     longest = max(map(len, titles), default=0)
-    return min(0.5, (_CHARACTER * longest + 12.0) / _PANEL)
+    return min(_MOST_ROOM, (_CHARACTER * longest + 12.0) / _PANEL)
 
 
 def log_axis(axis: Axes, values: Sequence[float], which: Literal["x", "y"] = "x", room: float = 0.0) -> None:
@@ -111,8 +116,8 @@ def log_axis(axis: Axes, values: Sequence[float], which: Literal["x", "y"] = "x"
 
 
 def titled(axis: Axes, title: str, x: str, y: str) -> None:
-    """Title and axis labels."""
-    axis.set_title(title, loc="left", fontweight="bold")
+    """Title, in lines that its panel has room for, and axis labels."""
+    axis.set_title(textwrap.fill(title, _TITLE, break_long_words=False), loc="left", fontweight="bold")
     axis.set_xlabel(x)
     axis.set_ylabel(y)
 
@@ -137,8 +142,9 @@ def annotate(
     texts = [text for _, _, text, _ in labels]
     around = [place(x, y) for x, y in avoid]
     size = (box.width * scale, box.height * scale)
-    places = place_labels(spots, texts, *size, avoid=around, char=_CHARACTER, line=11.0)
+    places = place_labels(spots, texts, *size, avoid=around, char=_CHARACTER, line=_LINE)
     for (x, y, text, shade), spot in zip(labels, places, strict=True):
+        far = abs(spot.dy) > FAR * _LINE
         axis.annotate(
             text,
             (x, y),
@@ -149,17 +155,20 @@ def annotate(
             color=shade,
             fontsize=8,
             path_effects=halo,
+            arrowprops={"arrowstyle": "-", "color": shade, "linewidth": 0.5, "shrinkB": 2} if far else None,
         )
 
 
-def legend_below(figure: Figure, entries: dict[str, tuple[str, Any]]) -> None:
-    """Text -> (color, line style), in a legend below the panels."""
+def legend_below(figure: Figure, entries: dict[str, Look]) -> None:
+    """Text -> its look, in a legend below the panels."""
     from matplotlib.lines import Line2D
 
     handles = [
-        Line2D([], [], color=shade, linestyle=line, linewidth=2, label=text)
-        for text, (shade, line) in entries.items()
-    ]
+        Line2D([], [], color=look.color, linestyle=LINES[look.dash], marker=MARKERS[look.marker],
+               markersize=5, linewidth=1.5, label=text)
+        for text, look in entries.items()
+    ]  # fmt: skip
     longest = max(map(len, entries), default=1)
-    columns = max(1, min(len(handles), int(figure.get_figwidth() * 14 // (longest + 6))))
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+    columns = max(1, min(len(handles), int(figure.get_figwidth() * 14 // (longest + 8))))
+    # Handles must be long enough to show what is dashed.
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=3.2)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from reports import training
 from reports.figures.frame import (
     LINES,
+    MARKERS,
     MOST_LABELS,
     annotate,
     legend_below,
@@ -17,7 +18,7 @@ from reports.figures.frame import (
     style,
     titled,
 )
-from reports.style import color, dash, series
+from reports.style import OTHERS, legend_entries, looks, series
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,9 +58,11 @@ def _lines(
         figure, axes = new_figure(len(panels))
         crowded = any(len(lines) > MOST_LABELS for lines in panels.values())
         for axis, (dataset, lines) in zip(axes, panels.items(), strict=False):
-            for line in lines:
-                shade, dashes = color(line.name, names), LINES[dash(line.name, names)]
-                axis.plot(line.x, line.y, dashes, marker="o", color=shade, markersize=2.5, linewidth=1.2)
+            for name, look in looks([line.name for line in lines], names).items():
+                width = 0.6 if look is OTHERS else 1.2
+                for line in (line for line in lines if line.name == name):
+                    axis.plot(line.x, line.y, LINES[look.dash], marker=MARKERS[look.marker],
+                              color=look.color, markersize=2.5 * width, linewidth=width)  # fmt: skip
             axis.margins(x=0.02, y=0.08)
             if log_y:
                 log_axis(axis, [value for line in lines for value in line.y], "y")
@@ -71,18 +74,15 @@ def _lines(
                 axis.set_xlim(left, left + (right - left) / (1.0 - room))
             titled(axis, dataset, x, y)
         if crowded:
-            drawn = {line.name for lines in panels.values() for line in lines}
-            legend_below(figure, _legend([name for name in names if name in drawn], names))
+            drawn = [[line.name for line in lines] for lines in panels.values()]
+            legend_below(figure, legend_entries(drawn, names))
         settle(figure)
         for axis, lines in zip(axes, panels.values(), strict=False):
             if not crowded:
-                ends = [(line.x[-1], line.y[-1], line.title, color(line.name, names)) for line in lines]
-                annotate(axis, ends, [])
+                shades = looks([line.name for line in lines], names)
+                ends = [(line.x[-1], line.y[-1], line.title, shades[line.name].color) for line in lines]
+                annotate(axis, ends, [at for line in lines for at in zip(line.x, line.y, strict=True)])
     return figure
-
-
-def _legend(drawn: list[str], names: list[str]) -> dict[str, tuple[str, Any]]:
-    return {name: (color(name, names), LINES[dash(name, names)]) for name in drawn}
 
 
 def losses(curve: pd.DataFrame) -> Figure:
@@ -91,13 +91,13 @@ def losses(curve: pd.DataFrame) -> Figure:
     with style():
         figure, axes = new_figure(len(panels))
         for axis, panel in zip(axes, panels, strict=False):
-            for part, shade in zip(panel.parts, training.shades(panel), strict=True):
+            for part, shade in zip(panel.parts, training.shades(panel, panels), strict=True):
                 width = 2.0 if part.name == "loss" else 1.3
                 axis.plot(part.x, part.y, "-o", color=shade, markersize=2.5, linewidth=width)
             for iteration, name in panel.joins:
                 axis.axvline(iteration, color="#777777", linestyle="--", linewidth=0.9)
-                axis.annotate(f"{name} joins", (iteration, 0.5), (-3, 0), xycoords=("data", "axes fraction"),
-                              textcoords="offset points", ha="right", va="center", rotation=90,
+                axis.annotate(f"{name} first seen", (iteration, 0.02), (-3, 0), textcoords="offset points",
+                              xycoords=("data", "axes fraction"), ha="right", va="bottom", rotation=90,
                               fontsize=8, color="#555555")  # fmt: skip
             log_axis(axis, [value for part in panel.parts for value in part.y], "y")
             left, right = axis.get_xlim()
@@ -105,9 +105,10 @@ def losses(curve: pd.DataFrame) -> Figure:
             titled(axis, f"{panel.dataset} · {panel.title}", "iteration", "loss")
         settle(figure)
         for axis, panel in zip(axes, panels, strict=False):
+            shades = training.shades(panel, panels)
             ends = [
                 (part.x[-1], part.y[-1], part.title, shade)
-                for part, shade in zip(panel.parts, training.shades(panel), strict=True)
+                for part, shade in zip(panel.parts, shades, strict=True)
             ]
-            annotate(axis, ends, [spot for part in panel.parts for spot in zip(part.x, part.y, strict=True)])
+            annotate(axis, ends, training.along(panel))
     return figure

@@ -5,8 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from reports import data, rate_distortion
-from reports.figures.frame import MARKERS, annotate, legend_below, log_axis, new_figure, settle, style, titled
-from reports.style import MIB, color, linear_range, marker, series
+from reports.figures.frame import (
+    MARKERS,
+    annotate,
+    legend_below,
+    log_axis,
+    new_figure,
+    settle,
+    style,
+    titled,
+)
+from reports.style import MIB, OTHERS, OTHERS_NAME, linear_range, series
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,24 +43,23 @@ def tradeoff(results: pd.DataFrame, against: str) -> Figure:
             if outline:
                 axis.fill(*zip(*outline, strict=True), color="#000000", alpha=0.06, linewidth=0)
                 axis.plot(*zip(*outline[1:-1], strict=True), "--", color="#777777", linewidth=0.9)
-            for line in panel.lines:
-                shade = color(line.name, names)
-                axis.scatter(line.scene_x, line.scene_y, s=14, color=shade, alpha=0.35, linewidths=0)
-                symbol = MARKERS[marker(line.name, names)]
-                axis.plot(line.x, line.y, "-", marker=symbol, color=shade, markersize=6.5, linewidth=1.3)
-            titled(axis, panel.dataset, data.AXIS[against].title, "PSNR [dB]")
-        unnamed = {line.name for panel in panels if not panel.labels() for line in panel.lines}
-        if unnamed:
-            legend_below(figure, {name: (color(name, names), "-") for name in names if name in unnamed})
+            for line, look in panel.looks(names):
+                axis.scatter(line.scene_x, line.scene_y, s=14, color=look.color, alpha=0.35, linewidths=0)
+                symbol, size = MARKERS[look.marker], 4.5 if look is OTHERS else 6.5
+                axis.plot(
+                    line.x, line.y, "-", marker=symbol, color=look.color, markersize=size, linewidth=1.3
+                )
+            titled(axis, panel.title, data.AXIS[against].title, "PSNR [dB]")
+        if any(look is OTHERS for panel in panels for _, look in panel.looks(names)):
+            legend_below(figure, {OTHERS_NAME: OTHERS})
         settle(figure)
         for axis, panel in zip(axes, panels, strict=False):
-            labels = [(x, y, text, color(name, names)) for x, y, text, name in panel.labels()]
-            annotate(axis, labels, list(zip(panel.all_x, panel.all_y, strict=True)))
+            annotate(axis, panel.labels(names), panel.to_avoid)
     return figure
 
 
 def rate_curves(results: pd.DataFrame) -> Figure:
-    """PSNR over size (log) at all rates, one panel per dataset; methods of one size are single marks."""
+    """PSNR over size (log) at all rates, a panel per dataset; defaults of other methods are single marks."""
     names = series(results)
     panels = rate_distortion.drawn(rate_distortion.curves(results))
     with style():
@@ -59,14 +67,12 @@ def rate_curves(results: pd.DataFrame) -> Figure:
         for axis, (dataset, curves) in zip(axes, panels.items(), strict=False):
             log_axis(axis, [point.bytes / MIB for curve in curves for point in curve.points])
             axis.set_ylim(*linear_range([point.psnr for curve in curves for point in curve.points], 2.0))
-            for curve in curves:
+            for curve, look in rate_distortion.looks(curves, names):
                 x, y = curve.mebibytes, [point.psnr for point in curve.points]
-                symbol = MARKERS[marker(curve.name, names)]
-                shade = color(curve.name, names)
-                axis.plot(x, y, "-", marker=symbol, color=shade, markersize=5, linewidth=1.3)
+                symbol = MARKERS[look.marker]
+                axis.plot(x, y, "-", marker=symbol, color=look.color, markersize=5, linewidth=1.3)
             titled(axis, dataset, data.AXIS["size_bytes"].title, "PSNR [dB]")
         settle(figure)
         for axis, curves in zip(axes, panels.values(), strict=False):
-            ends, along = rate_distortion.labels(curves)
-            annotate(axis, [(x, y, text, color(name, names)) for x, y, text, name in ends], along)
+            annotate(axis, *rate_distortion.labels(curves, names))
     return figure

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from reports import data, features
-from reports.style import PALETTE, PARTS, color, mib
+from reports.parts import colors
+from reports.style import PALETTE, looks, mib
 from reports.traces.frame import MARGIN, Figure, figure
 
 if TYPE_CHECKING:
@@ -32,15 +33,15 @@ def _stacked(bars: list[data.Bar], parts: list[str], x: str, told: Callable[[flo
             "type": "bar",
             "orientation": "h",
             "name": part,
-            "marker": {"color": PARTS[i % len(PARTS)]},
+            "marker": {"color": shade},
             "y": rows,
             "x": [bar.percent(part) for bar in bars],
             "text": [bar.title for bar in bars],
             "textposition": "none",
-            "customdata": [told(bar.amounts.get(part, 0.0)) for bar in bars],
+            "customdata": [_told(bar, part, told) for bar in bars],
             "hovertemplate": f"{part}: %{{customdata}}<extra>%{{text}}</extra>",
         }
-        for i, part in enumerate(parts)
+        for part, shade in colors(parts).items()
     ]
     totals = [
         {
@@ -69,6 +70,15 @@ def _stacked(bars: list[data.Bar], parts: list[str], x: str, told: Callable[[flo
     )
 
 
+def _told(bar: data.Bar, family: str, told: Callable[[float], str]) -> str:
+    """An amount, and what it is made of if that is more than its name says."""
+    text = told(bar.amounts.get(family, 0.0))
+    details = bar.details.get(family, {})
+    if set(details) <= {family}:
+        return text
+    return "<br>".join([text, *(f"{part}: {told(amount)}" for part, amount in details.items())])
+
+
 def histograms(table: pd.DataFrame, names: list[str]) -> list[tuple[features.Histogram, Figure]]:
     """Distribution of each attribute on each dataset, an outline per method."""
     made = []
@@ -78,11 +88,11 @@ def histograms(table: pd.DataFrame, names: list[str]) -> list[tuple[features.His
                 "type": "scatter",
                 "mode": "lines",
                 "x": panel.edges,
-                "y": [*shares, 0.0],
-                "line": {"shape": "hv", "color": color(name, names), "width": 1.5},
+                "y": [*panel.shares[name], 0.0],
+                "line": {"shape": "hv", "color": look.color, "dash": look.dash, "width": 1.5},
                 "hovertemplate": f"%{{x:.4~g}}: %{{y:.2f}} %<extra>{name}</extra>",
             }
-            for name, shares in panel.shares.items()
+            for name, look in looks(panel.shares, names).items()
         ]
         x_axis, y_axis = {"title": {"text": panel.attribute}}, {"title": {"text": "samples per bin [%]"}}
         made.append((panel, figure(traces, x_axis, {**y_axis, "rangemode": "tozero"})))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from reports.style import log_range, log_ticks, place_labels
+from reports.style import FAR, Label, log_range, log_ticks, place_labels
 
 Figure = dict[str, Any]
 MARGIN = {"l": 54, "r": 14, "t": 12, "b": 46}
@@ -14,6 +14,8 @@ MARGIN = {"l": 54, "r": 14, "t": 12, "b": 46}
 WIDTH, HEIGHT = 330.0, 252.0
 MOST_LABELS = 10
 """More lines than this are named by the page's legend and when pointed at."""
+_MOST_ROOM = 0.35
+_LINE = 14.0  # height of a label in pixels
 _CHARACTER = 7.0  # width of a label's character in pixels
 GREY = "#888888"
 """Reads on light and on dark."""
@@ -36,9 +38,9 @@ def figure(traces: list[Any], x: dict[str, Any], y: dict[str, Any], **layout: An
 
 
 def room_for(titles: Sequence[str]) -> float:
-    """Share of the width that labels to the right of their points take; none if they are many."""
+    """Share of the width for labels to the right of their points: not all of a long one's, none if many."""
     longest = max(map(len, titles)) if 0 < len(titles) <= MOST_LABELS else 0
-    return min(0.6, (_CHARACTER * longest + 16.0) / WIDTH)
+    return min(_MOST_ROOM, (_CHARACTER * longest + 16.0) / WIDTH)
 
 
 def log_axis(values: Sequence[float], title: str, room: float = 0.0) -> dict[str, Any]:
@@ -79,21 +81,29 @@ def notes(
         avoid: further points, in shares of the drawing area.
     """
     texts = [text for _, _, text, _ in labels]
-    places = place_labels(_scaled(spots), texts, WIDTH, HEIGHT, avoid=_scaled(avoid), char=_CHARACTER)
+    places = place_labels(
+        _scaled(spots), texts, WIDTH, HEIGHT, avoid=_scaled(avoid), char=_CHARACTER, line=_LINE
+    )
     return [
         {
             "x": x,
             "y": y,
             "text": text,
-            "showarrow": False,
             "xanchor": spot.anchor,
             "yanchor": "middle",
-            "xshift": spot.dx,
-            "yshift": spot.dy,
             "font": {"size": 12, "color": shade},
+            **_offset(spot, shade),
         }
         for (x, y, text, shade), spot in zip(labels, places, strict=True)
     ]
+
+
+def _offset(spot: Label, shade: str) -> dict[str, Any]:
+    """Where a label stands; far from its point it has a line to it."""
+    if abs(spot.dy) <= FAR * _LINE:
+        return {"showarrow": False, "xshift": spot.dx, "yshift": spot.dy}
+    return {"ax": spot.dx, "ay": -spot.dy, "arrowhead": 0, "arrowwidth": 0.7, "arrowcolor": shade,
+            "standoff": 4}  # fmt: skip
 
 
 def _scaled(spots: list[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from reports import training
-from reports.style import color, dash, linear_range
+from reports.style import OTHERS, linear_range, looks
 from reports.traces.frame import GREY, MOST_LABELS, Figure, figure, line, log_axis, notes, room_for, share
 
 if TYPE_CHECKING:
@@ -74,22 +74,28 @@ def _lines(
     hover: str,
     names: list[str],
 ) -> Figure:
+    styles = looks([row.name for row in lines], names)
     traces = []
-    for row in lines:
-        stroke = {"color": color(row.name, names), "width": 1.6, "dash": dash(row.name, names)}
+    for row in sorted(lines, key=lambda row: list(styles).index(row.name)):
+        look = styles[row.name]
+        stroke = {"color": look.color, "width": 0.8 if look is OTHERS else 1.6, "dash": look.dash}
+        mark = {"size": 5, "symbol": look.marker}
         extra = f"{hover}<extra>{row.title}</extra>"
-        traces.append(line(row.x, row.y, "", marker={"size": 4}, hovertemplate=extra) | {"line": stroke})
+        traces.append(line(row.x, row.y, "", marker=mark, hovertemplate=extra) | {"line": stroke})
     written = []
     if len(lines) <= MOST_LABELS:
         labels = [
-            (_on(x_axis, row.x[-1]), _on(y_axis, row.y[-1]), row.title, color(row.name, names))
+            (_on(x_axis, row.x[-1]), _on(y_axis, row.y[-1]), row.title, styles[row.name].color)
             for row in lines
         ]
 
         def place(x: float, y: float) -> tuple[float, float]:
             return share(x, x_axis["range"]), share(y, y_axis["range"])
 
-        written = notes(labels, [place(x, y) for x, y, _, _ in labels], [])
+        along = [
+            place(_on(x_axis, x), _on(y_axis, y)) for row in lines for x, y in zip(row.x, row.y, strict=True)
+        ]
+        written = notes(labels, [place(x, y) for x, y, _, _ in labels], along)
     return figure(traces, x_axis, y_axis, annotations=written)
 
 
@@ -100,11 +106,11 @@ def _on(axis: dict[str, Any], value: float) -> float:
 
 def losses(curve: pd.DataFrame) -> list[tuple[training.Losses, Figure]]:
     """Parts of the loss (log) over iterations, a chart per dataset and method."""
-    return [(panel, _losses(panel)) for panel in training.losses(curve)]
+    panels = training.losses(curve)
+    return [(panel, _losses(panel, training.shades(panel, panels))) for panel in panels]
 
 
-def _losses(panel: training.Losses) -> Figure:
-    shades = training.shades(panel)
+def _losses(panel: training.Losses, shades: list[str]) -> Figure:
     ends = (0.0, _widened(max(part.x[-1] for part in panel.parts), panel.parts))
     y_axis = log_axis([y for part in panel.parts for y in part.y], "loss")
     traces = [
@@ -117,17 +123,14 @@ def _losses(panel: training.Losses) -> Figure:
         for part, shade in zip(panel.parts, shades, strict=True)
     ]
     spots = [(share(x, ends), share(y, y_axis["range"])) for x, y, _, _ in labels]
-    along = [
-        (share(x, ends), share(math.log10(y), y_axis["range"]))
-        for part in panel.parts
-        for x, y in zip(part.x, part.y, strict=True)
-    ]
+    along = [(share(x, ends), share(math.log10(y), y_axis["range"])) for x, y in training.along(panel)]
     stroke = {"color": GREY, "width": 1, "dash": "dash"}
     upright = {"type": "line", "yref": "paper", "y0": 0, "y1": 1, "line": stroke}
     shapes = [{**upright, "x0": iteration, "x1": iteration} for iteration, _ in panel.joins]
     told = [
-        {"x": iteration, "yref": "paper", "y": 0.5, "text": f"{name} joins", "textangle": -90,
-         "showarrow": False, "xanchor": "right", "font": {"size": 11, "color": GREY}}
+        {"x": iteration, "yref": "paper", "y": 0.02, "yanchor": "bottom", "textangle": -90,
+         "text": f"{name} first seen", "showarrow": False, "xanchor": "right",
+         "font": {"size": 11, "color": GREY}}
         for iteration, name in panel.joins
     ]  # fmt: skip
     x_axis = {"range": list(ends), "title": {"text": "iteration"}}

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from reports import data, rate_distortion
-from reports.style import color, linear_range, marker, series
+from reports.style import OTHERS, linear_range, series
 from reports.traces.frame import GREY, Figure, figure, line, log_axis, notes, share
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def tradeoffs(results: pd.DataFrame, against: str) -> dict[str, Figure]:
     """Dataset -> PSNR against a column of :data:`reports.data.AXIS` (log); the dominated region is shaded."""
     names = series(results)
-    return {panel.dataset: _tradeoff(panel, against, names) for panel in data.tradeoff(results, against)}
+    return {panel.title: _tradeoff(panel, against, names) for panel in data.tradeoff(results, against)}
 
 
 def _tradeoff(panel: data.Panel, against: str, names: list[str]) -> Figure:
@@ -25,8 +25,7 @@ def _tradeoff(panel: data.Panel, against: str, names: list[str]) -> Figure:
     low, high = x_axis["range"]
     y_range = linear_range(panel.all_y, 2.0)
     traces: list[Any] = _dominated(panel, 10 ** (low if panel.better > 0 else high), y_range[0])
-    for drawn in panel.lines:
-        shade, symbol = color(drawn.name, names), marker(drawn.name, names)
+    for drawn, look in panel.looks(names):
         hover = f"%{{text}}<br>%{{x:.4~g}} {axis.short}<br>%{{y:.2f}} dB<extra>{drawn.title}</extra>"
         traces.append(
             {
@@ -36,7 +35,7 @@ def _tradeoff(panel: data.Panel, against: str, names: list[str]) -> Figure:
                 "y": drawn.scene_y,
                 "text": drawn.scenes,
                 "meta": {"keys": drawn.scene_keys},
-                "marker": {"color": shade, "size": 6, "opacity": 0.4},
+                "marker": {"color": look.color, "size": 6, "opacity": 0.4},
                 "hovertemplate": hover,
             }
         )
@@ -44,10 +43,10 @@ def _tradeoff(panel: data.Panel, against: str, names: list[str]) -> Figure:
             line(
                 drawn.x,
                 drawn.y,
-                shade,
+                look.color,
                 text=["mean over scenes"] * len(drawn.x),
                 meta={"keys": drawn.keys},
-                marker={"color": shade, "size": 10, "symbol": symbol},
+                marker={"color": look.color, "size": 7 if look is OTHERS else 10, "symbol": look.marker},
                 hovertemplate=hover,
             )
         )
@@ -55,11 +54,11 @@ def _tradeoff(panel: data.Panel, against: str, names: list[str]) -> Figure:
     def place(x: float, y: float) -> tuple[float, float]:
         return share(math.log10(x), (low, high)), share(y, y_range)
 
-    labels = panel.labels()
+    labels = panel.labels(names)
     written = notes(
-        [(math.log10(x), y, text, color(name, names)) for x, y, text, name in labels],
+        [(math.log10(x), y, text, shade) for x, y, text, shade in labels],
         [place(x, y) for x, y, _, _ in labels],
-        [place(x, y) for x, y in zip(panel.all_x, panel.all_y, strict=True)],
+        [place(x, y) for x, y in panel.to_avoid],
     )
     y_axis = {"range": list(y_range), "title": {"text": "PSNR [dB]"}}
     return figure(traces, x_axis, y_axis, annotations=written)
@@ -86,7 +85,7 @@ def _dominated(panel: data.Panel, edge: float, bottom: float) -> list[Any]:
 
 
 def rate_curves(results: pd.DataFrame) -> dict[str, Figure]:
-    """Dataset -> PSNR over size (log) at all rates; methods of one size are single marks."""
+    """Dataset -> PSNR over size (log) at all rates; defaults of other methods are single marks."""
     names = series(results)
     panels = rate_distortion.drawn(rate_distortion.curves(results))
     return {dataset: _rate_curves(curves, names) for dataset, curves in panels.items()}
@@ -96,16 +95,15 @@ def _rate_curves(curves: list[rate_distortion.Curve], names: list[str]) -> Figur
     x_axis = log_axis([x for curve in curves for x in curve.mebibytes], data.AXIS["size_bytes"].title)
     y_range = linear_range([point.psnr for curve in curves for point in curve.points], 2.0)
     traces = []
-    for curve in curves:
-        shade = color(curve.name, names)
+    for curve, look in rate_distortion.looks(curves, names):
         traces.append(
             line(
                 curve.mebibytes,
                 [point.psnr for point in curve.points],
-                shade,
-                meta={"keys": [point.key for point in curve.points]},
+                look.color,
+                meta={"keys": [[point.key] for point in curve.points]},
                 text=[f"rate {point.rate}" if point.rate else "default" for point in curve.points],
-                marker={"color": shade, "size": 8, "symbol": marker(curve.name, names)},
+                marker={"color": look.color, "size": 8, "symbol": look.marker},
                 hovertemplate=f"%{{text}}<br>%{{x:.4~g}} MiB<br>%{{y:.2f}} dB<extra>{curve.title}</extra>",
             )
         )
@@ -113,9 +111,9 @@ def _rate_curves(curves: list[rate_distortion.Curve], names: list[str]) -> Figur
     def place(x: float, y: float) -> tuple[float, float]:
         return share(math.log10(x), x_axis["range"]), share(y, y_range)
 
-    ends, along = rate_distortion.labels(curves)
+    ends, along = rate_distortion.labels(curves, names)
     written = notes(
-        [(math.log10(x), y, text, color(name, names)) for x, y, text, name in ends],
+        [(math.log10(x), y, text, shade) for x, y, text, shade in ends],
         [place(x, y) for x, y, _, _ in ends],
         [place(x, y) for x, y in along],
     )

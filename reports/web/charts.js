@@ -40,17 +40,17 @@
     const known = element.data !== undefined;
     Plotly.react(element, figure.data, layout, { responsive: true, displaylogo: false, displayModeBar: false });
     if (known) return;
-    const tell = (name, key) => document.dispatchEvent(new CustomEvent(name, { detail: key }));
-    const key = (event) => event.points[0].data.meta?.keys?.[event.points[0].pointNumber];
-    element.on("plotly_hover", (event) => tell("pointhover", key(event)));
-    element.on("plotly_unhover", () => tell("pointhover", null));
-    element.on("plotly_click", (event) => { if (key(event)) tell("pointclick", key(event)); });
+    const tell = (name, keys) => document.dispatchEvent(new CustomEvent(name, { detail: keys }));
+    const keys = (event) => event.points[0].data.meta?.keys?.[event.points[0].pointNumber] ?? [];
+    element.on("plotly_hover", (event) => tell("pointhover", keys(event)));
+    element.on("plotly_unhover", () => tell("pointhover", []));
+    element.on("plotly_click", (event) => { if (keys(event).length) tell("pointclick", keys(event)); });
   }
 
-  // Points of marked rows; null while nothing is marked, which shows all alike.
+  // Points that stand for a marked row; null while nothing is marked, which shows all alike.
   function selected(trace) {
     if (!marked.size || !trace.meta?.keys) return null;
-    return trace.meta.keys.flatMap((key, i) => (marked.has(key) ? [i] : []));
+    return trace.meta.keys.flatMap((keys, i) => (keys.some((key) => marked.has(key)) ? [i] : []));
   }
 
   const seen = new Set();

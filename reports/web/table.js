@@ -137,10 +137,10 @@
     place();
   });
   document.addEventListener("pointhover", (event) => {
-    for (const row of rows) row.tr.classList.toggle("hit", event.detail === row.data.key);
+    for (const row of rows) row.tr.classList.toggle("hit", event.detail.includes(row.data.key));
   });
   document.addEventListener("pointclick", (event) => {
-    const found = rows.filter((row) => row.data.key === event.detail);
+    const found = rows.filter((row) => event.detail.includes(row.data.key));
     if (!found.length) return;
     if (found[0].tr.classList.contains("off")) {
       filters.forEach((input) => { input.value = ""; });

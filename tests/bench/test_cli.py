@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import re
 import subprocess
 import sys
 
@@ -12,6 +13,8 @@ import pandas as pd
 import pytest
 
 from bench.__main__ import main
+from bench.records import hash_of
+from bench.store import Store
 from datasets.errors import DataError
 
 LISTS = ("methods", "datasets", "suites", "metrics")
@@ -193,6 +196,41 @@ def test_a_report_goes_into_a_folder_or_under_a_name(finished, tmp_path, capsys,
     assert str(tmp_path / page) in capsys.readouterr().out
     assert (tmp_path / page).read_text(encoding="utf-8").startswith("<!doctype html>")
     assert (tmp_path / page).with_name("results.csv").exists()
+
+
+def test_claims_are_listed_where_they_are_asked_for(finished, capsys) -> None:
+    """With a verdict each, and why those are not evaluated that are not."""
+    store = ["report", "--runs", str(finished.store), "--plugins", str(finished.plugins)]
+    assert main(store) == 0
+    assert "uni-ivrgs-psnr" not in capsys.readouterr().out
+    assert main([*store, "--check-claims"]) == 0
+    told = capsys.readouterr().out
+    assert "not measured   uni-ivrgs-psnr         0.9 to 2.2 dB above iVR-GS\n" in told
+    assert "[VEG is not implemented here]" in told
+    counts = next(line for line in told.splitlines() if line.endswith(" not evaluated"))
+    assert counts.startswith("0 holds; 0 holds, exceeds; 0 does not hold; 0 not decided; ")
+    listed = re.findall(r"^not (?:measured|evaluated) ", told, re.MULTILINE)
+    assert sum(map(int, re.findall(r"\d+", counts))) == len(listed)
+
+
+def test_rows_left_out_are_told_and_can_be_listed(finished, capsys) -> None:
+    (measure,) = finished.of_kind("measure")
+    again = measure.model_copy(update={"finished": "2999"})
+    identity = {**measure.job.identity, "metrics": {}}
+    again.job = measure.job.model_copy(update={"identity": identity, "key": hash_of(identity)})
+    Store(finished.store).finish(again)
+    runs = ["--runs", str(finished.store), "--plugins", str(finished.plugins)]
+    assert main(["report", *runs]) == 0
+    told = "1 row of older versions of the same models is left out."
+    assert told in capsys.readouterr().out
+    assert told in (finished.store / "report.html").read_text(encoding="utf-8")
+    for file in ("results.md", "results.tex"):
+        assert told in (finished.store / file).read_text(encoding="utf-8")
+    assert len(pd.read_csv(finished.store / "results.csv")) == 1
+    assert main(["results", "--table", "superseded", *runs]) == 0
+    listed = capsys.readouterr()
+    assert measure.job.id in listed.out
+    assert again.job.id not in listed.out
 
 
 def test_a_report_does_not_go_into_a_file(finished, tmp_path, capsys) -> None:

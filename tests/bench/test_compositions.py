@@ -126,8 +126,8 @@ def _result(job) -> dict:
         return {"partition": PartitionResult(groups=[[scene] for scene in job.scenes], seconds=4.0)}
     if job.kind == "fit":
         seconds = {"shock": 10.0, "bubble": 20.0}[job.group]
-        fit = FitResult(seconds=seconds, iterations=1, primitives={}, train_views=12, curve=[], resumed=0,
-                        reference_seconds=None)  # fmt: skip
+        fit = FitResult(seconds=seconds, cpu_seconds=2.0 * seconds, iterations=1, primitives={},
+                        train_views=12, curve=[], resumed=0, reference_seconds=None)  # fmt: skip
         return {"fit": fit}
     if job.kind == "encode":
         own = {"shock": 100, "bubble": 200}[job.group]
@@ -153,6 +153,7 @@ def test_costs_of_a_composition_are_those_of_its_scenes(suite, tmp_path) -> None
         "primitives",
         "group_bytes",
         "group_seconds",
+        "cpu_seconds",
     ):
         assert both[name] == a[name] + b[name], name
     assert both["size_bytes"] == 314

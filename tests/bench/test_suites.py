@@ -1,5 +1,7 @@
 """Suites that come with the program: each can be planned anywhere, with stand-ins where data are missing."""
 
+from dataclasses import replace
+
 import pytest
 
 from bench.plan import Planner
@@ -7,6 +9,8 @@ from bench.selection import Selection
 from bench.suites import VIEWS, load_suite, names
 from datasets.catalogue import list_datasets
 from datasets.errors import DataError, UnknownName
+from reports.paper_layouts import layouts, published_as, takes
+from tests.bench.conftest import PLUGINS
 
 BUILT_IN = {info.name for info in list_datasets() if info.kind == "procedural"}
 
@@ -39,8 +43,51 @@ def test_stand_ins_take_the_place_of_missing_data_only():
     assert "vortices" not in suite.present(everything)
     some = suite.present({"vortex"})
     assert "vortex" in some
-    assert some["jet_flame"] == ("mf",)
+    assert some["jet_flame"] == (("mf",),)
     assert "vortex_views" not in some
+
+
+@pytest.mark.parametrize("name", layouts()["tables"])
+def test_a_table_of_the_paper_shows_what_its_suite_runs(name):
+    suite = load_suite(name)
+    for dataset in {*suite.datasets, *suite.stand_ins.values()} - {""}:
+        assert published_as(name, dataset) or takes(name, dataset), dataset
+    extra = layouts()["tables"][name].get("data", [])
+    assert set(extra) <= set(suite.datasets)
+    methods = {row["method"] for row in layouts()["tables"][name]["rows"]}
+    unknown = {"plenoxels", "ccnerf", "triangle-mesh"}
+    assert methods - unknown <= set(suite.methods)
+
+
+@pytest.mark.parametrize(
+    ("name", "datasets"),
+    [
+        ("joint-gain", {"ionization": 2, "combustion": 2, "vortex_views": 1}),
+        ("timing", {"ionization": 1, "combustion": 1, "supernova": 1, "vortex": 1}),
+        ("rate-distortion", {"supernova": 1, "ionization": 1}),
+        ("datasets", dict.fromkeys(["argon_bubble", "combustion", "ionization", "supernova", "beetle"], 1)),
+        ("datasets", dict.fromkeys(["vortex", "tangaroa"], 1)),
+    ],
+)
+def test_suites_run_the_datasets_of_the_papers_tables(name, datasets):
+    suite = load_suite(name)
+    assert {one: len(suite.datasets[one]) for one in datasets} == datasets
+    assert all(suite.stand_ins[one] for one in set(datasets) - {"vortex_views"})
+
+
+def test_all_methods_are_on_the_rate_distortion_chart():
+    assert set(load_suite("rate-distortion").methods) == set(load_suite("univariate").methods)
+
+
+def test_a_suite_may_run_several_choices_of_a_datasets_scenes(dataset, tmp_path):
+    """What is learned together with others is another model."""
+    suite = load_suite(suite_file(tmp_path, f'"{dataset}" = [["a", "b"], []]'))
+    joint = Selection(replace(suite, methods=("fake-joint",)), plugins=(str(PLUGINS),))
+    jobs = Planner(joint, {}).jobs(None)
+    assert [job.scenes for job in jobs if job.kind == "partition"] == [("a", "b"), ("a", "b", "c")]
+    assert sum(job.kind == "views" for job in jobs) == 3
+    named = Selection(replace(suite, methods=("3dgs",)), scenes=("c",))
+    assert [job.scenes for job in Planner(named, {}).jobs(None) if job.kind == "fit"] == [("c",)]
 
 
 def suite_file(folder, datasets, more=""):
@@ -62,3 +109,5 @@ def test_bad_suites_are_refused_by_name(tmp_path):
     suite = load_suite(suite_file(tmp_path, 'vortex = []\n[stand_ins]\nvortex = ""'))
     with pytest.raises(DataError, match="none of its datasets has data"):
         Planner(Selection(suite), {})
+    with pytest.raises(DataError, match="names, or lists of names"):
+        load_suite(suite_file(tmp_path, 'shells = ["outer", ["core"]]'))

@@ -58,6 +58,8 @@ RESULTS = [
     "partition_seconds",
     "requested_views",
     "edit",
+    "source",
+    "cpu_seconds",
 ]
 VIEWS = [
     "job",
@@ -111,6 +113,7 @@ NUMBERS = {
     "reference_seconds",
     "loss",
     "partition_seconds",
+    "cpu_seconds",
 }
 WHOLE = {
     "seed",

@@ -8,13 +8,16 @@ from unittest.mock import patch
 import pandas as pd
 import pytest
 
-from reports import charts
+from reports import charts, paper_documents
 from reports.__main__ import main
 from reports.files import write_files
 from reports.inputs import Unusable, read_results
-from reports.tables import to_latex
+from reports.paper_tables import paper_tables
+from reports.paper_values import NOT_MEASURED
+from reports.tables import tex, to_latex
 
 from .conftest import fill
+from .test_paper_tables import four, results, row, seen, waves
 
 
 def written(maker):
@@ -72,34 +75,68 @@ def test_bd_rates_are_a_file(maker):
 # --------------------------------------------------------------------------- LaTeX
 
 
-@pytest.mark.parametrize("case", ["many", "failures", "signs"])
-def test_latex_compiles(maker, case):
-    """By pdflatex where there is one, and by structure: braces close, rows have as many cells as columns, no
-    sign of LaTeX's own is bare."""
-    if case == "signs":
-        maker.run(scene="a_b & c%", method="m#1$", psnr=30.0)
-        maker.run(scene="a_b & c%", method="~{x}^", psnr=31.0)
-    else:
-        fill(maker, case)
-    text = to_latex(maker.tables()["results"], maker.tables()["views"])
+def check_latex(text, folder):
+    """By pdflatex where there is one, and by structure: environments and braces close, rows have as many
+    cells as columns, no sign of LaTeX's own is bare, and nothing needs another engine."""
     code = re.sub(r"(?<!\\)%.*", "", text)
     bare = re.sub(r"\\[{}&%$#_]", "", code)
     assert bare.count("{") == bare.count("}")
     assert bare.count("$") % 2 == 0
     assert not re.search(r"[#_~]", bare)
-    columns = len(re.search(r"\\begin\{tabular\}\{([lr]+)\}", code)[1])
-    rows = [line for line in bare.splitlines() if line.endswith(r"\\") and "multicolumn" not in line]
-    assert {line.count("&") + 1 for line in rows} == {columns}
-    order = [code.index(word) for word in (r"\toprule", r"\midrule", r"\bottomrule", r"\end{tabular}")]
-    assert order == sorted(order)
+    assert not re.search(r"\^", re.sub(r"\$[^$]*\$", "", bare))
+    assert text.isascii(), sorted({sign for sign in text if not sign.isascii()})
+    assert re.findall(r"\\begin\{(\w+)\}", code) == re.findall(r"\\end\{(\w+)\}", code)
+    kind, spec = re.search(r"\\begin\{(\w+)\}\{([lr]+)\}", code).groups()
+    body, after = bare.split(rf"\end{{{kind}}}")
+    rows = [line for line in body.splitlines() if line.endswith(r"\\")]
+    for line in rows:
+        spans = sum(int(count) - 1 for count in re.findall(r"\\multicolumn\{(\d+)\}", line))
+        assert line.count("&") + 1 + spans == len(spec), line
+    assert "&" not in after
+    assert code.index(r"\toprule") < code.index(r"\midrule") < code.index(rf"\end{{{kind}}}")
+    assert code.count(r"\toprule") == code.count(r"\bottomrule") == 1
     if shutil.which("pdflatex"):
-        page = (
-            r"\documentclass{article}\usepackage{booktabs}\begin{document}\tiny " + text + r"\end{document}"
-        )
-        (maker.root / "t.tex").write_text(page, encoding="utf-8")
+        head = r"\documentclass{article}\usepackage{booktabs,longtable}\begin{document}\tiny "
+        (folder / "t.tex").write_text(head + text + r"\end{document}", encoding="utf-8")
         command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"]
-        done = subprocess.run(command, cwd=maker.root, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout[-2000:]
+    return kind, after
+
+
+@pytest.mark.parametrize("case", ["many", "failures", "signs"])
+def test_latex_compiles(maker, case):
+    if case == "signs":
+        maker.run(scene="a_b & c%", method="m#1$", psnr=30.0)
+        maker.run(scene="a_b & c%", method="~{x}^", psnr=31.0)
+    else:
+        fill(maker, case)
+    tables = maker.tables()
+    results = tables["results"]
+    kind, after = check_latex(to_latex(results, tables["views"], "3 rows are left out."), maker.root)
+    assert kind == "longtable", "it breaks across pages"
+    assert "3 rows are left out." in after
+    for reason in results.loc[results["status"] != "ok", "reason"]:
+        assert tex(str(reason)) in to_latex(results), "why a row failed is printed"
+
+
+@pytest.mark.parametrize("size", [0.1, 3.0])
+def test_the_papers_tables_compile(size, tmp_path):
+    rows = [*four("econgs", 35.1), *four("3dgs", 35.0), *four("ivr-gs", 34.0)]
+    rows += [*four("econgs", 35.0, seed=1)[:3], row(scene="TF04", status="oom", psnr=None, seed=1)]
+    rows += [one | {"variant": "view_direction=false", "job": f"v{i}"} for i, one in enumerate(rows[:4])]
+    rows += [one | {"preset": "quick", "requested_views": 42, "job": f"q{i}"} for i, one in enumerate(rows)]
+    table = results(*rows)
+    made = {one.name: one for one in paper_tables(table, seen(table, waves(size)))}
+    assert {"univariate", "design"} <= set(made)
+    for one in made.values():
+        kind, after = check_latex(paper_documents.to_latex(one), tmp_path)
+        assert kind == "tabular"
+        unmeasured = any(line.note == NOT_MEASURED for block in one.blocks for line in block.rows)
+        assert ("not measured here" in after) == unmeasured
+    _, after = check_latex(paper_documents.to_latex(made["univariate"]), tmp_path)
+    assert ("interval of their paired difference" in after) == (size > 1), "a printed sign is explained"
+    assert "seed 1: TF04 oom" in after
 
 
 # --------------------------------------------------------------------------- tables of other tools

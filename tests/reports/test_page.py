@@ -177,11 +177,44 @@ def test_nothing_but_failures(maker):
     assert "boom" in text
 
 
-def test_missing_pictures_do_not_stop_the_report(maker):
-    maker.run()
+def test_a_store_without_pictures_says_so_once_and_shows_no_empty_scenes(maker):
+    for scene in "abc":
+        maker.run(scene=scene)
     for view in maker.rows["views"]:
-        (maker.root / view["truth_file"]).unlink()
-    assert "no picture: " in page(maker)[1]
+        (maker.root / view["render_file"]).unlink()
+    source, text = page(maker)
+    assert text.count("pictures are not in this store") == 1
+    assert "<h3>vortex / a" not in source
+    assert str(maker.root) not in source
+    assert "Errno" not in source
+
+
+def test_scenes_without_pictures_are_counted_beside_others(maker):
+    maker.run(scene="a")
+    maker.run(scene="b")
+    maker.run(scene="b", method="hac")
+    for view in maker.rows["views"]:
+        if view["scene"] == "a" or view["method"] == "hac":
+            (maker.root / view["render_file"]).unlink()
+    source, text = page(maker)
+    assert "The pictures of 1 scene are not in this store" in text
+    assert "no picture in this store" in text  # of one model of a scene that has others
+    assert source.count("<h3>vortex / ") == 1
+
+
+def test_a_broken_picture_is_told_without_its_path(maker):
+    maker.run(views=1)
+    (maker.root / maker.rows["views"][0]["render_file"]).write_bytes(b"none")
+    source, text = page(maker)
+    assert "no picture: the file is none" in text
+    assert str(maker.root) not in source
+
+
+def test_long_lists_stand_in_wide_boxes(maker):
+    for i in range(6):
+        maker.run(dataset=f"a_dataset_{i}", views=0)
+    source, _ = page(maker)
+    assert source.count('class="fact long"') == 1
 
 
 def test_paths_out_of_the_store_are_not_read(maker, tmp_path):

@@ -1,5 +1,7 @@
 """Panels: which views, models and windows are shown follows from the numbers, and pictures are true."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -158,6 +160,16 @@ def test_composed_scenes_are_shown_and_named(maker):
     page = scenes.section(maker.tables(), maker.root, None)
     assert 'both <span class="soft">composed</span>' in page
     assert page.count('<figure class="card panel"') == 2
+
+
+def test_captions_of_panels_for_papers_end_at_their_picture(maker):
+    maker.run(views=1)
+    tables = maker.tables()
+    (panel,) = panels(models(tables["results"]), tables["views"], maker.root)
+    axes = panel_figures.draw([replace(panel, which="lowest", view="test_003")], "x").axes[0]
+    (caption,) = [text for text in axes.texts if text.get_text().startswith("lowest")]
+    (values,) = [text for text in axes.texts if " dB" in text.get_text()]
+    assert caption.get_window_extent().x1 < values.get_window_extent().x0
 
 
 def test_panels_for_papers_have_odd_names_and_failed_models(maker):

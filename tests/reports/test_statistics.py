@@ -3,6 +3,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from reports.confidence import ends, signed
 from reports.statistics import Views, block_length, bootstrap_means, interval
 from reports.tables import UNDECIDED, ranks, summary, to_latex, to_markdown
 
@@ -163,3 +164,12 @@ def test_tables_say_that_they_do_not_rank(maker):
     assert r"95 \% interval" in latex
     assert r"30.20\rlap{$^{\approx}$}" in latex
     assert told not in to_markdown(tables["results"])
+
+
+def test_intervals_that_exclude_zero_do_not_read_as_if_they_touched_it():
+    assert ends(-0.5634, -0.0041, sign=True) == "\N{MINUS SIGN}0.563 to \N{MINUS SIGN}0.004"
+    assert ends(-0.5634, 0.0041, sign=True) == "\N{MINUS SIGN}0.56 to +0.00"
+    assert ends(0.5, 1.25) == "0.50 to 1.25"
+    assert signed(-0.001) == "+0.00"
+    assert signed(-1.5) == "\N{MINUS SIGN}1.50"
+    assert ends(None, None) == "\N{EN DASH}"

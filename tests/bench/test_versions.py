@@ -1,0 +1,188 @@
+"""One version of each model in the tables, however many a store holds."""
+
+from __future__ import annotations
+
+import pytest
+
+from bench.records import (
+    CurvePoint,
+    EncodeResult,
+    FitResult,
+    Job,
+    MeasureResult,
+    PartitionResult,
+    Provenance,
+    Record,
+    Request,
+    hash_of,
+)
+from bench.store import Store
+from bench.tables import build_tables, rows
+from reports.tables import left_out, summary
+
+REQUEST = Request(train_views=12, test_views=4, width=8, height=8)
+GROUPS = (("a", "b"), ("c",))
+
+
+def record(kind, identity, day, source="old", status="ok", **said):
+    results = {"partition": PartitionResult, "fit": FitResult, "encode": EncodeResult}
+    results["measure"] = MeasureResult
+    job_fields = {name: value for name, value in said.items() if name in Job.model_fields}
+    result = {name: value for name, value in said.items() if name in results and status == "ok"}
+    identity = {"kind": kind, **identity}
+    job = Job(
+        kind=kind, key=hash_of(identity), identity=identity, dataset="d", dataset_name="d", request=REQUEST,
+        preset="quick", method="m", **job_fields,
+    )  # fmt: skip
+    where = Provenance(
+        machine="x", cpu="", cores=1, threads=1, memory_bytes=1, gpu=None, system="", python="", versions={},
+        isa=None, commit=None, source=source,
+    )  # fmt: skip
+    time = f"2026-01-{day:02d}T00:00:00"
+    return Record(
+        job=job, status=status, started=time, finished=time, wall_seconds=1.0, provenance=where, **result
+    )
+
+
+def version(number, day, source="old", groups=GROUPS, joint=True, shared=10, failed=(), rate=None, done=True):
+    """All records of a method's models of one version: each group's shared bytes and 100 per scene."""
+    made = []
+    scenes = tuple(scene for group in groups for scene in group)
+    common = {"options": number}
+    partition = record(
+        "partition", {**common, "scenes": scenes}, day, source, scenes=scenes,
+        partition=PartitionResult(groups=[list(group) for group in groups], seconds=0.0),
+    )  # fmt: skip
+    if joint:
+        made.append(partition)
+    for group in groups:
+        name = "+".join(group)
+        point = CurvePoint(iteration=1, train_seconds=1.0, loss=None, psnr={}, primitives=1)
+        fit = record(
+            "fit", {**common, "scenes": group, "partition": partition.job.key if joint else None}, day,
+            source, scenes=group, group=name, needs=(partition.job.id,) if joint else (),
+            fit=FitResult(seconds=60.0, iterations=1, primitives={}, train_views=12, curve=[point], resumed=0,
+                          reference_seconds=None),
+        )  # fmt: skip
+        ledger = {"": {"net": shared}, **{scene: {"own": 100} for scene in group}}
+        encode = record(
+            "encode", {"fit": fit.job.key, "rate": rate}, day, source, scenes=group, group=name, rate=rate,
+            needs=(fit.job.id,),
+            encode=EncodeResult(seconds=0.0, total_bytes=shared + 100 * len(group), ledger=ledger),
+        )  # fmt: skip
+        made += [fit, encode]
+        for scene in group if done else ():
+            status = "failed" if scene in failed else "ok"
+            made.append(
+                record(
+                    "measure", {"encode": encode.job.key, "scene": scene}, day, source, status,
+                    scenes=(scene,), group=name, rate=rate, needs=(encode.job.id,),
+                    measure=MeasureResult(
+                        load_seconds=1.0, frame_seconds=0.1, frame_seconds_p05=0.1, frame_seconds_p95=0.1,
+                        frames=1, warmup_frames=1, warmup_stable=True, timing={"frame": 0.1}, primitives=5,
+                        metrics={"psnr": 30.0 + number}, missing={}, views=[], reference_seconds=None),
+                )
+            )  # fmt: skip
+    return made
+
+
+@pytest.fixture
+def tables_of(tmp_path):
+    def make(*versions, sources=None):
+        store = Store(tmp_path / "s", create=True)
+        for one in (one for records in versions for one in records):
+            store.finish(one)
+        return build_tables(store, sources or {}, write=False)
+
+    return make
+
+
+def sizes(tables):
+    return dict(zip(tables["results"]["scene"], tables["results"]["size_bytes"], strict=True))
+
+
+def test_a_cell_of_two_versions_is_counted_once(tables_of):
+    tables = tables_of(version(1, 1), version(2, 2, shared=30))
+    assert sizes(tables) == {"a": 115, "b": 115, "c": 130}
+    (mean,) = summary(tables["results"]).to_dict("records")
+    assert (mean["size_bytes"], mean["train_seconds"], mean["primitives"]) == (360, 120.0, 15)
+    assert tables["ledger"]["bytes"].sum() == 360
+    assert len(tables["curve"]) == 3
+    assert len(tables["timing"]) == 3
+    assert list(tables["superseded"]["scene"]) == ["a", "b", "c"]
+    assert list(tables["superseded"]["psnr"]) == [31.0] * 3
+    assert left_out(tables["superseded"]).startswith("3 rows of older versions")
+
+
+def test_records_as_such_are_all_there():
+    """What a bundle's tables are checked against."""
+    assert len(rows([*version(1, 1), *version(2, 2)])["results"]) == 6
+
+
+def test_the_current_source_goes_before_a_newer_stale_one(tables_of):
+    tables = tables_of(version(1, 1, "now"), version(2, 2, "old"), sources={"m": "now"})
+    assert list(tables["results"]["psnr"]) == [31.0] * 3
+    assert not tables["results"]["stale"].any()
+
+
+def test_what_was_fitted_together_is_taken_whole_or_not_at_all(tables_of):
+    """A scene fitted alone must not stand beside two thirds of what three scenes shared."""
+    alone = version(2, 2, "now", groups=(("a",),))
+    tables = tables_of(version(1, 1), alone, sources={"m": "now"})
+    assert sizes(tables) == {"a": 110, "c": 110}, "b shares with the older a"
+    assert sorted(tables["superseded"]["scene"]) == ["a", "b"]
+
+
+def test_of_the_same_source_the_version_with_all_scenes_stands(tables_of):
+    tables = tables_of(version(1, 1), version(2, 2, groups=(("a",),)))
+    assert sizes(tables) == {"a": 105, "b": 105, "c": 110}
+
+
+def test_scenes_fitted_alone_are_filled_up(tables_of):
+    apart = (("a",), ("b",), ("c",))
+    newer = version(2, 2, "now", groups=(("a",),), joint=False)
+    tables = tables_of(version(1, 1, groups=apart, joint=False), newer, sources={"m": "now"})
+    assert list(tables["results"]["psnr"]) == [32.0, 31.0, 31.0]
+    assert list(tables["results"]["stale"]) == [False, True, True]
+
+
+def test_a_failure_of_the_current_version_is_not_hidden_by_an_older_success(tables_of):
+    tables = tables_of(version(1, 1), version(2, 2, failed=("b",)))
+    assert list(tables["results"]["status"]) == ["ok", "failed", "ok"]
+
+
+def test_what_is_not_measured_yet_takes_nobodys_place(tables_of):
+    tables = tables_of(version(1, 1), version(2, 2, "now", done=False), sources={"m": "now"})
+    assert list(tables["results"]["psnr"]) == [31.0] * 3
+    assert len(tables["superseded"]) == 0
+
+
+def test_other_rates_of_the_same_models_stay(tables_of):
+    tables = tables_of(version(1, 1), version(1, 1, rate=0.5))
+    assert len(tables["results"]) == 6
+    assert tables["superseded"].empty
+
+
+def test_a_model_measured_twice_has_its_newest_row(tables_of):
+    first = version(1, 1)
+    again = []
+    for one in first:
+        if one.job.kind == "measure":
+            identity = {**one.job.identity, "metrics": 2}
+            job = one.job.model_copy(update={"identity": identity, "key": hash_of(identity)})
+            again.append(one.model_copy(update={"job": job, "finished": "2026-02-01"}))
+    tables = tables_of(first, again)
+    assert set(tables["results"]["job"]) == {one.job.id for one in again}
+
+
+def test_fewer_scenes_learned_together_are_a_dataset_of_their_own(tables_of):
+    """Joint learning of two scenes and of three are no versions of each other."""
+    part = version(1, 1, groups=(("a", "b"),))
+    alone = version(3, 3, groups=(("a",), ("b",), ("c",)), joint=False)
+    for one in alone:
+        one.job.method = "other"
+    tables = tables_of(part, version(2, 2, shared=30, groups=(("a", "b", "c"),)), alone)
+    assert tables["superseded"].empty
+    means = summary(tables["results"]).set_index(["dataset", "method"])["size_bytes"].to_dict()
+    assert means == {("d", "m"): 330, ("d", "other"): 330, ("d, 2 scenes together", "m"): 210}
+    assert set(tables["ledger"]["dataset"]) == {"d", "d, 2 scenes together"}
