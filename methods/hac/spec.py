@@ -28,7 +28,7 @@ SPEC = MethodSpec(
         "mask_weight": Option(5e-4, "weight of the mean mask of the offsets", minimum=0.0, maximum=1.0),
         "grid": Option("hac", "size of the binary hash grids", choices=("small", "hac")),
         "context_hidden": Option(100, "hidden units of the context model", minimum=8, maximum=256),
-        "feature_step": Option(0.1, "quantisation step Q of features (published: 1)", minimum=1e-6),
+        "feature_step": Option(0.4, "quantisation step Q of features (published: 1)", minimum=1e-6),
         "scaling_step": Option(0.001, "quantisation step Q of scalings", minimum=1e-8),
         "offset_step": Option(0.2, "quantisation step Q of offsets", minimum=1e-6),
     },
