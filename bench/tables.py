@@ -269,10 +269,9 @@ def _times(
     seconds = trained.seconds + encode.seconds
     if partition is not None and partition.partition is not None:
         seconds += partition.partition.seconds * len(group) / len(partition.job.scenes)
-    share_of = len(scenes) / len(group)
-    times = {"group_seconds": seconds, "train_seconds": seconds * share_of}
+    times = {"group_seconds": seconds, "train_seconds": seconds * len(scenes) / len(group)}
     if trained.cpu_seconds is not None:  # older records have none
-        times["cpu_seconds"] = trained.cpu_seconds * share_of
+        times["cpu_seconds"] = trained.cpu_seconds * len(scenes) / len(group)
     return times
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -189,3 +190,15 @@ def test_what_is_no_bundle_is_refused(tmp_path):
     with pytest.raises(DataError, match="holds no finished job"):
         write_bundle(Store(tmp_path / "runs", create=True), tmp_path / "out.zip")
     assert not (tmp_path / "out.zip").exists()
+
+
+MEASURED = sorted((Path(__file__).resolve().parents[2] / "reports" / "measured").glob("*.zip"))
+
+
+@pytest.mark.parametrize("path", MEASURED, ids=lambda path: path.stem)
+def test_the_committed_bundles_still_follow_from_their_records(path):
+    assert verify_bundle(path) == []
+
+
+def test_there_are_committed_bundles():
+    assert MEASURED
