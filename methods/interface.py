@@ -76,6 +76,10 @@ class Configuration:
     iterations: Mapping[str, int] = field(default_factory=dict)
 
 
+SHARED_SOURCE = ("methods.trainer", "methods.schedule", "methods.by_scene", "methods.saved")
+"""What all built-in methods share: part of the ``source`` of each."""
+
+
 @dataclass(frozen=True)
 class MethodSpec:
     """What a method is and can do; pure data, imports nothing heavy.

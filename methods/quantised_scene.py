@@ -18,6 +18,7 @@ from torch import Tensor
 from datasets.errors import DataError
 from datasets.scene import RGB
 from econgs.codebooks import Codebook, code_ids, decode_ids, decoded, pack_ids, unpack_ids
+from methods.saved import saved_files
 
 SUFFIX = ".safetensors"
 R = TypeVar("R")
@@ -113,11 +114,8 @@ def read_folder(
     Raises:
         DataError: no scene is there, or a file is damaged or of another kind.
     """
-    files = sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else []
-    if not files:
-        raise DataError(folder, f"no saved {method} model in it", "Give the folder that Model.save wrote")
     scenes = []
-    for file in files:
+    for file in saved_files(folder, SUFFIX, method):
         try:
             scene = _read(file, kind, widths)
             scenes.append((scene, ready(scene)))

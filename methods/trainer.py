@@ -7,11 +7,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from econgs.optim import Adam
 from methods.interface import Checkpoint, Diverged, Monitor
+from methods.schedule import Proportional
 
 CHECK_EVERY = 100
 """Iterations between looks at whether parameters are finite."""
@@ -27,12 +30,14 @@ class TrainingLoop(ABC):
 
     Attributes:
         optimiser: holds the parameters.
+        schedule: fitted to the budget.
         iteration: how many were done.
         pending: views not yet drawn in this round.
         limited: growth has met its limit.
     """
 
     optimiser: Adam
+    schedule: Proportional
 
     def __init__(self, seed: int, device: str) -> None:
         self.device = device
@@ -42,9 +47,9 @@ class TrainingLoop(ABC):
         self.limited = False
 
     @property
-    @abstractmethod
     def iterations(self) -> int:
         """The whole budget."""
+        return self.schedule.iterations
 
     @property
     @abstractmethod
@@ -138,6 +143,11 @@ class TrainingLoop(ABC):
     def arrays(self, checkpoint: Checkpoint) -> dict[str, Tensor]:
         """Arrays of a checkpoint on the device of the fit."""
         return {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
+
+
+def to_numpy(tensor: Tensor) -> NDArray[np.float32]:
+    """A copy as float32 array."""
+    return tensor.detach().cpu().numpy().copy()
 
 
 def under(prefix: str, arrays: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -387,8 +387,9 @@ class ContextModel(nn.Module):
 
         def rounded(one: Tensor, step: Tensor) -> Tensor:
             with torch.no_grad():
-                whole = torch.floor(one / step + 0.5)
-                difference, noise = whole * step - one, whole - one / step
+                exact = one / step
+                whole = torch.floor(exact + 0.5)
+                difference, noise = whole * step - one, whole - exact
             return one + difference + noise * (step - step.detach())
 
         scaling_steps = steps[:, 1:3].repeat_interleave(3, 1, output_size=6)

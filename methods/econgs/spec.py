@@ -1,6 +1,6 @@
 """ECoNGS: what it can do and how it is set."""
 
-from methods.interface import Configuration, MethodSpec, Option, RateKnob
+from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, Option, RateKnob
 
 SPEC = MethodSpec(
     name="econgs",
@@ -10,7 +10,7 @@ SPEC = MethodSpec(
     ),
     version="1",
     implementation="methods.econgs.method:Econgs",
-    source=("methods.econgs", "methods.by_scene", "econgs", "datasets.cloud"),
+    source=("methods.econgs", *SHARED_SOURCE, "econgs", "datasets.cloud"),
     joint=True,
     composable=True,
     edits=frozenset({"palette", "opacity", "light", "shading"}),

@@ -34,7 +34,7 @@ from methods.econgs.rent import contributions, some_views, who_stays
 from methods.econgs.schedule import Schedule
 from methods.econgs.start import starting_points
 from methods.interface import Checkpoint, OptionValue, Refused, SceneInput
-from methods.trainer import CHECK_EVERY, TrainingLoop, under
+from methods.trainer import CHECK_EVERY, TrainingLoop, to_numpy, under
 
 
 @dataclass(frozen=True)
@@ -111,6 +111,8 @@ class Trainer(TrainingLoop):
         Refused: a scene without views or points.
     """
 
+    schedule: Schedule
+
     def __init__(
         self,
         group: Sequence[SceneInput],
@@ -178,11 +180,6 @@ class Trainer(TrainingLoop):
     def count(self) -> int:
         """Number of anchors of all scenes."""
         return sum(len(scene.anchors) for scene in self.scenes)
-
-    @property
-    def iterations(self) -> int:
-        """The whole budget."""
-        return self.schedule.iterations
 
     @property
     def may_pause(self) -> bool:
@@ -413,7 +410,7 @@ class Trainer(TrainingLoop):
     def model(self) -> EcongsModel:
         """The present state as a model of its own: rounded as its stream would be, in the second stage."""
         now = self.optimiser
-        positions = np.concatenate([_numpy(scene.anchors.positions) for scene in self.scenes])
+        positions = np.concatenate([to_numpy(scene.anchors.positions) for scene in self.scenes])
         embeddings = [now[f"{scene.key}/embedding"].detach() for scene in self.scenes]
         decoders = self.decoders
         if self.options["fold_embeddings"]:
@@ -421,11 +418,11 @@ class Trainer(TrainingLoop):
         scenes = tuple(
             SceneAttributes(
                 name=scene.name,
-                positions=_numpy(scene.anchors.positions),
-                **{name: _numpy(v) for name, v in self._attributes(scene)._asdict().items()},
+                positions=to_numpy(scene.anchors.positions),
+                **{name: to_numpy(v) for name, v in self._attributes(scene)._asdict().items()},
                 parameters={
-                    "palette": _numpy(now[f"{scene.key}/palette"]),
-                    "embedding": _numpy(embedding),
+                    "palette": to_numpy(now[f"{scene.key}/palette"]),
+                    "embedding": to_numpy(embedding),
                 },
             )
             for scene, embedding in zip(self.scenes, embeddings, strict=True)
@@ -436,7 +433,9 @@ class Trainer(TrainingLoop):
             scenes,
             PositionGrid.lattice(float(self.options["voxel"]), positions),
             context=CodedContext.of(self.coding.model) if coded and self.coding is not None else None,
-            decoders=round_arrays({name: _numpy(v) for name, v in decoders.state_dict().items()}, precision),
+            decoders=round_arrays(
+                {name: to_numpy(v) for name, v in decoders.state_dict().items()}, precision
+            ),
             metadata={
                 "decoders": decoders_metadata(decoders, precision),
                 "scenes": {
@@ -487,7 +486,3 @@ def _context(options: Mapping[str, OptionValue], features: int, anchors: int) ->
 def _units(anchors: int, per_unit: int, least: int) -> int:
     """Hidden units of a network that so many first anchors are to pay for; 50, the paper's, at most."""
     return min(max(anchors // per_unit, least), 50)
-
-
-def _numpy(tensor: Tensor) -> NDArray[np.float32]:
-    return tensor.detach().cpu().numpy().copy()

@@ -20,6 +20,7 @@ from econgs.splat.sh import spherical_harmonics
 from methods.by_scene import ByScene, opacity_factors, seconds
 from methods.gaussian_splatting.ply import read_ply, write_ply
 from methods.interface import Edit, Refused
+from methods.saved import saved_files
 
 FORMAT = "econgs-bench 3dgs 1"
 SH_REST = 15  # coefficients above the DC part, degree 3
@@ -223,10 +224,7 @@ def load_model(folder: Path, device: str) -> GaussianModel:
     Raises:
         DataError: a file is missing, damaged or of another kind.
     """
-    files = sorted(folder.glob("*.json")) if folder.is_dir() else []
-    if not files:
-        raise DataError(folder, "no saved 3dgs model in it", "Give the folder that Model.save wrote")
-    return GaussianModel([_load_scene(file, device) for file in files])
+    return GaussianModel([_load_scene(file, device) for file in saved_files(folder, ".json", "3dgs")])
 
 
 def _load_scene(file: Path, device: str) -> SceneGaussians:

@@ -1,6 +1,6 @@
 """3D Gaussian splatting: what it can do and how it is set."""
 
-from methods.interface import Configuration, MethodSpec, Option, OptionValue
+from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, Option, OptionValue
 
 PUBLISHED: dict[str, OptionValue] = {"start": "random", "sh_rest_lr": 1.25e-4}
 """How the released code starts on scenes without a cloud of their own, and its rate of SH at every preset."""
@@ -16,7 +16,7 @@ SPEC = MethodSpec(
     implementation="methods.gaussian_splatting.method:GaussianSplatting",
     source=(
         "methods.gaussian_splatting",
-        "methods.by_scene",
+        *SHARED_SOURCE,
         "econgs.splat",
         "econgs.losses",
         "econgs.optim",

@@ -45,6 +45,8 @@ class Trainer(TrainingLoop):
         Refused: no views, no initial points, or too many of them.
     """
 
+    schedule: Schedule
+
     def __init__(
         self, scene: SceneInput, options: Mapping[str, OptionValue], iterations: int, seed: int, device: str
     ) -> None:
@@ -94,11 +96,6 @@ class Trainer(TrainingLoop):
     def count(self) -> int:
         """Number of Gaussians."""
         return len(self.optimiser["means"])
-
-    @property
-    def iterations(self) -> int:
-        """The whole budget."""
-        return self.schedule.iterations
 
     def _stage(self) -> str:
         if self.count == 0:

@@ -18,7 +18,7 @@ from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
 from econgs.codebooks import quantise_scalars
 from econgs.splat.composite import over, thinned
 from econgs.splat.rasterise import Rasterised, rasterise
-from methods.by_scene import ByScene, seconds, shading_edit
+from methods.by_scene import ByScene, Direction, seconds, shading_edit
 from methods.interface import Edit, Refused, edits_by_scene
 from methods.quantised_scene import Column, QuantisedScene, half_exact, read_folder
 
@@ -41,8 +41,6 @@ WIDTHS = {
 Columns hold values before their activation, which is applied once, when a model is made ready to render.
 """
 _SEED = 0  # scalar codebooks start from quantiles: no choice depends on it
-
-Direction = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)

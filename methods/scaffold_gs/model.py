@@ -25,6 +25,7 @@ from econgs.splat.composite import over
 from methods.by_scene import ByScene, opacity_factors, seconds
 from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
 from methods.interface import Edit, Refused
+from methods.saved import saved_files
 
 FORMAT = "econgs-bench scaffold-gs 1"
 
@@ -242,9 +243,7 @@ def load_model(folder: Path, device: str) -> ScaffoldModel:
     Raises:
         DataError: a file is missing, damaged or of another kind.
     """
-    files = sorted(folder.glob("*.safetensors")) if folder.is_dir() else []
-    if not files:
-        raise DataError(folder, "no saved scaffold-gs model in it", "Give the folder that Model.save wrote")
+    files = saved_files(folder, ".safetensors", "scaffold-gs")
     return ScaffoldModel([_load_scene(file, device) for file in files], device)
 
 

@@ -1,6 +1,6 @@
 """Scaffold-GS: what it can do and how it is set."""
 
-from methods.interface import Configuration, MethodSpec, Option, OptionValue
+from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, Option, OptionValue
 
 OPTIONS = {
     # Start
@@ -39,7 +39,7 @@ OPTIONS = {
 }
 """What HAC has in common with it."""
 
-SOURCE = ("methods.scaffold_gs", "methods.gaussian_splatting.ply", "methods.by_scene", "datasets.cloud")
+SOURCE = ("methods.scaffold_gs", "methods.gaussian_splatting.ply", *SHARED_SOURCE, "datasets.cloud")
 
 PUBLISHED: dict[str, OptionValue] = {"start": "random", "background": "white", "max_anchors": 0}
 """How the released code starts on scenes without a cloud of their own."""

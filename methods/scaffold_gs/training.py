@@ -24,7 +24,7 @@ from econgs.splat.composite import over
 from methods.interface import Checkpoint, Model, OptionValue, Refused, SceneInput
 from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
-from methods.trainer import CHECK_EVERY, TrainingLoop, under
+from methods.trainer import CHECK_EVERY, TrainingLoop, to_numpy, under
 
 Rate = tuple[float, float]
 """First and last learning rate; between them it decays log-linearly."""
@@ -63,6 +63,7 @@ class Trainer(TrainingLoop):
         Refused: no views, no points to start from, or more than ``max_anchors``.
     """
 
+    schedule: Schedule
     distance = False
     quantised = False
     masks = False
@@ -117,11 +118,6 @@ class Trainer(TrainingLoop):
         self.images = torch.from_numpy(scene.train.images)
         groups = self.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
-
-    @property
-    def iterations(self) -> int:
-        """The whole budget."""
-        return self.schedule.iterations
 
     @property
     def count(self) -> int:
@@ -288,8 +284,3 @@ def _background(scene: SceneInput, wanted: str) -> tuple[float, float, float] | 
     """What views are composited on; None: a random color each time."""
     fixed = {"scene": scene.train.background, "white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
     return fixed.get(wanted)
-
-
-def to_numpy(tensor: Tensor) -> NDArray[np.float32]:
-    """A copy as float32 array."""
-    return tensor.detach().cpu().numpy().copy()

@@ -1,4 +1,4 @@
-"""Models that are saved as self-contained streams of the integer coder: those of ECoNGS and HAC."""
+"""The folder of a saved model: its files, and those of them that are streams of the integer coder."""
 
 from __future__ import annotations
 
@@ -8,17 +8,26 @@ from datasets.errors import DataError
 from econgs.context.stream import GroupAttributes, decode_group
 
 
+def saved_files(folder: Path, suffix: str, method: str) -> list[Path]:
+    """The files of one suffix, in order.
+
+    Raises:
+        DataError: there is none.
+    """
+    files = sorted(folder.glob(f"*{suffix}")) if folder.is_dir() else []
+    if not files:
+        raise DataError(folder, f"no saved {method} model in it", "Give the folder that Model.save wrote")
+    return files
+
+
 def read_streams(folder: Path, suffix: str, method: str) -> list[tuple[str, GroupAttributes]]:
     """The file names and decoded groups of a folder that a method saved.
 
     Raises:
         DataError: no stream is there, or one cannot be read or decoded.
     """
-    files = sorted(folder.glob(f"*{suffix}")) if folder.is_dir() else []
-    if not files:
-        raise DataError(folder, f"no saved {method} model in it", "Give the folder that Model.save wrote")
     groups = []
-    for file in files:
+    for file in saved_files(folder, suffix, method):
         try:
             data = file.read_bytes()
         except OSError as error:
