@@ -10,17 +10,17 @@ from reports import markup
 from reports.claims import EXCEEDS, HOLDS, SKIPPED, UNKNOWN, UNSURE, VERDICTS, Verdict, check
 from reports.confidence import ends
 from reports.paper_documents import to_html as table_html
-from reports.paper_tables import of_tables
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from reports.paper_values import PaperTable
+
 _TAGS = {HOLDS: "ok", EXCEEDS: "ok", UNSURE: "stale"}
 
 
-def section(tables: dict[str, pd.DataFrame]) -> str:
-    """HTML of all the paper's tables and of the claims they decide; "" if there is nothing to compare."""
-    measured = of_tables(tables)
+def section(measured: Sequence[PaperTable], views: pd.DataFrame) -> str:
+    """HTML of the paper's tables and of the claims they decide; "" if there is nothing to compare."""
     if not measured:
         return ""
     note = (
@@ -28,9 +28,7 @@ def section(tables: dict[str, pd.DataFrame]) -> str:
         "pictures 800 \N{MULTIPLICATION SIGN} 800). Quality and FPS are means over scenes, size, time and "
         "anchors sums. Second lines on other data than the paper's show its numbers, not a goal.</p>"
     )
-    return (
-        note + "\n".join(table_html(table) for table in measured) + to_html(check(measured, tables["views"]))
-    )
+    return note + "\n".join(table_html(table) for table in measured) + to_html(check(measured, views))
 
 
 def to_html(verdicts: Sequence[Verdict]) -> str:

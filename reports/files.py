@@ -9,15 +9,19 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import charts, confidence, datasets, paper_documents, paper_tables, rate_distortion
+from reports import charts, confidence, datasets, paper_documents, rate_distortion
 from reports.protocols import by_training_views
 from reports.tables import left_out, to_csv, to_latex, to_markdown
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import pandas as pd
 
+    from reports.paper_values import PaperTable
 
-def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
+
+def write_files(tables: dict[str, pd.DataFrame], folder: Path, measured: Sequence[PaperTable]) -> None:
     """Write charts and tables.
 
     ``charts/`` (PDF and PNG), ``results.*`` (CSV, Parquet, Markdown, LaTeX), ``paper/`` (its tables),
@@ -28,13 +32,14 @@ def write_files(tables: dict[str, pd.DataFrame], folder: Path) -> None:
     Args:
         tables: results, views, curve, ledger, timing, features and dvr as documented in docs/architecture.md.
         folder: where to; made if it is missing.
+        measured: the paper's tables of the same rows.
     """
     results, dvr = tables["results"], tables["dvr"]
     if not results.empty:
         folder.mkdir(parents=True, exist_ok=True)
         shown = by_training_views(tables)
         charts.write(shown, folder / "charts")
-        for table in paper_tables.of_tables(tables):
+        for table in measured:
             write_text(folder / "paper" / f"{table.name}.md", paper_documents.to_markdown(table))
             write_text(folder / "paper" / f"{table.name}.tex", paper_documents.to_latex(table))
         write_text(folder / "results.csv", to_csv(results))

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import claims_documents, datasets, editing, provenance, results_table, scenes
+from reports import claims_documents, datasets, editing, paper_tables, provenance, results_table, scenes
 from reports.chart_parts import Section
 from reports.chart_sections import chart_sections
 from reports.files import write_files, write_text
@@ -36,10 +36,11 @@ def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path
         ``out``.
     """
     results, dvr = tables["results"], tables["dvr"]
-    write_files(tables, out.parent)
+    measured = [] if results.empty else paper_tables.of_tables(tables)
+    write_files(tables, out.parent, measured)
     sections = []
     if not results.empty:
-        paper = claims_documents.section(tables)
+        paper = claims_documents.section(measured, tables["views"])
         tables = by_training_views(tables)
         results = tables["results"]
         pictures = scenes.section(tables, root, out.parent / "charts")

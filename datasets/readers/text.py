@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from datasets.errors import DataError
 
 _CHUNK = 1 << 20
-_SPACE = b" \t\r\n\v\f"
 
 
 def numbers(

@@ -90,6 +90,9 @@ SMALL_GRID = GridConfig(
 )
 """56 values, 0.06 MiB of bits: what the published sizes leave room for."""
 
+GRIDS = {"small": SMALL_GRID, "hac": HAC_GRID}
+"""By the names that options have."""
+
 
 @dataclass(frozen=True)
 class Lookup:

@@ -9,6 +9,7 @@ it is trained, attributes carry uniform noise of one step; afterwards they are r
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from econgs.context.hash_grid import SMALL_GRID, GridConfig, HashGrid, Lookup, compiled, native
+from econgs.context.hash_grid import GRIDS, SMALL_GRID, GridConfig, HashGrid, Lookup, compiled, native
 from econgs.context.integer import MOST_INPUTS, IntegerHead, IntegerLayer, rounded_steps, rounded_weight
 
 STEPS = {"features": 0.1, "offset_scalings": 0.001, "gaussian_scalings": 0.001, "offsets": 0.2}
@@ -74,6 +75,13 @@ class ContextConfig:
             )
         if not 1 <= self.hidden <= MOST_INPUTS:
             raise ValueError(f"a hidden layer of 1 to {MOST_INPUTS} is possible")
+
+    @classmethod
+    def of(cls, options: Mapping[str, bool | int | float | str], features: int, hidden: int) -> ContextConfig:
+        """With the steps, ``offsets`` and ``grid`` of a method's options."""
+        scaling = float(options["scaling_step"])
+        steps = (float(options["feature_step"]), scaling, scaling, float(options["offset_step"]))
+        return cls(features, int(options["offsets"]), steps, GRIDS[str(options["grid"])], hidden)
 
     @property
     def widths(self) -> tuple[int, int, int, int]:

@@ -277,9 +277,3 @@ def _walk(coder: Encoder | Decoder, bits: int, leaves: Codes | None, limit: int)
 def morton_order(codes: Codes) -> NDArray[np.int64]:
     """(N,) indices that sort codes along the Morton curve; equal ones keep their order."""
     return np.argsort(morton(codes), kind="stable")
-
-
-def position_bits(codes: Codes, grid: PositionGrid) -> float:
-    """Bits per position when coded, for comparison with 48."""
-    ordered = codes[morton_order(codes)]
-    return 8.0 * len(encode_positions(ordered, grid)) / len(codes)

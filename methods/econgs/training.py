@@ -21,7 +21,6 @@ from econgs.anchors.decoders import Decoders, OffsetColor, Storage
 from econgs.anchors.folding import fold_embeddings
 from econgs.anchors.growing import AnchorRules
 from econgs.context.arrays import Precision, round_arrays
-from econgs.context.hash_grid import HAC_GRID, SMALL_GRID
 from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
 from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, round_group
@@ -62,7 +61,6 @@ COLOR_SAMPLE = 256
 """Anchors whose offset colors a step regularises."""
 BEYOND = 10.0
 """Weight of diffuse colors outside [0, 1] against that of offset colors."""
-_GRIDS = {"small": SMALL_GRID, "hac": HAC_GRID}
 
 
 class _Scene:
@@ -164,12 +162,11 @@ class Trainer(TrainingLoop):
             groups[f"{scene.key}/palette"] = scene.palette.to(device)
             groups[f"{scene.key}/embedding"] = (_EMBEDDING_SPREAD * embedding).to(device)
         groups |= {name: list(self.decoders.network(name).tensors()) for name in self.decoders.names}
-        self.coding = (
-            Coding(_context(options, self.decoders.width, first), self.schedule, self.generator, device)
-            if self.schedule.context
-            else None
-        )
-        if self.coding is not None:
+        self.coding = None
+        if self.schedule.context:
+            hidden = int(options["context_hidden"]) or _units(first, 100, 4)
+            config = ContextConfig.of(options, self.decoders.width, hidden)
+            self.coding = Coding(config, self.schedule, self.generator, device)
             groups |= self.coding.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
         self.control = RateControl(
@@ -470,17 +467,6 @@ class Trainer(TrainingLoop):
             self.coding.load_state(arrays)
             if self.schedule.coded(self.iteration):
                 self.coding.place([scene.anchors for scene in self.scenes])
-
-
-def _context(options: Mapping[str, OptionValue], features: int, anchors: int) -> ContextConfig:
-    scaling = float(options["scaling_step"])
-    return ContextConfig(
-        features=features,
-        offsets=int(options["offsets"]),
-        steps=(float(options["feature_step"]), scaling, scaling, float(options["offset_step"])),
-        grid=_GRIDS[str(options["grid"])],
-        hidden=int(options["context_hidden"]) or _units(anchors, 100, 4),
-    )
 
 
 def _units(anchors: int, per_unit: int, least: int) -> int:

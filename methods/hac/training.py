@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from econgs.anchors.anchor_set import MASKS
 from econgs.anchors.coding import Coding
-from econgs.context.hash_grid import HAC_GRID, SMALL_GRID
 from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
 from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, round_group
 from methods.hac.model import HacModel, metadata_of
-from methods.interface import Checkpoint, OptionValue
+from methods.interface import Checkpoint
 from methods.scaffold_gs import training as scaffold_gs
 from methods.scaffold_gs.training import Prepared
 from methods.trainer import to_numpy
@@ -24,7 +23,6 @@ LEAST_MASK = 0.01
 BOX_MARGIN = 0.1
 """The box of the context's positions exceeds the anchors by this share on every side (published: 1.2 x)."""
 MASK_RATE, CONTEXT_RATE = (1e-2, 1e-4), (5e-3, 1e-5)
-_GRIDS = {"small": SMALL_GRID, "hac": HAC_GRID}
 
 
 class Trainer(scaffold_gs.Trainer):
@@ -36,7 +34,8 @@ class Trainer(scaffold_gs.Trainer):
 
     def groups(self) -> dict[str, Tensor | Sequence[Tensor]]:
         """What the optimiser trains; the context model is made here, after the decoders."""
-        config = _context(self.options)
+        features, hidden = (int(self.options[name]) for name in ("features", "context_hidden"))
+        config = ContextConfig.of(self.options, features, hidden)
         self.coding = Coding(config, self.schedule, self.generator, self.device, margin=BOX_MARGIN)
         return {**super().groups(), **self.coding.groups()}
 
@@ -106,14 +105,3 @@ class Trainer(scaffold_gs.Trainer):
         """Continue from a checkpoint of the same fit."""
         super().restore(checkpoint)
         self.coding.load_state(self.arrays(checkpoint))
-
-
-def _context(options: Mapping[str, OptionValue]) -> ContextConfig:
-    scaling = float(options["scaling_step"])
-    return ContextConfig(
-        features=int(options["features"]),
-        offsets=int(options["offsets"]),
-        steps=(float(options["feature_step"]), scaling, scaling, float(options["offset_step"])),
-        grid=_GRIDS[str(options["grid"])],
-        hidden=int(options["context_hidden"]),
-    )

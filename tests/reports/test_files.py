@@ -12,7 +12,7 @@ from reports import charts, paper_documents
 from reports.__main__ import main
 from reports.files import write_files
 from reports.inputs import Unusable, read_results
-from reports.paper_tables import paper_tables
+from reports.paper_tables import of_tables, paper_tables
 from reports.paper_values import NOT_MEASURED
 from reports.tables import tex, to_latex
 
@@ -21,8 +21,9 @@ from .test_paper_tables import four, results, row, seen, waves
 
 
 def written(maker):
+    tables = maker.tables()
     with patch.object(charts, "write"):
-        write_files(maker.tables(), maker.root / "out")
+        write_files(tables, maker.root / "out", of_tables(tables))
     return maker.root / "out"
 
 
