@@ -20,6 +20,7 @@ _GRAY = (
     f" A chart with more than {MOST_NAMED} variants colors and names each method's default alone; the others "
     "are gray and named when pointed at."
 )
+_DEFAULTS = f" Of more than {MOST_NAMED} variants each method's default is shown alone."
 _FRONT = " What is on the front keeps its color, and is named by its options."
 _TRADEOFFS = (
     ("PSNR and size", "size_bytes"),
@@ -242,6 +243,8 @@ def _losses(curve: pd.DataFrame) -> Section | None:
     small = sorted({name for panel, _ in panels for name in panel.small})
     if small:
         words += f" Not drawn, for they are under {training.LEAST_SHARE:g} of it: {escape(', '.join(small))}."
+    if _many(curve):
+        words += _DEFAULTS
     cards = charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in panels)
     return Section("losses", "Parts of the loss", f'<p>{words}</p><div class="charts">{cards}</div>')
 
@@ -259,7 +262,7 @@ def _features(tables: dict[str, pd.DataFrame]) -> Section | None:
         "spread over neighbouring bins as far as their steps reach."
     )
     if _many(table):
-        words += f" Of more than {MOST_NAMED} variants each method's default is shown alone."
+        words += _DEFAULTS
     bare = {name: look._replace(marker="") for name, look in entries.items()}
     parts = [f'<p>{words}</p>{legend(bare)}<div class="charts">{cards}</div>']
     try:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 NEEDED = ("dataset", "scene", "method", "psnr", "size_bytes")
 """Columns that a table of results cannot do without."""
-_AXES = ("dataset", "scene", "method", "variant", "rate", "preset", "split", "seed")
+_AXES = ("dataset", "scene", "method", "variant", "rate", "preset", "requested_views", "split", "seed")
 _TEXT = {
     "dataset": "", "scene": "", "kind": "basic", "method": "", "variant": "", "preset": "", "split": "",
     "status": "ok", "reason": None, "group": None, "device": None, "machine": None, "stage": None,
@@ -154,7 +154,7 @@ def _once(path: Path, table: pd.DataFrame) -> None:
     if again.any():
         i = int(again.to_numpy().argmax())
         who = " / ".join(str(table[name][i]) for name in ("dataset", "scene", "method"))
-        remedy = "tell them apart by variant, rate, preset, split or seed"
+        remedy = "tell them apart by variant, rate, preset, requested_views, split or seed"
         raise Unusable(f"{path}: {_line(i)} repeats {who} of a row above; {remedy}")
 
 

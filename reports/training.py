@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from reports.protocols import comparable
-from reports.style import MIB, PALETTE, label
+from reports.style import MIB, PALETTE, label, named
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -158,13 +158,19 @@ class Losses:
 
 
 def losses(curve: pd.DataFrame) -> list[Losses]:
-    """The losses by part of all methods that tell them; figures that are no part of the sum are left out."""
+    """The losses by part of all methods that tell them; figures that are no part of the sum are left out.
+
+    With many variants only the defaults are shown (:func:`reports.style.named`).
+    """
     if curve.empty or "loss_parts" not in curve:
         return []
     made = []
     for dataset, every in comparable(curve):
         known = every[every["loss_parts"].notna() & every["loss"].notna()]
+        told = named(label(*pair) for pair in zip(known["method"], known["variant"], strict=True))
         for names, rows in known.groupby(["method", "variant"], dropna=False, sort=False):
+            if label(*names) not in told:
+                continue
             table = _parts_table(rows)
             if len(table.columns) < 2:
                 continue

@@ -201,6 +201,17 @@ def test_a_part_of_the_loss_has_one_color_in_all_panels():
     assert len(set(colors[0].values())) == 4
 
 
+def test_losses_of_many_variants_are_those_of_the_default():
+    text = '{"image": 0.1, "rate": 0.01}'
+    variants = ["", *(f"rate_weight={i}" for i in range(MOST_NAMED))]
+    each = [
+        curve_table([(f"j{v}", "s", "econgs", i, 1.0, 30.0, None, text) for i in (1, 2)]).assign(variant=v)
+        for v in variants
+    ]
+    assert [panel.title for panel in training.losses(pd.concat(each))] == ["ECoNGS"]
+    assert len(training.losses(pd.concat(each[:MOST_NAMED]))) == MOST_NAMED
+
+
 def test_titles_of_panels_are_broken_before_they_are_cut():
     rows = [("j", "s", "econgs", i, 1.0, 30.0, None, '{"image": 0.1, "rate": 0.01}') for i in (1, 2)]
     table = curve_table(rows).assign(variant="decoder_precision=float32", dataset="a dataset of a long name")
