@@ -16,13 +16,19 @@ from reports.protocols import by_training_views
 from reports.style import absent, label
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import pandas as pd
+
+    from reports.paper_values import PaperTable
 
 _WEB = Path(__file__).parent / "web"
 _LONG = 50  # characters of a fact that needs a wide box
 
 
-def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path:
+def write_report(
+    tables: dict[str, pd.DataFrame], root: Path, out: Path, measured: Sequence[PaperTable] | None = None
+) -> Path:
     """Write the report.
 
     Beside it go the files of :func:`reports.files.write_files`, and panels of pictures into ``charts/``.
@@ -31,12 +37,14 @@ def write_report(tables: dict[str, pd.DataFrame], root: Path, out: Path) -> Path
         tables: results, views, curve, ledger, timing, features and dvr as documented in docs/architecture.md.
         root: run store that the picture paths in ``views`` are relative to.
         out: the HTML file.
+        measured: the paper's tables of the same rows, where the caller has made them.
 
     Returns:
         ``out``.
     """
     results, dvr = tables["results"], tables["dvr"]
-    measured = [] if results.empty else paper_tables.of_tables(tables)
+    if measured is None:
+        measured = [] if results.empty else paper_tables.of_tables(tables)
     write_files(tables, out.parent, measured)
     sections = []
     if not results.empty:

@@ -39,7 +39,7 @@ def report(options: Namespace) -> int:
     if options.check_claims:
         print(claims_documents.to_text(claims.check(measured, tables["views"])))
     _tell_left_out(tables, sys.stdout)
-    write_report(tables, store.root, page)
+    write_report(tables, store.root, page, measured)
     print(page)
     return 0
 
