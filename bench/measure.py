@@ -75,7 +75,7 @@ def measure(context: Context) -> MeasureResult:
 
     context.report(stage="metrics")
     from bench.inputs import open_dataset, views
-    from bench.metrics import evaluate
+    from bench.metrics import COVERAGE, evaluate
     from bench.metrics.image import to_8bit
     from datasets.png import write_png
 
@@ -88,6 +88,7 @@ def measure(context: Context) -> MeasureResult:
     out.mkdir(exist_ok=True)
     rows: list[ViewResult] = []
     missing: dict[str, str] = {}
+    metrics = [*job.metrics, *(name for name in COVERAGE if name not in job.metrics)]
     for index, camera in enumerate(cameras):
         tensor, tensor_alpha = model.render(camera, scenes=scenes, edit=edit, background=background)
         rgb, alpha = as_numpy(tensor), as_numpy(tensor_alpha)
@@ -95,7 +96,7 @@ def measure(context: Context) -> MeasureResult:
             raise FloatingPointError(
                 f"the loaded model renders values that are not finite in view {camera.name}"
             )
-        values, reasons = evaluate(truth.images[index], rgb, alpha, background, list(job.metrics))
+        values, reasons = evaluate(truth.images[index], rgb, alpha, background, metrics)
         missing.update(reasons)
         file = f"{index:04d}.png"
         write_png(out / file, premultiplied(rgb, alpha, background))
@@ -119,7 +120,7 @@ def measure(context: Context) -> MeasureResult:
         warmup_stable=frames.stable,
         timing={"frame": frames.median, **parts},
         primitives=sum(model.primitives(scene) for scene in scenes),
-        metrics={name: _mean([row.metrics[name] for row in rows]) for name in job.metrics},
+        metrics={name: _mean([row.metrics[name] for row in rows]) for name in metrics},
         missing=missing,
         views=rows,
         features=_attributes(model, scenes),

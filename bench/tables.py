@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from bench.metrics import COVERAGE
 from bench.records import CurvePoint, EncodeResult, FitResult, Job, Record
 from bench.store import Store
 from bench.versions import is_stale, standing
@@ -27,10 +28,10 @@ COLUMNS: dict[str, tuple[str, ...]] = {
         "iterations", "train_views", "width", "height", "device", "machine", "threads", "job", "fps_p05",
         "fps_p95", "encode_seconds", "reference_seconds", "identical_views", "stage", "commit",
         "group_peak_host_bytes", "partition_seconds", "requested_views", "edit", "source",
-        "cpu_seconds",
+        "cpu_seconds", *COVERAGE,
     ),
     "views": ("job", *_AXES, "rate", "preset", "split", "seed", "view", *METRICS, "identical", "truth_file",
-              "render_file", "alpha_file", "background", "requested_views"),
+              "render_file", "alpha_file", "background", "requested_views", *COVERAGE),
     "curve": ("job", *_AXES, "preset", "seed", "iteration", "train_seconds", "loss", "psnr", "primitives",
               "bytes_estimate", "loss_parts", "requested_views"),
     "ledger": ("job", *_AXES, "rate", "preset", "seed", "part", "bytes", "requested_views"),
@@ -220,7 +221,7 @@ def _result(record: Record, models: list[_Fitted], sources: Mapping[str, str]) -
     row["peak_device_bytes"] = max(device, default=None)
     row["group_peak_host_bytes"] = max((f.peak_host_bytes for f in fits if f.peak_host_bytes), default=None)
     if measured is not None:
-        row.update({name: measured.metrics.get(name) for name in METRICS})
+        row.update({name: measured.metrics.get(name) for name in (*METRICS, *COVERAGE)})
         if measured.missing:
             row["reason"] = "; ".join(f"{name}: {why}" for name, why in sorted(measured.missing.items()))
         row.update(
@@ -285,7 +286,7 @@ def _views(record: Record, shown: Record | None) -> list[dict[str, Any]]:
             **_axes(record.job),
             "split": record.job.split,
             "view": view.view,
-            **{name: view.metrics.get(name) for name in METRICS},
+            **{name: view.metrics.get(name) for name in (*METRICS, *COVERAGE)},
             "identical": view.identical,
             "truth_file": view.truth_file,
             "render_file": view.render_file,

@@ -26,11 +26,11 @@ _WHOLE = (
 _NUMBERS = (
     "rate", "psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv", "train_seconds", "group_seconds",
     "load_seconds", "fps", "fps_p05", "fps_p95", "encode_seconds", "reference_seconds", "partition_seconds",
-    "cpu_seconds",
+    "cpu_seconds", "missing", "excess",
 )  # fmt: skip
 _OTHERS = {
     "views": "job dataset scene method variant rate preset split seed view psnr psnr_fg ssim lpips_vgg flip "
-    "delta_e_uv identical truth_file render_file alpha_file background requested_views",
+    "delta_e_uv identical truth_file render_file alpha_file background requested_views missing excess",
     "curve": "job dataset scene method variant preset seed iteration train_seconds loss psnr primitives "
     "bytes_estimate loss_parts requested_views",
     "ledger": "job dataset scene method variant rate preset seed part bytes requested_views",

@@ -36,6 +36,7 @@ class Record:
         seed_gap: largest difference of PSNR between two seeds on the same scene, dB; None with one seed.
         view_gap: mean over scenes and seeds of the median view's PSNR less that of the worst, dB.
         lowest: PSNR of the worst view of all, dB.
+        missing, excess: of the truth's alpha, in the scene and seed that are worst off; None if not measured.
     """
 
     dataset: str
@@ -45,10 +46,8 @@ class Record:
     seed_gap: float | None
     view_gap: float | None
     lowest: float | None
-
-    @property
-    def gaps(self) -> tuple[float | None, float | None, float | None]:
-        return self.seed_gap, self.view_gap, self.lowest
+    missing: float | None
+    excess: float | None
 
 
 def records(results: pd.DataFrame, views: pd.DataFrame) -> list[Record]:
@@ -71,6 +70,8 @@ def records(results: pd.DataFrame, views: pd.DataFrame) -> list[Record]:
                 seed_gap=_seed_gap(good),
                 view_gap=float(gaps.mean()) if len(gaps) else None,
                 lowest=float(seen["psnr"].min()) if seen["psnr"].notna().any() else None,
+                missing=_most(good, "missing"),
+                excess=_most(good, "excess"),
             )
         )
     return made
@@ -81,6 +82,10 @@ def _seed_gap(good: pd.DataFrame) -> float | None:
     several = per_scene["seed"].nunique() > 1
     gaps = (per_scene["psnr"].max() - per_scene["psnr"].min())[several].dropna()
     return float(gaps.max()) if len(gaps) else None
+
+
+def _most(good: pd.DataFrame, column: str) -> float | None:
+    return float(good[column].max()) if column in good and good[column].notna().any() else None
 
 
 def few_views(results: pd.DataFrame) -> dict[str, list[Curve]]:

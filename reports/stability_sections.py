@@ -17,23 +17,26 @@ def stability_section(tables: dict[str, pd.DataFrame]) -> Section | None:
     results = tables["results"]
     found = stability.records(results, tables["views"])
     curves = stability.few_views(results)
-    gaps = any(record.seed_gap is not None for record in found)
-    if not curves and not gaps and not any(record.failed for record in found):
+    told = any(record.seed_gap is not None or record.missing is not None for record in found)
+    if not curves and not told and not any(record.failed for record in found):
         return None
     words = (
-        "Where methods fail: what did not finish, how far two seeds lie apart on the same scene, and how far "
-        "the worst view lies under the median one of its scene."
+        "Where methods fail: what did not finish, how far two seeds lie apart on the same scene, how far the "
+        "worst view lies under the median one of its scene, and what of the truth's alpha the model lacks "
+        "(structures that it never found) or has beyond it (what would hide other scenes, or show on another "
+        "background), in the scene and seed that are worst off."
     )
     names = series(results, tables["curve"])
     drawn = plots.over(curves, "training views", "PSNR [dB]", names, log_y=False)
     heads = ["Dataset", "Method", "Failed", "Two seeds differ by up to [dB]"]
-    heads += ["Worst view under the median [dB]", "Worst view [dB]"]
+    heads += ["Worst view under the median [dB]", "Worst view [dB]", "Missing [%]", "Excess [%]"]
     rows = [
         [
             record.dataset,
             record.title,
             _failed(record),
-            *(MISSING if gap is None else f"{gap:.2f}" for gap in record.gaps),
+            *(_number(gap, 2) for gap in (record.seed_gap, record.view_gap, record.lowest)),
+            *(_number(share, 1, 100.0) for share in (record.missing, record.excess)),
         ]
         for record in found
     ]
@@ -46,6 +49,10 @@ def stability_section(tables: dict[str, pd.DataFrame]) -> Section | None:
         '<p class="note">Charts: mean PSNR over scenes and seeds by the number of training views; where any '
         "fit failed, the mark is left out.</p>",
     )
+
+
+def _number(value: float | None, digits: int, times: float = 1.0) -> str:
+    return MISSING if value is None else f"{times * value:.{digits}f}"
 
 
 def _failed(record: stability.Record) -> str:

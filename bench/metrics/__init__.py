@@ -1,7 +1,8 @@
 """Image quality metrics, each named and versioned. This module is import-light.
 
-Every metric judges the picture as displayed: composited on the scene's background, clipped to
-[0, 1] and rounded to 8 bit, so that a number from memory and one from the PNG files agree.
+Metrics judge the picture as displayed: composited on the scene's background, clipped to [0, 1] and
+rounded to 8 bit, so that a number from memory and one from the PNG files agree. Those of :data:`COVERAGE`
+judge alpha, rounded likewise.
 """
 
 from __future__ import annotations
@@ -77,8 +78,21 @@ METRICS: dict[str, Metric] = {
             "delta_e_uv", "1", "ΔE*uv", "", False, (0.0, _INF),
             "Mean CIE 1976 L*u*v* color difference; sRGB decoded, white point D65.",
         ),
+        Metric(
+            "missing", "1", "Missing", "", False, (0.0, 1.0),
+            "Share of the truth's alpha, summed over pixels, that the model lacks: structures that it never "
+            "found.",
+        ),
+        Metric(
+            "excess", "1", "Excess", "", False, (0.0, _INF),
+            "Alpha of the model beyond the truth's, summed over pixels, relative to the sum of the truth's: "
+            "what hides other things, and shows on another background.",
+        ),
     )
 }  # fmt: skip
+COVERAGE = ("missing", "excess")
+"""Of alpha alone. Every measure job takes them, but its key does not name them: they came later, and records
+without them are worth the same."""
 
 
 class Scores(NamedTuple):

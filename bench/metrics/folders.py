@@ -103,7 +103,8 @@ def _pair(render: Path, truth: Path, background: Sequence[float]) -> Pair:
     # Alpha says where there is something; an image without it must not make everything foreground.
     covers = [image[..., 3] >= 1.0 / 255.0 for image, has in ((a, a_has), (b, b_has)) if has]
     foreground = np.logical_or.reduce(covers) if covers else None
-    return Pair(shown[0], shown[1], foreground)
+    alphas = (to_8bit(b[..., 3]), to_8bit(a[..., 3])) if a_has and b_has else None
+    return Pair(shown[0], shown[1], foreground, alphas)
 
 
 def _read(path: Path) -> tuple[NDArray[np.float32], bool]:

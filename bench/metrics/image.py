@@ -23,11 +23,13 @@ class Pair:
     Attributes:
         truth, render: (height, width, 3) uint8.
         foreground: (height, width) bool, where either has alpha >= 1/255; None if neither has alpha.
+        alphas: (height, width) uint8 of truth and render; None if either has no alpha.
     """
 
     truth: NDArray[np.uint8]
     render: NDArray[np.uint8]
     foreground: NDArray[np.bool_] | None
+    alphas: tuple[NDArray[np.uint8], NDArray[np.uint8]] | None = None
 
     @staticmethod
     def composite(
@@ -52,7 +54,7 @@ class Pair:
         # By the same arithmetic as models and the harness: a perfect render must come out identical.
         shown = over(truth, (background[0], background[1], background[2]))
         foreground = (truth[..., 3] >= _FOREGROUND) | (alpha >= _FOREGROUND)
-        return Pair(to_8bit(shown), to_8bit(rgb), foreground)
+        return Pair(to_8bit(shown), to_8bit(rgb), foreground, (to_8bit(truth[..., 3]), to_8bit(alpha)))
 
     @property
     def identical(self) -> bool:
@@ -141,6 +143,26 @@ def delta_e_uv(pair: Pair) -> float:
     return float(difference(*pair.floats()).mean())
 
 
+def missing(pair: Pair) -> float | str:
+    """Share of the truth's alpha that the render lacks."""
+    return _uncovered(pair, 0, 1)
+
+
+def excess(pair: Pair) -> float | str:
+    """The render's alpha beyond the truth's, relative to the truth's."""
+    return _uncovered(pair, 1, 0)
+
+
+def _uncovered(pair: Pair, of: int, by: int) -> float | str:
+    if pair.alphas is None:
+        return "an image has no alpha"
+    levels = [alpha.astype(np.int64) for alpha in pair.alphas]
+    there = int(levels[0].sum())
+    if there == 0:
+        return "the truth shows nothing"
+    return int(np.maximum(levels[of] - levels[by], 0).sum()) / there
+
+
 def _lpips(network: str, *, unscaled: bool = False) -> Callable[[Pair], float | str]:
     def metric(pair: Pair) -> float | str:
         from bench.metrics.lpips import distance
@@ -159,4 +181,6 @@ _FUNCTIONS: dict[str, Callable[[Pair], float | str]] = {
     "lpips_alex": _lpips("alex"),
     "flip": flip,
     "delta_e_uv": delta_e_uv,
+    "missing": missing,
+    "excess": excess,
 }

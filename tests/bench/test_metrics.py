@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.metrics import METRICS, evaluate
+from bench.metrics import COVERAGE, METRICS, evaluate
 from bench.metrics.image import _FUNCTIONS, Pair, to_8bit
 from datasets.errors import DataError
 
@@ -124,6 +124,30 @@ def test_what_cannot_be_computed_is_missing_with_a_reason():
     assert got.values == {"psnr_fg": None, "ssim": None}
     assert "alpha" in got.reasons["psnr_fg"]
     assert "window" in got.reasons["ssim"]
+
+
+def test_missing_and_excess_are_shares_of_the_truths_alpha():
+    truth = np.zeros((4, 10, 4), np.float32)
+    truth[:2, :, 3], alpha = 1.0, np.zeros((4, 10), np.float32)
+    alpha[0], alpha[1, :5], alpha[3, 0] = 1.0, 0.6, 0.4  # half a row is not there, half of it too faint
+    got = evaluate(truth, over(truth), alpha, (1, 1, 1), COVERAGE).values
+    assert got == {"missing": pytest.approx((5 + 5 * 0.4) / 20), "excess": pytest.approx(0.4 / 20)}
+    nothing = evaluate(np.zeros_like(truth), over(truth), alpha, (1, 1, 1), COVERAGE)
+    assert nothing.values == dict.fromkeys(COVERAGE)
+    assert nothing.reasons["missing"] == "the truth shows nothing"
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6), st.integers(0, 10**6))
+def test_missing_and_excess_account_for_all_alpha(one: int, two: int):
+    a, b = (np.random.default_rng(seed).random((16, 16, 4)).astype(np.float32) for seed in (one, two))
+    a_alpha, b_alpha = a[..., 3], b[..., 3]
+    got = evaluate(a, over(b), b_alpha, (1, 1, 1), COVERAGE).values
+    back = evaluate(b, over(a), a_alpha, (1, 1, 1), COVERAGE).values
+    there, ours = (to_8bit(alpha).astype(int).sum() for alpha in (a_alpha, b_alpha))
+    assert 1 - got["missing"] + got["excess"] == pytest.approx(ours / there)
+    assert got["missing"] * there == pytest.approx(back["excess"] * ours)
+    assert evaluate(a, over(a), a_alpha, (1, 1, 1), COVERAGE).values == dict.fromkeys(COVERAGE, 0.0)
 
 
 @settings(max_examples=20, deadline=None)

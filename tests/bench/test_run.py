@@ -43,6 +43,9 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     assert len(views) == 8
     for file in [*views["truth_file"], *views["render_file"]]:
         assert (bench.store / file).is_file()
+    row = views.iloc[0]
+    truth, render = (read_png(bench.store / row[f])[..., 3].sum() for f in ("truth_file", "render_file"))
+    assert 1 - row["missing"] + row["excess"] == pytest.approx(render / truth)
     curve = pd.read_parquet(bench.store / "tables" / "curve.parquet").groupby("scene").last()
     # The four test views are those of the curve: what it ends at is what is measured.
     assert list(curve["psnr"]) == pytest.approx(list(table["psnr"]), abs=0.01)

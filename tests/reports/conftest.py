@@ -60,6 +60,8 @@ RESULTS = [
     "edit",
     "source",
     "cpu_seconds",
+    "missing",
+    "excess",
 ]
 VIEWS = [
     "job",
@@ -84,6 +86,8 @@ VIEWS = [
     "alpha_file",
     "background",
     "requested_views",
+    "missing",
+    "excess",
 ]
 CURVE = "job dataset scene method variant preset seed iteration train_seconds loss psnr primitives "
 CURVE += "bytes_estimate requested_views"
@@ -114,6 +118,8 @@ NUMBERS = {
     "loss",
     "partition_seconds",
     "cpu_seconds",
+    "missing",
+    "excess",
 }
 WHOLE = {
     "seed",

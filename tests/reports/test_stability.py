@@ -78,6 +78,18 @@ def test_records_tell_failures_seeds_and_worst_views(few) -> None:
     assert told["bubble, 6 views", "HAC"].seed_gap is None
 
 
+def test_missing_and_excess_are_told_of_the_scene_that_is_worst_off(maker, tmp_path) -> None:
+    for scene, missing in (("tf1", 0.004), ("tf2", 0.1432)):
+        maker.run(scene=scene, missing=missing, excess=0.02)
+    maker.run(method="hac")
+    tables = maker.tables()
+    ours, other = stability.records(tables["results"], tables["views"])
+    assert (ours.missing, ours.excess) == (pytest.approx(0.1432), pytest.approx(0.02))
+    assert (other.missing, other.excess) == (None, None)
+    page = write_report(tables, maker.root, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert ">14.3<" in page
+
+
 def test_families_need_three_members_that_differ_in_a_number() -> None:
     names = ["blobs_1", "blobs_64", "blobs_8", "vortex_views", "vortex_views_400", "mri_1", "mri_2", "x_0"]
     assert stability.families(names) == {"blobs": {"blobs_1": 1, "blobs_64": 64, "blobs_8": 8}}
