@@ -28,7 +28,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
         "iterations", "train_views", "width", "height", "device", "machine", "threads", "job", "fps_p05",
         "fps_p95", "encode_seconds", "reference_seconds", "identical_views", "stage", "commit",
         "group_peak_host_bytes", "partition_seconds", "requested_views", "edit", "source",
-        "cpu_seconds", *COVERAGE,
+        "cpu_seconds", *COVERAGE, "processor", "fit_processor",
     ),
     "views": ("job", *_AXES, "rate", "preset", "split", "seed", "view", *METRICS, "identical", "truth_file",
               "render_file", "alpha_file", "background", "requested_views", *COVERAGE),
@@ -49,7 +49,7 @@ _TEXT = {
     "dataset", "scene", "kind", "method", "variant", "preset", "split", "status", "reason", "group", "device",
     "machine", "job", "stage", "commit", "view", "truth_file", "render_file", "alpha_file", "part", "name",
     "background", "variables", "dtype", "renderer", "version", "backend",
-    "loss_parts", "edit", "transfer", "source",
+    "loss_parts", "edit", "transfer", "source", "processor", "fit_processor",
 }  # fmt: skip
 _WHOLE = {
     "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes",
@@ -206,6 +206,8 @@ def _result(record: Record, models: list[_Fitted], sources: Mapping[str, str]) -
         "edit": job.edit,
         "stage": record.stage,
         "train_views": trained.train_views if trained else None,
+        "processor": _processors([record]) if measured is not None else None,
+        "fit_processor": _processors(fits),
     }
     partitions = {model.partition.job.id: model.partition for model in models if model.partition}
     clustered = [one.partition.seconds for one in partitions.values() if one.partition is not None]
@@ -234,6 +236,16 @@ def _result(record: Record, models: list[_Fitted], sources: Mapping[str, str]) -
             identical_views=sum(view.identical for view in measured.views),
         )
     return row
+
+
+def _processors(records: list[Record]) -> str | None:
+    """What jobs ran on: "AMD EPYC, 2 cores, avx2"; host names tell nothing where machines come and go."""
+    found = [record.provenance for record in records if record.provenance is not None]
+    names = [
+        ", ".join([where.gpu or where.cpu, f"{where.cores} cores", *([where.isa] if where.isa else [])])
+        for where in found
+    ]
+    return "; ".join(dict.fromkeys(names)) or None
 
 
 def _costs(job: Job, model: _Fitted) -> dict[str, float]:

@@ -16,7 +16,7 @@ _AXES = ("dataset", "scene", "method", "variant", "rate", "preset", "requested_v
 _TEXT = {
     "dataset": "", "scene": "", "kind": "basic", "method": "", "variant": "", "preset": "", "split": "",
     "status": "ok", "reason": None, "group": None, "device": None, "machine": None, "stage": None,
-    "commit": None, "edit": "",
+    "commit": None, "edit": "", "processor": None, "fit_processor": None,
 }  # fmt: skip
 _WHOLE = (
     "primitives", "iterations", "train_views", "width", "height", "threads", "identical_views", "group_bytes",

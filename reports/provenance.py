@@ -26,6 +26,8 @@ DETAILS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "job": ("Job", str),
     "commit": ("Commit", str),
     "machine": ("Machine", str),
+    "processor": ("Processor", str),
+    "fit_processor": ("Trained on", str),
     "device": ("Device", str),
     "threads": ("Threads", str),
     "variant": ("Options", str),
@@ -68,7 +70,7 @@ def details(row: Any) -> list[str]:
 
 def section(results: pd.DataFrame) -> str:
     """The page's table of runs: rows of one method, dataset, commit, machine and options are told once."""
-    columns = ("commit", "machine", "device", "threads", "preset", "iterations", "variant")
+    columns = ("commit", "machine", "fit_processor", "device", "threads", "preset", "iterations", "variant")
     keys = ["method", "dataset", *columns]
     lines = []
     names = series(results)
@@ -79,14 +81,26 @@ def section(results: pd.DataFrame) -> str:
         times = f"{kernel.min() * 1e3:.1f} to {kernel.max() * 1e3:.1f} ms" if len(kernel) else MISSING
         cells = [markup.method(row, names), escape(str(row["dataset"])), _code(row["commit"], 12)]
         cells += [
-            escape(cell(name, row[name])) for name in ("machine", "device", "threads", "preset", "iterations")
+            escape(cell(name, row[name]))
+            for name in ("machine", "fit_processor", "device", "threads", "preset", "iterations")
         ]
         cells += [escape(str(row["variant"])) if row["variant"] else "the preset", times]
         cells += [f"{len(rows)}", seconds(float(rows["group_seconds"].drop_duplicates().fillna(0).sum()))]
         memory = rows["group_peak_host_bytes"].dropna()
         cells.append(f"{mib(float(memory.max()))} MiB" if len(memory) else MISSING)
         lines.append(cells)
-    heads = ("Method", "Dataset", "Commit", "Machine", "Device", "Threads", "Preset", "Iterations", "Options")
+    heads = (
+        "Method",
+        "Dataset",
+        "Commit",
+        "Machine",
+        "Trained on",
+        "Device",
+        "Threads",
+        "Preset",
+        "Iterations",
+        "Options",
+    )
     more = ("Reference kernel", "Rows", "Fit time", "Fit memory")
     return (
         f"{markup.table('Which code ran where, and with which options', (*heads, *more), lines)}"

@@ -16,6 +16,7 @@ from reports.tables import (
     UNDECIDED_SIGN,
     cell,
     left_out,
+    processors,
     quality,
     ranks,
     summary,
@@ -198,8 +199,8 @@ def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows, superseded:
         note += f"{UNDECIDED_NOTE} "
     if numbers[0] == "ssim" and "lpips_vgg" in numbers:
         note += "LPIPS could not be computed (the reason stands in its cells), so SSIM and FLIP lead. "
-    if superseded:
-        note += f"<b>{escape(superseded)}</b> "
+    for remark in (superseded, processors(results)):
+        note += f"<b>{escape(remark)}</b> " if remark else ""
     note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '
     note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
     meanings = "".join(

@@ -135,9 +135,22 @@ def shown(results: pd.DataFrame) -> pd.DataFrame:
 
 
 def notes(results: pd.DataFrame) -> list[str]:
-    """Why finished rows lack a metric, each reason once."""
+    """Why finished rows lack a metric, each reason once; and the processors that timed them, if several."""
     finished = results[results["status"] == "ok"]
-    return list(dict.fromkeys(str(reason) for reason in finished["reason"] if not absent(reason) and reason))
+    told = [str(reason) for reason in finished["reason"] if not absent(reason) and reason]
+    return list(dict.fromkeys([*told, *([several] if (several := processors(results)) else [])]))
+
+
+def processors(results: pd.DataFrame) -> str:
+    """That speeds and times are of several processors; "" if they are not, or it is not known."""
+    told = []
+    for column, what in (("processor", "rendering was timed"), ("fit_processor", "models were trained")):
+        every = [str(name) for name in results[column].dropna().unique()] if column in results else []
+        # What runs without native kernels does not name their instruction set.
+        names = [name for name in every if not any(other.startswith(f"{name},") for other in every)]
+        if len(names) > 1:
+            told.append(f"{what} on {' and on '.join(names)}")
+    return f"Several processors: {'; '.join(told)}. Compare times of one." if told else ""
 
 
 def left_out(superseded: pd.DataFrame | None) -> str:

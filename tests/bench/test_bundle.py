@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import zipfile
 from pathlib import Path
@@ -83,8 +85,10 @@ def test_bundles_are_merged_like_stores(bench, packed, finished, tmp_path):
 
 def test_bundles_made_before_a_column_came_in_still_hold(packed, tmp_path):
     def older(files):
-        lines = files["tables/results.csv"].decode().splitlines()
-        files["tables/results.csv"] = ("\n".join(line.rpartition(",")[0] for line in lines) + "\n").encode()
+        table = csv.reader(io.StringIO(files["tables/results.csv"].decode()))
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(row[:-1] for row in table)
+        files["tables/results.csv"] = text.getvalue().encode()
         resigned(files)
 
     def newer(files):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 
@@ -37,6 +38,7 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     assert table["psnr"].notna().all()
     assert (table["fps"] > 0).all()
     assert (table["train_views"] == 12).all()
+    assert table["processor"].str.contains(f"{os.cpu_count()} cores").all()
     assert (table["fps_p05"] <= table["fps"]).all()
     assert (table["fps"] <= table["fps_p95"]).all()
     views = pd.read_parquet(bench.store / "tables" / "views.parquet")

@@ -62,6 +62,8 @@ RESULTS = [
     "cpu_seconds",
     "missing",
     "excess",
+    "processor",
+    "fit_processor",
 ]
 VIEWS = [
     "job",

@@ -3,9 +3,11 @@ import io
 import pandas as pd
 import pytest
 
+from reports.page import write_report
 from reports.style import mib, seconds
 from reports.tables import (
     least_width,
+    processors,
     quality,
     ranks,
     shown,
@@ -173,6 +175,21 @@ def test_scores_without_a_metric_say_so_once():
         assert "LPIPS" not in text
         assert text.count("no weights") == 1
         assert "31.00" in text
+
+
+def test_times_of_several_processors_are_told(maker, tmp_path) -> None:
+    for scene, isa in (("a", ", avx2"), ("b", ", avx512"), ("c", "")):
+        maker.run(scene=scene, processor=f"EPYC, 2 cores{isa}", fit_processor="EPYC, 2 cores, avx2")
+    results = maker.tables()["results"]
+    told = processors(results)
+    assert told == (
+        "Several processors: rendering was timed on EPYC, 2 cores, avx2 and on EPYC, 2 cores, avx512. "
+        "Compare times of one."
+    )
+    assert told in to_markdown(results)
+    assert told in write_report(maker.tables(), maker.root, tmp_path / "r.html").read_text(encoding="utf-8")
+    assert processors(results[results["scene"] != "b"]) == ""
+    assert processors(results.drop(columns="processor")) == ""
 
 
 @pytest.mark.parametrize(
