@@ -143,25 +143,6 @@ def _of_scenes(scenes: list[dict[str, float]]) -> Interval | None:
     return interval(arrays)
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """A job's scene, and metric -> view -> value; taken out of the table once, which is slow to ask."""
-
-    scene: str
-    values: dict[str, dict[str, float]]
-
-    @staticmethod
-    def of(rows: pd.DataFrame) -> _Seen:
-        names = [str(name) for name in rows["view"]]
-        values = {}
-        for metric in METRICS:
-            if metric in rows:
-                column = rows[metric].astype("Float64").to_numpy(dtype=np.float64, na_value=np.nan)
-                known = zip(names, column.tolist(), strict=True)
-                values[metric] = {name: value for name, value in known if value == value}
-        return _Seen(str(rows["scene"].iloc[0]), values)
-
-
 class Views:
     """The values of a `views` table by job.
 
@@ -170,7 +151,7 @@ class Views:
     """
 
     def __init__(self, table: pd.DataFrame) -> None:
-        self._jobs = {str(job): _Seen.of(rows) for job, rows in table.groupby("job", sort=False)}
+        self._jobs = {str(job): rows for job, rows in table.groupby("job", sort=False)}
 
     def sample(self, jobs: Iterable[str], metric: str) -> Sample | None:
         """The values of a model's jobs (scenes, seeds); None if any of them has no views, or lacks values.
@@ -179,10 +160,14 @@ class Views:
         """
         by_scene: dict[str, list[dict[str, float]]] = {}
         for job in jobs:
-            seen = self._jobs.get(str(job))
-            if seen is None or not seen.values.get(metric):
+            rows = self._jobs.get(str(job))
+            if rows is None or metric not in rows:
                 return None
-            by_scene.setdefault(seen.scene, []).append(seen.values[metric])
+            rows = rows[rows[metric].notna()]
+            if rows.empty:
+                return None
+            seen = dict(zip(rows["view"].astype(str), rows[metric].astype(float), strict=True))
+            by_scene.setdefault(str(rows["scene"].iloc[0]), []).append(seen)
         averaged = {}
         for scene, seeds in by_scene.items():
             shared = [view for view in seeds[0] if all(view in seed for seed in seeds)]
