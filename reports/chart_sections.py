@@ -55,12 +55,10 @@ def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
 
 
 def _confidence(results: pd.DataFrame, views: pd.DataFrame) -> Section | None:
-    known = confidence.intervals(results, views)
-    known = known[known["metric"] == "psnr"]
+    known = confidence.intervals(results, views, ["psnr"])
     if known.empty:
         return None
-    pairs = confidence.comparisons(results, views)
-    pairs = pairs[pairs["metric"] == "psnr"]
+    pairs = confidence.comparisons(results, views, ["psnr"])
     several = [axis for axis in ("preset", "split") if known[axis].nunique() > 1]
     rows = []
     for _, group in known.groupby(["dataset", "preset", "split"], sort=False, dropna=False):

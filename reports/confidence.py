@@ -9,6 +9,8 @@ from reports.style import MISSING, absent, label
 from reports.tables import summary
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import pandas as pd
 
 FEW_SEEDS = 5
@@ -16,8 +18,8 @@ FEW_SEEDS = 5
 _AXES = ["dataset", "preset", "split"]
 
 
-def intervals(results: pd.DataFrame, views: pd.DataFrame) -> pd.DataFrame:
-    """One row per dataset, method and quality metric: how sure its mean over scenes is.
+def intervals(results: pd.DataFrame, views: pd.DataFrame, metrics: Sequence[str] = METRICS) -> pd.DataFrame:
+    """One row per dataset, method and quality metric (of ``metrics``): how sure its mean over scenes is.
 
     Columns: dataset, method (with variant and rate), preset, split, metric, mean, low, high (95 % over views,
     of the mean over seeds), views (that were drawn from), seeds, seed_std (over the seeds' means),
@@ -26,7 +28,7 @@ def intervals(results: pd.DataFrame, views: pd.DataFrame) -> pd.DataFrame:
     import pandas as pd
 
     rows: list[dict[str, Any]] = []
-    for row, samples in _measured(results, views):
+    for row, samples in _measured(results, views, metrics):
         for metric, sample in samples.items():
             found = sample.interval()
             if found is None:
@@ -43,8 +45,8 @@ def intervals(results: pd.DataFrame, views: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*columns, "seed_std", "seed_values"])
 
 
-def comparisons(results: pd.DataFrame, views: pd.DataFrame) -> pd.DataFrame:
-    """One row per pair of methods and quality metric: first - second on the same views.
+def comparisons(results: pd.DataFrame, views: pd.DataFrame, metrics: Sequence[str] = METRICS) -> pd.DataFrame:
+    """One row per pair of methods and quality metric (of ``metrics``): first - second on the same views.
 
     Columns: dataset, preset, split, metric, first, second, difference, low, high (95 %), views, apart (the
     interval excludes zero). The intervals are of single comparisons, not of all together.
@@ -52,7 +54,7 @@ def comparisons(results: pd.DataFrame, views: pd.DataFrame) -> pd.DataFrame:
     import pandas as pd
 
     rows = []
-    measured = _measured(results, views)
+    measured = _measured(results, views, metrics)
     for i, (first, of_first) in enumerate(measured):
         for second, of_second in measured[i + 1 :]:
             if any(first[axis] != second[axis] for axis in _AXES):
@@ -92,14 +94,16 @@ def signed(value: float, digits: int = 2, sign: bool = True) -> str:
     return text.replace("-", "\N{MINUS SIGN}")
 
 
-def _measured(results: pd.DataFrame, views: pd.DataFrame) -> list[tuple[Any, dict[str, Sample]]]:
+def _measured(
+    results: pd.DataFrame, views: pd.DataFrame, metrics: Sequence[str]
+) -> list[tuple[Any, dict[str, Sample]]]:
     """The rows of the summary that are complete and have views, with their samples by metric."""
     if results.empty or views.empty:
         return []
     known = Views(views)
     made = []
     for _, row in summary(results).iterrows():
-        samples = {metric: known.sample(row["jobs"], metric) for metric in METRICS} if row["complete"] else {}
+        samples = {metric: known.sample(row["jobs"], metric) for metric in metrics} if row["complete"] else {}
         present = {metric: sample for metric, sample in samples.items() if sample is not None}
         if present:
             made.append((row, present))
