@@ -88,7 +88,7 @@ def measure(context: Context) -> MeasureResult:
     out.mkdir(exist_ok=True)
     rows: list[ViewResult] = []
     missing: dict[str, str] = {}
-    metrics = [*job.metrics, *(name for name in COVERAGE if name not in job.metrics)]
+    metrics = [*job.metrics, *COVERAGE]
     for index, camera in enumerate(cameras):
         tensor, tensor_alpha = model.render(camera, scenes=scenes, edit=edit, background=background)
         rgb, alpha = as_numpy(tensor), as_numpy(tensor_alpha)

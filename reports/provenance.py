@@ -80,27 +80,13 @@ def section(results: pd.DataFrame) -> str:
         kernel = rows["reference_seconds"].dropna()
         times = f"{kernel.min() * 1e3:.1f} to {kernel.max() * 1e3:.1f} ms" if len(kernel) else MISSING
         cells = [markup.method(row, names), escape(str(row["dataset"])), _code(row["commit"], 12)]
-        cells += [
-            escape(cell(name, row[name]))
-            for name in ("machine", "fit_processor", "device", "threads", "preset", "iterations")
-        ]
+        cells += [escape(cell(name, row[name])) for name in columns[1:-1]]
         cells += [escape(str(row["variant"])) if row["variant"] else "the preset", times]
         cells += [f"{len(rows)}", seconds(float(rows["group_seconds"].drop_duplicates().fillna(0).sum()))]
         memory = rows["group_peak_host_bytes"].dropna()
         cells.append(f"{mib(float(memory.max()))} MiB" if len(memory) else MISSING)
         lines.append(cells)
-    heads = (
-        "Method",
-        "Dataset",
-        "Commit",
-        "Machine",
-        "Trained on",
-        "Device",
-        "Threads",
-        "Preset",
-        "Iterations",
-        "Options",
-    )
+    heads = ("Method", "Dataset", *(DETAILS[name][0] for name in columns))
     more = ("Reference kernel", "Rows", "Fit time", "Fit memory")
     return (
         f"{markup.table('Which code ran where, and with which options', (*heads, *more), lines)}"

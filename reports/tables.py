@@ -137,8 +137,8 @@ def shown(results: pd.DataFrame) -> pd.DataFrame:
 def notes(results: pd.DataFrame) -> list[str]:
     """Why finished rows lack a metric, each reason once; and the processors that timed them, if several."""
     finished = results[results["status"] == "ok"]
-    told = [str(reason) for reason in finished["reason"] if not absent(reason) and reason]
-    return list(dict.fromkeys([*told, *([several] if (several := processors(results)) else [])]))
+    reasons = [str(reason) for reason in finished["reason"] if not absent(reason)]
+    return [told for told in dict.fromkeys([*reasons, processors(results)]) if told]
 
 
 def processors(results: pd.DataFrame) -> str:
