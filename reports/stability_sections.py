@@ -23,8 +23,9 @@ def stability_section(tables: dict[str, pd.DataFrame]) -> Section | None:
     words = (
         "Where methods fail: what did not finish, how far two seeds lie apart on the same scene, how far the "
         "worst view lies under the median one of its scene, and what of the truth's alpha the model lacks "
-        "(structures that it never found; edges alone make a few percent) or has beyond it (what would hide "
-        "other scenes, or show on another background), in the scene and seed that are worst off."
+        "(structures that it never found, or what has the background's color; edges alone make a few "
+        "percent) or has beyond it (what would hide other scenes, or show on another background), in the "
+        "scene and seed that are worst off."
     )
     names = series(results, tables["curve"])
     drawn = plots.over(curves, "training views", "PSNR [dB]", names, log_y=False)

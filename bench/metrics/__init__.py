@@ -81,7 +81,7 @@ METRICS: dict[str, Metric] = {
         Metric(
             "missing", "1", "Missing", "", False, (0.0, 1.0),
             "Share of the truth's alpha, summed over pixels, that the model lacks: structures that it never "
-            "found.",
+            "found, and what has the background's color, which no error in color asks for.",
         ),
         Metric(
             "excess", "1", "Excess", "", False, (0.0, _INF),
