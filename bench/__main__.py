@@ -199,7 +199,7 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME|PATH",
-        help="instead of the suite's (repeatable)",
+        help="only this of the suite's, or data of your own instead (repeatable)",
     )
     parser.add_argument(
         "--scene",

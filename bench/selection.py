@@ -88,7 +88,7 @@ def chosen_datasets(selection: Selection, preset: ViewPreset) -> list[Chosen]:
             known = {*(scene.name for scene in dataset.scenes), *dataset.compositions}
             scenes_known |= known
             compositions_known |= set(dataset.compositions)
-            choices: Sequence[Sequence[str]] = [()] if selection.datasets else present[name]
+            choices: Sequence[Sequence[str]] = present.get(name, ((),))
             if selection.scenes:
                 named = [scene for scene in selection.scenes if scene in known]
                 choices = [named] if named else []

@@ -90,6 +90,17 @@ def test_a_suite_may_run_several_choices_of_a_datasets_scenes(dataset, tmp_path)
     assert [job.scenes for job in Planner(named, {}).jobs(None) if job.kind == "fit"] == [("c",)]
 
 
+def test_naming_one_of_a_suites_datasets_keeps_the_suites_scenes_of_it(dataset, tmp_path):
+    suite = load_suite(suite_file(tmp_path, f'"{dataset}" = ["a", "b"]\nvortices = []'))
+
+    def fitted(**chosen) -> list[tuple[str, ...]]:
+        return [job.scenes for job in Planner(Selection(suite, **chosen), {}).jobs(None) if job.kind == "fit"]
+
+    assert fitted(datasets=(str(dataset),)) == [("a",), ("b",)]
+    assert fitted(datasets=(str(dataset),), scenes=("c",)) == [("c",)]
+    assert fitted(datasets=("shells",)) == [("outer",), ("middle",), ("core",)]
+
+
 def suite_file(folder, datasets, more=""):
     path = folder / "suite.toml"
     path.write_text(f'title = "t"\nmethods = ["3dgs"]\npreset = "quick"\n{more}[datasets]\n{datasets}\n')
