@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from reports.difference import DELTA_E_MAX, scale
-from reports.panels import Panel
+from reports.panels import Panel, Shot
 from reports.style import label
 from reports.tables import cell
 
@@ -22,7 +22,8 @@ _CELL = 1.5  # inches, width of a picture
 _GAP = 0.06
 _TEXT = 0.17  # a line
 _HALF = (_CELL - _GAP) / 2
-_LETTERS = 29  # of a name that fits above a picture
+_LETTERS = 29  # of a line that fits below a picture
+_BOLD = 24  # of one above it
 _FRAME = "#d6006c"  # with white around it, seen on light and on dark pictures
 
 
@@ -51,7 +52,7 @@ def draw(panels: list[Panel], scene: str) -> Figure:
     from matplotlib.figure import Figure
 
     columns = 1 + max(len(panel.shots) for panel in panels)
-    heights = [_TEXT + _CELL * _aspect(panel) + _GAP + _HALF + 2 * _TEXT for panel in panels]
+    heights = [_above(panel) + _CELL * _aspect(panel) + _GAP + _HALF + 2 * _TEXT for panel in panels]
     size = (columns * (_CELL + _GAP) + _GAP, sum(heights) + 2.4 * _TEXT)
     figure = Figure(figsize=size)
     FigureCanvasAgg(figure)
@@ -73,25 +74,23 @@ def draw(panels: list[Panel], scene: str) -> Figure:
 
 def _row(axes: Axes, panel: Panel, top: float) -> None:
     """One view: all pictures side by side."""
-    aspect = _aspect(panel)
-    below = top + _TEXT + _CELL * aspect + _GAP
+    aspect, bottom = _aspect(panel), top + _above(panel)
+    below = bottom + _CELL * aspect + _GAP
     words = f"{panel.title[:1].lower()}{panel.title[1:]}, {panel.view}"
     words = textwrap.fill(words, _LETTERS)
     shown: list[tuple[str, Any, Any, str]] = [("Ground truth", panel.truth, None, words)]
     for shot in panel.shots:
-        name = label(shot.row["method"], shot.row["variant"], shot.row["rate"])
         values = f"{cell('psnr', shot.psnr)} dB, ΔE {cell('delta_e_uv', shot.delta_e)}"
         if shot.picture is None:
             values = str(shot.row["status"]) if shot.row["status"] != "ok" else "no picture"
-        shown.append((name, shot.picture, shot.difference, values))
+        shown.append((_name(shot), shot.picture, shot.difference, values))
     for column, (name, picture, difference, values) in enumerate(shown):
         left = _GAP + column * (_CELL + _GAP)
-        name = name if len(name) <= _LETTERS else name[: _LETTERS - 1] + "\N{HORIZONTAL ELLIPSIS}"
-        _write(axes, left, top, name, weight="bold")
+        _write(axes, left, bottom - 0.03, name, weight="bold", va="bottom")
         _write(axes, left, below + _HALF + 0.03, values)
         if picture is None:
             continue
-        _show(axes, picture, left, top + _TEXT, _CELL, _CELL * aspect, panel.window)
+        _show(axes, picture, left, bottom, _CELL, _CELL * aspect, panel.window)
         _show(axes, panel.zoom(picture), left, below, _HALF, _HALF)
         _frame(axes, left, below, _HALF, _HALF, _FRAME, 1.0)
         if column == 0 and panel.transfer is not None:
@@ -128,7 +127,17 @@ def _frame(axes: Axes, left: float, top: float, width: float, height: float, col
 
 
 def _write(axes: Axes, left: float, top: float, text: str, **style: Any) -> None:
-    axes.text(left, top, text, fontsize=6.5, va="top", **style)
+    axes.text(left, top, text, **{"fontsize": 6.5, "va": "top", **style})
+
+
+def _name(shot: Shot) -> str:
+    """Method, variant and rate, in lines that fit above a picture."""
+    return textwrap.fill(label(shot.row["method"], shot.row["variant"], shot.row["rate"]), _BOLD)
+
+
+def _above(panel: Panel) -> float:
+    """Inches above the pictures that the longest name takes."""
+    return _TEXT * 0.75 * (max([1, *(_name(shot).count("\n") + 1 for shot in panel.shots)]) + 1 / 3)
 
 
 def _aspect(panel: Panel) -> float:

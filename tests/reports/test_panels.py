@@ -172,6 +172,20 @@ def test_captions_of_panels_for_papers_end_at_their_picture(maker):
     assert caption.get_window_extent().x1 < values.get_window_extent().x0
 
 
+def test_long_names_in_panels_for_papers_keep_off_their_neighbours_and_pictures(maker):
+    for variant in ("configuration=paper random_half_extent=0.5", "storage=explicit"):
+        maker.run(variant=variant, views=1)
+    tables = maker.tables()
+    (panel,) = panels(models(tables["results"]), tables["views"], maker.root)
+    axes = panel_figures.draw([panel], "x").axes[0]
+    names = [text.get_window_extent() for text in axes.texts if text.get_text().startswith("3DGS")]
+    assert "random_half_extent=0.5" in "".join(text.get_text() for text in axes.texts).replace("\n", "")
+    assert len(names) == 2
+    assert names[0].x1 < names[1].x0
+    top = max(axes.transData.transform((0, image.get_extent()[3]))[1] for image in axes.images)
+    assert all(top < name.y0 < name.y1 < axes.figure.bbox.y1 for name in names)
+
+
 def test_panels_for_papers_have_odd_names_and_failed_models(maker):
     maker.run("set@64", "a/b c", views=2)
     maker.run("set@64", "a/b c", method="hac", status="oom", reason="no memory")
