@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -142,11 +143,12 @@ FAR = 1.5
 
 
 class Label(NamedTuple):
-    """Where a label goes: offset in pixels from its point (y up), and its text's anchor."""
+    """Where a label goes: offset in pixels from its point (y up), its anchor, and the text in lines."""
 
     dx: float
     dy: float
     anchor: str
+    text: str
 
 
 def place_labels(
@@ -159,7 +161,7 @@ def place_labels(
     char: float = 6.4,
     line: float = 14.0,
 ) -> list[Label]:
-    """Place labels beside their points without overlaps, greedily.
+    """Place labels beside their points without overlaps, greedily; those wider than half the axes are broken.
 
     Args:
         points: positions in pixels from the lower left corner of the axes.
@@ -174,7 +176,8 @@ def place_labels(
     places: list[Label] = []
     for (x, y), text in zip(points, texts, strict=True):
         best: tuple[float, Label, tuple[float, float, float, float]] | None = None
-        long = char * len(text)
+        lines = textwrap.wrap(text, int(width / char / 2), break_long_words=False, break_on_hyphens=False)
+        long, tall = char * max(map(len, lines)), line * len(lines)
         for step in range(_LIFTS):
             lift = line * ((step + 1) // 2) * (1 if step % 2 else -1)
             for anchor in ("left", "right", "center"):
@@ -182,7 +185,7 @@ def place_labels(
                     continue
                 dx = {"left": 9.0, "right": -9.0, "center": 0.0}[anchor]
                 left = x + dx - {"left": 0.0, "right": long, "center": long / 2}[anchor]
-                box = (left, y + lift - line / 2, left + long, y + lift + line / 2)
+                box = (left, y + lift - tall / 2, left + long, y + lift + tall / 2)
                 outside = max(0.0, -box[0]) + max(0.0, box[2] - width)
                 outside += max(0.0, -box[1]) + max(0.0, box[3] - height)
                 cost = 3000.0 * outside + abs(lift)
@@ -190,7 +193,7 @@ def place_labels(
                     continue
                 cost += sum(100.0 * _overlap(box, other) for other in taken)
                 if best is None or cost < best[0]:
-                    best = (cost, Label(dx, lift, anchor), box)
+                    best = (cost, Label(dx, lift, anchor, "\n".join(lines)), box)
         assert best is not None
         places.append(best[1])
         taken.append(best[2])

@@ -143,14 +143,15 @@ def annotate(
     around = [place(x, y) for x, y in avoid]
     size = (box.width * scale, box.height * scale)
     places = place_labels(spots, texts, *size, avoid=around, char=_CHARACTER, line=_LINE)
-    for (x, y, text, shade), spot in zip(labels, places, strict=True):
+    for (x, y, _, shade), spot in zip(labels, places, strict=True):
         far = abs(spot.dy) > FAR * _LINE
         axis.annotate(
-            text,
+            spot.text,
             (x, y),
             (spot.dx * 0.8, spot.dy),
             textcoords="offset points",
             ha=spot.anchor,
+            ma=spot.anchor,
             va="center",
             color=shade,
             fontsize=8,

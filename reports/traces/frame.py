@@ -88,13 +88,14 @@ def notes(
         {
             "x": x,
             "y": y,
-            "text": text,
+            "text": spot.text.replace("\n", "<br>"),
+            "align": spot.anchor,
             "xanchor": spot.anchor,
             "yanchor": "middle",
             "font": {"size": 12, "color": shade},
             **_offset(spot, shade),
         }
-        for (x, y, text, shade), spot in zip(labels, places, strict=True)
+        for (x, y, _, shade), spot in zip(labels, places, strict=True)
     ]
 
 

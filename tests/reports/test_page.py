@@ -265,6 +265,19 @@ def test_labels_do_not_overlap():
         assert not any(a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3] for b in boxes[:i])
 
 
+def test_labels_too_long_for_their_chart_are_broken_at_spaces():
+    long = "Scaffold-GS [configuration=paper] (incomplete)"
+    for x in (5.0, 140.0, 275.0):
+        (spot,) = place_labels([(x, 100.0)], [long], 280, 200)
+        assert spot.text.split() == long.split()
+        wide = 6.4 * max(map(len, spot.text.split("\n")))
+        left = x + spot.dx - {"left": 0, "right": 1, "center": 0.5}[spot.anchor] * wide
+        assert left >= 0
+        assert left + wide <= 280
+    (spot,) = place_labels([(5.0, 100.0)], ["ECoNGS (1 of 4)"], 280, 200)
+    assert spot.text == "ECoNGS (1 of 4)"
+
+
 def test_figures_can_be_drawn_for_many_methods(maker):
     for method in ("3dgs", "econgs", "hac"):
         for dataset in ("x", "y"):
