@@ -28,10 +28,6 @@ if TYPE_CHECKING:
     from datasets.scene import RGB
 
 
-SAMPLED = 100
-"""Primitives of each scene whose attributes go into the record."""
-
-
 def measure(context: Context) -> MeasureResult:
     """Load, time and render a scene (or a composition's scenes together), then compare with the ground truth.
 
@@ -123,16 +119,16 @@ def measure(context: Context) -> MeasureResult:
         metrics={name: _mean([row.metrics[name] for row in rows]) for name in metrics},
         missing=missing,
         views=rows,
-        features=_attributes(model, scenes),
+        features=_attributes(model, scenes, job.sampled),
         reference_seconds=mean_of(before, after),
     )
 
 
-def _attributes(model: Model, scenes: Sequence[str]) -> dict[str, list[list[float]]]:
+def _attributes(model: Model, scenes: Sequence[str], sampled: int) -> dict[str, list[list[float]]]:
     """Of a basic scene; those of a composition are its parts'."""
     if len(scenes) != 1 or not isinstance(model, HasAttributes):
         return {}
-    found = model.attributes(scenes[0], SAMPLED)
+    found = model.attributes(scenes[0], sampled)
     return {
         name: [[float(f"{value:.3g}") for value in row] for row in as_numpy(values)]
         for name, values in found.items()

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from bench.records import Job, hash_of
+from bench.records import SAMPLED, Job, hash_of
 from bench.selection import Chosen, Selection, chosen_datasets
 from bench.store import Store
 from datasets.names import unknown
@@ -166,6 +166,8 @@ class Planner:
             identity |= {"encode": encodes[0].key, "scene": scenes[0]}
         if edit:
             identity["edit"] = edit
+        if (sampled := self._selection.suite.sampled) != SAMPLED:
+            identity["sampled"] = sampled
         return _job(
             "measure",
             encodes[0],
@@ -176,6 +178,7 @@ class Planner:
             edit=edit,
             group=",".join(encode.group for encode in encodes),
             metrics=dict(self._metrics),
+            sampled=sampled,
         )
 
     def _edited_views(self, chosen: Chosen) -> dict[tuple[str, str], Job]:

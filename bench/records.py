@@ -12,6 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field
 SCHEMA = 2
 """Raised when a record of an older store could be misread."""
 
+SAMPLED = 100
+"""Primitives of each scene whose attributes go into a record, unless a suite wants more."""
+
 Kind = Literal["views", "dvr", "partition", "fit", "encode", "measure"]
 Status = Literal["ok", "failed", "oom", "timeout", "diverged", "refused"]
 Value = bool | int | float | str
@@ -45,6 +48,7 @@ class Job(_Model):
         needs: ids of the jobs that must be finished before.
         metrics: metric name -> version (measure only).
         cloud_points: size of the initial cloud.
+        sampled: primitives of a scene whose attributes go into the record (measure only).
     """
 
     kind: Kind
@@ -69,6 +73,7 @@ class Job(_Model):
     device: str = "cpu"
     cloud_points: int = 10_000
     metrics: dict[str, str] = Field(default_factory=dict)
+    sampled: int = SAMPLED
 
     @property
     def id(self) -> str:

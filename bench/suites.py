@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bench.edits import edit_of
+from bench.records import SAMPLED
 from datasets.errors import DataError
 from datasets.names import unknown
 
@@ -61,6 +62,7 @@ class Suite:
         rates: "default" (each method's own size) or "all" (the rate knobs' values).
         edits: changes of each basic scene that models are measured with too, against the ground truth of the
             changed scene, as "opacity=0.5 light=1,0,0"; scenes of pre-rendered views have none.
+        sampled: primitives of each scene whose attributes are recorded.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Suite:
     stand_ins: Mapping[str, str] = field(default_factory=dict)
     train_views: tuple[int, ...] = ()
     edits: tuple[str, ...] = ()
+    sampled: int = SAMPLED
 
     def present(self, available: Collection[str]) -> dict[str, tuple[tuple[str, ...], ...]]:
         """The datasets to run, given those that have data here: stand-ins take the places of others."""
@@ -124,7 +127,7 @@ def _choices(scenes: list[Any]) -> tuple[tuple[str, ...], ...]:
 def _parse(path: Path, data: dict[str, Any]) -> Suite:
     known = {
         "title", "datasets", "methods", "optional", "seeds", "preset", "presets", "variants", "rates",
-        "compositions", "dvr", "stand_ins", "train_views", "edits",
+        "compositions", "dvr", "stand_ins", "train_views", "edits", "sampled",
     }  # fmt: skip
     for key in data:
         if key not in known:
@@ -149,11 +152,14 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
             stand_ins={str(name): str(other) for name, other in data.get("stand_ins", {}).items()},
             train_views=tuple(int(count) for count in data.get("train_views", ())),
             edits=tuple(str(edit) for edit in data.get("edits", ())),
+            sampled=int(data.get("sampled", SAMPLED)),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
             path, f"not a suite ({type(error).__name__}: {error})", "See bench/suites/quick.toml"
         ) from error
+    if suite.sampled < 1:
+        raise DataError(path, f"sampled = {suite.sampled}", "Give a number of primitives, 1 or more")
     for name in suite.stand_ins:
         if name not in suite.datasets:
             raise unknown("dataset", name, suite.datasets, of=f"{path} (stand_ins)")

@@ -76,6 +76,19 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     assert data[0]["rate"] is None
 
 
+def test_measuring_more_primitives_fits_nothing_again_and_stands_for_the_row(finished):
+    suite = finished.store.parent / "more.toml"
+    head = 'title = "t"\nmethods = ["fake"]\npreset = "quick"\nsampled = 2\n'
+    suite.write_text(f'{head}[datasets]\n"{finished.dataset}" = ["a"]\n')
+    done = finished("run", suite, "--plugins", finished.plugins, "--out", finished.store, "--no-report")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.startswith("[4/4] measure")
+    tables = finished.store / "tables"
+    assert len(pd.read_parquet(tables / "results.parquet")) == 1
+    features = pd.read_parquet(tables / "features.parquet")
+    assert [len(values) for values in features["values"]] == [2 * width for width in features["width"]]
+
+
 def test_every_tenth_view_is_left_out_with_split_val(bench) -> None:
     done = bench.run("--split", "val")
     assert done.returncode == 0, done.stderr

@@ -114,7 +114,21 @@ def test_a_suite_may_fit_with_several_numbers_of_training_views(dataset, tmp_pat
     assert len({job.id for job in jobs}) == len(jobs) == 8
 
 
+def test_a_suite_may_record_more_anchors_than_others(dataset, tmp_path):
+    def measured(more: str = ""):
+        suite = load_suite(suite_file(tmp_path, f'"{dataset}" = ["a"]', more))
+        return next(job for job in Planner(Selection(suite), {}).jobs(None) if job.kind == "measure")
+
+    usual, many = measured(), measured("sampled = 1000\n")
+    assert (usual.sampled, many.sampled) == (100, 1000)
+    assert usual.id == measured("sampled = 100\n").id != many.id
+    assert usual.needs == many.needs
+    assert load_suite("features").sampled == 1000
+
+
 def test_bad_suites_are_refused_by_name(tmp_path):
+    with pytest.raises(DataError, match="sampled = 0"):
+        load_suite(suite_file(tmp_path, "shells = []", "sampled = 0\n"))
     with pytest.raises(UnknownName, match=r"shels.*shells"):
         load_suite(suite_file(tmp_path, 'shells = []\n[stand_ins]\nshels = ""'))
     suite = load_suite(suite_file(tmp_path, 'vortex = []\n[stand_ins]\nvortex = ""'))

@@ -82,7 +82,7 @@ class Color:
         return np.broadcast_to(color, (*shape, 3)).copy(), np.ones(shape, dtype=np.float32)
 
     def attributes(self, scene, count):
-        return {"color": np.array([self.colors[scene]] * 3, dtype=np.float32)}
+        return {"color": np.array([self.colors[scene]] * min(3, count), dtype=np.float32)}
 
     def timings(self, camera, scenes=None):
         return {"rasterise": 1e-4}
