@@ -18,7 +18,7 @@ from reports.figures.frame import (
     style,
     titled,
 )
-from reports.style import OTHERS, legend_entries, looks, series
+from reports.style import OTHERS, legend_entries, linear_range, looks, series
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,9 +63,12 @@ def _lines(
                 for line in (line for line in lines if line.name == name):
                     axis.plot(line.x, line.y, LINES[look.dash], marker=MARKERS[look.marker],
                               color=look.color, markersize=2.5 * width, linewidth=width)  # fmt: skip
-            axis.margins(x=0.02, y=0.08)
+            axis.margins(x=0.02)
+            heights = [value for line in lines for value in line.y]
             if log_y:
-                log_axis(axis, [value for line in lines for value in line.y], "y")
+                log_axis(axis, heights, "y")
+            else:
+                axis.set_ylim(*linear_range(heights, 2.0))
             room = 0.0 if crowded else room_for([line.title for line in lines])
             if log:
                 log_axis(axis, [value for line in lines for value in line.x], room=room)
