@@ -118,6 +118,22 @@ class Trainer(TrainingLoop):
         self.images = torch.from_numpy(scene.train.images)
         groups = self.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
+        self._show_some()
+
+    @torch.no_grad()
+    def _show_some(self) -> None:
+        """Turn the opacity network's sign where the start shows nothing in any training view.
+
+        One start in a thousand gives each of ten offsets a negative opacity; what is not shown gets no
+        gradient, and the fit would never begin.
+        """
+        values, positions = self.attributes(), self.anchors.positions
+        for camera in self.scene.train.cameras:
+            if len(decode_colors(positions, *values, self.decoders, camera.position).slots):
+                return
+        network = self.decoders.network("opacity")
+        network.second_weight.neg_()
+        network.second_bias.neg_()
 
     @property
     def count(self) -> int:
