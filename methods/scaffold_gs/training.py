@@ -124,8 +124,8 @@ class Trainer(TrainingLoop):
     def _show_some(self) -> None:
         """Turn the opacity network's sign where the start shows nothing in any training view.
 
-        One start in a thousand gives each of ten offsets a negative opacity; what is not shown gets no
-        gradient, and the fit would never begin.
+        Few starts give every offset a negative opacity; what is not shown gets no gradient, and such a fit
+        would never begin.
         """
         values, positions = self.attributes(), self.anchors.positions
         for camera in self.scene.train.cameras:

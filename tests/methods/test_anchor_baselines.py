@@ -244,7 +244,7 @@ def test_cells_of_no_size_are_refused(kind, tiny, scene):
 
 
 def test_a_start_that_shows_nothing_is_turned_and_no_other(kind, scene):
-    """Of one offset half of all seeds make the opacity negative; of ten, one seed in a thousand all."""
+    """With one offset about half of all seeds make it invisible."""
     turned = 0
     for seed in range(12):
         trainer = kind.trainer(scene, options(kind, offsets=1), 40, seed, "cpu")
