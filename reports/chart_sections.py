@@ -140,7 +140,8 @@ def _rate_distortion(results: pd.DataFrame) -> Section | None:
         parts.append(
             '<p class="note">BD-rate: bytes at equal PSNR against those of the other method. '
             f"BD-PSNR: dB at equal bytes. Interpolated with {rate_distortion.INTERPOLATION} splines over the "
-            "logarithm of the size, averaged over the range that both curves cover. Refused with fewer than "
+            "logarithm of the size, averaged over the range that both curves cover: BD-rate over the PSNR "
+            "they share, BD-PSNR over the sizes. Refused with fewer than "
             f"{rate_distortion.LEAST_POINTS} points, for curves that bend back, and without overlap.</p>"
         )
     return Section("rate-distortion", "Rate and distortion", "".join(parts))
@@ -153,10 +154,14 @@ def _many(table: pd.DataFrame) -> bool:
 
 def _difference(found: Difference) -> list[str]:
     who = [found.dataset, found.test, found.reference]
-    if found.rate is None or found.psnr is None or found.psnr_range is None or found.bytes_range is None:
+    if found.refused:
         return [*who, *[MISSING] * 5, f"refused: {found.refused}"]
-    sizes = " to ".join(mib(value) for value in found.bytes_range)
-    numbers = [f"{found.rate:+.1f} %", f"{found.psnr:+.2f}", confidence.ends(*found.psnr_range), sizes]
+    numbers = [
+        MISSING if found.rate is None else f"{found.rate:+.1f} %",
+        MISSING if found.psnr is None else f"{found.psnr:+.2f}",
+        confidence.ends(*found.psnr_range) if found.psnr_range else MISSING,
+        " to ".join(mib(value) for value in found.bytes_range) if found.bytes_range else MISSING,
+    ]
     return [*who, *numbers, f"{100 * found.overlap:.0f} %", "; ".join(found.warnings)]
 
 

@@ -150,15 +150,19 @@ def _distinct(points: list[Point]) -> tuple[Point, ...]:
 
 @dataclass(frozen=True)
 class Difference:
-    """Two curves compared; what could not be computed is None and ``refused`` says why.
+    """Two curves compared; what could not be computed is None.
+
+    Curves may share PSNR and no sizes (a method that takes a third of the bytes), or sizes and no PSNR.
 
     Attributes:
         rate: BD-rate: bytes of ``test`` at equal PSNR, in percent of those of ``reference``, minus 100.
         psnr: BD-PSNR: dB that ``test`` is above ``reference`` at equal bytes.
         psnr_range: the PSNR, in dB, over which ``rate`` is an average.
         bytes_range: the bytes per scene over which ``psnr`` is an average.
-        overlap: share of the two curves' PSNR and of their log bytes that is common; the smaller of both.
-        warnings: what makes the numbers doubtful.
+        overlap: share of the two curves' PSNR and of their log bytes that is common; the smaller of both, of
+            those that are.
+        warnings: what makes the numbers doubtful, or why one is not there.
+        refused: why neither is there.
     """
 
     dataset: str
@@ -184,33 +188,40 @@ def difference(reference: Curve, test: Curve) -> Difference:
     size = [[point.bytes for point in curve.points] for curve in (reference, test)]
     common, by_quality = _overlap(*quality)
     common_log, by_size = _overlap(*(list(np.log10(values)) for values in size))
-    if common is None or common_log is None:
-        what, ranges, unit = ("PSNR", quality, "dB") if common is None else ("size", size, "B")
-        digits = 2 if common is None else 0
-        told = " and ".join(f"{values[0]:,.{digits}f} to {values[-1]:,.{digits}f}" for values in ranges)
-        return Difference(*who, refused=f"no overlap of their {what}: {told} {unit}")
-    rate, psnr = _deltas(size, quality, "akima")
-    doubts = []
-    overlap = min(by_quality, by_size)
+    lacking = []
+    if common is None:
+        lacking.append(f"no overlap of their PSNR: {_ranges(quality, 2)} dB")
+    if common_log is None:
+        lacking.append(f"no overlap of their size: {_ranges(size, 0)} B")
+    if common is None and common_log is None:
+        return Difference(*who, refused="; ".join(lacking))
+    overlap = min(by_quality if common else 1.0, by_size if common_log else 1.0)
+    doubts = lacking
     if overlap < LEAST_OVERLAP:
         doubts.append(f"the curves share only {100 * overlap:.0f} % of their range")
-    other, _ = _deltas(size, quality, "pchip")
-    if abs(other - rate) > max(1.0, _DISAGREE * abs(rate)):
-        doubts.append(f"interpolations disagree: PCHIP gives {other:+.1f} %")
-    ends = (10 ** common_log[0], 10 ** common_log[1])
+    rate = psnr = ends = None
+    if common is not None:
+        rate = _delta("bd_rate", size, quality, "akima")
+        other = _delta("bd_rate", size, quality, "pchip")
+        if abs(other - rate) > max(1.0, _DISAGREE * abs(rate)):
+            doubts.append(f"interpolations disagree: PCHIP gives {other:+.1f} %")
+    if common_log is not None:
+        psnr = _delta("bd_psnr", size, quality, "akima")
+        ends = (10 ** common_log[0], 10 ** common_log[1])
     return Difference(*who, rate, psnr, common, ends, overlap, tuple(doubts))
 
 
-def _deltas(size: list[list[float]], quality: list[list[float]], method: str) -> tuple[float, float]:
+def _ranges(curves: list[list[float]], digits: int) -> str:
+    return " and ".join(f"{values[0]:,.{digits}f} to {values[-1]:,.{digits}f}" for values in curves)
+
+
+def _delta(what: str, size: list[list[float]], quality: list[list[float]], method: str) -> float:
     import bjontegaard
 
     arguments: Any = (size[0], quality[0], size[1], quality[1], method)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # overlap is judged here
-        return tuple(
-            float(delta(*arguments, require_matching_points=False, min_overlap=0))
-            for delta in (bjontegaard.bd_rate, bjontegaard.bd_psnr)
-        )  # type: ignore[return-value]
+        return float(getattr(bjontegaard, what)(*arguments, require_matching_points=False, min_overlap=0))
 
 
 def _overlap(first: list[float], second: list[float]) -> tuple[tuple[float, float] | None, float]:

@@ -70,14 +70,31 @@ def test_curves_may_have_different_numbers_of_points():
     [
         (ANCHOR[0][:3], ANCHOR[1][:3], "b has 3 points, 4 are needed"),
         (ANCHOR[0], [34.0, 36.0, 35.0, 40.0], "b is not monotone: 36.00 dB in 2,486 B, 35.00"),
-        (ANCHOR[0], [24.0, 26.0, 28.0, 30.0], "no overlap of their PSNR: 34.85 to 40.04 and 24.00"),
-        ([1e5, 2e5, 3e5, 4e5], ANCHOR[1], "no overlap of their size: 1,358 to 9,488 and 100,000"),
+        ([1e5, 2e5, 3e5, 4e5], [24.0, 26.0, 28.0, 30.0], "no overlap of their PSNR: 34.85 to 40.04"),
     ],
 )  # fmt: skip
 def test_refused_with_the_reason(size, psnr, reason):
     made = difference(curve(*ANCHOR, "a"), curve(size, psnr, "b"))
     assert made.refused.startswith(reason)
     assert made.rate is made.psnr is None
+
+
+def test_curves_that_share_no_size_still_have_a_bd_rate():
+    """What a method is for that takes a hundredth of the bytes."""
+    size, psnr = np.array(ANCHOR[0]), ANCHOR[1]
+    made = difference(curve(size, psnr), curve(size / 100, psnr))
+    assert made.rate == pytest.approx(-99.0)
+    assert (made.psnr, made.bytes_range, made.refused) == (None, None, "")
+    assert made.warnings == ("no overlap of their size: 1,358 to 9,488 and 14 to 95 B",)
+    assert made.overlap == 1.0
+
+
+def test_curves_that_share_no_psnr_still_have_a_bd_psnr():
+    size, psnr = ANCHOR[0], np.array(ANCHOR[1])
+    made = difference(curve(size, psnr), curve(size, psnr - 20))
+    assert made.psnr == pytest.approx(-20.0)
+    assert (made.rate, made.psnr_range, made.refused) == (None, None, "")
+    assert made.warnings[0].startswith("no overlap of their PSNR")
 
 
 def test_a_small_overlap_is_warned_of():
