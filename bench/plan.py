@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from bench.records import SAMPLED, Job, hash_of
+from bench.records import Job, hash_of
 from bench.selection import Chosen, Selection, chosen_datasets
 from bench.store import Store
+from bench.suites import SAMPLED
 from datasets.names import unknown
 from methods.interface import MethodSpec
 from methods.options import Settings, resolve

@@ -9,11 +9,10 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from bench.suites import SAMPLED
+
 SCHEMA = 2
 """Raised when a record of an older store could be misread."""
-
-SAMPLED = 100
-"""Primitives of each scene whose attributes go into a record, unless a suite wants more."""
 
 Kind = Literal["views", "dvr", "partition", "fit", "encode", "measure"]
 Status = Literal["ok", "failed", "oom", "timeout", "diverged", "refused"]

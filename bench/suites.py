@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bench.edits import edit_of
-from bench.records import SAMPLED
 from datasets.errors import DataError
 from datasets.names import unknown
 
 FOLDER = Path(__file__).parent / "suites"
 PRESETS = ("quick", "standard", "paper")
+SAMPLED = 100
+"""Primitives of each scene whose attributes are recorded, unless a suite wants more."""
 
 
 @dataclass(frozen=True)
