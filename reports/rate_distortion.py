@@ -188,15 +188,14 @@ def difference(reference: Curve, test: Curve) -> Difference:
     size = [[point.bytes for point in curve.points] for curve in (reference, test)]
     common, by_quality = _overlap(*quality)
     common_log, by_size = _overlap(*(list(np.log10(values)) for values in size))
-    lacking = []
+    doubts = []
     if common is None:
-        lacking.append(f"no overlap of their PSNR: {_ranges(quality, 2)} dB")
+        doubts.append(f"no overlap of their PSNR: {_ranges(quality, 2)} dB")
     if common_log is None:
-        lacking.append(f"no overlap of their size: {_ranges(size, 0)} B")
+        doubts.append(f"no overlap of their size: {_ranges(size, 0)} B")
     if common is None and common_log is None:
-        return Difference(*who, refused="; ".join(lacking))
-    overlap = min(by_quality if common else 1.0, by_size if common_log else 1.0)
-    doubts = lacking
+        return Difference(*who, refused="; ".join(doubts))
+    overlap = min(share for share in (by_quality, by_size) if share)
     if overlap < LEAST_OVERLAP:
         doubts.append(f"the curves share only {100 * overlap:.0f} % of their range")
     rate = psnr = ends = None
