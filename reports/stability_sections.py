@@ -42,13 +42,15 @@ def stability_section(tables: dict[str, pd.DataFrame]) -> Section | None:
         for record in found
     ]
     shown = legend(legend_entries([[line.name for line in lines] for lines in curves.values()], names))
-    cards = f'<div class="charts">{charts(drawn.items())}</div>' if drawn else ""
+    note = (
+        '<p class="note">Charts: mean PSNR over scenes and seeds by the number of training views; where any '
+        "fit failed, the mark is left out.</p>"
+    )
+    cards = f'<div class="charts">{charts(drawn.items())}</div>{note}' if drawn else ""
     return Section(
         "stability",
         "Stability",
-        f"<p>{words}</p>{shown}{cards}{table('Failures, seeds and worst views', heads, rows)}"
-        '<p class="note">Charts: mean PSNR over scenes and seeds by the number of training views; where any '
-        "fit failed, the mark is left out.</p>",
+        f"<p>{words}</p>{shown}{cards}{table('Failures, seeds and worst views', heads, rows)}",
     )
 
 

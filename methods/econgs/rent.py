@@ -18,8 +18,8 @@ _HALVINGS = 6
 
 Decode = Callable[[Camera, Tensor], tuple[Decoded, Tensor]]
 """(camera, kept anchors) -> the decoded Gaussians, and the anchor of each."""
-Measure = Callable[[Sequence[int], Tensor], float]
-"""(views, kept anchors) -> mean squared error."""
+Measure = Callable[[Sequence[int], Tensor], Tensor]
+"""(views, kept anchors) -> (m,) mean squared errors, none of which may grow by more than is allowed."""
 
 
 def some_views(count: int, most: int = VIEWS) -> list[int]:
@@ -54,9 +54,9 @@ def who_stays(weights: Tensor, allowance: float, views: Sequence[int], measure: 
 
     Args:
         weights: (N,) of :func:`contributions`.
-        allowance: dB of PSNR over the views together that may be lost.
+        allowance: dB of PSNR over the views together that may be lost, of each error alike.
         views: that are compared.
-        measure: error of those views.
+        measure: errors of those views.
     """
     order = weights.argsort()
     kept = torch.ones(len(weights), dtype=torch.bool, device=weights.device)
@@ -66,7 +66,7 @@ def who_stays(weights: Tensor, allowance: float, views: Sequence[int], measure: 
         middle = math.ceil((low + high) / 2)
         tried = kept.clone()
         tried[order[:middle]] = False
-        if measure(views, tried) <= limit:
+        if bool((measure(views, tried) <= limit).all()):
             low = middle
         else:
             high = middle - 1

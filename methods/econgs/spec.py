@@ -15,7 +15,7 @@ SPEC = MethodSpec(
     composable=True,
     edits=frozenset({"palette", "opacity", "light", "shading"}),
     needs_volume=False,
-    uses_alpha="views are composited on the scene's background; alpha is no target of its own",
+    uses_alpha="views are composited on the scene's background; alpha is also a target of its own",
     devices=("cpu", "cuda"),
     options={
         # Start
@@ -87,6 +87,11 @@ SPEC = MethodSpec(
             "mean", "regulariser of the product of scales over drawn Gaussians", choices=("mean", "sum")
         ),
         "scale_weight": Option(0.01, "its weight (the paper's 0.001 belongs to the sum)", minimum=0.0),
+        "alpha_weight": Option(
+            0.2,
+            "weight of the mean absolute error of alpha, where training views are transparent anywhere",
+            minimum=0.0,
+        ),
         "color_weight": Option(
             0.01, "weight of offset colors squared, ten times as much beyond black and white", minimum=0.0
         ),
@@ -142,6 +147,7 @@ SPEC = MethodSpec(
                 "features": 50,
                 "growth_gradient": 2e-4,
                 "direction_start": 1.0,
+                "alpha_weight": 0.0,
                 "color_weight": 0.0,
                 "fold_embeddings": False,
                 "hidden": 50,

@@ -61,6 +61,9 @@ COLOR_SAMPLE = 256
 """Anchors whose offset colors a step regularises."""
 BEYOND = 10.0
 """Weight of diffuse colors outside [0, 1] against that of offset colors."""
+VANISHING = 0.5
+"""Share of a view's alpha under which the loss of alpha counts :data:`RESCUE` times."""
+RESCUE = 5.0
 
 
 class _Scene:
@@ -91,6 +94,7 @@ class _Scene:
         self.anchors.initial["features"][:, decoders.features :] = stored.to(device)
         self.palette = torch.from_numpy(color)
         self.images = torch.from_numpy(given.train.images)
+        self.transparent = bool((self.images[..., 3] < 1).any())
         light = given.scene.light
         self.light = None if light is None else light.direction
 
@@ -222,6 +226,8 @@ class Trainer(TrainingLoop):
         splats = draw([decoded], camera, offset)
         image = over(splats.features, splats.alpha, scene.given.train.background)
         parts = {"image": photometric_loss(image, target, float(self.options["ssim_weight"]))}
+        if self._asks_alpha(scene):
+            parts["alpha"] = self._alpha_loss(splats.alpha, truth[..., 3])
         parts["scale"] = self._scale_loss(decoded.scales)
         if self.options["color_weight"]:
             parts["color"] = self._color_loss(scene, camera, positions, values.features)
@@ -281,6 +287,21 @@ class Trainer(TrainingLoop):
         features, scalings, offsets = (self.optimiser[name] for name in scene.anchors.names)
         return Attributes(features, scalings.exp(), offsets)
 
+    def _asks_alpha(self, scene: _Scene) -> bool:
+        """Whether alpha is a target: opaque pictures have their background in them."""
+        return scene.transparent and bool(self.options["alpha_weight"])
+
+    def _alpha_loss(self, alpha: Tensor, truth: Tensor) -> Tensor:
+        """Mean absolute error of alpha: what has the background's color looks right without being there.
+
+        It counts more while most is missing: a scene that is as pale as its background starts too dark, is
+        dimmed for that, and once all opacities are negative no gradient brings it back.
+        """
+        weight = float(self.options["alpha_weight"])
+        if float(alpha.detach().sum()) < VANISHING * float(truth.sum()):
+            weight *= RESCUE
+        return weight * (alpha - truth).abs().mean()
+
     def _scale_loss(self, scales: Tensor) -> Tensor:
         """The regulariser of the product of scales, over the Gaussians drawn."""
         products = scales.prod(dim=1)
@@ -337,18 +358,21 @@ class Trainer(TrainingLoop):
             decoded = self._decode(scene, camera, positions.index_select(0, rows), values.of(rows))
             return decoded, rows[decoded.slots // scene.anchors.offsets]
 
+        asks_alpha = self._asks_alpha(scene)
+
         @torch.no_grad()
-        def measure(views: Sequence[int], kept: Tensor) -> float:
+        def measure(views: Sequence[int], kept: Tensor) -> Tensor:
             errors = []
             for view in views:
                 decoded, _ = frame(cameras[view], kept)
                 splats = draw([decoded], cameras[view])
                 truth = scene.images[view].to(self.device)
                 target = over(truth[..., :3], truth[..., 3], background)
-                errors.append(
-                    float((over(splats.features, splats.alpha, background) - target).square().mean())
-                )
-            return sum(errors) / len(errors)
+                apart = [over(splats.features, splats.alpha, background) - target]
+                if asks_alpha:
+                    apart.append(splats.alpha - truth[..., 3])
+                errors.append(torch.stack([one.square().mean() for one in apart]))
+            return torch.stack(errors).mean(dim=0).cpu()
 
         views = some_views(len(cameras))
         weights = contributions(len(positions), [cameras[view] for view in views], frame, positions.device)

@@ -19,7 +19,7 @@ from datasets.catalogue import entries, list_datasets, open_dataset
 from datasets.catalogue.files import safe_name
 from datasets.errors import DataError, UnknownName
 
-ALL = {"vortices", "vortices_fuzzy", "shells", "jet_flame_iso", "vis_male", "fuel", "nucleon",
+ALL = {"vortices", "vortices_fuzzy", "shells", "shells_pale", "jet_flame_iso", "vis_male", "fuel", "nucleon",
        "hydrogen_atom", "boston_teapot", "csafe_heptane",
        "stent_ct", "stroke_mri", "vortex_views", "vortex_views_400"}  # fmt: skip
 
@@ -108,7 +108,9 @@ def test_entries_are_sound(name: str) -> None:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", sorted(ALL - {"vortices", "vortices_fuzzy", "shells", "jet_flame_iso"}))
+@pytest.mark.parametrize(
+    "name", sorted(ALL - {"vortices", "vortices_fuzzy", "shells", "shells_pale", "jet_flame_iso"})
+)
 def test_real_sets(data: Path, name: str) -> None:
     dataset = open_dataset(name)
     info = next(i for i in list_datasets() if i.name == name)

@@ -177,6 +177,33 @@ def test_offset_colors_are_kept_small_and_in_range(tiny, scene):
     assert inside <= beyond
 
 
+def test_what_has_the_color_of_the_background_is_learned_too(scene):
+    """Without a loss of alpha all of it vanishes: it starts too dark, and the empty picture is right."""
+    images = scene.train.images.copy()
+    images[..., :3] = images[..., 3:]  # white, over white
+    white = replace(scene, train=replace(scene.train, images=images))
+
+    def missing(weight):
+        trainer = Trainer([white], options(alpha_weight=weight), 150, 0, "cpu")
+        parts = [trainer.step() for _ in range(150)]
+        assert ("alpha" in parts[-1]) == (weight > 0)
+        alphas = [trainer.model().render(camera)[1] for camera in scene.train.cameras]
+        truth = torch.from_numpy(images[..., 3])
+        return float((truth - torch.stack(alphas)).clamp(min=0).sum() / truth.sum())
+
+    assert missing(0.0) > 0.9
+    assert missing(0.2) < 0.2
+
+
+def test_opaque_pictures_have_no_alpha_to_learn(scene):
+    """Their background is part of them; asking for alpha there would fill the space with it."""
+    opaque = scene.train.images.copy()
+    opaque[..., :3] += 1 - opaque[..., 3:]
+    opaque[..., 3] = 1
+    given = replace(scene, train=replace(scene.train, images=opaque))
+    assert "alpha" not in Trainer([given], options(alpha_weight=0.1), 20, 0, "cpu").step()
+
+
 @pytest.mark.parametrize(
     ("edit", "words"),
     [

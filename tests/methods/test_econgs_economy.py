@@ -49,16 +49,26 @@ def test_the_lightest_go_as_far_as_the_allowance_reaches(allowance, gone):
 
     def measure(views, kept):
         assert views == [3, 4]
-        return 1.0 + float(costs[~kept].sum())
+        return 1.0 + costs[~kept].sum()[None]
 
     kept = who_stays(weights, allowance, [3, 4], measure)
     assert set((~kept).nonzero()[:, 0].tolist()) == gone
 
 
 def test_one_anchor_always_stays():
-    kept = who_stays(torch.zeros(7), 10.0, [0], lambda views, kept: 1.0)
+    kept = who_stays(torch.zeros(7), 10.0, [0], lambda views, kept: torch.ones(1))
     assert kept.sum() == 1
-    assert who_stays(torch.zeros(1), 10.0, [0], lambda views, kept: 1.0).all()
+    assert who_stays(torch.zeros(1), 10.0, [0], lambda views, kept: torch.ones(1)).all()
+
+
+def test_every_error_has_its_own_allowance():
+    weights = torch.tensor([0.1, 0.2, 0.3, 5.0])
+    color, alpha = torch.tensor([0.0, 0.0, 0.0, 9.0]), torch.tensor([0.0, 0.4, 9.0, 9.0])
+
+    def measure(views, kept):
+        return torch.stack([7.0 + color[~kept].sum(), 1.0 + alpha[~kept].sum()])
+
+    assert who_stays(weights, 10 * math.log10(1.5), [0], measure).tolist() == [False, False, True, True]
 
 
 def test_views_are_spread():
