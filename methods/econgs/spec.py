@@ -88,7 +88,7 @@ SPEC = MethodSpec(
         ),
         "scale_weight": Option(0.01, "its weight (the paper's 0.001 belongs to the sum)", minimum=0.0),
         "alpha_weight": Option(
-            0.2,
+            0.05,
             "weight of the mean absolute error of alpha, where training views are transparent anywhere",
             minimum=0.0,
         ),
@@ -130,7 +130,7 @@ SPEC = MethodSpec(
         ),
     },
     # So short a fit cannot train as many anchors: half of them, for 0.15 to 0.3 dB (docs/econgs.md).
-    presets={"quick": {"growth_gradient": 6e-4}, "standard": {}, "paper": {}},
+    presets={"quick": {"growth_gradient": 6e-4, "alpha_weight": 0.2}, "standard": {}, "paper": {}},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={
         "fair": Configuration(),

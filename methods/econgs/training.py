@@ -62,8 +62,8 @@ COLOR_SAMPLE = 256
 BEYOND = 10.0
 """Weight of diffuse colors outside [0, 1] against that of offset colors."""
 VANISHING = 0.5
-"""Share of a view's alpha under which the loss of alpha counts :data:`RESCUE` times."""
-RESCUE = 5.0
+"""Share of a view's alpha under which the loss of alpha has the weight :data:`RESCUE`."""
+RESCUE = 1.0
 
 
 class _Scene:
@@ -299,7 +299,7 @@ class Trainer(TrainingLoop):
         """
         weight = float(self.options["alpha_weight"])
         if float(alpha.detach().sum()) < VANISHING * float(truth.sum()):
-            weight *= RESCUE
+            weight = max(weight, RESCUE)
         return weight * (alpha - truth).abs().mean()
 
     def _scale_loss(self, scales: Tensor) -> Tensor:

@@ -192,6 +192,7 @@ def test_what_has_the_color_of_the_background_is_learned_too(scene):
         return float((truth - torch.stack(alphas)).clamp(min=0).sum() / truth.sum())
 
     assert missing(0.0) > 0.9
+    assert missing(0.05) < 0.3
     assert missing(0.2) < 0.2
 
 
