@@ -10,6 +10,7 @@ import pandas as pd
 from reports import confidence, features, plots, rate_distortion, stability_sections, training
 from reports.chart_parts import Section, chart, charts, legend, table
 from reports.protocols import comparable
+from reports.rate_distortion import at_default_rates
 from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, absent, legend_entries, mib, seconds, series
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ _GRAY = (
     "are gray and named when pointed at."
 )
 _DEFAULTS = f" Of more than {MOST_NAMED} variants each method's default is shown alone."
+_ONE_RATE = " Of fits that differ only in a rate knob, the default's is shown."
 _FRONT = " What is on the front keeps its color, and is named by its options."
 _TRADEOFFS = (
     ("PSNR and size", "size_bytes"),
@@ -152,6 +154,11 @@ def _many(table: pd.DataFrame) -> bool:
     return any(len(series(rows)) > MOST_NAMED for _, rows in comparable(table))
 
 
+def _rates_left_out(curve: pd.DataFrame) -> str:
+    """What to say of fits that charts of training do not draw."""
+    return _ONE_RATE if len(at_default_rates(curve)) < len(curve) else ""
+
+
 def _difference(found: Difference) -> list[str]:
     who = [found.dataset, found.test, found.reference]
     if found.refused:
@@ -205,6 +212,7 @@ def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
         for dataset, lines in panels[0].items()
         for line, times in training.time_to_quality(lines)
     ]
+    words += _rates_left_out(curve)
     words += _GRAY if OTHERS_NAME in entries else ""
     times = table("Time to a quality", heads, rows) if rows else ""
     return Section(
@@ -224,6 +232,7 @@ def _convergence(tables: dict[str, pd.DataFrame]) -> Section | None:
     if not any(pairs):
         return None
     told = f"PSNR of {_HELD_OUT} while training; the clock stands still while it is measured."
+    told += _rates_left_out(curve)
     lines = training.convergence(curve, "iteration") | training.convergence(curve, "train_seconds")
     entries = legend_entries([[line.name for line in each] for each in lines.values()], order)
     told += _GRAY if OTHERS_NAME in entries else ""
@@ -246,7 +255,9 @@ def _losses(curve: pd.DataFrame) -> Section | None:
     small = sorted({name for panel, _ in panels for name in panel.small})
     if small:
         words += f" Not drawn, for they are under {training.LEAST_SHARE:g} of it: {escape(', '.join(small))}."
-    if _many(curve):
+    words += _rates_left_out(curve)
+    drawn = at_default_rates(curve)
+    if _many(drawn[drawn["loss_parts"].notna()]):
         words += _DEFAULTS
     cards = charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in panels)
     return Section("losses", "Parts of the loss", f'<p>{words}</p><div class="charts">{cards}</div>')

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 def method(row: Any, names: Sequence[str]) -> str:
     """A row's method with variant and rate, after a dot in its color of the charts."""
     shade = color(label(row["method"], row["variant"]), names)
-    name = escape(label(row["method"], row["variant"], row["rate"])).replace(",", ",<wbr>")
+    name = escape(label(row["method"], row["variant"], row["rate"]))
+    for after in ",=":
+        name = name.replace(after, f"{after}<wbr>")
     return f'<span class="dot" style="background:{shade}"></span>{name}'
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from reports.cieluv import delta_e_uv
 from reports.difference import colored, largest_window
 from reports.pictures import background, inside, read
+from reports.rate_distortion import split_rate
 from reports.style import absent
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ RULE = (
     "if it is another one, the view with the lowest PSNR of any one model. The box is the window, a quarter "
     "of the picture wide, in which the difference is largest on average over the models; it stands enlarged "
     "below the picture, beside the difference. Of several seeds the first is shown, of several rates the "
-    "middle one."
+    "default, or the middle one where that was not measured."
 )
 ABSENT = "no picture in this store"
 _ZOOM = 4  # a zoom window is this part of the picture's shorter side
@@ -98,17 +99,19 @@ class Panel:
 
 
 def models(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows of a scene whose pictures are shown: one per method and variant.
+    """The rows of a scene whose pictures are shown: one per method and variant, rate knobs apart.
 
-    Finished rows go before others and current before stale ones; then the first seed; of its rates the middle
-    one by size.
+    Finished rows go before others and current before stale ones; then the default rate; then the first seed;
+    of its rates the middle one by size.
     """
-    candidates: dict[tuple[Any, Any], list[tuple[tuple[bool, bool, int], float, Any]]] = {}
-    names = ["method", "variant", "status", "stale", "seed", "size_bytes"]
+    candidates: dict[tuple[Any, str], list[tuple[tuple[bool, bool, bool, int], float, Any]]] = {}
+    names = ["method", "variant", "rate", "status", "stale", "seed", "size_bytes"]
     for index, *cells in rows[names].itertuples():
-        method, variant, status, stale, seed, size = (None if absent(value) else value for value in cells)
-        rank = (status != "ok", bool(stale), int(seed or 0))
-        candidates.setdefault((method, variant), []).append((rank, float(size or 0), index))
+        known = (None if absent(value) else value for value in cells)
+        method, variant, rate, status, stale, seed, size = known
+        rest, knob = split_rate(variant)
+        rank = (status != "ok", bool(stale), bool(knob) or rate is not None, int(seed or 0))
+        candidates.setdefault((method, rest), []).append((rank, float(size or 0), index))
     chosen = []
     for group in candidates.values():
         first = min(rank for rank, _, _ in group)

@@ -111,6 +111,22 @@ def split_rate(variant: Any) -> tuple[str, str]:
     return rest, ",".join(text.partition("=")[2] for text in knobs)
 
 
+def at_default_rates(table: pd.DataFrame) -> pd.DataFrame:
+    """Without fits that differ only in a rate knob from fits of the same table at its default value.
+
+    Args:
+        table: `results` or `curve` as documented.
+    """
+    fits = [
+        (dataset, preset, method, *split_rate(variant))
+        for dataset, preset, method, variant in zip(
+            table["dataset"], table["preset"], table["method"], table["variant"], strict=True
+        )
+    ]
+    default = {fit[:-1] for fit in fits if not fit[-1]}
+    return table[[not knob or tuple(fit) not in default for *fit, knob in fits]]
+
+
 def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
     """Dataset (with preset and split where there are several) -> its curves.
 

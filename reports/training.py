@@ -1,4 +1,7 @@
-"""What the charts of training draw: convergence, anytime curves, time to a quality, parts of the loss."""
+"""What the charts of training draw: convergence, anytime curves, time to a quality, parts of the loss.
+
+Of fits that differ only in a rate knob they draw the default's: others are points of rate-distortion curves.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from reports.protocols import comparable
+from reports.rate_distortion import at_default_rates
 from reports.style import MIB, PALETTE, label, named
 
 if TYPE_CHECKING:
@@ -54,7 +58,7 @@ def convergence(curve: pd.DataFrame, against: str) -> dict[str, list[Curve]]:
     panels: dict[str, list[Curve]] = {}
     if curve.empty:
         return panels
-    for title, every in comparable(curve):
+    for title, every in comparable(at_default_rates(curve)):
         rows = every[every["psnr"].notna() & every[against].notna()]
         methods = len({label(m, v) for m, v in zip(rows["method"], rows["variant"], strict=True)})
         many = {axis: rows[axis].nunique() > 1 for axis in ("scene", "seed")}
@@ -84,7 +88,7 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, 
     panels: dict[str, list[Curve]] = {}
     if curve.empty or what not in curve:
         return panels
-    for panel, every in comparable(curve):
+    for panel, every in comparable(at_default_rates(curve)):
         known = every[every[what].notna() & every["train_seconds"].notna()]
         first = every.iloc[0]
         basic = (results["kind"] == "basic") & (results["dataset"] == first["dataset"])
@@ -165,7 +169,7 @@ def losses(curve: pd.DataFrame) -> list[Losses]:
     if curve.empty or "loss_parts" not in curve:
         return []
     made = []
-    for dataset, every in comparable(curve):
+    for dataset, every in comparable(at_default_rates(curve)):
         known = every[every["loss_parts"].notna() & every["loss"].notna()]
         told = named(label(*pair) for pair in zip(known["method"], known["variant"], strict=True))
         for names, rows in known.groupby(["method", "variant"], dropna=False, sort=False):

@@ -179,6 +179,20 @@ def test_anytime_says_where_scenes_are_missing(maker):
     assert line.title == "m (1 of 2 scenes)"
 
 
+def test_charts_of_training_show_the_default_of_a_rate_knob(maker):
+    parts = json.dumps({"image": 0.01, "rate": 0.002})
+    rows = [(job, "a", "m", i, 3.0 * i, 30.0, None, parts) for job in "jkln" for i in (1, 2)]
+    variants = {"j": "rate_weight=0.1", "k": "", "l": "a=1,rate_weight=0.1", "n": "a=1,rate_weight=0.2"}
+    table = curve_table(rows)
+    table["variant"] = table["job"].map(variants).astype("string")
+    # Of "a=1" there is no fit at the default rate: all of them are shown.
+    told = ["m", "m [a=1,rate_weight=0.1]", "m [a=1,rate_weight=0.2]"]
+    results = results_table(maker, m="a")
+    assert [line.name for line in training.anytime(table, results, "psnr")["d"]] == told
+    assert [line.name for line in training.convergence(table, "iteration")["d"]] == told
+    assert [panel.title for panel in training.losses(table)] == told
+
+
 def test_time_to_quality_is_linear_between_evaluations():
     curve = training.Curve("m", "m", [10.0, 20.0, 40.0, 80.0], [31.0, 33.0, 32.5, 33.5])
     ((_, times),) = training.time_to_quality([curve])

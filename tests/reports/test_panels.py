@@ -72,6 +72,17 @@ def test_one_row_per_model_is_shown(maker):
     assert len(shown) == 4
 
 
+def test_of_several_rates_the_default_is_shown(maker):
+    for variant, size in (("rate_weight=0.01", 100), ("", 400), ("rate_weight=0.001", 200)):
+        maker.run(method="hac", variant=variant, size=size, views=1)
+    for rate, size in ((1.0, 300), (2.0, 200), (None, 500)):
+        maker.run(method="vq-3dgs", rate=rate, size=size, views=1)
+    for variant, size in (("a=1,rate_weight=0.01", 100), ("a=1,rate_weight=0.02", 50), ("a=2", 70)):
+        maker.run(method="econgs", variant=variant, size=size, views=1)
+    shown = models(maker.tables()["results"])
+    assert list(shown["size_bytes"]) == [400, 500, 50, 70]
+
+
 def test_all_models_are_shown_in_the_same_view_and_window(maker):
     maker.run(method="3dgs", views=3)
     maker.run(method="hac", views=3, psnr=30)
