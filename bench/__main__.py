@@ -32,7 +32,9 @@ COMMANDS = {
     "verify": "bench.commands.stores:verify",
     "check-plugin": "bench.commands.check_plugin:check_plugin",
 }
-TABLES = ("results", "views", "curve", "ledger", "timing", "features", "scenes", "dvr", "superseded")
+TABLES = (
+    "results", "views", "curve", "losses", "ledger", "timing", "features", "scenes", "dvr", "superseded",
+)  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

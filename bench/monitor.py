@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from bench.checkpoints import read_checkpoint, write_checkpoint
+from bench.losses import LossCurve
 from bench.metrics.image import Pair, psnr, to_8bit
-from bench.records import CurvePoint
+from bench.records import CurvePoint, LossPoint
 from datasets.views import ViewSet
 from methods.interface import Checkpoint, Diverged, EstimatesBytes, Model
 
@@ -101,6 +102,7 @@ class FitMonitor:
         self._stored = time.monotonic()
         self._speed: tuple[int, float] | None = None
         self.curve: list[CurvePoint] = []
+        self._losses = LossCurve(iterations)
         self.resumed = 0
         self.iteration = 0
         self.final = False
@@ -116,6 +118,8 @@ class FitMonitor:
         self._clock = harness["seconds"]
         self._cpu_clock = harness.get("cpu_seconds")  # checkpoints of older versions have none
         self.curve = [CurvePoint.model_validate(point) for point in harness["curve"]]
+        if "losses" in harness:  # checkpoints of older versions have none
+            self._losses.resume(harness["losses"])
         self.resumed = harness["resumed"] + 1
         self.iteration = checkpoint.iteration
         self.final = checkpoint.iteration >= self._iterations
@@ -143,6 +147,11 @@ class FitMonitor:
         """Processor time of all threads in the same time; None where part of it is not known."""
         return self._cpu_clock
 
+    @property
+    def losses(self) -> list[LossPoint]:
+        """Of all iterations so far."""
+        return self._losses.points
+
     # ------------------------------------------------------------------ the method's side
 
     def stage(self, name: str) -> None:
@@ -157,6 +166,8 @@ class FitMonitor:
             raise Diverged(f"loss is not finite at iteration {iteration}: {named}")
         self._loss = total
         self._parts = {name: float(value) for name, value in losses.items() if name != "loss"}
+        if total is not None:
+            self._losses.add(iteration, self._stage, {"loss": total, **self._parts})
         self._tell()
 
     def due(self, iteration: int) -> bool:
@@ -191,6 +202,7 @@ class FitMonitor:
             "seconds": self._clock,
             "cpu_seconds": self._cpu_clock,
             "curve": [point.model_dump() for point in self.curve],
+            "losses": self._losses.state(),
             "resumed": self.resumed,
         }
         write_checkpoint(self._folder, checkpoint, harness)

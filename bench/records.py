@@ -140,6 +140,19 @@ class CurvePoint(_Model):
     loss_parts: dict[str, float] = Field(default_factory=dict)
 
 
+class LossPoint(_Model):
+    """Means over a stretch of a fit, all in one stage.
+
+    ``losses``: "loss" (which is minimised), its parts, and further figures of the method.
+    """
+
+    stage: str
+    first: int
+    iteration: int
+    """The last of the stretch."""
+    losses: dict[str, float]
+
+
 class ViewsResult(_Model):
     """``truth``: split -> PNG file names, in the order of the cameras; see ``cameras.json``.
 
@@ -203,6 +216,7 @@ class FitResult(_Model):
     primitives: dict[str, int]
     train_views: int
     curve: list[CurvePoint]
+    losses: list[LossPoint] = Field(default_factory=list)
     resumed: int
     reference_seconds: float | None
 

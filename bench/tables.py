@@ -34,6 +34,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
               "render_file", "alpha_file", "background", "requested_views", *COVERAGE),
     "curve": ("job", *_AXES, "preset", "seed", "iteration", "train_seconds", "loss", "psnr", "primitives",
               "bytes_estimate", "loss_parts", "requested_views"),
+    "losses": ("job", *_AXES, "preset", "seed", "stage", "first", "iteration", "losses", "requested_views"),
     "ledger": ("job", *_AXES, "rate", "preset", "seed", "part", "bytes", "requested_views"),
     "timing": ("job", *_AXES, "rate", "preset", "seed", "part", "seconds", "requested_views"),
     "features": ("job", *_AXES, "preset", "name", "values", "width", "requested_views"),
@@ -49,13 +50,13 @@ _TEXT = {
     "dataset", "scene", "kind", "method", "variant", "preset", "split", "status", "reason", "group", "device",
     "machine", "job", "stage", "commit", "view", "truth_file", "render_file", "alpha_file", "part", "name",
     "background", "variables", "dtype", "renderer", "version", "backend",
-    "loss_parts", "edit", "transfer", "source", "processor", "fit_processor",
+    "loss_parts", "losses", "edit", "transfer", "source", "processor", "fit_processor",
 }  # fmt: skip
 _WHOLE = {
     "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes",
     "peak_device_bytes", "iterations", "train_views", "width", "height", "threads", "identical_views",
-    "group_peak_host_bytes", "requested_views", "iteration", "bytes_estimate", "bytes", "nx", "ny", "nz",
-    "volume_bytes",
+    "group_peak_host_bytes", "requested_views", "first", "iteration", "bytes_estimate", "bytes", "nx", "ny",
+    "nz", "volume_bytes",
 }  # fmt: skip
 _FLAGS = {"stale", "identical"}
 
@@ -100,6 +101,10 @@ def rows(
                 {"job": job.id, **_axes(job), **_point(point, scene)}
                 for scene in job.scenes
                 for point in record.fit.curve
+            ]
+            tables["losses"] += [
+                {"job": job.id, **_axes(job), **point.model_dump(), "losses": json.dumps(point.losses)}
+                for point in record.fit.losses
             ]
         elif job.kind == "encode" and record.encode is not None:
             tables["ledger"] += [

@@ -37,9 +37,9 @@ def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
     """The sections for which there are data, in the order of the page.
 
     Args:
-        tables: results, views, curve, ledger, timing and features as documented in docs/architecture.md.
+        tables: as documented (results, views, curve, losses, ledger, timing, features).
     """
-    results, curve = tables["results"], tables["curve"]
+    results = tables["results"]
     made = (
         _confidence(results, tables["views"]),
         _rate_distortion(results),
@@ -48,7 +48,7 @@ def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
         stability_sections.complexity_section(results),
         _anytime(tables),
         _convergence(tables),
-        _losses(curve),
+        _losses(tables),
         _features(tables),
         _timing(tables["timing"]),
         _ledger(tables["ledger"]),
@@ -243,22 +243,21 @@ def _convergence(tables: dict[str, pd.DataFrame]) -> Section | None:
     return Section("convergence", "Convergence", "\n".join(parts))
 
 
-def _losses(curve: pd.DataFrame) -> Section | None:
-    panels = plots.losses(curve)
+def _losses(tables: dict[str, pd.DataFrame]) -> Section | None:
+    panels = plots.losses(tables)
     if not panels:
         return None
     words = (
-        "The training loss and its weighted parts (logarithmic), mean over the fits. A dashed line stands at "
-        "the first evaluation that has seen a part, such as the rate under quantisation noise; it may have "
-        "joined at any time since the evaluation before, and the loss may rise with it."
+        "The training loss and its weighted parts (logarithmic), means over stretches of the fits (50, which "
+        "stages cut). A dashed line stands where a stage begins. Of fits by older versions there are single "
+        "steps, and their dashed lines stand at the first one that has seen a part, which may have joined at "
+        "any time since the one before."
     )
     small = sorted({name for panel, _ in panels for name in panel.small})
     if small:
         words += f" Not drawn, for they are under {training.LEAST_SHARE:g} of it: {escape(', '.join(small))}."
-    words += _rates_left_out(curve)
-    drawn = at_default_rates(curve)
-    if _many(drawn[drawn["loss_parts"].notna()]):
-        words += _DEFAULTS
+    words += _rates_left_out(tables["curve"])
+    words += _DEFAULTS if _many(training.steps(tables)) else ""
     cards = charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in panels)
     return Section("losses", "Parts of the loss", f'<p>{words}</p><div class="charts">{cards}</div>')
 

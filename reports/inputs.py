@@ -33,6 +33,7 @@ _OTHERS = {
     "delta_e_uv identical truth_file render_file alpha_file background requested_views missing excess",
     "curve": "job dataset scene method variant preset seed iteration train_seconds loss psnr primitives "
     "bytes_estimate loss_parts requested_views",
+    "losses": "job dataset scene method variant preset seed stage first iteration losses requested_views",
     "ledger": "job dataset scene method variant rate preset seed part bytes requested_views",
     "timing": "job dataset scene method variant rate preset seed part seconds requested_views",
     "features": "job dataset scene method variant preset name values width requested_views",

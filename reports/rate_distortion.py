@@ -117,6 +117,8 @@ def at_default_rates(table: pd.DataFrame) -> pd.DataFrame:
     Args:
         table: `results` or `curve` as documented.
     """
+    import pandas as pd
+
     fits = [
         (dataset, preset, method, *split_rate(variant))
         for dataset, preset, method, variant in zip(
@@ -124,7 +126,8 @@ def at_default_rates(table: pd.DataFrame) -> pd.DataFrame:
         )
     ]
     default = {fit[:-1] for fit in fits if not fit[-1]}
-    return table[[not knob or tuple(fit) not in default for *fit, knob in fits]]
+    shown = [not knob or tuple(fit) not in default for *fit, knob in fits]
+    return table[pd.Series(shown, table.index, dtype=bool)]
 
 
 def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:

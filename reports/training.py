@@ -6,6 +6,7 @@ Of fits that differ only in a rate knob they draw the default's: others are poin
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,10 @@ _UNIT = {"psnr": 1.0, "bytes_estimate": MIB}
 _FIT = ["job", "method", "variant", "seed", "scene"]
 LEAST_SHARE = 1e-5
 """Parts that never reach this share of the loss are not drawn."""
+
+
+MARKED = 16
+"""Points up to which a line of losses has marks at them."""
 
 
 @dataclass(frozen=True)
@@ -150,42 +155,62 @@ class Losses:
         dataset: with its preset where there are several.
         title: of the method.
         parts: over iterations; the whole first.
-        joins: (iteration, part): first evaluation with a part that the first evaluation had not.
+        marks: (iteration, text): where a stage begins; without stages the first evaluation with parts that
+            the first one had not.
         small: names of parts too small to be drawn.
     """
 
     dataset: str
     title: str
     parts: list[Curve]
-    joins: list[tuple[float, str]]
+    marks: list[tuple[float, str]]
     small: list[str]
 
 
-def losses(curve: pd.DataFrame) -> list[Losses]:
+def losses(tables: Mapping[str, pd.DataFrame]) -> list[Losses]:
     """The losses by part of all methods that tell them; figures that are no part of the sum are left out.
 
-    With many variants only the defaults are shown (:func:`reports.style.named`).
+    Of fits in the table `losses` these are means over stretches, of others (older ones) the single steps of
+    `curve`. With many variants only the defaults are shown (:func:`reports.style.named`).
+
+    Args:
+        tables: with `losses` and `curve` as documented.
     """
-    if curve.empty or "loss_parts" not in curve:
-        return []
     made = []
-    for dataset, every in comparable(at_default_rates(curve)):
-        known = every[every["loss_parts"].notna() & every["loss"].notna()]
-        told = named(label(*pair) for pair in zip(known["method"], known["variant"], strict=True))
-        for names, rows in known.groupby(["method", "variant"], dropna=False, sort=False):
+    rows = steps(tables)
+    for dataset, every in comparable(rows) if len(rows) else ():
+        told = named(label(*pair) for pair in zip(every["method"], every["variant"], strict=True))
+        for names, fits in every.groupby(["method", "variant"], dropna=False, sort=False):
             if label(*names) not in told:
                 continue
-            table = _parts_table(rows)
+            table = _parts_table(fits)
             if len(table.columns) < 2:
                 continue
             floor = LEAST_SHARE * float(table["loss"].max())
             drawn = [name for name in table.columns if float(table[name].max()) > floor]
             parts = [_part(name, table[name]) for name in drawn]
-            begin = float(table.index[0])
-            joins = [(part.x[0], part.name) for part in parts if part.x[0] > begin]
             small = [str(name) for name in table.columns if name not in drawn]
-            made.append(Losses(dataset, label(*names), parts, joins, small))
+            made.append(Losses(dataset, label(*names), parts, _marks(fits, parts), small))
     return made
+
+
+def steps(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """The rows of `losses`, and as such those of `curve` of methods that it has none of."""
+    import pandas as pd
+
+    keys = ["dataset", "preset", "method", "variant"]
+    stretches = at_default_rates(tables["losses"])
+    curve = at_default_rates(tables["curve"])
+    if "loss_parts" not in curve:
+        return stretches
+    known = {tuple(row) for row in stretches[keys].fillna("").itertuples(index=False)}
+    single = [tuple(row) not in known for row in curve[keys].fillna("").itertuples(index=False)]
+    curve = curve[pd.Series(single, curve.index, dtype=bool)].dropna(subset=["loss", "loss_parts"])
+    told = [
+        json.dumps({"loss": float(loss), **json.loads(parts)})
+        for loss, parts in zip(curve["loss"], curve["loss_parts"], strict=True)
+    ]
+    return pd.concat([stretches, curve[["job", *keys, "iteration"]].assign(losses=told)], ignore_index=True)
 
 
 def _parts_table(rows: pd.DataFrame) -> pd.DataFrame:
@@ -195,15 +220,27 @@ def _parts_table(rows: pd.DataFrame) -> pd.DataFrame:
     fits = []
     for _, fit in rows.groupby("job", sort=False):
         points = fit.drop_duplicates("iteration")
-        parts = [json.loads(text) for text in points["loss_parts"]]
+        parts = [json.loads(text) for text in points["losses"]]
         table = pd.DataFrame(parts, index=points["iteration"].astype(int))
-        table.insert(0, "loss", points["loss"].astype(float).to_numpy())
         # A part cannot exceed the sum; what does is another figure (bits per attribute, say).
         of_sum = [name for name in table if not (table[name] > 1.001 * table["loss"]).any()]
         fits.append(table[of_sum])
     shared = set.intersection(*(set(fit.index) for fit in fits))
     every = pd.concat([fit.loc[sorted(shared)] for fit in fits])
     return every.groupby(level=0, sort=True).mean()
+
+
+def _marks(rows: pd.DataFrame, parts: list[Curve]) -> list[tuple[float, str]]:
+    told = rows[rows["stage"].notna()] if "stage" in rows else rows[:0]
+    if len(told):
+        starts = told.groupby("stage", sort=False)["first"].min().sort_values()
+        return [(float(iteration), str(stage)) for stage, iteration in starts.items()][1:]
+    begin = min(part.x[0] for part in parts)
+    late: dict[float, list[str]] = {}
+    for part in parts:
+        if part.x[0] > begin:
+            late.setdefault(part.x[0], []).append(part.name)
+    return [(iteration, f"{', '.join(names)} first seen") for iteration, names in late.items()]
 
 
 def _part(name: Any, values: pd.Series) -> Curve:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from reports import training
@@ -88,18 +89,19 @@ def _lines(
     return figure
 
 
-def losses(curve: pd.DataFrame) -> Figure:
+def losses(tables: Mapping[str, pd.DataFrame]) -> Figure:
     """Parts of the loss (log) over iterations, mean over fits; a panel per dataset and method."""
-    panels = training.losses(curve)
+    panels = training.losses(tables)
     with style():
         figure, axes = new_figure(len(panels))
         for axis, panel in zip(axes, panels, strict=False):
             for part, shade in zip(panel.parts, training.shades(panel, panels), strict=True):
                 width = 2.0 if part.name == "loss" else 1.3
-                axis.plot(part.x, part.y, "-o", color=shade, markersize=2.5, linewidth=width)
-            for iteration, name in panel.joins:
+                style_of = "-o" if len(part.x) <= training.MARKED else "-"
+                axis.plot(part.x, part.y, style_of, color=shade, markersize=2.5, linewidth=width)
+            for iteration, text in panel.marks:
                 axis.axvline(iteration, color="#777777", linestyle="--", linewidth=0.9)
-                axis.annotate(f"{name} first seen", (iteration, 0.02), (-3, 0), textcoords="offset points",
+                axis.annotate(text, (iteration, 0.02), (-3, 0), textcoords="offset points",
                               xycoords=("data", "axes fraction"), ha="right", va="bottom", rotation=90,
                               fontsize=8, color="#555555")  # fmt: skip
             log_axis(axis, [value for part in panel.parts for value in part.y], "y")

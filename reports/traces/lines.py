@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from reports import training
@@ -104,9 +105,9 @@ def _on(axis: dict[str, Any], value: float) -> float:
     return math.log10(value) if axis.get("type") == "log" else value
 
 
-def losses(curve: pd.DataFrame) -> list[tuple[training.Losses, Figure]]:
+def losses(tables: Mapping[str, pd.DataFrame]) -> list[tuple[training.Losses, Figure]]:
     """Parts of the loss (log) over iterations, a chart per dataset and method."""
-    panels = training.losses(curve)
+    panels = training.losses(tables)
     return [(panel, _losses(panel, training.shades(panel, panels))) for panel in panels]
 
 
@@ -116,6 +117,7 @@ def _losses(panel: training.Losses, shades: list[str]) -> Figure:
     traces = [
         line(part.x, part.y, "", marker={"size": 4}, name=part.title, hovertemplate="%{x:,}: %{y:.4~g}")
         | {"line": {"color": shade, "width": 2.4 if part.name == "loss" else 1.6}}
+        | ({"mode": "lines"} if len(part.x) > training.MARKED else {})
         for part, shade in zip(panel.parts, shades, strict=True)
     ]
     labels = [
@@ -126,12 +128,11 @@ def _losses(panel: training.Losses, shades: list[str]) -> Figure:
     along = [(share(x, ends), share(math.log10(y), y_axis["range"])) for x, y in training.along(panel)]
     stroke = {"color": GREY, "width": 1, "dash": "dash"}
     upright = {"type": "line", "yref": "paper", "y0": 0, "y1": 1, "line": stroke}
-    shapes = [{**upright, "x0": iteration, "x1": iteration} for iteration, _ in panel.joins]
+    shapes = [{**upright, "x0": iteration, "x1": iteration} for iteration, _ in panel.marks]
     told = [
         {"x": iteration, "yref": "paper", "y": 0.02, "yanchor": "bottom", "textangle": -90,
-         "text": f"{name} first seen", "showarrow": False, "xanchor": "right",
-         "font": {"size": 11, "color": GREY}}
-        for iteration, name in panel.joins
+         "text": text, "showarrow": False, "xanchor": "right", "font": {"size": 11, "color": GREY}}
+        for iteration, text in panel.marks
     ]  # fmt: skip
     x_axis = {"range": list(ends), "title": {"text": "iteration"}}
     return figure(traces, x_axis, y_axis, shapes=shapes, annotations=[*notes(labels, spots, along), *told])

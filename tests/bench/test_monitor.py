@@ -88,6 +88,38 @@ def test_a_resumed_fit_continues_clock_and_curve(tmp_path) -> None:
     assert [p.iteration for p in second.curve] == [p.iteration for p in whole.curve]
 
 
+def test_losses_are_means_over_stretches_that_stages_cut(tmp_path) -> None:
+    def drive(monitor, first, last):
+        for i in range(first, last + 1):
+            if i in (1, 101):
+                monitor.stage("growth" if i == 1 else "noise")
+            monitor.progress(i, {"loss": float(i), **({"rate": 2.0} if i % 2 else {})}, 3)
+            if monitor.due(i):
+                monitor.pause(i, _Model, lambda i=i: Checkpoint(i, {}, {}))
+
+    monitor = _monitor(tmp_path, iterations=200)
+    drive(monitor, 1, 200)
+    points = monitor.losses
+    assert len(points) == 50
+    assert [(p.first, p.iteration) for p in points] == [(i, i + 3) for i in range(1, 200, 4)]
+    assert points[1].losses == {"loss": 6.5, "rate": 1.0}
+    assert [p.stage for p in points] == ["growth"] * 25 + ["noise"] * 25
+    uneven = _monitor(tmp_path / "uneven", iterations=400)
+    drive(uneven, 1, 103)
+    assert [(p.first, p.iteration) for p in uneven.losses[-3:]] == [(89, 96), (97, 100), (101, 103)]
+    # Stopped within a stretch, it goes on as if it had not been.
+    stopped = _monitor(tmp_path / "stopped", iterations=200)
+    drive(stopped, 1, 49)
+    stopped._stop.requested.set()
+    with pytest.raises(Stopped):
+        drive(stopped, 50, 50)
+    again = _monitor(tmp_path / "stopped", iterations=200)
+    again.resume()
+    again.stage("growth")
+    drive(again, 51, 200)
+    assert again.losses == points
+
+
 def test_a_stop_at_the_last_iteration_is_too_late(tmp_path) -> None:
     monitor = _monitor(tmp_path, iterations=5)
     monitor.start()

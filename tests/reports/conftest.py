@@ -93,6 +93,7 @@ VIEWS = [
 ]
 CURVE = "job dataset scene method variant preset seed iteration train_seconds loss psnr primitives "
 CURVE += "bytes_estimate requested_views"
+LOSSES = "job dataset scene method variant preset seed stage first iteration losses requested_views"
 LEDGER = "job dataset scene method variant rate preset seed part bytes requested_views"
 DVR = """job dataset scene kind preset status reason nx ny nz variables dtype volume_bytes ms_per_view ms_p05
 ms_p95 fps load_seconds setup_seconds peak_host_bytes peak_device_bytes width height renderer version backend
@@ -311,6 +312,7 @@ class Maker:
         made = {name: frame(columns[name], rows) for name, rows in self.rows.items()}
         axes = ["job", "dataset", "scene", "method", "variant", "rate", "preset", "seed", "part", "seconds"]
         made["timing"] = frame(axes, [])
+        made["losses"] = frame(LOSSES.split(), [])
         made["features"] = frame(["job", "dataset", "scene", "method", "variant", "name", "values"], [])
         return made
 

@@ -31,6 +31,17 @@ def curve_table(rows):
     return table.assign(dataset="d", variant="", preset="quick", seed=0)
 
 
+def of_training(curve, stretches=()):
+    """Tables with a curve, and losses from (job, method, stage, first, iteration, parts)."""
+    columns = ["job", "method", "stage", "first", "iteration", "losses"]
+    losses = pd.DataFrame(stretches, columns=columns)
+    losses["losses"] = [json.dumps(parts) for parts in losses["losses"]]
+    return {
+        "curve": curve,
+        "losses": losses.assign(dataset="d", scene="a", variant="", preset="quick", seed=0),
+    }
+
+
 def results_table(maker, **scenes):
     for method, names in scenes.items():
         for scene in names:
@@ -190,7 +201,7 @@ def test_charts_of_training_show_the_default_of_a_rate_knob(maker):
     results = results_table(maker, m="a")
     assert [line.name for line in training.anytime(table, results, "psnr")["d"]] == told
     assert [line.name for line in training.convergence(table, "iteration")["d"]] == told
-    assert [panel.title for panel in training.losses(table)] == told
+    assert [panel.title for panel in training.losses(of_training(table))] == told
 
 
 def test_time_to_quality_is_linear_between_evaluations():
@@ -205,21 +216,59 @@ def test_loss_parts_without_figures_that_are_no_part_and_with_the_start_of_the_r
     rows = [
         ("j", s, "econgs", i, 1.0, 30.0, None, early if i < 300 else late) for s in "ab" for i in (100, 300)
     ]
-    (panel,) = training.losses(curve_table(rows))
+    (panel,) = training.losses(of_training(curve_table(rows)))
     assert [part.name for part in panel.parts] == ["loss", "image", "rate"]
     assert panel.parts[0].y == pytest.approx([0.02 + 1e-9, 0.012 + 1e-9])
-    assert panel.joins == [(300.0, "rate")]
+    assert panel.marks == [(300.0, "rate first seen")]
     assert panel.small == ["scale"]
-    figure = plots.losses(curve_table(rows))[0][1]
+    figure = plots.losses(of_training(curve_table(rows)))[0][1]
     assert figure["layout"]["shapes"][0]["x0"] == 300
     assert any(
-        text.get_text() == "rate first seen" for text in charts.losses(curve_table(rows)).axes[0].texts
+        text.get_text() == "rate first seen"
+        for text in charts.losses(of_training(curve_table(rows))).axes[0].texts
     )
+
+
+def test_parts_that_join_together_share_a_mark():
+    late = json.dumps({"image": 0.01, "rate": 0.002, "masks": 0.001})
+    early = json.dumps({"image": 0.02})
+    rows = [("j", "a", "hac", i, 1.0, 30.0, None, early if i < 300 else late) for i in (100, 300)]
+    (panel,) = training.losses(of_training(curve_table(rows)))
+    assert panel.marks == [(300.0, "rate, masks first seen")]
+
+
+def test_losses_are_means_over_stretches_with_marks_where_stages_begin():
+    steps = [("j", "a", "econgs", 100, 1.0, 30.0, None, json.dumps({"image": 9.0, "scale": 1.0}))]
+    stretches = [
+        (job, "econgs", stage, i - 9, i, {"loss": base + rate, "image": base, "rate": rate})
+        for job, base in (("j", 0.02), ("k", 0.04))
+        for stage, i, rate in (
+            ("warm-up", 10, 0.0),
+            ("growth", 20, 0.0),
+            ("noise", 30, 0.01),
+            ("noise", 40, 0.01),
+        )
+    ]
+    tables = of_training(curve_table(steps), stretches)
+    (panel,) = training.losses(tables)
+    assert panel.marks == [(11.0, "growth"), (21.0, "noise")]
+    loss, image, rate = panel.parts
+    assert (loss.x, loss.y) == ([10.0, 20.0, 30.0, 40.0], pytest.approx([0.03, 0.03, 0.04, 0.04]))
+    assert image.y == pytest.approx([0.03] * 4)
+    assert rate.x == [30.0, 40.0]
+    shapes = plots.losses(tables)[0][1]["layout"]["shapes"]
+    assert [shape["x0"] for shape in shapes] == [11.0, 21.0]
+    assert "noise" in {text.get_text() for text in charts.losses(tables).axes[0].texts}
+    # A method that has none there is drawn from its steps.
+    other = curve_table(
+        [("m", "a", "hac", i, 1.0, 30.0, None, '{"image": 1.0, "scale": 0.5}') for i in (1, 2)]
+    )
+    assert [panel.title for panel in training.losses(of_training(other, stretches))] == ["ECoNGS", "HAC"]
 
 
 def test_no_loss_chart_without_parts(maker):
     maker.run()
-    assert training.losses(maker.tables()["curve"]) == []
+    assert training.losses(maker.tables()) == []
 
 
 # --------------------------------------------------------------------------- parts of a whole

@@ -14,7 +14,7 @@ from reports.chart_sections import chart_sections
 from reports.figures.frame import LINES, MARKERS
 from reports.style import MOST_NAMED, OTHERS, OTHERS_NAME, legend_entries, look, looks, named, series
 
-from .test_charts import curve_table
+from .test_charts import curve_table, of_training
 
 NAMES = ["ECoNGS", *(f"ECoNGS [features={i}]" for i in range(20)), "3DGS [start=cloud]", "HAC"]
 
@@ -124,7 +124,7 @@ def test_rates_and_training_are_not_compared_across_presets(maker):
     curve = pd.concat([curve_table(rows), curve_table(rows).assign(preset="paper", job="k")])
     assert list(training.convergence(curve, "iteration")) == ["d · quick", "d · paper"]
     assert list(training.anytime(curve, maker.tables()["results"], "psnr")) == ["d · quick", "d · paper"]
-    assert [panel.dataset for panel in training.losses(curve)] == ["d · quick", "d · paper"]
+    assert [panel.dataset for panel in training.losses(of_training(curve))] == ["d · quick", "d · paper"]
 
 
 def test_single_sizes_of_variants_are_not_in_the_chart_of_rates(maker):
@@ -195,7 +195,7 @@ def test_parts_of_a_family_are_one_and_small_ones_are_the_rest():
 def test_a_part_of_the_loss_has_one_color_in_all_panels():
     both, one = '{"image": 0.1, "color": 0.05, "rate": 0.01}', '{"image": 0.1, "rate": 0.01}'
     rows = [(m, "s", m, i, 1.0, 30.0, None, text) for m, text in (("a", both), ("b", one)) for i in (1, 2)]
-    figures = [figure for _, figure in plots.losses(curve_table(rows))]
+    figures = [figure for _, figure in plots.losses(of_training(curve_table(rows)))]
     colors = [{trace["name"]: trace["line"]["color"] for trace in figure["data"]} for figure in figures]
     assert colors[1] == {name: shade for name, shade in colors[0].items() if name != "color"}
     assert len(set(colors[0].values())) == 4
@@ -203,19 +203,19 @@ def test_a_part_of_the_loss_has_one_color_in_all_panels():
 
 def test_losses_of_many_variants_are_those_of_the_default():
     text = '{"image": 0.1, "rate": 0.01}'
-    variants = ["", *(f"rate_weight={i}" for i in range(MOST_NAMED))]
+    variants = ["", *(f"hidden={i}" for i in range(MOST_NAMED))]
     each = [
         curve_table([(f"j{v}", "s", "econgs", i, 1.0, 30.0, None, text) for i in (1, 2)]).assign(variant=v)
         for v in variants
     ]
-    assert [panel.title for panel in training.losses(pd.concat(each))] == ["ECoNGS"]
-    assert len(training.losses(pd.concat(each[:MOST_NAMED]))) == MOST_NAMED
+    assert [panel.title for panel in training.losses(of_training(pd.concat(each)))] == ["ECoNGS"]
+    assert len(training.losses(of_training(pd.concat(each[:MOST_NAMED])))) == MOST_NAMED
 
 
 def test_titles_of_panels_are_broken_before_they_are_cut():
     rows = [("j", "s", "econgs", i, 1.0, 30.0, None, '{"image": 0.1, "rate": 0.01}') for i in (1, 2)]
     table = curve_table(rows).assign(variant="decoder_precision=float32", dataset="a dataset of a long name")
-    title = charts.losses(table).axes[0].get_title(loc="left")
+    title = charts.losses(of_training(table)).axes[0].get_title(loc="left")
     assert max(map(len, title.splitlines())) < 45
 
 

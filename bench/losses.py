@@ -1,0 +1,62 @@
+"""The training loss while a fit goes on: means over stretches, since single steps see single views."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from bench.records import LossPoint
+
+STRETCHES = 50
+"""Of a fit; stages cut them."""
+
+
+class LossCurve:
+    """Gathers losses step by step.
+
+    Args:
+        iterations: the budget.
+    """
+
+    def __init__(self, iterations: int) -> None:
+        self._length = max(1, math.ceil(iterations / STRETCHES))
+        self._done: list[LossPoint] = []
+        self._stage = ""
+        self._steps = self._last = 0
+        self._sums: dict[str, float] = {}
+
+    def add(self, iteration: int, stage: str, losses: Mapping[str, float]) -> None:
+        """A step's losses; ``iteration`` from 1."""
+        if self._steps and (stage != self._stage or self._stretch(iteration) != self._stretch(self._last)):
+            self._done.append(self._point())
+            self._steps, self._sums = 0, {}
+        self._stage, self._last = stage, iteration
+        self._steps += 1
+        for name, value in losses.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+
+    @property
+    def points(self) -> list[LossPoint]:
+        """Up to the last step; a part that a step lacks counts as 0 there."""
+        return [*self._done, *([self._point()] if self._steps else [])]
+
+    def state(self) -> dict[str, Any]:
+        """For :meth:`resume`, as JSON holds it."""
+        unfinished = {"stage": self._stage, "steps": self._steps, "last": self._last, "sums": self._sums}
+        return {"done": [point.model_dump() for point in self._done], **unfinished}
+
+    def resume(self, state: Mapping[str, Any]) -> None:
+        """Go on from a :meth:`state`."""
+        self._done = [LossPoint.model_validate(point) for point in state["done"]]
+        self._stage, self._steps, self._last = state["stage"], state["steps"], state["last"]
+        self._sums = dict(state["sums"])
+
+    def _stretch(self, iteration: int) -> int:
+        return (iteration - 1) // self._length
+
+    def _point(self) -> LossPoint:
+        means = {name: float(f"{value / self._steps:.6g}") for name, value in self._sums.items()}
+        return LossPoint(
+            stage=self._stage, first=self._last - self._steps + 1, iteration=self._last, losses=means
+        )
