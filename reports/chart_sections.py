@@ -249,15 +249,19 @@ def _losses(tables: dict[str, pd.DataFrame]) -> Section | None:
         return None
     words = (
         "The training loss and its weighted parts (logarithmic), means over stretches of the fits (50, which "
-        "stages cut). A dashed line stands where a stage begins. Of fits by older versions there are single "
-        "steps, and their dashed lines stand at the first one that has seen a part, which may have joined at "
-        "any time since the one before."
+        "stages cut). A dashed line stands where a stage begins."
     )
+    shown = training.steps(tables)
+    if "first" not in shown or shown["first"].isna().any():
+        words += (
+            " Of fits by older versions there are single steps, and their dashed lines stand at the first one "
+            "that has seen a part, which may have joined at any time since the one before."
+        )
     small = sorted({name for panel, _ in panels for name in panel.small})
     if small:
         words += f" Not drawn, for they are under {training.LEAST_SHARE:g} of it: {escape(', '.join(small))}."
     words += _rates_left_out(tables["curve"])
-    words += _DEFAULTS if _many(training.steps(tables)) else ""
+    words += _DEFAULTS if _many(shown) else ""
     cards = charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in panels)
     return Section("losses", "Parts of the loss", f'<p>{words}</p><div class="charts">{cards}</div>')
 

@@ -32,6 +32,10 @@ LEAST_SHARE = 1e-5
 """Parts that never reach this share of the loss are not drawn."""
 
 
+_SHORT = 0.25
+"""Stretches shorter than this, against a fit's longest, are left out."""
+_NEAR = 0.02
+"""Stages that begin nearer to each other than this share of a fit share a mark."""
 MARKED = 16
 """Points up to which a line of losses has marks at them."""
 
@@ -219,7 +223,7 @@ def _parts_table(rows: pd.DataFrame) -> pd.DataFrame:
 
     fits = []
     for _, fit in rows.groupby("job", sort=False):
-        points = fit.drop_duplicates("iteration")
+        points = _long_enough(fit.drop_duplicates("iteration"))
         parts = [json.loads(text) for text in points["losses"]]
         table = pd.DataFrame(parts, index=points["iteration"].astype(int))
         # A part cannot exceed the sum; what does is another figure (bits per attribute, say).
@@ -230,11 +234,26 @@ def _parts_table(rows: pd.DataFrame) -> pd.DataFrame:
     return every.groupby(level=0, sort=True).mean()
 
 
+def _long_enough(points: pd.DataFrame) -> pd.DataFrame:
+    """Without stretches that stages cut so short that they are single steps again."""
+    if "first" not in points or points["first"].isna().any():
+        return points
+    steps = points["iteration"] - points["first"] + 1
+    kept: pd.DataFrame = points[steps >= _SHORT * steps.max()]
+    return kept
+
+
 def _marks(rows: pd.DataFrame, parts: list[Curve]) -> list[tuple[float, str]]:
     told = rows[rows["stage"].notna()] if "stage" in rows else rows[:0]
     if len(told):
         starts = told.groupby("stage", sort=False)["first"].min().sort_values()
-        return [(float(iteration), str(stage)) for stage, iteration in starts.items()][1:]
+        marks: list[tuple[float, str]] = []
+        for stage, first in list(starts.items())[1:]:
+            if marks and first - marks[-1][0] < _NEAR * told["iteration"].max():
+                marks[-1] = marks[-1][0], f"{marks[-1][1]}, {stage}"
+            else:
+                marks.append((float(first), str(stage)))
+        return marks
     begin = min(part.x[0] for part in parts)
     late: dict[float, list[str]] = {}
     for part in parts:

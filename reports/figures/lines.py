@@ -101,8 +101,8 @@ def losses(tables: Mapping[str, pd.DataFrame]) -> Figure:
                 axis.plot(part.x, part.y, style_of, color=shade, markersize=2.5, linewidth=width)
             for iteration, text in panel.marks:
                 axis.axvline(iteration, color="#777777", linestyle="--", linewidth=0.9)
-                axis.annotate(text, (iteration, 0.02), (-3, 0), textcoords="offset points",
-                              xycoords=("data", "axes fraction"), ha="right", va="bottom", rotation=90,
+                axis.annotate(text, (iteration, 0.02), (3, 0), textcoords="offset points",
+                              xycoords=("data", "axes fraction"), ha="left", va="bottom", rotation=90,
                               fontsize=8, color="#555555")  # fmt: skip
             log_axis(axis, [value for part in panel.parts for value in part.y], "y")
             left, right = axis.get_xlim()

@@ -131,7 +131,7 @@ def _losses(panel: training.Losses, shades: list[str]) -> Figure:
     shapes = [{**upright, "x0": iteration, "x1": iteration} for iteration, _ in panel.marks]
     told = [
         {"x": iteration, "yref": "paper", "y": 0.02, "yanchor": "bottom", "textangle": -90,
-         "text": text, "showarrow": False, "xanchor": "right", "font": {"size": 11, "color": GREY}}
+         "text": text, "showarrow": False, "xanchor": "left", "font": {"size": 11, "color": GREY}}
         for iteration, text in panel.marks
     ]  # fmt: skip
     x_axis = {"range": list(ends), "title": {"text": "iteration"}}

@@ -259,6 +259,12 @@ def test_losses_are_means_over_stretches_with_marks_where_stages_begin():
     shapes = plots.losses(tables)[0][1]["layout"]["shapes"]
     assert [shape["x0"] for shape in shapes] == [11.0, 21.0]
     assert "noise" in {text.get_text() for text in charts.losses(tables).axes[0].texts}
+    # A stage of a single step has a mark, with its neighbour, and no point.
+    short = [("j", "m", stage, first, last, {"loss": loss, "image": loss}) for stage, first, last, loss in
+             (("a", 1, 100, 1.0), ("b", 101, 101, 9.0), ("c", 102, 200, 1.0))]  # fmt: skip
+    (panel,) = training.losses(of_training(curve_table([]), short))
+    assert panel.marks == [(101.0, "b, c")]
+    assert panel.parts[0].y == [1.0, 1.0]
     # A method that has none there is drawn from its steps.
     other = curve_table(
         [("m", "a", "hac", i, 1.0, 30.0, None, '{"image": 1.0, "scale": 0.5}') for i in (1, 2)]
