@@ -254,7 +254,7 @@ def _losses(tables: dict[str, pd.DataFrame]) -> Section | None:
     shown = training.steps(tables)
     if "first" not in shown or shown["first"].isna().any():
         words += (
-            " Of fits by older versions there are single steps, and their dashed lines stand at the first one "
+            " Of fits by older versions there are single steps; their dashed lines stand at the first one "
             "that has seen a part, which may have joined at any time since the one before."
         )
     small = sorted({name for panel, _ in panels for name in panel.small})
