@@ -135,12 +135,13 @@ def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
 
     The points are the rates that one fit was saved at (column ``rate``), or fits that differ only in a rate
     knob (:data:`RATE_OPTIONS` in ``variant``); a method of one size is a curve of one point. Sets that lack a
-    scene are left out, seeds are averaged.
+    scene are left out, seeds are averaged: those that all points of a curve have, if there are any, for seeds
+    may lie further apart than rates.
     """
     if results.empty:
         return {}
     made: dict[str, list[Curve]] = {}
-    for dataset, rows in comparable(summary(results)):
+    for dataset, rows in comparable(summary(_shared_seeds(results))):
         gathered: dict[tuple[str, str], list[tuple[str, Point]]] = {}
         for _, row in rows[rows["complete"] & rows["psnr"].notna() & (rows["size_bytes"] > 0)].iterrows():
             rest, knob = split_rate(row["variant"])
@@ -155,6 +156,26 @@ def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
                 Curve(dataset, method, found[0][0], label(method, rest), points)
             )
     return made
+
+
+def _shared_seeds(results: pd.DataFrame) -> pd.DataFrame:
+    """Without those seeds of a curve that some of its points lack."""
+    import pandas as pd
+
+    points: dict[tuple[Any, ...], dict[tuple[str, str], set[Any]]] = {}
+    names = ["dataset", "preset", "split", "method", "variant", "rate", "seed"]
+    cells = [
+        [None if absent(cell) else cell for cell in row] for row in results[names].itertuples(index=False)
+    ]
+    for *axes, variant, rate, seed in cells:
+        point = points.setdefault((*axes, split_rate(variant)[0]), {})
+        point.setdefault((str(variant), str(rate)), set()).add(seed)
+    shared = {curve: set.intersection(*found.values()) for curve, found in points.items()}
+    kept = []
+    for *axes, variant, _, seed in cells:
+        common = shared[(*axes, split_rate(variant)[0])]
+        kept.append(not common or seed in common)
+    return results[pd.Series(kept, results.index, dtype=bool)]
 
 
 def _distinct(points: list[Point]) -> tuple[Point, ...]:

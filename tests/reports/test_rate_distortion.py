@@ -151,5 +151,22 @@ def test_other_options_make_other_curves(maker):
     assert differences({"vortex": found}) == []
 
 
+def test_points_of_a_curve_are_means_over_the_seeds_that_all_have(maker):
+    for seed, psnr in ((0, 33.8), (1, 33.0), (2, 33.6)):
+        maker.run(method="econgs", seed=seed, psnr=psnr, size=400, views=0)
+    maker.run(method="econgs", variant="rate_weight=0.001", seed=0, psnr=33.7, size=300, views=0)
+    maker.run(method="econgs", variant="rate_weight=0.01", seed=0, psnr=33.1, size=200, views=0)
+    for seed, psnr in ((0, 34.0), (1, 34.2)):
+        maker.run(method="3dgs", seed=seed, psnr=psnr, views=0)
+    maker.run(method="hac", seed=0, psnr=33.0, size=500, views=0)
+    maker.run(method="hac", variant="rate_weight=0.1", seed=1, psnr=32.0, size=400, views=0)
+    (found,) = curves(maker.tables()["results"]).values()
+    assert [[round(point.psnr, 3) for point in curve.points] for curve in found] == [
+        [33.1, 33.7, 33.8],
+        [34.1],
+        [32.0, 33.0],
+    ]
+
+
 def test_no_results_no_curves(maker):
     assert curves(maker.tables()["results"]) == {}
