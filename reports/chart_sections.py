@@ -10,7 +10,6 @@ import pandas as pd
 from reports import confidence, features, plots, rate_distortion, stability_sections, training
 from reports.chart_parts import Section, chart, charts, legend, table
 from reports.protocols import comparable
-from reports.rate_distortion import at_default_rates
 from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, absent, legend_entries, mib, seconds, series
 
 if TYPE_CHECKING:
@@ -156,7 +155,7 @@ def _many(table: pd.DataFrame) -> bool:
 
 def _rates_left_out(curve: pd.DataFrame) -> str:
     """What to say of fits that charts of training do not draw."""
-    return _ONE_RATE if len(at_default_rates(curve)) < len(curve) else ""
+    return _ONE_RATE if len(rate_distortion.at_default_rates(curve)) < len(curve) else ""
 
 
 def _difference(found: Difference) -> list[str]:
