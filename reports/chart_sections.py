@@ -22,6 +22,7 @@ _GRAY = (
 )
 _DEFAULTS = f" Of more than {MOST_NAMED} variants each method's default is shown alone."
 _ONE_RATE = " Of fits that differ only in a rate knob, the default's is shown."
+_SEEDS = " Several rates of a method are compared on the seeds that all of them have."
 _FRONT = " What is on the front keeps its color, and is named by its options."
 _TRADEOFFS = (
     ("PSNR and size", "size_bytes"),
@@ -133,6 +134,7 @@ def _rate_distortion(results: pd.DataFrame) -> Section | None:
         "size the default settings are a single mark. All as data: "
         '<a href="curves/">one JSON file per method and dataset</a>.'
     )
+    words += _seeds_left_out(results)
     parts = [f'<p>{words}</p><div class="charts">{charts(figures.items())}</div>']
     if differences:
         heads = ["Dataset", "Method", "Against", "BD-rate", "BD-PSNR [dB]", "PSNR shared [dB]"]
@@ -158,6 +160,12 @@ def _rates_left_out(curve: pd.DataFrame) -> str:
     return _ONE_RATE if len(rate_distortion.at_default_rates(curve)) < len(curve) else ""
 
 
+def _seeds_left_out(results: pd.DataFrame) -> str:
+    """What to say of seeds that some rates of a method were not measured with."""
+    basic = results[results["kind"] == "basic"]
+    return _SEEDS if len(rate_distortion.with_shared_seeds(basic)) < len(basic) else ""
+
+
 def _difference(found: Difference) -> list[str]:
     who = [found.dataset, found.test, found.reference]
     if found.refused:
@@ -179,7 +187,8 @@ def _tradeoffs(results: pd.DataFrame) -> Section | None:
     parts = [
         "<p>Large marks: mean over the dataset's scenes; small marks: single scenes. Horizontal axes are "
         "logarithmic. The dashed line is the Pareto front of the means; what lies in the shaded region is "
-        f"worse than some method in both.{_GRAY + _FRONT if _many(results) else ''}</p>"
+        f"worse than some method in both.{_seeds_left_out(results)}"
+        f"{_GRAY + _FRONT if _many(results) else ''}</p>"
     ]
     for dataset in datasets:
         cards = charts((caption, drawn[a][dataset]) for caption, a in _TRADEOFFS if dataset in drawn[a])

@@ -58,8 +58,8 @@ def figures(tables: dict[str, pd.DataFrame]) -> dict[str, Callable[[], Figure]]:
             wanted[f"complexity-{what.split('_')[0]}"] = partial(
                 over, panels, "number of parts", title, names, log_y=what != "psnr"
             )
-    if training.losses(tables):
-        wanted["losses"] = lambda: losses(tables)
+    if panels_of_losses := training.losses(tables):
+        wanted["losses"] = lambda: losses(panels_of_losses)
     if features.histograms(tables["features"]):
         wanted["attributes"] = lambda: histograms(tables["features"], names)
     if data.timing(tables["timing"])[0]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from reports import parts
 from reports.parts import OTHER
 from reports.protocols import comparable
-from reports.rate_distortion import split_rate
+from reports.rate_distortion import split_rate, with_shared_seeds
 from reports.style import MIB, OTHERS, Look, label, look, mean_key, mib, named, options_of, seconds
 
 if TYPE_CHECKING:
@@ -157,13 +157,13 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
     """PSNR against a column of :data:`AXIS`, by dataset; rows not ok or without either number are left out.
 
     The mean over scenes is only drawn where all scenes of the dataset are there. Fits that differ only in a
-    rate knob are one line.
+    rate knob are one line, of the seeds that all of them have.
     """
     if results.empty or against not in results:
         return []
     unit = AXIS[against].unit
     panels = []
-    for title, rows in comparable(results[results["kind"] == "basic"]):
+    for title, rows in comparable(with_shared_seeds(results[results["kind"] == "basic"])):
         good = rows[
             (rows["status"] == "ok") & rows["psnr"].notna() & rows[against].notna() & (rows[against] > 0)
         ]

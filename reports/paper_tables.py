@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from reports.paper_layouts import layouts, published_as, reference, sole_dataset, takes
 from reports.paper_marks import marks
 from reports.paper_values import NOT_MEASURED, QUANTITIES, Block, PaperTable, Quantity, Row, Value
-from reports.protocols import together, whole
+from reports.protocols import shared_by_all, together, whole
 from reports.statistics import METRICS, Views
 from reports.style import absent
 from reports.tables import left_out
@@ -36,7 +36,8 @@ def paper_tables(
 
     Args:
         results: as documented in docs/architecture.md; edited rows and other rates than the default take
-            no part. Quality and FPS are means over scenes, size, time and anchors are sums.
+            no part. Quality and FPS are means over scenes, size, time and anchors are sums. Of several seeds
+            those count that all of a method's rows in the table have.
         views: the documented table, which decides whether quality can be ranked.
         timing: the documented table; without it there is none of frame times.
         superseded: the documented table; how many rows of a dataset are in it is told.
@@ -136,7 +137,7 @@ def _block(
 ) -> Block | None:
     """None if nothing is to be compared."""
     columns = said["columns"]
-    lines = [_row(name, line, columns, results, published) for line in said["rows"]]
+    lines, seeds_told = _rows(name, said, results, published)
     measured = [
         line
         for line, row in zip(said["rows"], lines, strict=True)
@@ -159,7 +160,7 @@ def _block(
         scenes += f", {first['requested_views']} training views"
         protocol.append(f"{first['requested_views']} views")
     methods = {line["label"]: line["method"] for line in said["rows"]}
-    remarks = [*remarks, *_why_missing(shown, columns), *_versions(shown, methods)]
+    remarks = [*remarks, *seeds_told, *_why_missing(shown, columns), *_versions(shown, methods)]
     if superseded is not None:
         same_set = (superseded["dataset"].map(whole) == dataset) & (superseded["preset"] == first["preset"])
         remarks += [told for told in [left_out(superseded[same_set])] if told]
@@ -198,7 +199,48 @@ def _why_missing(rows: list[Row], columns: list[str]) -> list[str]:
     return told
 
 
-def _row(name: str, line: dict[str, Any], columns: list[str], results: pd.DataFrame, published: str) -> Row:
+def _rows(
+    name: str, said: dict[str, Any], results: pd.DataFrame, published: str
+) -> tuple[list[Row], list[str]]:
+    """The lines, and what to say of seeds: those of one method are of the seeds that they have in common.
+
+    Seeds of one setting may lie further apart than settings do.
+    """
+    every = [_by_seed(line, results) for line in said["rows"]]
+    told = []
+    for method in dict.fromkeys(line["method"] for line in said["rows"]):
+        mine = [
+            seeds for line, (seeds, _) in zip(said["rows"], every, strict=True) if line["method"] == method
+        ]
+        mine = [seeds for seeds in mine if seeds]
+        known, shared = {seed for seeds in mine for seed in seeds}, shared_by_all(mine)
+        if all(shared == set(seeds) for seeds in mine):
+            continue
+        labels = ", ".join(
+            line["label"]
+            for line, (seeds, _) in zip(said["rows"], every, strict=True)
+            if seeds and line["method"] == method
+        )
+        if shared == known:
+            told.append(f"Rows of different seeds, none of which all have: {labels}.")
+            continue
+        numbers = ", ".join(f"{seed}" for seed in sorted(shared))
+        told.append(
+            f"Means of {'seed' if len(shared) == 1 else 'seeds'} {numbers}, which all have: {labels}."
+        )
+        for seeds in mine:
+            for seed in set(seeds) - shared:
+                del seeds[seed]
+    columns = said["columns"]
+    rows = [
+        _row(line, columns, *found, reference(name, line.get("match"), published))
+        for line, found in zip(said["rows"], every, strict=True)
+    ]
+    return rows, told
+
+
+def _by_seed(line: dict[str, Any], results: pd.DataFrame) -> tuple[dict[Any, pd.DataFrame], list[str]]:
+    """A line's rows by seed, as far as all scenes are there, and why others are not."""
     kind = results[results["kind"] == ("composed" if line.get("composed") else "basic")]
     if "scene" in line:
         kind = kind[kind["scene"] == line["scene"]]
@@ -208,7 +250,7 @@ def _row(name: str, line: dict[str, Any], columns: list[str], results: pd.DataFr
     notes = [] if len(rows) else [NOT_MEASURED]
     # What all methods were asked for decides whether a seed is complete.
     wanted = set(kind["scene"])
-    complete = []
+    complete = {}
     for seed, part in rows.groupby("seed", dropna=False, sort=True):
         status = dict(zip(part["scene"], part["status"], strict=True))
         lacking = [
@@ -217,8 +259,18 @@ def _row(name: str, line: dict[str, Any], columns: list[str], results: pd.DataFr
         if lacking:
             notes.append(f"seed {seed}: {', '.join(lacking)}")
         else:
-            complete.append(part)
-    told = reference(name, line.get("match"), published)
+            complete[seed] = part
+    return complete, notes
+
+
+def _row(
+    line: dict[str, Any],
+    columns: list[str],
+    seeds: Mapping[Any, pd.DataFrame],
+    notes: list[str],
+    told: Mapping[str, str],
+) -> Row:
+    complete = list(seeds.values())
     return Row(
         line["label"],
         {c: _value([_of_dataset(p, c) for p in complete], told, QUANTITIES[c]) for c in columns},

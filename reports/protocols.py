@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,6 +22,12 @@ def comparable(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     shown = [axis == "dataset" or table[axis].nunique() > 1 for axis in axes]
     for keys, rows in table.groupby(axes, dropna=False, sort=False):
         yield " \N{MIDDLE DOT} ".join(str(key) for key, told in zip(keys, shown, strict=True) if told), rows
+
+
+def shared_by_all(seeds: Iterable[Iterable[Any]]) -> set[Any]:
+    """The seeds that all of several settings were measured with; all seeds where none is."""
+    sets = [set(each) for each in seeds]
+    return (set.intersection(*sets) or set.union(*sets)) if sets else set()
 
 
 def together(dataset: str, count: int) -> str:

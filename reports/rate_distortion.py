@@ -6,7 +6,7 @@ import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from reports.protocols import comparable
+from reports.protocols import comparable, shared_by_all
 from reports.style import MIB, OTHERS, Look, absent, label, look, mean_key, method_of, named
 from reports.tables import summary
 
@@ -141,7 +141,7 @@ def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
     if results.empty:
         return {}
     made: dict[str, list[Curve]] = {}
-    for dataset, rows in comparable(summary(_shared_seeds(results))):
+    for dataset, rows in comparable(summary(with_shared_seeds(results))):
         gathered: dict[tuple[str, str], list[tuple[str, Point]]] = {}
         for _, row in rows[rows["complete"] & rows["psnr"].notna() & (rows["size_bytes"] > 0)].iterrows():
             rest, knob = split_rate(row["variant"])
@@ -158,8 +158,12 @@ def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
     return made
 
 
-def _shared_seeds(results: pd.DataFrame) -> pd.DataFrame:
-    """Without those seeds of a curve that some of its points lack."""
+def with_shared_seeds(results: pd.DataFrame) -> pd.DataFrame:
+    """Without those seeds of a curve that some of its points lack; as it is where they share none.
+
+    Args:
+        results: the documented table.
+    """
     import pandas as pd
 
     points: dict[tuple[Any, ...], dict[tuple[str, str], set[Any]]] = {}
@@ -170,11 +174,8 @@ def _shared_seeds(results: pd.DataFrame) -> pd.DataFrame:
     for *axes, variant, rate, seed in cells:
         point = points.setdefault((*axes, split_rate(variant)[0]), {})
         point.setdefault((str(variant), str(rate)), set()).add(seed)
-    shared = {curve: set.intersection(*found.values()) for curve, found in points.items()}
-    kept = []
-    for *axes, variant, _, seed in cells:
-        common = shared[(*axes, split_rate(variant)[0])]
-        kept.append(not common or seed in common)
+    shared = {curve: shared_by_all(found.values()) for curve, found in points.items()}
+    kept = [seed in shared[(*axes, split_rate(variant)[0])] for *axes, variant, _, seed in cells]
     return results[pd.Series(kept, results.index, dtype=bool)]
 
 

@@ -115,7 +115,8 @@ class _Rows:
             state += ' <span class="tag stale">stale</span>'
         missing = dict.fromkeys(self.numbers, row["note"] or "missing in some scene")
         cells = self._cells(row, self.mean_marks, index, missing, spread=row["psnr_std"])
-        name = f"{'all' if row['complete'] else 'incomplete'} ({row['scenes']} scenes)"
+        seeds = f", {row['seeds']} seeds" if row["seeds"] > 1 else ""
+        name = f"{'all' if row['complete'] else 'incomplete'} ({row['scenes']} scenes{seeds})"
         return self._line(row, "mean", name, "mean", state, cells)
 
     def _line(self, row: Any, kind: str, name: str, status: str, state: str, cells: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from reports import training
@@ -89,9 +88,8 @@ def _lines(
     return figure
 
 
-def losses(tables: Mapping[str, pd.DataFrame]) -> Figure:
+def losses(panels: list[training.Losses]) -> Figure:
     """Parts of the loss (log) over iterations, mean over fits; a panel per dataset and method."""
-    panels = training.losses(tables)
     with style():
         figure, axes = new_figure(len(panels))
         for axis, panel in zip(axes, panels, strict=False):

@@ -91,6 +91,22 @@ def test_one_method_alone_has_no_front(maker):
     assert panel.front == panel.dominated(0.0, 0.0) == []
 
 
+def test_rates_of_a_method_are_compared_on_the_seeds_that_all_of_them_have(maker):
+    for seed, psnr in ((0, 33.8), (1, 33.0)):
+        for method in ("econgs", "3dgs"):
+            maker.run(method=method, seed=seed, psnr=psnr, size=400, views=0)
+    said = "compared on the seeds"
+    assert not any(said in section.html for section in chart_sections(maker.tables()))
+    maker.run(method="econgs", variant="rate_weight=0.01", seed=0, psnr=33.1, size=200, views=0)
+    tables = maker.tables()
+    (panel,) = data.tradeoff(tables["results"], "size_bytes")
+    assert {line.title: line.y for line in panel.lines} == {
+        "ECoNGS": [33.1, 33.8],
+        "3DGS": [pytest.approx(33.4)],
+    }
+    assert [s.anchor for s in chart_sections(tables) if said in s.html] == ["rate-distortion", "tradeoffs"]
+
+
 def test_points_are_linked_to_rows(maker):
     maker.run(scene="a", method="ivr-gs", rate=64, views=0)
     traces = plots.tradeoffs(maker.tables()["results"], "fps")["vortex"]["data"]
@@ -225,7 +241,7 @@ def test_loss_parts_without_figures_that_are_no_part_and_with_the_start_of_the_r
     assert figure["layout"]["shapes"][0]["x0"] == 300
     assert any(
         text.get_text() == "rate first seen"
-        for text in charts.losses(of_training(curve_table(rows))).axes[0].texts
+        for text in charts.losses(training.losses(of_training(curve_table(rows)))).axes[0].texts
     )
 
 
@@ -258,7 +274,7 @@ def test_losses_are_means_over_stretches_with_marks_where_stages_begin():
     assert rate.x == [30.0, 40.0]
     shapes = plots.losses(tables)[0][1]["layout"]["shapes"]
     assert [shape["x0"] for shape in shapes] == [11.0, 21.0]
-    assert "noise" in {text.get_text() for text in charts.losses(tables).axes[0].texts}
+    assert "noise" in {text.get_text() for text in charts.losses([panel]).axes[0].texts}
     # A stage of a single step has a mark, with its neighbour, and no point.
     short = [("j", "m", stage, first, last, {"loss": loss, "image": loss}) for stage, first, last, loss in
              (("a", 1, 100, 1.0), ("b", 101, 101, 9.0), ("c", 102, 200, 1.0))]  # fmt: skip

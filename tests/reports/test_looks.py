@@ -215,7 +215,7 @@ def test_losses_of_many_variants_are_those_of_the_default():
 def test_titles_of_panels_are_broken_before_they_are_cut():
     rows = [("j", "s", "econgs", i, 1.0, 30.0, None, '{"image": 0.1, "rate": 0.01}') for i in (1, 2)]
     table = curve_table(rows).assign(variant="decoder_precision=float32", dataset="a dataset of a long name")
-    title = charts.losses(of_training(table)).axes[0].get_title(loc="left")
+    title = charts.losses(training.losses(of_training(table))).axes[0].get_title(loc="left")
     assert max(map(len, title.splitlines())) < 45
 
 

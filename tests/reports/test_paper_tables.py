@@ -69,6 +69,29 @@ def test_seeds_give_a_spread_and_an_incomplete_seed_is_named():
     assert "37.00 ± 0.71" in to_markdown(table(paper_tables(results(*rows)), "univariate"))
 
 
+def test_rows_of_a_method_are_of_the_seeds_that_all_of_them_have():
+    ours = [one for seed, psnr in ((0, 33.0), (1, 30.0)) for one in four("econgs", psnr, seed=seed)]
+    plain = four("econgs", 32.0, variant="view_direction=false")
+    others = four("3dgs", 31.0, seed=1)
+    tables = paper_tables(results(*ours, *plain, *others))
+    design, univariate = table(tables, "design").blocks[0], table(tables, "univariate").blocks[0]
+    assert [r.values["psnr"].mean for r in design.rows if r.jobs] == [34.5, 33.5]
+    told = next(remark for remark in design.remarks if remark.startswith("Means of seed 0, which all have"))
+    assert "w/o view direction" in told
+    assert told.count(",") == 2
+    # Seeds of different methods have nothing in common.
+    assert line(univariate, "ECoNGS").values["psnr"].seeds == (34.5, 31.5)
+    assert not any("seed" in remark for remark in univariate.remarks)
+    apart = paper_tables(
+        results(*ours[:4], *(one | {"seed": 1, "job": one["job"][:-1] + "1"} for one in plain))
+    )
+    block = table(apart, "design").blocks[0]
+    assert [r.values["psnr"].mean for r in block.rows if r.jobs] == [34.5, 33.5]
+    assert any(
+        remark.startswith("Rows of different seeds, none of which all have") for remark in block.remarks
+    )
+
+
 def test_a_failed_scene_leaves_the_cells_empty():
     rows = [*four("econgs", 35.0)[:3], row(scene="TF04", psnr=None, status="failed"), *four("3dgs", 30.0)]
     block = table(paper_tables(results(*rows)), "univariate").blocks[0]
