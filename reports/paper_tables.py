@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from reports.paper_layouts import layouts, published_as, reference, sole_dataset, takes
@@ -36,8 +36,8 @@ def paper_tables(
 
     Args:
         results: as documented in docs/architecture.md; edited rows and other rates than the default take
-            no part. Quality and FPS are means over scenes, size, time and anchors are sums. Of several seeds
-            those count that all of a method's rows in the table have.
+            no part. Quality and FPS are means over scenes, size, time and anchors are sums. In tables of one
+            method those seeds count that all its rows have.
         views: the documented table, which decides whether quality can be ranked.
         timing: the documented table; without it there is none of frame times.
         superseded: the documented table; how many rows of a dataset are in it is told.
@@ -202,33 +202,33 @@ def _why_missing(rows: list[Row], columns: list[str]) -> list[str]:
 def _rows(
     name: str, said: dict[str, Any], results: pd.DataFrame, published: str
 ) -> tuple[list[Row], list[str]]:
-    """The lines, and what to say of seeds: those of one method are of the seeds that they have in common.
+    """The lines, and what to say of seeds.
 
-    Seeds of one setting may lie further apart than settings do.
+    Where all lines are of one method they are of the seeds that they have in common, for seeds of one setting
+    may lie further apart than settings do. Lines of several methods keep theirs, and it is told where those
+    of one method differ.
     """
     every = [_by_seed(line, results) for line in said["rows"]]
     told = []
-    for method in dict.fromkeys(line["method"] for line in said["rows"]):
+    methods = list(dict.fromkeys(line["method"] for line in said["rows"]))
+    for method in methods:
         mine = [
-            seeds for line, (seeds, _) in zip(said["rows"], every, strict=True) if line["method"] == method
-        ]
-        mine = [seeds for seeds in mine if seeds]
-        known, shared = {seed for seeds in mine for seed in seeds}, shared_by_all(mine)
-        if all(shared == set(seeds) for seeds in mine):
-            continue
-        labels = ", ".join(
-            line["label"]
+            (line["label"], seeds)
             for line, (seeds, _) in zip(said["rows"], every, strict=True)
             if seeds and line["method"] == method
-        )
-        if shared == known:
-            told.append(f"Rows of different seeds, none of which all have: {labels}.")
+        ]
+        shared = shared_by_all(seeds for _, seeds in mine)
+        if all(shared == set(seeds) for _, seeds in mine):
             continue
-        numbers = ", ".join(f"{seed}" for seed in sorted(shared))
+        labels = ", ".join(label for label, _ in mine)
+        if len(methods) > 1 or any(shared - set(seeds) for _, seeds in mine):
+            of_each = "; ".join(f"{label}: {_numbers(seeds)}" for label, seeds in mine)
+            told.append(f"Not all of the same seeds, but {of_each}.")
+            continue
         told.append(
-            f"Means of {'seed' if len(shared) == 1 else 'seeds'} {numbers}, which all have: {labels}."
+            f"Means of seed{'s' if len(shared) > 1 else ''} {_numbers(shared)}, which all have: {labels}."
         )
-        for seeds in mine:
+        for _, seeds in mine:
             for seed in set(seeds) - shared:
                 del seeds[seed]
     columns = said["columns"]
@@ -237,6 +237,10 @@ def _rows(
         for line, found in zip(said["rows"], every, strict=True)
     ]
     return rows, told
+
+
+def _numbers(seeds: Iterable[Any]) -> str:
+    return ", ".join(f"{seed}" for seed in sorted(seeds))
 
 
 def _by_seed(line: dict[str, Any], results: pd.DataFrame) -> tuple[dict[Any, pd.DataFrame], list[str]]:
