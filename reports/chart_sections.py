@@ -23,7 +23,7 @@ _GRAY = (
 _DEFAULTS = f" Of more than {MOST_NAMED} variants each method's default is shown alone."
 _ONE_RATE = " Of fits that differ only in a rate knob, the default's is shown."
 _SEEDS = " Several rates of a method are compared on the seeds that all of them have."
-_FRONT = " What is on the front keeps its color, and is named by its options."
+_FRONT = " They are without their single scenes. What is on the front keeps its color, and is named by its options."
 _TRADEOFFS = (
     ("PSNR and size", "size_bytes"),
     ("PSNR and speed", "fps"),
@@ -307,8 +307,8 @@ def _timing(table: pd.DataFrame) -> Section | None:
     if figure is None:
         return None
     words = (
-        "Where the time of a frame goes, mean over scenes. The parts are timed one by one, without what "
-        "happens between them, which is “other”."
+        "Where the time of a frame goes, mean over scenes and seeds. The parts are timed one by one, without "
+        "what happens between them, which is “other”."
     )
     return Section("timing", "Time of a frame", f"<p>{words}</p>{chart(figure, '')}")
 
@@ -318,7 +318,7 @@ def _ledger(table: pd.DataFrame) -> Section | None:
     if figure is None:
         return None
     words = (
-        "Bytes of the files that a model is loaded from, by what they hold, over all scenes of a dataset. "
-        "Pointed at, a bar names its parts; what is under 1 % of every bar is “other”."
+        "Bytes of the files that a model is loaded from, by what they hold, over all scenes of a dataset, "
+        "mean over seeds. Pointed at, a bar names its parts; what is under 1 % of every bar is “other”."
     )
     return Section("ledger", "Size ledger", f"<p>{words}</p>{chart(figure, '')}")

@@ -38,6 +38,7 @@ AXIS = {
 }
 
 _FEW = 30  # points of a panel
+_BAR = ["dataset", "method", "variant", "rate", "preset"]
 
 
 @dataclass
@@ -61,6 +62,10 @@ class Line:
     scene_y: list[float] = field(default_factory=list)
     scenes: list[str] = field(default_factory=list)
     scene_keys: list[list[str]] = field(default_factory=list)
+
+    def without_scenes(self) -> None:
+        """Leave the means alone: a chart of thirty variants with all their scenes is a cloud."""
+        self.scene_x, self.scene_y, self.scenes, self.scene_keys = [], [], [], []
 
 
 @dataclass
@@ -157,7 +162,8 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
     """PSNR against a column of :data:`AXIS`, by dataset; rows not ok or without either number are left out.
 
     The mean over scenes is only drawn where all scenes of the dataset are there. Fits that differ only in a
-    rate knob are one line, of the seeds that all of them have.
+    rate knob are one line, of the seeds that all of them have. Of more variants than are named
+    (:func:`reports.style.named`) the others are without their scenes.
     """
     if results.empty or against not in results:
         return []
@@ -185,8 +191,11 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
                 line.y.append(float(means["psnr"].mean()))
                 line.keys.append([mean_key(group.iloc[0])])
                 line.size.append(float(group["size_bytes"].fillna(0).astype(float).mean()))
+        told = named(line.title for line in lines.values())
         for line in lines.values():
             _sort(line)
+            if line.x and line.title not in told:
+                line.without_scenes()
         panels.append(Panel(title, list(lines.values()), AXIS[against].better))
     return panels
 
@@ -224,15 +233,17 @@ class Bar:
 
 
 def ledger(table: pd.DataFrame) -> tuple[list[Bar], list[str]]:
-    """Bytes of all scenes and what they share: the bars, and the families of parts in their order."""
+    """Bytes of all scenes and what they share, mean over seeds: the bars, and the families of parts."""
     if table.empty:
         return [], []
     bars = []
-    keys = ["dataset", "method", "variant", "rate", "preset", "seed"]
-    for axes, rows in table.groupby(keys, dropna=False, sort=False):
+    for axes, rows in table.groupby(_BAR, dropna=False, sort=False):
         # One fit listed twice (under two runs) is one set of bytes.
-        rows = rows.drop_duplicates(["job", "scene", "part"])
-        sums = {str(part): float(count) for part, count in rows.groupby("part")["bytes"].sum().items()}
+        rows = _whole_seeds(rows).drop_duplicates(["job", "scene", "part"])
+        seeds = max(1, rows["seed"].nunique())
+        sums = {
+            str(part): float(count) / seeds for part, count in rows.groupby("part")["bytes"].sum().items()
+        }
         bar = Bar(str(axes[0]), _title(table, *axes), {}, f"{mib(sum(sums.values()))} MiB")
         for part, count in sums.items():
             family = parts.family(part)
@@ -251,16 +262,15 @@ FRAME = "frame"
 
 
 def timing(table: pd.DataFrame) -> tuple[list[Bar], list[str]]:
-    """Seconds of a frame by part, mean over scenes: the bars, and the parts in the order they happen.
+    """Seconds of a frame by part, mean over scenes and seeds: the bars, and the parts as they happen.
 
     Parts are timed one by one: what of the frame they do not explain is :data:`OTHER`.
     """
     if table.empty:
         return [], []
     bars = []
-    keys = ["dataset", "method", "variant", "rate", "preset", "seed"]
-    for axes, rows in table.groupby(keys, dropna=False, sort=False):
-        rows = rows.drop_duplicates(["job", "part"])
+    for axes, rows in table.groupby(_BAR, dropna=False, sort=False):
+        rows = _whole_seeds(rows).drop_duplicates(["job", "part"])
         means = {str(part): float(value) for part, value in rows.groupby("part")["seconds"].mean().items()}
         frame = means.pop(FRAME, 0.0)
         amounts = {part: value for part, value in means.items() if value > 0}
@@ -272,6 +282,13 @@ def timing(table: pd.DataFrame) -> tuple[list[Bar], list[str]]:
     return _by_dataset(table, bars), parts.ordered(part for bar in bars for part in bar.amounts)
 
 
+def _whole_seeds(rows: pd.DataFrame) -> pd.DataFrame:
+    """Without seeds that lack scenes which others have."""
+    scenes = rows.groupby("seed", dropna=False)["scene"].transform("nunique")
+    whole: pd.DataFrame = rows[scenes == scenes.max()]
+    return whole
+
+
 def _by_dataset(table: pd.DataFrame, bars: list[Bar]) -> list[Bar]:
     """The bars of a dataset stand together."""
     order = {str(dataset): i for i, dataset in enumerate(table["dataset"].unique())}
@@ -279,8 +296,7 @@ def _by_dataset(table: pd.DataFrame, bars: list[Bar]) -> list[Bar]:
 
 
 def _title(table: pd.DataFrame, *axes: Any) -> str:
-    dataset, method, variant, rate, preset, seed = axes
+    dataset, method, variant, rate, preset = axes
     words = [str(dataset), label(method, variant, rate)]
     words += [str(preset)] if table["preset"].nunique() > 1 else []
-    words += [f"seed {seed}"] if table["seed"].nunique() > 1 else []
     return " · ".join(words)

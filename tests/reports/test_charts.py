@@ -127,6 +127,16 @@ def test_fits_that_differ_in_the_rate_knob_are_one_line_from_small_to_large(make
     assert (line.title, line.y, line.x) == ("HAC", [33.0, 34.0, 35.0], [60.0, 40.0, 50.0])
 
 
+def test_of_many_variants_the_unnamed_are_without_their_scenes(maker):
+    for k in range(12):
+        maker.run(
+            method="econgs", variant=f"features={k + 1}" if k else "", psnr=30.0 + k, size=k + 1, views=0
+        )
+    (panel,) = data.tradeoff(maker.tables()["results"], "size_bytes")
+    assert {line.title: len(line.scene_x) for line in panel.lines if line.scene_x} == {"ECoNGS": 1}
+    assert all(line.x for line in panel.lines)
+
+
 # --------------------------------------------------------------------------- rates
 
 
@@ -305,6 +315,30 @@ def test_timing_is_shares_of_the_frame_and_the_rest_is_told():
     assert parts == ["decode", "rasterise", "other"]
     assert [bar.percent(part) for part in parts] == pytest.approx([20.0, 50.0, 30.0])
     assert bar.told == "10.0 ms"
+
+
+def test_bars_are_means_over_the_seeds_that_have_all_scenes():
+    def table(column, values):
+        rows = [
+            (f"{scene}{seed}", scene, seed, part, value)
+            for seed, (scenes, parts) in enumerate(values)
+            for scene in scenes
+            for part, value in parts.items()
+        ]
+        found = pd.DataFrame(rows, columns=["job", "scene", "seed", "part", column])
+        return found.assign(dataset="d", method="econgs", variant="", rate=None, preset="quick")
+
+    sizes = [
+        ("ab", {"positions": 10, "features": 30}),
+        ("ab", {"positions": 20, "features": 40}),
+        ("a", {"positions": 99}),
+    ]
+    (bar,), _ = data.ledger(table("bytes", sizes))
+    assert (bar.title, bar.total) == ("d · ECoNGS", 100.0)  # of two scenes: 80 and 120
+    assert bar.percent("positions") == pytest.approx(30.0)
+    times = [("ab", {"frame": 0.01, "decode": 0.004}), ("ab", {"frame": 0.02, "decode": 0.008})]
+    (bar,), _ = data.timing(table("seconds", times))
+    assert (bar.told, bar.percent("decode")) == ("15.0 ms", pytest.approx(40.0))
 
 
 def test_no_timing_without_parts():
