@@ -23,7 +23,10 @@ _GRAY = (
 _DEFAULTS = f" Of more than {MOST_NAMED} variants each method's default is shown alone."
 _ONE_RATE = " Of fits that differ only in a rate knob, the default's is shown."
 _SEEDS = " Several rates of a method are compared on the seeds that all of them have."
-_FRONT = " They are without their single scenes. What is on the front keeps its color, and is named by its options."
+_FRONT = (
+    " They are without their single scenes. What is on the front keeps its color, and is named by its "
+    "options."
+)
 _TRADEOFFS = (
     ("PSNR and size", "size_bytes"),
     ("PSNR and speed", "fps"),
@@ -155,9 +158,9 @@ def _many(table: pd.DataFrame) -> bool:
     return any(len(series(rows)) > MOST_NAMED for _, rows in comparable(table))
 
 
-def _rates_left_out(curve: pd.DataFrame) -> str:
-    """What to say of fits that charts of training do not draw."""
-    return _ONE_RATE if len(rate_distortion.at_default_rates(curve)) < len(curve) else ""
+def _rates_left_out(table: pd.DataFrame) -> str:
+    """What to say of fits that charts of training and of attributes do not draw."""
+    return _ONE_RATE if len(rate_distortion.at_default_rates(table)) < len(table) else ""
 
 
 def _seeds_left_out(results: pd.DataFrame) -> str:
@@ -286,6 +289,7 @@ def _features(tables: dict[str, pd.DataFrame]) -> Section | None:
         "Distribution of what the primitives carry, all scenes of a dataset together. Quantised values are "
         "spread over neighbouring bins as far as their steps reach."
     )
+    words += _rates_left_out(table)
     if _many(table):
         words += _DEFAULTS
     bare = {name: look._replace(marker="") for name, look in entries.items()}

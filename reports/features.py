@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reports.protocols import comparable
+from reports.rate_distortion import at_default_rates
 from reports.style import label, named
 
 if TYPE_CHECKING:
@@ -49,13 +50,14 @@ class Histogram:
 def histograms(features: pd.DataFrame) -> list[Histogram]:
     """Of all attributes; scenes, seeds and the components of a vector are pooled.
 
-    With many variants only the defaults are shown (:func:`reports.style.named`).
+    With many variants only the defaults are shown (:func:`reports.style.named`), and of fits that differ only
+    in a rate knob the default's.
 
     Args:
         features: the documented table.
     """
     made = []
-    for dataset, every in comparable(features):
+    for dataset, every in comparable(at_default_rates(features)):
         told = named(label(*pair) for pair in zip(every["method"], every["variant"], strict=True))
         for attribute, rows in every.groupby("name", sort=False):
             pools: dict[str, list[NDArray[np.float64]]] = {}
@@ -143,7 +145,7 @@ def _vectors(features: pd.DataFrame) -> dict[tuple[str, str], dict[str, NDArray[
     found: dict[tuple[str, str], dict[str, NDArray[np.float64]]] = {}
     if features.empty or "width" not in features:
         return found
-    for dataset, every in comparable(features):
+    for dataset, every in comparable(at_default_rates(features)):
         rows = every[(every["name"] == VECTOR) & (every["width"] > 2)]
         told = named(label(*pair) for pair in zip(rows["method"], rows["variant"], strict=True))
         for row in rows.itertuples(index=False):

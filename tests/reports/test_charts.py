@@ -371,6 +371,11 @@ def test_histograms_pool_scenes_and_components():
     assert shares == pytest.approx(100 * counted / len(values))
 
 
+def test_attributes_are_of_the_default_rate():
+    rates = pd.concat([features_table().assign(variant=v) for v in ("", "rate_weight=0.01", "offsets=5")])
+    assert list(features.histograms(rates)[0].shares) == ["ECoNGS", "ECoNGS [offsets=5]"]
+
+
 def test_an_attribute_that_is_the_same_everywhere_has_a_histogram():
     table = features_table().assign(values=[[1.0] * 5] * 4)
     assert sum(features.histograms(table)[0].shares["ECoNGS"]) == pytest.approx(100.0)
