@@ -313,7 +313,8 @@ class Maker:
         axes = ["job", "dataset", "scene", "method", "variant", "rate", "preset", "seed", "part", "seconds"]
         made["timing"] = frame(axes, [])
         made["losses"] = frame(LOSSES.split(), [])
-        made["features"] = frame(["job", "dataset", "scene", "method", "variant", "name", "values"], [])
+        columns = ["job", "dataset", "scene", "method", "variant", "preset", "name", "values", "width"]
+        made["features"] = frame(columns, [])
         return made
 
 
