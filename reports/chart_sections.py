@@ -242,7 +242,10 @@ def _convergence(tables: dict[str, pd.DataFrame]) -> Section | None:
     pairs = [plots.convergence(curve, against, order) for against in ("train_seconds", "iteration")]
     if not any(pairs):
         return None
-    told = f"PSNR of {_HELD_OUT} while training; the clock stands still while it is measured."
+    told = (
+        f"PSNR of {_HELD_OUT} while training; the clock stands still while it is measured. Of more than "
+        f"{training.MOST_FITS} fits a chart shows each method's mean."
+    )
     told += _rates_left_out(curve)
     lines = training.convergence(curve, "iteration") | training.convergence(curve, "train_seconds")
     entries = legend_entries([[line.name for line in each] for each in lines.values()], order)

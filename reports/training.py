@@ -28,6 +28,8 @@ ANYTIME_AXIS = {
 }
 _UNIT = {"psnr": 1.0, "bytes_estimate": MIB}
 _FIT = ["job", "method", "variant", "seed", "scene"]
+MOST_FITS = 24
+"""Lines of a chart of convergence: the four scenes of six methods."""
 LEAST_SHARE = 1e-5
 """Parts that never reach this share of the loss are not drawn."""
 
@@ -60,6 +62,8 @@ class Curve:
 def convergence(curve: pd.DataFrame, against: str) -> dict[str, list[Curve]]:
     """Dataset (with its preset where there are several) -> PSNR of each scene while its fit went on.
 
+    Of more than :data:`MOST_FITS` fits the mean of each method's.
+
     Args:
         curve: the documented table.
         against: "train_seconds" or "iteration".
@@ -79,7 +83,17 @@ def convergence(curve: pd.DataFrame, against: str) -> dict[str, list[Curve]]:
             ordered = fit.sort_values("iteration")
             x, y = ([float(v) for v in ordered[column]] for column in (against, "psnr"))
             panels.setdefault(title, []).append(Curve(name, " \N{MIDDLE DOT} ".join(words), x, y))
+        if len(panels.get(title, [])) > MOST_FITS:
+            panels[title] = _of_methods(panels[title])
     return panels
+
+
+def _of_methods(fits: list[Curve]) -> list[Curve]:
+    """Their means by method."""
+    by_name: dict[str, list[Curve]] = {}
+    for fit in fits:
+        by_name.setdefault(fit.name, []).append(fit)
+    return [Curve(name, name, *_mean([(fit.x, fit.y, 1) for fit in mine])) for name, mine in by_name.items()]
 
 
 def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
@@ -125,7 +139,10 @@ def _shares(fit: pd.DataFrame, what: str) -> tuple[list[float], list[float], int
 
 
 def _mean(fits: list[tuple[list[float], list[float], int]]) -> tuple[list[float], list[float]]:
-    """Mean of fits, each weighted by its scenes, at all times at which any of them was evaluated."""
+    """Mean of fits, each weighted by its scenes, at all times (or iterations) at which any was evaluated.
+
+    It begins where all have been; a finished fit keeps its last value.
+    """
     begin = max(x[0] for x, _, _ in fits)
     times = sorted({t for x, _, _ in fits for t in x if t >= begin and t > 0})
     weights = np.array([scenes for _, _, scenes in fits], dtype=float)

@@ -185,6 +185,22 @@ def test_each_scene_of_a_joint_fit_has_its_curve():
     assert [line.title for line in training.convergence(curve_table(rows), "iteration")["d"]] == ["a", "b"]
 
 
+def test_of_many_fits_convergence_is_the_mean_of_each_method():
+    rows = [
+        (f"{method}{k}", f"s{k}", method, i, 2.0 * i, 30.0 + k + i, None, "")
+        for method, last in (("econgs", 2), ("3dgs", 3))
+        for k in range(13)
+        for i in range(1, last + 1)
+    ]
+    lines = training.convergence(curve_table(rows), "iteration")["d"]
+    assert [(line.title, line.x, line.y) for line in lines] == [
+        ("ECoNGS", [1, 2], pytest.approx([37.0, 38.0])),
+        ("3DGS", [1, 2, 3], pytest.approx([37.0, 38.0, 39.0])),
+    ]
+    few = curve_table([row for row in rows if row[1] < "s2"])
+    assert len(training.convergence(few, "iteration")["d"]) == 10
+
+
 def test_anytime_counts_a_joint_fit_by_shares(maker):
     rows = [
         ("j", s, "econgs", i, 20.0 * i, p + i, 2 << 20, "")
