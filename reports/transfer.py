@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 AXIS = (110, 110, 110)
 """Color of the line at no opacity."""
 _SIDE = 96  # pixels of a picture beside a panel
+_PALE = 0.85  # of all three channels
 _GAP = 2  # pixels between the functions of a composition
 
 
@@ -41,6 +42,9 @@ def draw_transfer(picture: NDArray[np.floating], transfer: NDArray[np.floating])
     inside = (up < opacity[None]) & (opacity[None] > 0)
     picture[inside] = np.broadcast_to(color, picture.shape)[inside]
     edge = inside & ~(up + 1.0 / height < opacity[None])
+    # What is as pale as the paper needs its sides drawn too; they would darken narrow peaks of other colors.
+    beyond = np.pad(inside, ((0, 0), (1, 1)))
+    edge |= inside & ~(beyond[:, :-2] & beyond[:, 2:]) & (color.min(axis=-1) > _PALE)
     picture[edge] *= 0.6
 
 

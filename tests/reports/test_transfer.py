@@ -32,6 +32,14 @@ def test_a_band_is_drawn_where_its_values_are() -> None:
     assert (picture[:-1, :35] == 255).all()
 
 
+def test_a_white_band_has_an_outline() -> None:
+    bins = [[1.0, 1.0, 1.0, 0.0]] * 40 + [[1.0, 1.0, 1.0, 0.5]] * 20 + [[1.0, 1.0, 1.0, 0.0]] * 40
+    dark = (transfer_picture(said(a={"transfer": bins}), 100) < 200).all(axis=-1)[:-1]
+    columns = np.nonzero(dark.sum(axis=0) > 30)[0]
+    assert list(columns) == [pytest.approx(40, abs=1), pytest.approx(59, abs=1)]
+    assert dark[:, 50].sum() == 1
+
+
 def test_levels_are_lines_and_parts_are_strips() -> None:
     picture = transfer_picture(
         said(a={"levels": [[0.25, *RED]]}, b={"transfer": [[*BLUE, 1.0], [*BLUE, 1.0]]}), 100
