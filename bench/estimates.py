@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 from statistics import median
 from typing import Any
 
@@ -16,11 +17,15 @@ _ASKED = 9  # jobs whose folders are measured; more would only cost time
 
 @dataclass(frozen=True)
 class Estimate:
-    """Of one job: wall time in seconds, peak host memory and room on disk in bytes."""
+    """Of one job: wall time in seconds, peak host memory and room on disk in bytes.
+
+    Attributes:
+        disk: None where all that is known are records from bundles, which come without the jobs' files.
+    """
 
     seconds: float
     memory: int
-    disk: int
+    disk: int | None
 
 
 class Past:
@@ -62,10 +67,11 @@ def _likenesses(job: Job) -> list[tuple[Any, ...]]:
 
 
 def _median(found: list[tuple[Store, Record]]) -> Estimate:
-    folders = [store.jobs / record.job.id for store, record in found[-_ASKED:]]
-    sizes = [sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) for folder in folders]
+    folders = (store.jobs / record.job.id for store, record in reversed(found))
+    whole = islice((folder for folder in folders if (folder / "log.txt").is_file()), _ASKED)
+    sizes = [sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) for folder in whole]
     return Estimate(
         seconds=median(record.wall_seconds for _, record in found),
         memory=int(median(record.peak_host_bytes or 0 for _, record in found)),
-        disk=int(median(sizes)),
+        disk=int(median(sizes)) if sizes else None,
     )

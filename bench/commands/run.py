@@ -90,11 +90,12 @@ def plan(options: Namespace) -> int:
     print(f"{len(jobs)} jobs, {len(jobs) - len(expected)} finished, {len(expected)} to do", end="")
     known = [estimate for estimate in expected.values() if estimate is not None]
     if known:
-        print(
-            f", about {span(sum(one.seconds for one in known))}, {_mib(sum(one.disk for one in known))} of",
-            end="",
-        )
-        print(f" disk, {_mib(max(one.memory for one in known))} of memory", end="")
+        disk = [one.disk for one in known if one.disk is not None]
+        room = f"{_mib(sum(disk))} of disk" if disk else "unknown room on disk"
+        print(f", about {span(sum(one.seconds for one in known))}, {room}", end="")
+        if disk and len(disk) < len(known):
+            print(f" (without {len(known) - len(disk)} jobs known from bundles alone)", end="")
+        print(f", {_mib(max(one.memory for one in known))} of memory", end="")
         if len(known) < len(expected):
             print(f" and {len(expected) - len(known)} jobs unlike any finished one", end="")
     elif expected:
