@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 
+_LONG = 30
+"""Rows beyond which a table scrolls by itself on a screen, its heads in sight; print has all of it."""
+
+
 def method(row: Any, names: Sequence[str]) -> str:
     """A row's method with variant and rate, after a dot in its color of the charts."""
     shade = color(label(row["method"], row["variant"]), names)
@@ -36,7 +40,7 @@ def hint(text: str, why: str) -> str:
 
 
 def table(caption: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A plain table that scrolls sideways where it is too wide; the first cell names its row.
+    """A plain table that scrolls where it is too wide or long; the first cell names its row.
 
     Args:
         caption: what it shows, as text.
@@ -48,8 +52,9 @@ def table(caption: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) -> 
     for first, *others in rows:
         cells = "".join(f"<td>{cell}</td>" for cell in others)
         lines.append(f'<tr><th scope="row">{first}</th>{cells}</tr>')
+    tall = " tall" if len(lines) > _LONG else ""
     return (
-        f'<div class="wide" role="region" tabindex="0" aria-label="{escape(caption)}"><table>'
+        f'<div class="wide{tall}" role="region" tabindex="0" aria-label="{escape(caption)}"><table>'
         f"<caption>{escape(caption)}</caption><thead><tr>{head}</tr></thead>"
         f"<tbody>{''.join(lines)}</tbody></table></div>"
     )

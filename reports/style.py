@@ -217,7 +217,7 @@ def log_range(values: Iterable[float]) -> tuple[float, float]:
 def log_ticks(low: float, high: float) -> list[tuple[float, str]]:
     """Ticks (value, text) of a logarithmic axis from 10**low to 10**high: 1, 2, 5, or decades only."""
     digits = (1, 2, 5) if high - low < 1.8 else (1,)
-    step = max(1, round((high - low) / 6))
+    step = max(1, round((high - low) / 3.5))
     ticks = []
     for power in range(math.floor(low), math.ceil(high) + 1):
         for digit in digits:

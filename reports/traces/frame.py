@@ -31,7 +31,7 @@ def figure(traces: list[Any], x: dict[str, Any], y: dict[str, Any], **layout: An
             "showlegend": False,
             "hovermode": "closest",
             "xaxis": {"zeroline": False, "showline": True, **x},
-            "yaxis": {"zeroline": False, "showline": True, **y},
+            "yaxis": {"zeroline": False, "showline": True, "automargin": True, **y},
             **layout,
         },
     }
@@ -58,6 +58,7 @@ def log_axis(values: Sequence[float], title: str, room: float = 0.0) -> dict[str
         "type": "log",
         "range": [low, high],
         "title": {"text": title},
+        "tickangle": 0,
         "tickvals": [value for value, _ in ticks],
         "ticktext": [text for _, text in ticks],
     }
