@@ -160,6 +160,8 @@ def _block(
         scenes += f", {first['requested_views']} training views"
         protocol.append(f"{first['requested_views']} views")
     methods = {line["label"]: line["method"] for line in said["rows"]}
+    if "rasterise_ms" in columns:
+        remarks = [*remarks, "Parts of a frame are timed one by one, so that they need not add up to it."]
     remarks = [*remarks, *seeds_told, *_why_missing(shown, columns), *_versions(shown, methods)]
     if superseded is not None:
         same_set = (superseded["dataset"].map(whole) == dataset) & (superseded["preset"] == first["preset"])

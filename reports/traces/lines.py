@@ -135,4 +135,4 @@ def _losses(panel: training.Losses, shades: list[str]) -> Figure:
         for iteration, text in panel.marks
     ]  # fmt: skip
     x_axis = {"range": list(ends), "title": {"text": "iteration"}}
-    return figure(traces, x_axis, y_axis, shapes=shapes, annotations=[*notes(labels, spots, along), *told])
+    return figure(traces, x_axis, y_axis, shapes=shapes, annotations=[*told, *notes(labels, spots, along)])

@@ -290,6 +290,7 @@ def test_times_of_a_frame_come_from_their_own_table():
     ours, theirs = line(block, "ECoNGS").values, line(block, "3DGS").values
     assert (ours["rasterise_ms"].mean, ours["rasterise_ms"].published) == (pytest.approx(3.0), 0.69)
     assert theirs["frame_ms"].mean == pytest.approx(8.0)
+    assert "one by one" in block.remarks[0]
 
 
 def test_documents_hold_every_row_and_escape_what_they_must():
