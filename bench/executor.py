@@ -11,6 +11,7 @@ import site
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -134,6 +135,10 @@ class LocalExecutor:
             cause = next((record for record in records.values() if record and not record.ok), None)
             if cause is not None:
                 record = self._give_up(job, cause)
+            elif note := self._without_files(records.values(), number, len(jobs)):
+                self._display.begin(job, number, len(jobs))
+                self._display.end(job, None, note)
+                continue
             else:
                 self._display.begin(job, number, len(jobs))
                 record, note = self._run_job(job)
@@ -144,6 +149,26 @@ class LocalExecutor:
                 if job.kind == "partition":
                     return True
         return False
+
+    def _without_files(self, needed: Iterable[Record | None], number: int, total: int) -> str:
+        """Why a job cannot run where records came without their files; views are made again."""
+        for record in needed:
+            if record is None or self._store.holds_files_of(record):
+                continue
+            if record.job.kind == "views":
+                self._display.begin(record.job, number, total)
+                again, note = self._run_job(record.job)
+                made = self._store.holds_files_of(record)
+                self._display.end(record.job, again if made else None, note)
+                if made:
+                    continue
+                said = (log_tail(self._store.partial / record.job.id) or "stopped").splitlines()[-1]
+                return f"not run: the views cannot be made again: {said}"
+            return (
+                f"not run: {record.job.id} came from a bundle, without the files that this needs; "
+                "run into a new store (--out) and join the two (bench merge)"
+            )
+        return ""
 
     def settled(self, job: Job) -> bool:
         """Whether a job has a record that stands (and is not to be tried again)."""

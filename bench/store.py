@@ -21,6 +21,9 @@ from pydantic import ValidationError
 from bench.records import SCHEMA, Record
 from datasets.errors import DataError
 
+_HANDED_ON = {"views": "cameras.json", "fit": "checkpoint", "encode": "model"}
+"""Kind of a job -> what other jobs read of its folder; all else is in its record."""
+
 
 class Store:
     """A run store on disk.
@@ -110,6 +113,11 @@ class Store:
             record = self.record(folder.name)
             if record is not None:
                 yield record
+
+    def holds_files_of(self, record: Record) -> bool:
+        """Whether what other jobs need of a finished one is here; bundles bring records alone."""
+        name = _HANDED_ON.get(record.job.kind)
+        return name is None or (self.jobs / record.job.id / name).exists()
 
     def finish(self, record: Record, folder: Path | None = None) -> None:
         """Write a record into its partial folder and rename that in place.

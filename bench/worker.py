@@ -1,7 +1,8 @@
 """Runs one job in this process: ``python -m bench.worker FOLDER``.
 
 FOLDER is ``RUNS/partial/<kind>-<key>`` with a ``job.json``. Exit codes: 0 the job has its record
-(of success or failure), 75 stopped and resumable, 76 another process works on it, 1 a defect.
+(of success or failure), 75 stopped and resumable, 76 another process works on it, 1 a defect, or
+views of a record that came without its files could not be made again.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def main(folder: Path) -> int:
         if (folder / "record.json").is_file():  # ended between its record and the rename
             store.put_in_place(folder, task.job.id)
             return 0
-        if store.record(task.job.id) is not None:  # finished by another run in the meantime
+        before = store.record(task.job.id)
+        if before is not None and (store.holds_files_of(before) or not before.ok):  # by another run meanwhile
             shutil.rmtree(folder, ignore_errors=True)
             return 0
         stop.install()
@@ -62,6 +64,9 @@ def main(folder: Path) -> int:
             record = run(task, folder, store, stop, report)
         except Stopped:
             return STOPPED
+        if before is not None and before.ok and not record.ok:  # made again in vain: what was measured stays
+            print(record.reason)
+            return 1
         store.finish(record, folder)
     return 0
 

@@ -6,6 +6,8 @@ import csv
 import io
 import json
 import re
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bench.bundle import MANIFEST, verify_bundle, write_bundle
+from bench.records import Task
 from bench.store import Store
 from bench.tables import rows
 from datasets.errors import DataError
@@ -87,6 +90,56 @@ def test_bundles_are_merged_like_stores(bench, packed, finished, tmp_path):
     refused = bench("merge", bad, "--out", tmp_path / "none")
     assert refused.returncode == 2
     assert "does not hold: store.json: missing" in refused.stderr
+
+
+@pytest.fixture
+def unpacked(bench, finished, tmp_path):
+    """A store that has the finished one's records alone."""
+    path = tmp_path / "numbers.zip"
+    write_bundle(Store(finished.store), path)
+    assert bench("merge", path, "--out", tmp_path / "all").returncode == 0
+    bench.store = tmp_path / "all"
+    return bench
+
+
+def test_a_run_into_an_unpacked_bundle_makes_the_views_that_it_needs_again(unpacked):
+    before = rows(Store(unpacked.store).records())
+    done = unpacked.run("--seed", 1)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"\] views .*\n.*  ok after", done.stderr), done.stderr
+    found = rows(Store(unpacked.store).records())["results"]
+    assert {row["seed"]: row["status"] for row in found} == {0: "ok", 1: "ok"}
+    assert [row for row in found if row["seed"] == 0] == before["results"]
+    assert len(list(unpacked.store.glob("jobs/fit-*/checkpoint"))) == 1
+
+
+def test_what_was_made_of_files_that_are_not_there_stays_as_it_is(unpacked, tmp_path):
+    suite = tmp_path / "more.toml"
+    head = 'title = "t"\nmethods = ["fake"]\npreset = "quick"\nsampled = 2\n'
+    suite.write_text(f'{head}[datasets]\n"{unpacked.dataset}" = ["a"]\n')
+    before = rows(Store(unpacked.store).records())
+    done = unpacked("run", suite, "--plugins", unpacked.plugins, "--out", unpacked.store, "--no-report")
+    assert done.returncode == 1
+    assert re.search(r"not run: encode-\w+ came from a bundle, .*run into a new store \(--out\)", done.stderr)
+    assert rows(Store(unpacked.store).records()) == before
+
+
+def test_views_that_cannot_be_made_again_leave_their_record(unpacked):
+    store = Store(unpacked.store)
+    (views,) = unpacked.of_kind("views")
+    folder = store.partial / views.job.id
+    folder.mkdir()
+    (folder / "job.json").write_text(Task(job=views.job, threads=1).model_dump_json())
+    script = (
+        "import sys, pathlib, bench.worker as w; from bench.store import Store;"
+        "f = pathlib.Path(sys.argv[1]);"
+        "r = Store(f.parent.parent).record(f.name); change = {'status': 'failed', 'reason': 'no volume'};"
+        "w.run = lambda *a: r.model_copy(update=change); sys.exit(w.main(f))"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(folder)], env=unpacked.environment, check=False,
+                          capture_output=True, text=True)  # fmt: skip
+    assert (done.returncode, done.stdout.strip()) == (1, "no volume"), done.stderr
+    assert Store(unpacked.store).record(views.job.id) == views
 
 
 def test_bundles_made_before_a_column_came_in_still_hold(packed, tmp_path):
