@@ -42,9 +42,9 @@ def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance
     )
 
 
-def current_sources(specs: Iterable[MethodSpec]) -> dict[str, str]:
-    """Method -> hash of its source as it is now: rows made with another are stale."""
-    return {spec.name: source_hash(spec) for spec in specs}
+def current_sources(specs: Iterable[MethodSpec]) -> dict[str, tuple[str, ...]]:
+    """Method -> hashes of its source as it is now, and of those of the same results: other rows are stale."""
+    return {spec.name: (source_hash(spec), *spec.same_results) for spec in specs}
 
 
 def source_hash(spec: MethodSpec) -> str:

@@ -6,7 +6,7 @@ import json
 import os
 import re
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -69,13 +69,13 @@ def share(total: int, names: Iterable[str], name: str) -> int:
 
 
 def rows(
-    records: Iterable[Record], sources: Mapping[str, str] | None = None
+    records: Iterable[Record], sources: Mapping[str, Sequence[str]] | None = None
 ) -> dict[str, list[dict[str, Any]]]:
     """All tables as lists of rows.
 
     Args:
         records: of one store, or of several joined.
-        sources: method -> hash of its source now; where it differs from a fit's, its rows are stale.
+        sources: method -> hashes of its source now; where a fit's is none of them, its rows are stale.
     """
     by_id = {record.job.id: record for record in records}
     tables: dict[str, list[dict[str, Any]]] = {name: [] for name in COLUMNS}
@@ -123,7 +123,7 @@ def _point(point: CurvePoint, scene: str) -> dict[str, Any]:
 
 
 def build_tables(
-    store: Store, sources: Mapping[str, str] | None = None, *, write: bool = True
+    store: Store, sources: Mapping[str, Sequence[str]] | None = None, *, write: bool = True
 ) -> dict[str, pd.DataFrame]:
     """Derive all tables of a store, and write them as Parquet (each file whole or as before).
 
@@ -185,7 +185,7 @@ class _Fitted:
         return cls(encode, fit, _needed(by_id, fit, "partition"))
 
 
-def _result(record: Record, models: list[_Fitted], sources: Mapping[str, str]) -> dict[str, Any]:
+def _result(record: Record, models: list[_Fitted], sources: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """The row of a basic scene (with one model) or of a composition (with those that hold its scenes)."""
     job, measured = record.job, record.measure
     fits = [model.fit for model in models if model.fit is not None]

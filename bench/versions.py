@@ -8,7 +8,7 @@ whole or not at all.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,14 +38,14 @@ class _Model:
         return max((record.finished for record in self.rows), default="")
 
 
-def is_stale(job: Job, fit: Record | None, sources: Mapping[str, str]) -> bool:
-    """Whether a job's model was fitted by another source of its method than today's."""
+def is_stale(job: Job, fit: Record | None, sources: Mapping[str, Sequence[str]]) -> bool:
+    """Whether a job's model was fitted by another source of its method than those that count as today's."""
     current = sources.get(job.method or "")
     made_with = fit.provenance.source if fit and fit.provenance else None
-    return current is not None and made_with is not None and current != made_with
+    return current is not None and made_with is not None and made_with not in current
 
 
-def standing(records: Iterable[Record], sources: Mapping[str, str]) -> list[Record]:
+def standing(records: Iterable[Record], sources: Mapping[str, Sequence[str]]) -> list[Record]:
     """The records that tables are made of: one version of each model, and one row per cell.
 
     Of the versions of a method on a dataset (same variant, preset, split, seed and number of views) that of
@@ -54,7 +54,7 @@ def standing(records: Iterable[Record], sources: Mapping[str, str]) -> list[Reco
 
     Args:
         records: of a store.
-        sources: method -> hash of its source now.
+        sources: method -> hashes of its source now.
     """
     by_id = _by_extent({record.job.id: record for record in records})
     models = {record.job.id: _model(record, sources) for record in by_id.values() if record.job.kind == "fit"}
@@ -99,7 +99,7 @@ def _extent(record: Record, by_id: Mapping[str, Record]) -> int:
     return max((len(by_id[name].job.scenes) for name in needs if name in by_id), default=0)
 
 
-def _model(fit: Record, sources: Mapping[str, str]) -> _Model:
+def _model(fit: Record, sources: Mapping[str, Sequence[str]]) -> _Model:
     job = fit.job
     common = {name: value for name, value in job.identity.items() if name not in ("scenes", "kind")}
     source = fit.provenance.source if fit.provenance else None

@@ -92,6 +92,8 @@ class MethodSpec:
         implementation: "module:attribute" of the :class:`Method`.
         source: import packages or modules whose source decides the results; rows of an older
             source are marked stale.
+        same_results: hashes (column ``source`` of the results) of older sources from which only such fits
+            differ as came to no result, so that their rows are not stale.
         joint: trains several scenes of a dataset as one group.
         composable: models of several groups render together.
         edits: which parts of :class:`Edit` it honours.
@@ -123,6 +125,7 @@ class MethodSpec:
     iterations: Mapping[str, int]
     rate_knobs: tuple[RateKnob, ...] = ()
     configurations: Mapping[str, Configuration] = field(default_factory=dict)
+    same_results: tuple[str, ...] = ()
 
 
 class Refused(Exception):

@@ -121,7 +121,7 @@ def _print(header: list[str], lines: list[list[str]]) -> None:
     console.print(shown, markup=False, highlight=False)
 
 
-def current(options: Namespace) -> dict[str, str]:
+def current(options: Namespace) -> dict[str, tuple[str, ...]]:
     """Method -> hash of its source now, plugins included: what makes rows stale."""
     from bench.provenance import current_sources
     from methods.registry import Registry

@@ -163,7 +163,7 @@ def grow(
     positions = anchors[:, None] + offsets * log_scalings[:, None, :3].exp()
     lattice = anchors
     added: list[tuple[Tensor, Tensor, Tensor]] = []
-    room = rules.limit - count if rules.limit else math.inf
+    room = max(rules.limit - count, 0) if rules.limit else math.inf  # a start may exceed the limit
     limited = False
     for level in range(rules.levels):
         chance = torch.rand((count, many), generator=generator).to(gradients.device)

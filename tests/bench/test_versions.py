@@ -120,7 +120,13 @@ def test_records_as_such_are_all_there():
 
 
 def test_the_current_source_goes_before_a_newer_stale_one(tables_of):
-    tables = tables_of(version(1, 1, "now"), version(2, 2, "old"), sources={"m": "now"})
+    tables = tables_of(version(1, 1, "now"), version(2, 2, "old"), sources={"m": ("now",)})
+    assert list(tables["results"]["psnr"]) == [31.0] * 3
+    assert not tables["results"]["stale"].any()
+
+
+def test_rows_of_an_older_source_of_the_same_results_are_not_stale(tables_of):
+    tables = tables_of(version(1, 1, "same"), version(2, 2, "old"), sources={"m": ("now", "same")})
     assert list(tables["results"]["psnr"]) == [31.0] * 3
     assert not tables["results"]["stale"].any()
 
@@ -128,7 +134,7 @@ def test_the_current_source_goes_before_a_newer_stale_one(tables_of):
 def test_what_was_fitted_together_is_taken_whole_or_not_at_all(tables_of):
     """A scene fitted alone must not stand beside two thirds of what three scenes shared."""
     alone = version(2, 2, "now", groups=(("a",),))
-    tables = tables_of(version(1, 1), alone, sources={"m": "now"})
+    tables = tables_of(version(1, 1), alone, sources={"m": ("now",)})
     assert sizes(tables) == {"a": 110, "c": 110}, "b shares with the older a"
     assert sorted(tables["superseded"]["scene"]) == ["a", "b"]
 
@@ -141,7 +147,7 @@ def test_of_the_same_source_the_version_with_all_scenes_stands(tables_of):
 def test_scenes_fitted_alone_are_filled_up(tables_of):
     apart = (("a",), ("b",), ("c",))
     newer = version(2, 2, "now", groups=(("a",),), joint=False)
-    tables = tables_of(version(1, 1, groups=apart, joint=False), newer, sources={"m": "now"})
+    tables = tables_of(version(1, 1, groups=apart, joint=False), newer, sources={"m": ("now",)})
     assert list(tables["results"]["psnr"]) == [32.0, 31.0, 31.0]
     assert list(tables["results"]["stale"]) == [False, True, True]
 
@@ -152,7 +158,7 @@ def test_a_failure_of_the_current_version_is_not_hidden_by_an_older_success(tabl
 
 
 def test_what_is_not_measured_yet_takes_nobodys_place(tables_of):
-    tables = tables_of(version(1, 1), version(2, 2, "now", done=False), sources={"m": "now"})
+    tables = tables_of(version(1, 1), version(2, 2, "now", done=False), sources={"m": ("now",)})
     assert list(tables["results"]["psnr"]) == [31.0] * 3
     assert len(tables["superseded"]) == 0
 

@@ -94,6 +94,16 @@ def test_the_limit_holds_and_is_told():
     assert grown.limited
 
 
+def test_a_start_may_exceed_the_limit():
+    """It failed: 500,000 random points are more than ECoNGS's default lets a scene grow to."""
+    *state, statistics = setting([[1.0, 0.0, 0.0]], [100.0])
+    state = [values.repeat(3, *[1] * (values.dim() - 1)) for values in state]
+    repeated = AnchorStatistics(*(torch.cat([v, v, v]) for v in vars(statistics).values()))
+    grown = grow(*state, repeated, AnchorRules(voxel=0.01, gradient=1.0, limit=2), generator())
+    assert len(grown.anchors) == 0
+    assert grown.limited
+
+
 def test_at_the_limit_the_largest_gradients_come_in():
     """Not those of the smallest x, in which order cells are found."""
     offsets = [[float(i), 0.0, 0.0] for i in range(1, 21)]
