@@ -73,15 +73,20 @@ def standing(records: Iterable[Record], sources: Mapping[str, Sequence[str]]) ->
 
 
 def _by_extent(by_id: dict[str, Record]) -> dict[str, Record]:
-    """Learning of fewer scenes together than others of a dataset is no version but a dataset of its own."""
+    """Learning of fewer scenes together than others of a dataset is no version but a dataset of its own.
+
+    A scene learned alone is a version, unless others were learned together with other seeds only.
+    """
     extents = {name: _extent(record, by_id) for name, record in by_id.items()}
     most: dict[tuple[Any, ...], int] = defaultdict(int)
     for name, record in by_id.items():
-        most[_protocol(record.job)] = max(most[_protocol(record.job)], extents[name])
+        for key in (_protocol(record.job), _cell(record.job)):
+            most[key] = max(most[key], extents[name])
     made = {}
     for name, record in by_id.items():
         job, count = record.job, extents[name]
-        if 1 < count < most[_protocol(job)]:
+        alone = count == 1 == most[_cell(job)]
+        if (count > 1 or alone) and count < most[_protocol(job)]:
             job = job.model_copy(update={"dataset_name": together(job.dataset_name, count)})
             record = record.model_copy(update={"job": job})
         made[name] = record

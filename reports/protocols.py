@@ -32,12 +32,12 @@ def shared_by_all(seeds: Iterable[Iterable[Any]]) -> set[Any]:
 
 def together(dataset: str, count: int) -> str:
     """What a dataset is called of which so many scenes were learned together, and elsewhere more."""
-    return f"{dataset}, {count} scenes together"
+    return f"{dataset}, {count} scenes together" if count > 1 else f"{dataset}, scenes alone"
 
 
 def whole(dataset: str) -> str:
     """The dataset itself of a name that :func:`together` made."""
-    return re.sub(r", \d+ scenes together$", "", dataset)
+    return re.sub(r", (\d+ scenes together|scenes alone)$", "", dataset)
 
 
 def by_training_views(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:

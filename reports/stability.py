@@ -91,7 +91,8 @@ def _most(good: pd.DataFrame, column: str) -> float | None:
 def few_views(results: pd.DataFrame) -> dict[str, list[Curve]]:
     """Dataset -> mean PSNR over scenes and seeds at each number of training views, a line per method.
 
-    Datasets with one number are left out, and so is what not all scenes and seeds have reached.
+    Datasets with one number are left out, and so is what not all scenes and seeds have reached, and scenes
+    that were not fitted with every number of views.
 
     Args:
         results: as :func:`reports.protocols.by_training_views` makes it.
@@ -101,6 +102,8 @@ def few_views(results: pd.DataFrame) -> dict[str, list[Curve]]:
     basic = results[(results["kind"] == "basic") & (results["dataset"] != results[ORIGIN])]
     panels: dict[str, list[Curve]] = {}
     for dataset, rows in basic.groupby(ORIGIN, sort=False):
+        scenes = [set(part["scene"]) for _, part in rows.groupby("requested_views")]
+        rows = rows[rows["scene"].isin(set.intersection(*scenes))]
         lines = []
         for title, name, fits in _methods(rows):
             whole = fits.groupby("requested_views").filter(lambda part: bool((part["status"] == "ok").all()))

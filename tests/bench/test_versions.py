@@ -192,3 +192,14 @@ def test_fewer_scenes_learned_together_are_a_dataset_of_their_own(tables_of):
     means = summary(tables["results"]).set_index(["dataset", "method"])["size_bytes"].to_dict()
     assert means == {("d", "m"): 330, ("d", "other"): 330, ("d, 2 scenes together", "m"): 210}
     assert set(tables["ledger"]["dataset"]) == {"d", "d, 2 scenes together"}
+
+
+def test_a_scene_learned_alone_with_another_seed_is_not_averaged_with_joint_models(tables_of):
+    joint = version(1, 1, groups=(("a", "b", "c"),))
+    same, other = version(2, 2, groups=(("a",),)), version(3, 3, groups=(("a",),))
+    for one in other:
+        one.job.seed = 1
+    tables = tables_of(joint, same, other)
+    assert list(tables["superseded"]["psnr"]) == [32.0]
+    found = tables["results"].set_index("dataset")["psnr"]
+    assert found.to_dict() == {"d": 31.0, "d, scenes alone": 33.0}

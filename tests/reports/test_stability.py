@@ -65,6 +65,13 @@ def test_few_views_leave_out_what_failed(few) -> None:
     assert lines == {"3DGS": ([6.0, 42.0], [21.0, 30.5]), "HAC": ([42.0], [31.5])}
 
 
+def test_few_views_compare_the_same_scenes(maker) -> None:
+    for views, scene, psnr in ((6, "a", 20.0), (42, "a", 30.0), (42, "b", 10.0)):
+        maker.run("bubble", scene, requested_views=views, psnr=psnr)
+    (line,) = stability.few_views(by_training_views(maker.tables())["results"])["bubble"]
+    assert (line.x, line.y) == ([6.0, 42.0], [20.0, 30.0])
+
+
 def test_records_tell_failures_seeds_and_worst_views(few) -> None:
     told = {(r.dataset, r.title): r for r in stability.records(few["results"], few["views"])}
     ours = told["vortex", "3DGS"]
