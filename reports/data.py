@@ -37,6 +37,8 @@ AXIS = {
     "peak_device_bytes": AxisSpec("peak device memory [MiB]", MIB, "MiB", -1),
 }
 
+_CLOCK = {"fps": "processor", "train_seconds": "fit_processor"}
+"""Column that was timed -> the one that tells on what."""
 _FEW = 30  # points of a panel
 _BAR = ["dataset", "method", "variant", "rate", "preset"]
 
@@ -70,11 +72,20 @@ class Line:
 
 @dataclass
 class Panel:
-    """The chart of a dataset at one preset and split, which its title names where there are several."""
+    """The chart of a dataset at one preset and split, which its title names where there are several.
+
+    Attributes:
+        mixed: the numbers were timed on several processors.
+    """
 
     title: str
     lines: list[Line]
     better: int = -1
+    mixed: bool = False
+
+    def axis(self, title: str) -> str:
+        """Title of the horizontal axis, which tells of times that do not compare."""
+        return f"{title}, several processors" if self.mixed else title
 
     @property
     def means(self) -> list[tuple[float, float]]:
@@ -196,7 +207,9 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
             _sort(line)
             if line.x and line.title not in told:
                 line.without_scenes()
-        panels.append(Panel(title, list(lines.values()), AXIS[against].better))
+        clock = _CLOCK.get(against)
+        mixed = clock is not None and clock in good and good[clock].nunique() > 1
+        panels.append(Panel(title, list(lines.values()), AXIS[against].better, mixed))
     return panels
 
 

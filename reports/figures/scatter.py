@@ -49,7 +49,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> Figure:
                 axis.plot(
                     line.x, line.y, "-", marker=symbol, color=look.color, markersize=size, linewidth=1.3
                 )
-            titled(axis, panel.title, data.AXIS[against].title, "PSNR [dB]")
+            titled(axis, panel.title, panel.axis(data.AXIS[against].title), "PSNR [dB]")
         if any(look is OTHERS for panel in panels for _, look in panel.looks(names)):
             legend_below(figure, {OTHERS_NAME: OTHERS})
         settle(figure)

@@ -21,7 +21,7 @@ def tradeoffs(results: pd.DataFrame, against: str) -> dict[str, Figure]:
 
 def _tradeoff(panel: data.Panel, against: str, names: list[str]) -> Figure:
     axis = data.AXIS[against]
-    x_axis = log_axis(panel.all_x, axis.title)
+    x_axis = log_axis(panel.all_x, panel.axis(axis.title))
     low, high = x_axis["range"]
     y_range = linear_range(panel.all_y, 2.0)
     traces: list[Any] = _dominated(panel, 10 ** (low if panel.better > 0 else high), y_range[0])

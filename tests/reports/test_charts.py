@@ -107,6 +107,17 @@ def test_rates_of_a_method_are_compared_on_the_seeds_that_all_of_them_have(maker
     assert [s.anchor for s in chart_sections(tables) if said in s.html] == ["rate-distortion", "tradeoffs"]
 
 
+def test_axes_tell_of_times_that_do_not_compare(maker):
+    maker.run(method="3dgs", processor="old", fit_processor="old")
+    maker.run(method="econgs", processor="new", fit_processor="old")
+    results = maker.tables()["results"]
+    titles = {x: plots.tradeoffs(results, x)["vortex"]["layout"]["xaxis"]["title"]["text"] for x in data.AXIS
+              if x != "peak_device_bytes"}  # fmt: skip
+    assert titles["fps"] == "frames per second, several processors"
+    assert titles["train_seconds"] == "training time per scene [s]"
+    assert not titles["size_bytes"].endswith("processors")
+
+
 def test_points_are_linked_to_rows(maker):
     maker.run(scene="a", method="ivr-gs", rate=64, views=0)
     traces = plots.tradeoffs(maker.tables()["results"], "fps")["vortex"]["data"]
