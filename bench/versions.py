@@ -75,7 +75,7 @@ def standing(records: Iterable[Record], sources: Mapping[str, Sequence[str]]) ->
 def _by_extent(by_id: dict[str, Record]) -> dict[str, Record]:
     """Learning of fewer scenes together than others of a dataset is no version but a dataset of its own.
 
-    A scene learned alone is a version, unless others were learned together with other seeds only.
+    A scene learned alone is a version, unless others were learned together with other seeds or options only.
     """
     extents = {name: _extent(record, by_id) for name, record in by_id.items()}
     most: dict[tuple[Any, ...], int] = defaultdict(int)

@@ -15,6 +15,7 @@ from reports.parts import OTHER
 from reports.protocols import comparable
 from reports.rate_distortion import split_rate, with_shared_seeds
 from reports.style import MIB, OTHERS, Look, label, look, mean_key, mib, named, options_of, seconds
+from reports.tables import distinct_processors
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -207,8 +208,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
             _sort(line)
             if line.x and line.title not in told:
                 line.without_scenes()
-        clock = _CLOCK.get(against)
-        mixed = clock is not None and clock in good and good[clock].nunique() > 1
+        mixed = against in _CLOCK and len(distinct_processors(good, _CLOCK[against])) > 1
         panels.append(Panel(title, list(lines.values()), AXIS[against].better, mixed))
     return panels
 

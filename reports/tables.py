@@ -145,12 +145,16 @@ def processors(results: pd.DataFrame) -> str:
     """That speeds and times are of several processors; "" if they are not, or it is not known."""
     told = []
     for column, what in (("processor", "rendering was timed"), ("fit_processor", "models were trained")):
-        every = [str(name) for name in results[column].dropna().unique()] if column in results else []
-        # What runs without native kernels does not name their instruction set.
-        names = [name for name in every if not any(other.startswith(f"{name},") for other in every)]
+        names = distinct_processors(results, column)
         if len(names) > 1:
             told.append(f"{what} on {' and on '.join(names)}")
     return f"Several processors: {'; '.join(told)}. Compare times of one." if told else ""
+
+
+def distinct_processors(results: pd.DataFrame, column: str) -> list[str]:
+    """Those that a column names. What runs without native kernels does not name their instruction set."""
+    every = [str(name) for name in results[column].dropna().unique()] if column in results else []
+    return [name for name in every if not any(other.startswith(f"{name},") for other in every)]
 
 
 def left_out(superseded: pd.DataFrame | None) -> str:

@@ -122,7 +122,7 @@ def _print(header: list[str], lines: list[list[str]]) -> None:
 
 
 def current(options: Namespace) -> dict[str, tuple[str, ...]]:
-    """Method -> hash of its source now, plugins included: what makes rows stale."""
+    """Method -> hashes that count as its source now, plugins included: other rows are stale."""
     from bench.provenance import current_sources
     from methods.registry import Registry
 

@@ -116,6 +116,10 @@ def test_axes_tell_of_times_that_do_not_compare(maker):
     assert titles["fps"] == "frames per second, several processors"
     assert titles["train_seconds"] == "training time per scene [s]"
     assert not titles["size_bytes"].endswith("processors")
+    maker.run(dataset="other", method="3dgs", processor="old")  # without native kernels: no instruction set
+    maker.run(dataset="other", method="econgs", processor="old, avx2")
+    (_, same) = data.tradeoff(maker.tables()["results"], "fps")
+    assert not same.mixed
 
 
 def test_points_are_linked_to_rows(maker):
