@@ -76,7 +76,7 @@ class Configuration:
     iterations: Mapping[str, int] = field(default_factory=dict)
 
 
-SHARED_SOURCE = ("methods.trainer", "methods.schedule", "methods.by_scene", "methods.saved")
+SHARED_SOURCE = ("methods.shared",)
 """What all built-in methods share: part of the ``source`` of each."""
 
 

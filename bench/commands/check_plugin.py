@@ -20,7 +20,7 @@ def check_plugin(options: Namespace) -> int:
     method = load_method(spec)
 
     from bench.worker import prepare_device
-    from methods.contract import Subject, run_checks
+    from methods.contract.checks import Subject, run_checks
 
     try:
         prepare_device(options.device, spec)

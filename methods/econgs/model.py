@@ -19,9 +19,10 @@ from econgs.context.arrays import Precision
 from econgs.context.container import Kind, overhead, read_container
 from econgs.context.stream import GroupAttributes, SceneAttributes, encode_group
 from econgs.splat.composite import over
-from methods.by_scene import ByScene, Direction, seconds, shading_edit
 from methods.interface import Edit, Refused, edits_by_scene
-from methods.saved import read_streams
+from methods.shared.edits import Direction, shading_edit
+from methods.shared.files import read_streams
+from methods.shared.model import ByScene, seconds
 
 SUFFIX = ".econgs"
 

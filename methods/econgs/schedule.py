@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from methods.schedule import AnchorSchedule
+from methods.shared.schedule import AnchorSchedule
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from methods.econgs.rent import contributions, some_views, who_stays
 from methods.econgs.schedule import Schedule
 from methods.econgs.start import starting_points
 from methods.interface import Checkpoint, OptionValue, Refused, SceneInput
-from methods.trainer import CHECK_EVERY, TrainingLoop, to_numpy, under
+from methods.shared.training import CHECK_EVERY, TrainingLoop, to_numpy, under
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from methods.gaussian_splatting.model import GaussianModel, load_model
 from methods.gaussian_splatting.training import Trainer
 from methods.interface import Model, OptionValue, SceneInput
-from methods.per_scene import PerScene
+from methods.shared.method import PerScene
 
 
 class GaussianSplatting(PerScene[GaussianModel]):

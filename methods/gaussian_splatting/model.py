@@ -17,10 +17,11 @@ from datasets.scene import RGB
 from econgs.splat.composite import over, thinned
 from econgs.splat.rasterise import rasterise
 from econgs.splat.sh import spherical_harmonics
-from methods.by_scene import ByScene, opacity_factors, seconds
 from methods.gaussian_splatting.ply import read_ply, write_ply
 from methods.interface import Edit, Refused
-from methods.saved import saved_files
+from methods.shared.edits import opacity_factors
+from methods.shared.files import saved_files
+from methods.shared.model import ByScene, seconds
 
 FORMAT = "econgs-bench 3dgs 1"
 SH_REST = 15  # coefficients above the DC part, degree 3

@@ -18,7 +18,7 @@ from methods.gaussian_splatting.initialise import initial_parameters
 from methods.gaussian_splatting.model import GaussianModel, SceneGaussians
 from methods.gaussian_splatting.schedule import Schedule
 from methods.interface import Checkpoint, OptionValue, Refused, SceneInput
-from methods.trainer import CHECK_EVERY, TrainingLoop, under
+from methods.shared.training import CHECK_EVERY, TrainingLoop, under
 
 PARAMETERS = ("means", "log_scales", "quats", "logits", "sh_dc", "sh_rest")
 LEARNING_RATES = {"log_scales": 5e-3, "quats": 1e-3, "sh_dc": 2.5e-3}

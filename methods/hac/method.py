@@ -8,7 +8,7 @@ from pathlib import Path
 from methods.hac.model import HacModel, load_model
 from methods.hac.training import Trainer
 from methods.interface import Model, OptionValue, SceneInput
-from methods.per_scene import PerScene
+from methods.shared.method import PerScene
 
 
 class Hac(PerScene[HacModel]):

@@ -16,8 +16,8 @@ from econgs.anchors.direct import ColorDecoders
 from econgs.context.model import Attributes
 from econgs.context.stream import GroupAttributes, encode_group
 from methods.interface import Refused
-from methods.saved import read_streams
 from methods.scaffold_gs.model import AnchorModel, SceneAnchors
+from methods.shared.files import read_streams
 
 SUFFIX = ".hac"
 _METHOD = "hac"

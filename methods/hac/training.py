@@ -16,7 +16,7 @@ from methods.hac.model import HacModel, metadata_of
 from methods.interface import Checkpoint
 from methods.scaffold_gs import training as scaffold_gs
 from methods.scaffold_gs.training import Prepared
-from methods.trainer import to_numpy
+from methods.shared.training import to_numpy
 
 LEAST_MASK = 0.01
 """An offset is there if the sigmoid of its mask exceeds this."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from methods.interface import Model, OptionValue, SceneInput
 from methods.ivr_gs.model import IvrModel, load_model
 from methods.ivr_gs.training import IvrTrainer
-from methods.per_scene import PerScene
+from methods.shared.method import PerScene
 
 
 class IvrGs(PerScene[IvrModel]):

@@ -18,9 +18,10 @@ from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
 from econgs.codebooks import quantise_scalars
 from econgs.splat.composite import over, thinned
 from econgs.splat.rasterise import Rasterised, rasterise
-from methods.by_scene import ByScene, Direction, seconds, shading_edit
 from methods.interface import Edit, Refused, edits_by_scene
-from methods.quantised_scene import Column, QuantisedScene, half_exact, read_folder
+from methods.shared.edits import Direction, shading_edit
+from methods.shared.model import ByScene, seconds
+from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, read_folder
 
 FORMAT = "econgs-bench ivr-gs 1"
 METHOD = "ivr-gs"

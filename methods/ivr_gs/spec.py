@@ -22,7 +22,6 @@ SPEC = replace(
     source=(
         "methods.ivr_gs",
         "methods.gaussian_splatting",
-        "methods.quantised_scene",
         "econgs.codebooks",
         "econgs.anchors.shading",
         *PLAIN.source[1:],

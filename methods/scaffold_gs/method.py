@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from methods.interface import Model, OptionValue, SceneInput
-from methods.per_scene import PerScene
 from methods.scaffold_gs.model import ScaffoldModel, load_model
 from methods.scaffold_gs.training import Trainer
+from methods.shared.method import PerScene
 
 
 class ScaffoldGS(PerScene[ScaffoldModel]):

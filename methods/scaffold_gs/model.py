@@ -22,10 +22,11 @@ from econgs.anchors.decode import Decoded, draw, masked, visible_anchors
 from econgs.anchors.direct import ColorDecoders, decode_colors
 from econgs.context.model import Attributes
 from econgs.splat.composite import over
-from methods.by_scene import ByScene, opacity_factors, seconds
 from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
 from methods.interface import Edit, Refused
-from methods.saved import saved_files
+from methods.shared.edits import opacity_factors
+from methods.shared.files import saved_files
+from methods.shared.model import ByScene, seconds
 
 FORMAT = "econgs-bench scaffold-gs 1"
 

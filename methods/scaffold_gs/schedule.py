@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from methods.schedule import AnchorSchedule
+from methods.shared.schedule import AnchorSchedule
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from econgs.splat.composite import over
 from methods.interface import Checkpoint, Model, OptionValue, Refused, SceneInput
 from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
-from methods.trainer import CHECK_EVERY, TrainingLoop, to_numpy, under
+from methods.shared.training import CHECK_EVERY, TrainingLoop, to_numpy, under
 
 Rate = tuple[float, float]
 """First and last learning rate; between them it decays log-linearly."""

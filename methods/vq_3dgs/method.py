@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from methods.interface import Model, OptionValue, SceneInput
-from methods.per_scene import PerScene
+from methods.shared.method import PerScene
 from methods.vq_3dgs.model import VqModel, load_model
 from methods.vq_3dgs.training import VqTrainer
 

@@ -13,7 +13,7 @@ from econgs.codebooks import quantise, quantise_scalars
 from econgs.splat.rasterise import MIN_ALPHA
 from methods.gaussian_splatting.model import SceneGaussians, SplatModel
 from methods.interface import Refused
-from methods.quantised_scene import Column, QuantisedScene, half_exact, read_folder
+from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, read_folder
 
 FORMAT = "econgs-bench vq-3dgs 1"
 GROUPS = {"color": 3, "sh1": 9, "sh2": 15, "sh3": 21, "scale": 3, "rotation": 4}

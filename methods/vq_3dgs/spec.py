@@ -21,7 +21,6 @@ SPEC = replace(
     source=(
         "methods.vq_3dgs",
         "methods.gaussian_splatting",
-        "methods.quantised_scene",
         "econgs.codebooks",
         "econgs.context.coder",
         *PLAIN.source[1:],

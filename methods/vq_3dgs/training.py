@@ -17,7 +17,7 @@ from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.model import SceneGaussians
 from methods.gaussian_splatting.training import LEARNING_RATES, PARAMETERS, Trainer
 from methods.interface import Checkpoint, OptionValue, SceneInput
-from methods.quantised_scene import QuantisedScene
+from methods.shared.quantised_scene import QuantisedScene
 from methods.vq_3dgs.model import GROUPS, VqModel, gaussians, quantised
 from methods.vq_3dgs.spec import SIZES
 

@@ -26,7 +26,7 @@ def test_an_installed_package_tells_the_commit_that_it_was_built_from(tmp_path, 
     assert provenance._commit() == "0123456789ab"
 
 
-FRAME = {"methods", "methods.interface", "methods.per_scene"}
+FRAME = {"methods", "methods.interface"}
 """What says how a method is called, not what it does."""
 BUILT_IN = [name for name in Registry().names() if Registry().origin(name).startswith("built in")]
 

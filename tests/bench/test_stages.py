@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from bench.stages import _refuse_without_volume
-from methods.contract_scene import tiny_scene
+from methods.contract.scene import tiny_scene
 from methods.gaussian_splatting.spec import SPEC
 from methods.interface import Refused
 

@@ -11,7 +11,7 @@ import torch
 from datasets.cloud import PointCloud
 from datasets.views import ViewSet
 from econgs.splat.rasterise import rasterise
-from methods.contract_scene import cameras, known_gaussians, look_at, tiny_scene
+from methods.contract.scene import cameras, known_gaussians, look_at, tiny_scene
 from methods.gaussian_splatting.spec import SPEC
 from methods.options import resolve
 

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 import torch
 
-from methods.contract import CHECKS, Subject, run_checks
+from methods.contract.checks import CHECKS, Subject, run_checks
 from methods.gaussian_splatting.method import GaussianSplatting
 from methods.gaussian_splatting.model import GaussianModel
 from methods.gaussian_splatting.spec import SPEC as PLAIN

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from methods.contract import CHECKS
+from methods.contract.checks import CHECKS
 
 TOY = Path(__file__).parents[2] / "examples" / "toy_blobs"
 

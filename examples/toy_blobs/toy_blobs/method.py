@@ -18,7 +18,7 @@ from econgs.optim import Adam
 from econgs.splat.composite import over, thinned
 from econgs.splat.rasterise import rasterise
 from methods.interface import Checkpoint, Diverged, Refused, edits_by_scene
-from methods.per_scene import PerScene
+from methods.shared.method import PerScene
 
 FORMAT = "toy-blobs 1"
 SUFFIX = ".blobs"

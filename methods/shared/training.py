@@ -14,7 +14,7 @@ from torch import Tensor
 
 from econgs.optim import Adam
 from methods.interface import Checkpoint, Diverged, Monitor
-from methods.schedule import Proportional
+from methods.shared.schedule import Proportional
 
 CHECK_EVERY = 100
 """Iterations between looks at whether parameters are finite."""

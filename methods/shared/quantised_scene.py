@@ -18,7 +18,7 @@ from torch import Tensor
 from datasets.errors import DataError
 from datasets.scene import RGB
 from econgs.codebooks import Codebook, code_ids, decode_ids, decoded, pack_ids, unpack_ids
-from methods.saved import saved_files
+from methods.shared.files import saved_files
 
 SUFFIX = ".safetensors"
 R = TypeVar("R")

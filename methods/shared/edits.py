@@ -1,53 +1,17 @@
-"""What models have in common that hold scenes by name."""
+"""Edits of models: checked and resolved to factors, palette color and light."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Generic, TypeVar
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
 
-from datasets.names import unknown
 from econgs.anchors.shading import Factors
 from methods.interface import Edit, Refused, edits_by_scene
 
-S = TypeVar("S")
 Direction = tuple[float, float, float]
-
-
-class ByScene(Generic[S]):
-    """Scenes under their names.
-
-    Args:
-        scenes: names, each once, with what is held of the scene.
-
-    Raises:
-        Refused: two scenes have the same name.
-    """
-
-    def __init__(self, scenes: Iterable[tuple[str, S]]) -> None:
-        pairs = list(scenes)
-        self._scenes = dict(pairs)
-        if len(self._scenes) != len(pairs):
-            raise Refused("two of the scenes to compose have the same name")
-
-    @property
-    def scenes(self) -> tuple[str, ...]:
-        """Names of the scenes it holds."""
-        return tuple(self._scenes)
-
-    def _find(self, scene: str) -> S:
-        """What is held of a scene.
-
-        Raises:
-            UnknownName: it does not hold that scene.
-        """
-        if scene not in self._scenes:
-            raise unknown("scene", scene, self._scenes, of="this model")
-        return self._scenes[scene]
 
 
 def opacity_factors(
@@ -106,10 +70,3 @@ def shading_edit(
         x, y, z = (direction / length).tolist()
         light = (x, y, z)
     return palette, light, Factors(**numbers)
-
-
-def seconds(like: torch.Tensor) -> float:
-    """The clock, once the tensor's device has done all it was asked to."""
-    if like.is_cuda:
-        torch.cuda.synchronize(like.device)
-    return time.perf_counter()

@@ -21,7 +21,7 @@ import torch
 
 from datasets.camera import Camera
 from datasets.errors import DataError
-from methods.contract_scene import away, cameras, tiny_scene
+from methods.contract.scene import away, cameras, tiny_scene
 from methods.interface import (
     Budget,
     Checkpoint,
@@ -262,7 +262,7 @@ def saved_and_loaded(subject: Subject) -> str:
         "rgb, alpha = model.render(camera)\n"
         "np.savez(folder + '/out.npz', rgb=rgb.cpu().numpy(), alpha=alpha.cpu().numpy())\n"
     )
-    root = str(Path(__file__).resolve().parents[1])
+    root = str(Path(__file__).resolve().parents[2])
     arguments = [subject.spec.name, subject.device, str(subject.folder), *map(str, subject.plugins)]
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments], cwd=root, capture_output=True, text=True, check=False
