@@ -5,7 +5,7 @@
 #include <cstring>
 #include <vector>
 
-#include "raster.h"
+#include "runtime.h"
 #include "threads.h"
 
 namespace econgs {

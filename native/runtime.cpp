@@ -1,4 +1,5 @@
-// Which kernels this processor can run, and memory that is handed round.
+#include "runtime.h"
+
 #include <algorithm>
 #include <atomic>
 #include <cstdlib>
@@ -10,9 +11,7 @@
 #include <pthread.h>
 #endif
 
-#include "raster.h"
-
-// Defined once per ISA by kernels_isa.cpp.
+// Defined once per ISA by kernels/isa.cpp.
 #define ECONGS_DECLARE(isa) \
   namespace isa {           \
   extern const econgs::Kernels kernels; \

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,35 +15,13 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from econgs.anchors.decoders import NETWORKS, Decoders
+from econgs.anchors.gaussians import ViewGaussians
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade, unit
 from econgs.splat.composite import thinned
-from econgs.splat.rasterise import Rasterised, choose_backend, rasterise
+from econgs.splat.rasterise import choose_backend
 
 MIN_QUATERNION = 1e-12  # a shorter quaternion is no rotation: the identity stands in
 Vector = Sequence[float] | NDArray[np.float64] | Tensor
-
-
-@dataclass(frozen=True)
-class Decoded:
-    """The Gaussians of one view that are not culled, in the order of their slots.
-
-    Attributes:
-        means: (M, 3).
-        quats: (M, 4) unit quaternions (w, x, y, z).
-        scales: (M, 3).
-        opacities: (M,) in (0, 1].
-        colors: (M, 3) shaded, in [0, 1].
-        slots: (M,) int64, anchor * K + offset, ascending.
-        raw_opacities: (N, K) tanh outputs of all, culled or not, without history: what pruning reads.
-    """
-
-    means: Tensor
-    quats: Tensor
-    scales: Tensor
-    opacities: Tensor
-    colors: Tensor
-    slots: Tensor
-    raw_opacities: Tensor
 
 
 def decode(
@@ -59,7 +37,7 @@ def decode(
     light: Vector | None = None,
     factors: Factors | None = None,
     backend: str | None = None,
-) -> Decoded:
+) -> ViewGaussians:
     """The neural editable Gaussians of N anchors as one camera sees them (ECoNGS, after Scaffold-GS).
 
     * Mean: x_a + Δx · s, s the first three scalings of the anchor.
@@ -104,7 +82,7 @@ def decode(
         backend = "torch"
     if choose_backend(anchors, backend) == "native":
         try:
-            decoded: Decoded = _native().decode(
+            decoded: ViewGaussians = _native().decode(
                 *inputs.values(), decoders=decoders, eye=view, light=toward, factors=factors
             )
         except ValueError:
@@ -130,7 +108,7 @@ def _torch_decode(
     eye: Tensor,
     light: Tensor | None,
     factors: Factors,
-) -> Decoded:
+) -> ViewGaussians:
     count, many = offsets.shape[:2]
     stored = features[:, decoders.features :]
     inputs = features[:, : decoders.features]
@@ -174,7 +152,7 @@ def _torch_decode(
     ranges = shading.new_tensor([MAX_SPECULAR * factors.specular, MAX_SHININESS * factors.shininess])
     coefficients = torch.cat([linear, torch.sigmoid(shading[:, 5:7]) * ranges], dim=1)
     base = palette + activate(shading[:, :3])
-    return Decoded(
+    return ViewGaussians(
         means,
         rotation(covariance[:, 3:]),
         scale[:, 3:] * torch.sigmoid(covariance[:, :3]),
@@ -273,39 +251,3 @@ def refuse_non_finite(inputs: dict[str, Tensor], decoders: Decoders) -> None:
         if len(bad):
             index = bad[0].tolist()
             raise ValueError(f"{name}{index} is {tensor[tuple(index)].item()}: every value must be finite")
-
-
-def masked(decoded: Decoded, masks: Tensor) -> Decoded:
-    """Without the Gaussians whose mask is 0; opacities and scales of the others carry its gradient (HAC).
-
-    Args:
-        decoded: of N anchors.
-        masks: (N, K), of 0 and 1.
-    """
-    each = masks.to(decoded.opacities.dtype).reshape(-1)
-    drawn = each.detach() > 0.0
-    stay = drawn.index_select(0, decoded.slots).nonzero()[:, 0]
-    slots = decoded.slots.index_select(0, stay)
-    factor = each.index_select(0, slots)
-    return Decoded(
-        decoded.means.index_select(0, stay),
-        decoded.quats.index_select(0, stay),
-        decoded.scales.index_select(0, stay) * factor[:, None],
-        decoded.opacities.index_select(0, stay) * factor,
-        decoded.colors.index_select(0, stay),
-        slots,
-        decoded.raw_opacities * drawn.view(decoded.raw_opacities.shape),
-    )
-
-
-def draw(decoded: Sequence[Decoded], camera: Camera, screen_offset: Tensor | None = None) -> Rasterised:
-    """Splat what was decoded of one or several scenes, concatenated and sorted once."""
-
-    def all_of(name: str) -> Tensor:
-        parts: list[Tensor] = [getattr(one, name) for one in decoded]
-        return parts[0] if len(parts) == 1 else torch.cat(parts)
-
-    means, quats, scales, opacities, colors = (
-        all_of(name) for name in ("means", "quats", "scales", "opacities", "colors")
-    )
-    return rasterise(means, quats, scales, opacities, colors, camera, screen_offset=screen_offset)

@@ -9,8 +9,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from econgs.anchors.decode import Decoded, Vector, rotation
+from econgs.anchors.decode import Vector, rotation
 from econgs.anchors.decoders import Decoder
+from econgs.anchors.gaussians import ViewGaussians
 from econgs.anchors.shading import unit
 from econgs.splat.composite import thinned
 from econgs.splat.rasterise import choose_backend
@@ -64,7 +65,7 @@ def decode_colors(
     *,
     opacity: float = 1.0,
     backend: str | None = None,
-) -> Decoded:
+) -> ViewGaussians:
     """The Gaussians of N anchors as one camera sees them; see :func:`econgs.anchors.decode.decode`.
 
     Means, culling, scales and quaternions are those of ECoNGS, which took them from here; the color is the
@@ -119,7 +120,7 @@ def _torch_decode(
     decoders: ColorDecoders,
     eye: Tensor,
     shown: bool,
-) -> Decoded:
+) -> ViewGaussians:
     count, many = offsets.shape[:2]
     inputs = torch.cat([features, unit(anchors - eye)], dim=1)
 
@@ -139,7 +140,7 @@ def _torch_decode(
     covariance = surviving("covariance")
     scale = scalings.index_select(0, anchor)
     moved = offsets.reshape(-1, 3).index_select(0, slots) * scale[:, :3]
-    return Decoded(
+    return ViewGaussians(
         anchors.index_select(0, anchor) + moved,
         rotation(covariance[:, 3:]),
         scale[:, 3:] * torch.sigmoid(covariance[:, :3]),
@@ -158,8 +159,8 @@ def _native_decode(
     decoders: ColorDecoders,
     eye: Tensor,
     shown: bool,
-) -> Decoded:
+) -> ViewGaussians:
     tensors = [one for name in NETWORKS for one in decoders.network(name).tensors()]
     native = importlib.import_module("econgs.anchors.native")
-    decoded: Decoded = native.decode_plain((anchors, features, scalings, offsets), tensors, eye, shown)
+    decoded: ViewGaussians = native.decode_plain((anchors, features, scalings, offsets), tensors, eye, shown)
     return decoded

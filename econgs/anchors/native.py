@@ -13,8 +13,8 @@ from torch import Tensor
 
 import econgs._native as _native
 import econgs.splat.native  # noqa: F401  (chooses instruction set and threads)
-from econgs.anchors.decode import Decoded
 from econgs.anchors.decoders import Decoders
+from econgs.anchors.gaussians import ViewGaussians
 from econgs.anchors.shading import Factors
 
 INPUTS = 6  # tensors before the weights: anchors, features, scalings, offsets, embedding, palette
@@ -76,7 +76,7 @@ class _Decode(torch.autograd.Function):
 
 def decode(
     *inputs: Tensor, decoders: Decoders, eye: Tensor, light: Tensor | None, factors: Factors
-) -> Decoded:
+) -> ViewGaussians:
     """What :func:`econgs.anchors.decode.decode` does; inputs as there, in its order, without the decoders.
 
     Raises:
@@ -87,10 +87,12 @@ def decode(
     outputs: tuple[Tensor, ...] = _Decode.apply(
         decoders.view_direction, sigmoid, eye, light, numbers, *inputs, *decoders.tensors()
     )
-    return Decoded(*outputs)
+    return ViewGaussians(*outputs)
 
 
-def decode_plain(inputs: Sequence[Tensor], weights: Sequence[Tensor], eye: Tensor, shown: bool) -> Decoded:
+def decode_plain(
+    inputs: Sequence[Tensor], weights: Sequence[Tensor], eye: Tensor, shown: bool
+) -> ViewGaussians:
     """What :func:`econgs.anchors.direct.decode_colors` does: three networks, sigmoid colors, no shading.
 
     Args:
@@ -104,4 +106,4 @@ def decode_plain(inputs: Sequence[Tensor], weights: Sequence[Tensor], eye: Tenso
     """
     none = (eye.new_zeros(0), eye.new_zeros(3))  # neither embedding nor palette
     factors = [float(shown), 1.0, 1.0, 1.0, 1.0]
-    return Decoded(*_Decode.apply(True, True, eye, None, factors, *inputs, *none, *weights))
+    return ViewGaussians(*_Decode.apply(True, True, eye, None, factors, *inputs, *none, *weights))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from econgs.splat.rasterise import Rasterised, choose_backend, rasterise
+from econgs.splat.rasterise import SplatImages, choose_backend, rasterise
 from econgs.splat.sh import spherical_harmonics
 
-__all__ = ["Rasterised", "choose_backend", "rasterise", "spherical_harmonics"]
+__all__ = ["SplatImages", "choose_backend", "rasterise", "spherical_harmonics"]

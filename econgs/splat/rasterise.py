@@ -23,7 +23,7 @@ MIN_ALPHA = 1.0 / 255.0
 
 
 @dataclass(frozen=True)
-class Rasterised:
+class SplatImages:
     """What :func:`rasterise` returns.
 
     Attributes:
@@ -50,7 +50,7 @@ def rasterise(
     near: float = 0.2,
     screen_offset: Tensor | None = None,
     backend: str | None = None,
-) -> Rasterised:
+) -> SplatImages:
     """Splats N Gaussians with C feature channels into one view (Kerbl et al. 2023, with EWA projection).
 
     All tensors share one floating dtype and device. Outputs but ``radii`` are differentiable with respect to
@@ -91,7 +91,7 @@ def rasterise(
     except ValueError:
         _find_bad(tensors)  # names the culprit in the same words for every backend
         raise
-    return Rasterised(*images)
+    return SplatImages(*images)
 
 
 def choose_backend(like: Tensor, backend: str | None = None) -> str:

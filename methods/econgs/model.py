@@ -13,8 +13,9 @@ from torch import Tensor
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.scene import RGB
-from econgs.anchors.decode import Decoded, decode, draw, visible_anchors
+from econgs.anchors.decode import decode, visible_anchors
 from econgs.anchors.decoders import Decoders
+from econgs.anchors.gaussians import ViewGaussians, draw
 from econgs.context.arrays import Precision
 from econgs.context.container import Kind, overhead, read_container
 from econgs.context.stream import GroupAttributes, SceneAttributes, encode_group
@@ -203,7 +204,7 @@ class EcongsModel(ByScene[tuple[Group, SceneAnchors]]):
             draw(decoded, camera)
             return {"decode": middle - start, "shade": 0.0, "rasterise": seconds(like) - middle}
 
-    def _decode(self, name: str, camera: Camera, edit: Edit | None) -> Decoded:
+    def _decode(self, name: str, camera: Camera, edit: Edit | None) -> ViewGaussians:
         group, scene = self._find(name)
         palette, light, factors = scene.palette, scene.light, None
         if edit is not None:

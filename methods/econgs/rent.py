@@ -9,14 +9,14 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
-from econgs.anchors.decode import Decoded
+from econgs.anchors.gaussians import ViewGaussians
 from econgs.splat.rasterise import rasterise
 
 VIEWS = 24
 """Training views that are asked, at most."""
 _HALVINGS = 6
 
-Decode = Callable[[Camera, Tensor], tuple[Decoded, Tensor]]
+Decode = Callable[[Camera, Tensor], tuple[ViewGaussians, Tensor]]
 """(camera, kept anchors) -> the decoded Gaussians, and the anchor of each."""
 Measure = Callable[[Sequence[int], Tensor], Tensor]
 """(views, kept anchors) -> (m,) mean squared errors, none of which may grow by more than is allowed."""

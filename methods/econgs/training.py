@@ -16,9 +16,10 @@ from datasets.camera import Camera
 from econgs.anchors.anchor_set import AnchorSet
 from econgs.anchors.coding import Coding
 from econgs.anchors.colors import offset_colors
-from econgs.anchors.decode import Decoded, decode, draw, visible_anchors
+from econgs.anchors.decode import decode, visible_anchors
 from econgs.anchors.decoders import Decoders, OffsetColor, Storage
 from econgs.anchors.folding import fold_embeddings
+from econgs.anchors.gaussians import ViewGaussians, draw
 from econgs.anchors.growing import AnchorRules
 from econgs.context.arrays import Precision, round_arrays
 from econgs.context.model import Attributes, ContextConfig
@@ -270,7 +271,7 @@ class Trainer(TrainingLoop):
         """Present lambda_e."""
         return float(self.options["rate_weight"]) * self.control.factor
 
-    def _decode(self, scene: _Scene, camera: Camera, positions: Tensor, values: Attributes) -> Decoded:
+    def _decode(self, scene: _Scene, camera: Camera, positions: Tensor, values: Attributes) -> ViewGaussians:
         """Gaussians of these anchors of a scene."""
         return decode(
             positions,
@@ -353,7 +354,7 @@ class Trainer(TrainingLoop):
         positions, values = scene.anchors.positions, self._attributes(scene)
         cameras, background = scene.given.train.cameras, scene.given.train.background
 
-        def frame(camera: Camera, kept: Tensor) -> tuple[Decoded, Tensor]:
+        def frame(camera: Camera, kept: Tensor) -> tuple[ViewGaussians, Tensor]:
             rows = (kept & visible_anchors(camera, positions, values.scalings)).nonzero()[:, 0]
             decoded = self._decode(scene, camera, positions.index_select(0, rows), values.of(rows))
             return decoded, rows[decoded.slots // scene.anchors.offsets]

@@ -11,7 +11,7 @@ from datasets.scene import RGB, WHITE
 from econgs.losses import photometric_loss
 from econgs.optim import Adam
 from econgs.splat.composite import over
-from econgs.splat.rasterise import Rasterised, rasterise
+from econgs.splat.rasterise import SplatImages, rasterise
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, capped_logits, grow
 from methods.gaussian_splatting.initialise import initial_parameters
@@ -143,7 +143,7 @@ class Trainer(TrainingLoop):
         image = self._image_loss(splats.features, splats.alpha, truth, back)
         return {"image": image}, offset, splats.radii
 
-    def _splat(self, features: torch.Tensor, camera: Camera) -> tuple[Rasterised, torch.Tensor | None]:
+    def _splat(self, features: torch.Tensor, camera: Camera) -> tuple[SplatImages, torch.Tensor | None]:
         """Features splatted, and the screen offsets of :meth:`_losses`."""
         now = self.optimiser
         offset = None

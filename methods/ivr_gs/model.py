@@ -17,7 +17,7 @@ from datasets.scene import RGB
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
 from econgs.codebooks import quantise_scalars
 from econgs.splat.composite import over, thinned
-from econgs.splat.rasterise import Rasterised, rasterise
+from econgs.splat.rasterise import SplatImages, rasterise
 from methods.interface import Edit, Refused, edits_by_scene
 from methods.shared.edits import Direction, shading_edit
 from methods.shared.model import ByScene, seconds
@@ -277,7 +277,7 @@ class IvrModel(ByScene[ShadedGaussians]):
 
     def _rasterise(
         self, names: Sequence[str], colors: Sequence[Tensor], edits: Mapping[str, Edit], camera: Camera
-    ) -> Rasterised:
+    ) -> SplatImages:
         shown = [self.gaussians(name) for name in names]
         factors = [edits[name].opacity if name in edits else None for name in names]
         opacities = [

@@ -13,7 +13,7 @@ from datasets.scene import RGB, WHITE
 from econgs.anchors.shading import MIN_NORMAL, Factors
 from econgs.losses import ssim
 from econgs.optim import Adam
-from econgs.splat.rasterise import MIN_ALPHA, Rasterised
+from econgs.splat.rasterise import MIN_ALPHA, SplatImages
 from methods.gaussian_splatting.densify import GrowthStatistics
 from methods.gaussian_splatting.training import LEARNING_RATES, Trainer
 from methods.interface import Checkpoint, OptionValue, SceneInput
@@ -134,7 +134,7 @@ class IvrTrainer(Trainer):
         return losses, offset, splats.radii
 
     def _common_losses(
-        self, splats: Rasterised, camera: Camera, truth: Tensor, back: RGB | Tensor
+        self, splats: SplatImages, camera: Camera, truth: Tensor, back: RGB | Tensor
     ) -> dict[str, Tensor]:
         """What both stages ask for: the picture, the mask and normals."""
         losses = {"image": self._image_loss(splats.features[..., :3], splats.alpha, truth, back)}

@@ -18,8 +18,9 @@ from torch import Tensor
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.scene import RGB
-from econgs.anchors.decode import Decoded, draw, masked, visible_anchors
+from econgs.anchors.decode import visible_anchors
 from econgs.anchors.direct import ColorDecoders, decode_colors
+from econgs.anchors.gaussians import ViewGaussians, draw, masked
 from econgs.context.model import Attributes
 from econgs.splat.composite import over
 from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
@@ -110,7 +111,7 @@ class AnchorModel(ByScene[SceneAnchors]):
             draw(decoded, camera)
             return {"decode": middle - start, "shade": 0.0, "rasterise": seconds(like) - middle}
 
-    def _decode(self, name: str, camera: Camera, opacity: float | None) -> Decoded:
+    def _decode(self, name: str, camera: Camera, opacity: float | None) -> ViewGaussians:
         scene, factor = self.anchors(name), 1.0 if opacity is None else opacity
         rows = visible_anchors(camera, scene.positions, scene.values.scalings).nonzero()[:, 0]
         decoded = decode_colors(

@@ -13,8 +13,9 @@ from torch import Tensor
 
 from datasets.cloud import random_cloud
 from econgs.anchors.anchor_set import AnchorSet
-from econgs.anchors.decode import draw, masked, visible_anchors
+from econgs.anchors.decode import visible_anchors
 from econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
+from econgs.anchors.gaussians import draw, masked
 from econgs.anchors.growing import AnchorRules
 from econgs.context.model import Attributes
 from econgs.losses import photometric_loss

@@ -15,8 +15,9 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.errors import UnknownName
-from econgs.anchors.decode import Decoded, decode, visible_anchors
+from econgs.anchors.decode import decode, visible_anchors
 from econgs.anchors.decoders import NETWORKS, Decoders
+from econgs.anchors.gaussians import ViewGaussians
 from econgs.anchors.shading import Factors
 from econgs.splat import rasterise
 
@@ -111,7 +112,7 @@ def case(request: pytest.FixtureRequest) -> Case:
 
 @dataclass
 class Run:
-    decoded: Decoded
+    decoded: ViewGaussians
     outputs: dict[str, Tensor]
     gradients: dict[str, Tensor]
 

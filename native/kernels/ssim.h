@@ -10,7 +10,7 @@
 // What is filtered down lies in planes with SSIM_RADIUS more rows above and below, which hold the padding.
 #pragma once
 
-#include "kernels.h"
+#include "table.h"
 #include "simd.h"
 
 namespace ECONGS_ISA {

@@ -1,11 +1,12 @@
-// Decoding the anchors of one view: what drives the kernels of decode.h.
+// Decoding the anchors of one view: packed weights, blocks and threads around the kernels of
+// kernels/decoder_block.h.
 #pragma once
 
 #include <cstdint>
 #include <memory>
 #include <vector>
 
-#include "raster.h"
+#include "runtime.h"
 
 namespace econgs {
 

@@ -3,35 +3,11 @@
 
 #include <cstdint>
 #include <memory>
-#include <string>
 #include <vector>
 
-#include "kernels.h"
+#include "runtime.h"
 
 namespace econgs {
-
-// Instruction sets: those built in, those this processor has, and the one in use.
-const std::vector<const Kernels*>& built_kernels();
-bool supported(const Kernels&);
-const Kernels& kernels();
-void use_kernels(const Kernels&);
-
-// Memory that is handed round: a training run asks for the same few sizes in every iteration, and fresh pages
-// from the system would cost as much as the work on them.
-class Buffer {
- public:
-  Buffer() = default;
-  explicit Buffer(size_t bytes);
-  ~Buffer();
-  Buffer(Buffer&& other) noexcept;
-  Buffer& operator=(Buffer&& other) noexcept;
-  template <class T>
-  T* as() const { return static_cast<T*>(data_); }
-
- private:
-  void* data_ = nullptr;
-  size_t bytes_ = 0;
-};
 
 struct FrameStatistics {
   double project = 0, sort = 0, bin = 0, blend = 0, blend_backward = 0, project_backward = 0;  // seconds

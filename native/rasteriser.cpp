@@ -1,4 +1,4 @@
-#include "raster.h"
+#include "rasteriser.h"
 
 #include <algorithm>
 #include <atomic>

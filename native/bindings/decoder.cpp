@@ -1,9 +1,9 @@
 // Bindings of the anchors' decoders; econgs/anchors/native.py is their only caller.
-#include "module.h"
+#include "arrays.h"
 
 #include <nanobind/stl/vector.h>
 
-#include "decoding.h"
+#include "decoder.h"
 
 namespace econgs {
 namespace {

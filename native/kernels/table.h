@@ -5,7 +5,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "decode_types.h"
+#include "decoder_types.h"
 
 namespace econgs {
 
@@ -119,7 +119,7 @@ struct Kernels {
   void (*ssim_gradient)(const float* x, const float* y, const float* partials, float* grad, int64_t n,
                         int64_t height, int64_t begin, int64_t end, float absolute, float structural);
   double (*absolute)(const float* x, const float* y, int64_t n);
-  // Decoding a block of anchors (see decode.h).
+  // Decoding a block of anchors (see decoder_block.h).
   int64_t (*decode_scratch)(const DecodeShape&);
   int64_t (*decode_opacity)(const DecodeShape&, const DecodeInputs&, const DecodeView&, const DecodeWeights&,
                             int64_t begin, int64_t end, float* raw, float* rows, float* scratch);

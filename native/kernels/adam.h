@@ -1,24 +1,12 @@
 // Adam (Kingma and Ba 2015), and the fixed piece of work that speeds of different moments are compared by.
 #pragma once
 
-#include "kernels.h"
+#include "table.h"
 #include "simd.h"
 
 namespace ECONGS_ISA {
 
 using namespace econgs;
-
-// Flush denormals while moments of Gaussians long unseen fade away: they would cost a hundred cycles each.
-struct Flush {
-#if defined(__SSE2__)
-  unsigned int before = _mm_getcsr();
-  Flush() { _mm_setcsr(before | 0x8040u); }
-  ~Flush() { _mm_setcsr(before); }
-#else
-  Flush() {}
-  ~Flush() {}
-#endif
-};
 
 static void adam(float* p, const float* g, float* m, float* v, int64_t n, const AdamRates& r) {
   const Flush flush;

@@ -1,4 +1,4 @@
-#include "decoding.h"
+#include "decoder.h"
 
 #include <algorithm>
 #include <cstring>

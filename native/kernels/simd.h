@@ -218,4 +218,16 @@ INLINE vf exp2(vf x) {
   return (vf)((vi)y + ((vi)shifted << 23));
 }
 
+// Flush denormals (moments of Gaussians long unseen fade away): each would cost a hundred cycles.
+struct Flush {
+#if defined(__SSE2__)
+  unsigned int before = _mm_getcsr();
+  Flush() { _mm_setcsr(before | 0x8040u); }
+  ~Flush() { _mm_setcsr(before); }
+#else
+  Flush() {}
+  ~Flush() {}
+#endif
+};
+
 }  // namespace ECONGS_ISA

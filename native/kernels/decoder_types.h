@@ -1,4 +1,5 @@
-// What the decoder's kernels (decode.h) and the code that drives them (decode.cpp) share. No std:: here (see simd.h).
+// The structs that the decoder's kernel (decoder_block.h) shares with its driver (../decoder.cpp). No std:: here (see
+// simd.h).
 #pragma once
 
 #include <stddef.h>

@@ -5,7 +5,7 @@
 // in the mask where something was blended, so backward visits exactly those blocks.
 #pragma once
 
-#include "kernels.h"
+#include "table.h"
 #include "simd.h"
 
 namespace ECONGS_ISA {

@@ -1,8 +1,8 @@
 // The kernels for one instruction set: CMakeLists.txt compiles this file once per ISA, with
 // -DECONGS_ISA=<name> -DECONGS_LANES=<floats per vector> and that ISA's flags.
 #include "blend.h"
-#include "decode.h"
-#include "optimise.h"
+#include "decoder_block.h"
+#include "adam.h"
 #include "project.h"
 #include "sh.h"
 #include "ssim.h"

@@ -1,5 +1,5 @@
 // Bindings of the binary hash grids; econgs/context/hash_grid.py is their only caller.
-#include "module.h"
+#include "arrays.h"
 
 #include <nanobind/stl/vector.h>
 

@@ -1,6 +1,6 @@
 // The Python module econgs._native: takes NumPy arrays (quicker than DLPack from torch), releases the GIL at work.
 // econgs/splat/native.py is its only caller and documents what the functions mean.
-#include "module.h"
+#include "arrays.h"
 
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "raster.h"
+#include "rasteriser.h"
 #include "threads.h"
 
 using namespace econgs;

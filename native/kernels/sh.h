@@ -1,7 +1,7 @@
 // Colors from real spherical harmonics, max(0, 1/2 + sum c_k Y_k(d)), and their gradients.
 #pragma once
 
-#include "kernels.h"
+#include "table.h"
 #include "simd.h"
 
 namespace ECONGS_ISA {

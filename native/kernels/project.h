@@ -3,7 +3,7 @@
 // In double: the cost is small beside blending, and centres in pixels keep their accuracy in large images.
 #pragma once
 
-#include "kernels.h"
+#include "table.h"
 #include "simd.h"
 
 extern "C" double log2(double) noexcept;  // libm's, declared here to keep <cmath> and its templates out

@@ -6,10 +6,9 @@
 // spills over is overwritten by the next run.
 #pragma once
 
-#include "decode_types.h"
+#include "decoder_types.h"
 #include "gemm.h"
-#include "kernels.h"
-#include "optimise.h"
+#include "table.h"
 #include "simd.h"
 
 namespace ECONGS_ISA {

@@ -1,0 +1,73 @@
+"""The Gaussians of one view: what decoding anchors gives, masking and splatting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from datasets.camera import Camera
+from econgs.splat.rasterise import SplatImages, rasterise
+
+
+@dataclass(frozen=True)
+class ViewGaussians:
+    """The Gaussians of one view that are not culled, in the order of their slots.
+
+    Attributes:
+        means: (M, 3).
+        quats: (M, 4) unit quaternions (w, x, y, z).
+        scales: (M, 3).
+        opacities: (M,) in (0, 1].
+        colors: (M, 3) shaded, in [0, 1].
+        slots: (M,) int64, anchor * K + offset, ascending.
+        raw_opacities: (N, K) tanh outputs of all, culled or not, without history: what pruning reads.
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    colors: Tensor
+    slots: Tensor
+    raw_opacities: Tensor
+
+
+def masked(decoded: ViewGaussians, masks: Tensor) -> ViewGaussians:
+    """Without the Gaussians whose mask is 0; opacities and scales of the others carry its gradient (HAC).
+
+    Args:
+        decoded: of N anchors.
+        masks: (N, K), of 0 and 1.
+    """
+    each = masks.to(decoded.opacities.dtype).reshape(-1)
+    drawn = each.detach() > 0.0
+    stay = drawn.index_select(0, decoded.slots).nonzero()[:, 0]
+    slots = decoded.slots.index_select(0, stay)
+    factor = each.index_select(0, slots)
+    return ViewGaussians(
+        decoded.means.index_select(0, stay),
+        decoded.quats.index_select(0, stay),
+        decoded.scales.index_select(0, stay) * factor[:, None],
+        decoded.opacities.index_select(0, stay) * factor,
+        decoded.colors.index_select(0, stay),
+        slots,
+        decoded.raw_opacities * drawn.view(decoded.raw_opacities.shape),
+    )
+
+
+def draw(
+    decoded: Sequence[ViewGaussians], camera: Camera, screen_offset: Tensor | None = None
+) -> SplatImages:
+    """Splat what was decoded of one or several scenes, concatenated and sorted once."""
+
+    def all_of(name: str) -> Tensor:
+        parts: list[Tensor] = [getattr(one, name) for one in decoded]
+        return parts[0] if len(parts) == 1 else torch.cat(parts)
+
+    means, quats, scales, opacities, colors = (
+        all_of(name) for name in ("means", "quats", "scales", "opacities", "colors")
+    )
+    return rasterise(means, quats, scales, opacities, colors, camera, screen_offset=screen_offset)
