@@ -1,4 +1,4 @@
-"""The documented tables (docs/architecture.md), derived from the records and from nothing else."""
+"""The documented tables (docs/concepts/architecture.md), derived from the records and from nothing else."""
 
 from __future__ import annotations
 

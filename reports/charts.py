@@ -35,7 +35,7 @@ def figures(tables: dict[str, pd.DataFrame]) -> dict[str, Callable[[], Figure]]:
     """File name -> what draws it, for all charts that have data.
 
     Args:
-        tables: results, curve, ledger, timing and features as documented in docs/architecture.md.
+        tables: results, curve, ledger, timing and features as documented in docs/concepts/architecture.md.
     """
     results, curve = tables["results"], tables["curve"]
     names = series(results, curve)

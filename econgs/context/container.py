@@ -1,4 +1,4 @@
-"""The container of a bitstream: a table of sections, each with its length and checksum (docs/bitstream.md).
+"""The container of a bitstream: a table of sections, each with its length and checksum (docs/reference/bitstream.md).
 
 Nothing is read beyond what the table announces, nothing announced is believed before it fits the data's
 length, and a section whose checksum differs is never looked into.

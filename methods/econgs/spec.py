@@ -130,12 +130,12 @@ SPEC = MethodSpec(
             minimum=0.0,
         ),
     },
-    # So short a fit cannot train as many anchors: half of them, for 0.15 to 0.3 dB (docs/econgs.md).
+    # So short a fit cannot train as many anchors: half of them, for 0.15 to 0.3 dB (docs/concepts/econgs.md).
     presets={"quick": {"growth_gradient": 6e-4, "alpha_weight": 0.2}, "standard": {}, "paper": {}},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={
         "fair": Configuration(),
-        # What the paper states and what its code base implies where it is silent (docs/econgs.md).
+        # What the paper states and what its code base implies where it is silent (docs/concepts/econgs.md).
         "paper": Configuration(
             {
                 "feature_step": 1.0,

@@ -132,7 +132,7 @@ def test_documented_columns_are_those_written() -> None:
     import re
     from pathlib import Path
 
-    text = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "concepts" / "architecture.md").read_text(encoding="utf-8")
     said = re.search(r"`results`: `([^`]*)`[^`]*`([^`]*)`", text)
     names = [n.strip() for part in said.groups() for n in part.replace("\n", " ").split(",")]
     assert names == list(COLUMNS["results"])

@@ -1,4 +1,4 @@
-"""docs/datasets.md says what the catalogue has, and its example of an entry is one."""
+"""docs/guide/data.md says what the catalogue has, and its example of an entry is one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from datasets.catalogue import entries, list_datasets
 from datasets.catalogue.opening import _scenes
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE = (DOCS / "datasets.md").read_text(encoding="utf-8")
+PAGE = (DOCS / "guide" / "data.md").read_text(encoding="utf-8")
 ROWS = {
     name: (samples, int(scenes))
     for name, samples, scenes in re.findall(r"^\| `(\w+)` \| (\S+) \| (\d+) \|", PAGE, re.M)
@@ -21,8 +21,8 @@ ROWS = {
 
 def test_every_entry_is_described() -> None:
     described = set(ROWS)
-    if (DOCS / "procedural.md").exists():
-        described |= set(re.findall(r"`(\w+)`", (DOCS / "procedural.md").read_text(encoding="utf-8")))
+    if (DOCS / "reference" / "procedural.md").exists():
+        described |= set(re.findall(r"`(\w+)`", (DOCS / "reference" / "procedural.md").read_text(encoding="utf-8")))
     assert not set(entries.names()) - described
 
 

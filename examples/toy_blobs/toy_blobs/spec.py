@@ -5,7 +5,7 @@ from methods.interface import MethodSpec, Option
 SPEC = MethodSpec(
     name="toy-blobs",
     title="Round blobs at the points of the cloud",
-    reference="docs/add-a-method.md",
+    reference="docs/guide/add-a-method.md",
     version="1",
     implementation="toy_blobs.method:ToyBlobs",
     source=("toy_blobs",),
