@@ -30,7 +30,7 @@ def write_files(tables: dict[str, pd.DataFrame], folder: Path, measured: Sequenc
     volumes was measured.
 
     Args:
-        tables: results, views, curve, ledger, timing, features and dvr as documented in docs/concepts/architecture.md.
+        tables: results, views, curve, ledger, timing, features and dvr (docs/concepts/architecture.md).
         folder: where to; made if it is missing.
         measured: the paper's tables of the same rows.
     """

@@ -53,7 +53,7 @@ def read_results(path: Path) -> dict[str, pd.DataFrame]:
 
     Args:
         path: a CSV file with a header, or a Parquet file, with at least the columns :data:`NEEDED`; others
-            as documented in docs/concepts/architecture.md are used, unknown ones ignored. A row without ``psnr`` is
+            of docs/concepts/architecture.md are used, unknown ones ignored. A row without ``psnr`` is
             one that failed.
 
     Raises:

@@ -34,7 +34,7 @@ def write_report(
     Beside it go the files of :func:`reports.files.write_files`, and panels of pictures into ``charts/``.
 
     Args:
-        tables: results, views, curve, ledger, timing, features and dvr as documented in docs/concepts/architecture.md.
+        tables: results, views, curve, ledger, timing, features and dvr (docs/concepts/architecture.md).
         root: run store that the picture paths in ``views`` are relative to.
         out: the HTML file.
         measured: the paper's tables of the same rows, where the caller has made them.

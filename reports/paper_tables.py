@@ -35,7 +35,7 @@ def paper_tables(
     """The tables that have something to compare: two measured rows, or one beside its published values.
 
     Args:
-        results: as documented in docs/concepts/architecture.md; edited rows and other rates than the default take
+        results: see docs/concepts/architecture.md; edited rows and other rates than the default take
             no part. Quality and FPS are means over scenes, size, time and anchors are sums. In tables of one
             method those seeds count that all its rows have.
         views: the documented table, which decides whether quality can be ranked.

@@ -1,8 +1,8 @@
 """Scenes that share decoders and a context model, as one self-contained stream of bytes and back.
 
 ``decode_group(encode_group(group).data)`` gives the attributes rounded to multiples of their steps, bit for
-bit the same wherever it runs: whole-number symbols times steps from a table, in float32. docs/reference/bitstream.md
-describes the format.
+bit the same wherever it runs: whole-number symbols times steps from a table, in float32.
+docs/reference/bitstream.md describes the format.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The toy method of docs/guide/add-a-method.md: installed as an outsider would, and found to keep the contract."""
+"""The toy method of docs/guide/add-a-method.md: installed from outside, held to the contract."""
 
 import os
 import subprocess
