@@ -1,4 +1,4 @@
-"""The container of a bitstream (docs/reference/bitstream.md): a table of sections, each with length and checksum.
+"""The container of a bitstream (docs/reference/bitstream.md): a table of sections with lengths and checksums.
 
 Nothing is read beyond what the table announces, nothing announced is believed before it fits the data's
 length, and a section whose checksum differs is never looked into.

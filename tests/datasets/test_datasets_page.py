@@ -21,7 +21,9 @@ ROWS = {
 
 def test_every_entry_is_described() -> None:
     described = set(ROWS)
-    described |= set(re.findall(r"`(\w+)`", (DOCS / "reference" / "procedural.md").read_text(encoding="utf-8")))
+    described |= set(
+        re.findall(r"`(\w+)`", (DOCS / "reference" / "procedural.md").read_text(encoding="utf-8"))
+    )
     assert not set(entries.names()) - described
 
 
