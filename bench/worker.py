@@ -81,13 +81,13 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
     spec: MethodSpec | None = None
     context = None
     try:
-        from bench.stages import Context, run_stage
+        from bench.jobs.context import Context, run_job
 
         spec = _spec(task)
         if spec is not None:
             prepare_device(job.device, spec)
         context = Context(job, folder, store, spec, _loader(spec, task.threads), stop, report)
-        fields = run_stage(context)
+        fields = run_job(context)
     except Refused as error:
         status, reason = "refused", str(error)
     except Diverged as error:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.measure import premultiplied
+from bench.jobs.measure import premultiplied
 from bench.monitor import as_numpy
 from bench.store import Store
 from datasets.errors import DataError
@@ -98,7 +98,7 @@ def _picture(model: Model, camera: Camera, scenes: list[str], edit: Mapping[str,
 
 def _model(options: Namespace):  # type: ignore[no-untyped-def]
     """The model of a finished encode or measure job, and what it is to show if nobody says."""
-    from bench.measure import load_models
+    from bench.jobs.measure import load_models
     from bench.worker import prepare_device
     from methods.interface import Refused
     from methods.registry import Registry, load_method

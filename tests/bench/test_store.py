@@ -10,8 +10,8 @@ import pytest
 
 from bench.__main__ import TABLES
 from bench.commands.stores import paired
+from bench.jobs.encode import check_ledger
 from bench.records import EncodeResult, Job, Record, Request, derived_seed, hash_of
-from bench.stages import check_ledger
 from bench.store import Store
 from bench.tables import COLUMNS, frame, rows, share
 from datasets.errors import DataError

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
 
 from bench.inputs import open_dataset, view_request
+from bench.jobs.context import Context
 from bench.records import DvrResult
 from bench.timing import mean_of, reference_seconds, time_frames
 from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
 from datasets.render_views import live_renderer
 
-if TYPE_CHECKING:
-    from bench.stages import Context
 
-
-def time_renderer(context: Context) -> DvrResult:
+def run(context: Context) -> DvrResult:
     """Time one view after the other on the test path, as an interactive viewer would draw them.
 
     Nothing comes from the cache of views, where several small views share a launch and nobody waits for one.

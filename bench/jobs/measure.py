@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.edits import edit_of
+from bench.jobs.context import Context
+from bench.jobs.views import read_cameras
 from bench.monitor import as_numpy
 from bench.records import MeasureResult, ViewResult
 from bench.timing import (
@@ -24,11 +26,10 @@ from datasets.memory import peak_host_bytes
 from methods.interface import HasAttributes, Method, Model, Refused
 
 if TYPE_CHECKING:
-    from bench.stages import Context
     from datasets.scene import RGB
 
 
-def measure(context: Context) -> MeasureResult:
+def run(context: Context) -> MeasureResult:
     """Load, time and render a scene (or a composition's scenes together), then compare with the ground truth.
 
     Memory is read before the ground truth and the metrics come into the process.
@@ -37,8 +38,6 @@ def measure(context: Context) -> MeasureResult:
         Refused: the scenes are in several models and the method cannot render those together, or it cannot
             make the edit.
     """
-    from bench.stages import read_cameras
-
     job, scenes = context.job, list(context.job.scenes)
     encodes = context.all_needed("encode")
     if context.spec is not None and len(encodes) > 1 and not context.spec.composable:

@@ -1,0 +1,1 @@
+"""The kinds of jobs: a module each, run in a process of its own (see ``bench.worker``)."""

@@ -1,0 +1,58 @@
+"""What a job works with, and which module runs it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from bench.monitor import Progress, Stop
+from bench.records import Job, Record
+from bench.store import Store
+from methods.interface import Method, MethodSpec
+
+
+@dataclass
+class Context:
+    """What a job works with.
+
+    Attributes:
+        folder: where its files go.
+        store: finished jobs it may read.
+        spec: of the method (None for views and dvr).
+        method: loads its implementation.
+        peak_host_bytes, peak_device_bytes: of the part that counts, where that is not the whole process.
+    """
+
+    job: Job
+    folder: Path
+    store: Store
+    spec: MethodSpec | None
+    method: Callable[[], Method]
+    stop: Stop
+    report: Progress
+    peak_host_bytes: int | None = None
+    peak_device_bytes: int | None = None
+
+    def needed(self, kind: str) -> Record:
+        """The finished job of that kind that this one builds on."""
+        return self.all_needed(kind)[0]
+
+    def all_needed(self, kind: str) -> list[Record]:
+        """The finished jobs of that kind that this one builds on, at least one."""
+        names = [name for name in self.job.needs if name.startswith(f"{kind}-")]
+        records = [record for record in map(self.store.record, names) if record is not None and record.ok]
+        if not records or len(records) < len(names):
+            raise RuntimeError(f"{self.job.id} needs a finished {kind} job, and there is none")
+        return records
+
+    def path_of(self, record: Record) -> Path:
+        return self.store.jobs / record.job.id
+
+
+def run_job(context: Context) -> dict[str, Any]:
+    """Run a job by the module of its kind; returns the fields of its record that it fills."""
+    kind = context.job.kind
+    return {kind: import_module(f"bench.jobs.{kind}").run(context)}

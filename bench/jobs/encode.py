@@ -1,0 +1,75 @@
+"""The encode job: saves a trained model at a rate."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Mapping
+
+from bench.checkpoints import read_checkpoint
+from bench.inputs import scene_inputs
+from bench.jobs.context import Context
+from bench.jobs.fit import fit_seed
+from bench.records import EncodeResult
+from bench.timing import synchronise
+from methods.interface import Budget, Checkpoint, Model
+
+
+class SilentMonitor:
+    """Given to ``fit`` where it only returns the model of a finished checkpoint."""
+
+    def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
+        raise RuntimeError("the method trains although it was given the checkpoint of a finished fit")
+
+    def due(self, iteration: int) -> bool:
+        return False
+
+    def pause(self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]) -> None:
+        pass
+
+    def stage(self, name: str) -> None:
+        pass
+
+
+def run(context: Context) -> EncodeResult:
+    """Restore the model of a fit from its checkpoint and save it; the ledger must cover the files."""
+    job = context.job
+    found = read_checkpoint(context.path_of(context.needed("fit")) / "checkpoint")
+    if found is None:
+        raise RuntimeError("the fit has no checkpoint")
+    context.report(stage="loading")
+    scenes = scene_inputs(job)
+    method = context.method()
+    assert job.iterations is not None
+    model = method.fit(
+        scenes, job.options, Budget(job.iterations), fit_seed(job), job.device, SilentMonitor(), found[0]
+    )
+    folder = context.folder / "model"
+    if folder.exists():
+        shutil.rmtree(folder)
+    folder.mkdir()
+    context.report(stage="encode")
+    start = time.perf_counter()
+    ledger = {scene: dict(parts) for scene, parts in model.save(folder, job.rate).items()}
+    synchronise(job.device)
+    seconds = time.perf_counter() - start
+    total = sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
+    check_ledger(ledger, total, job.scenes)
+    return EncodeResult(seconds=seconds, total_bytes=total, ledger=ledger)
+
+
+def check_ledger(ledger: Mapping[str, Mapping[str, int]], total: int, scenes: tuple[str, ...]) -> None:
+    """Refuse a byte ledger that is not about these scenes or does not sum to the files' size.
+
+    Raises:
+        RuntimeError: saying by how much, or what is in it that should not be.
+    """
+    foreign = [name for name in ledger if name and name not in scenes]
+    if foreign:
+        raise RuntimeError(f"byte ledger names scenes that are not in the group: {', '.join(foreign)}")
+    negative = [f"{s}/{p}" for s, parts in ledger.items() for p, n in parts.items() if n < 0]
+    if negative:
+        raise RuntimeError(f"byte ledger has negative entries: {', '.join(negative)}")
+    claimed = sum(sum(parts.values()) for parts in ledger.values())
+    if claimed != total:
+        raise RuntimeError(f"byte ledger sums to {claimed} bytes, the saved files have {total}")

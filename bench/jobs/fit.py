@@ -1,0 +1,91 @@
+"""The fit job: trains a model of a group of scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bench.inputs import scene_inputs
+from bench.jobs.context import Context
+from bench.jobs.views import read_cameras
+from bench.monitor import FitMonitor
+from bench.records import FitResult, Job, derived_seed
+from bench.timing import mean_of, reference_seconds, synchronise
+from datasets.views import ViewSet
+from methods.interface import Budget, MethodSpec, Refused, SceneInput
+
+CURVE_VIEWS = 4
+"""Of each scene, for anytime evaluations."""
+
+
+def run(context: Context) -> FitResult:
+    """Train a model, or continue from the checkpoint of an earlier attempt."""
+    job = context.job
+    context.report(stage="loading")
+    scenes = scene_inputs(job)
+    method = context.method()
+    refuse_without_volume(context.spec, scenes)
+    assert job.iterations is not None
+    held_out = {scene.name: _curve_views(context, scene.name) for scene in scenes}
+    monitor = FitMonitor(
+        context.folder / "checkpoint", job.iterations, held_out, context.report, context.stop
+    )
+    resume = monitor.resume()
+    before = reference_seconds()
+    context.stop.deferred = True
+    monitor.start()
+    model = method.fit(
+        scenes, job.options, Budget(job.iterations), fit_seed(job), job.device, monitor, resume
+    )
+    synchronise(job.device)
+    monitor.stop()
+    context.stop.deferred = False
+    after = reference_seconds()
+    if not monitor.final:
+        raise RuntimeError(
+            f"{job.method} ended its fit without a checkpoint at iteration {job.iterations}: "
+            "its fit must call monitor.due and monitor.pause after the last iteration"
+        )
+    return FitResult(
+        seconds=monitor.seconds,
+        cpu_seconds=monitor.cpu_seconds,
+        iterations=job.iterations,
+        primitives={name: model.primitives(name) for name in job.scenes},
+        train_views=sum(len(scene.train) for scene in scenes) // len(scenes),
+        curve=monitor.curve,
+        losses=monitor.losses,
+        resumed=monitor.resumed,
+        reference_seconds=mean_of(before, after),
+    )
+
+
+def _curve_views(context: Context, scene: str) -> ViewSet:
+    """A few of the views that are measured on, evenly spaced, as the views job stored them."""
+    from datasets.png import read_png  # not in processes that measure memory and read no picture
+    from datasets.prerendered import evenly_spaced
+
+    record = next(one for one in context.all_needed("views") if one.job.shows == scene)
+    assert record.views is not None
+    folder, files = context.path_of(record), record.views.truth[context.job.split]
+    cameras = read_cameras(folder)
+    chosen = evenly_spaced(len(files), CURVE_VIEWS)
+    images = np.stack([read_png(folder / "truth" / files[i]) for i in chosen])
+    key = f"{record.views.view_keys[context.job.split]}-curve"
+    return ViewSet(tuple(cameras[i] for i in chosen), images, record.views.background, key)
+
+
+def refuse_without_volume(spec: MethodSpec | None, scenes: Sequence[SceneInput]) -> None:
+    """Check that each scene has the volume that a method needs.
+
+    Raises:
+        Refused: a scene has none.
+    """
+    for scene in scenes:
+        if spec is not None and spec.needs_volume and scene.volume is None:
+            raise Refused(f"{spec.name} reads the volume itself, and scene {scene.name!r} has only views")
+
+
+def fit_seed(job: Job) -> int:
+    """The seed of a fit, of its own for each method, dataset, group and seed of the run."""
+    return derived_seed("fit", job.method, job.dataset_name, job.group, job.seed)

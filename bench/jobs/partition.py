@@ -1,0 +1,26 @@
+"""The partition job: which scenes a joint method fits together."""
+
+from __future__ import annotations
+
+import time
+
+from bench.inputs import scene_inputs
+from bench.jobs.context import Context
+from bench.records import PartitionResult
+from bench.timing import synchronise
+
+
+def run(context: Context) -> PartitionResult:
+    """Let the method choose groups that hold each scene once."""
+    job = context.job
+    scenes = scene_inputs(job)
+    method = context.method()
+    context.report(stage="partition")
+    start = time.perf_counter()
+    groups = method.partition(scenes, job.options)
+    synchronise(job.device)
+    seconds = time.perf_counter() - start
+    names = [[scene.name for scene in group] for group in groups]
+    if sorted(name for group in names for name in group) != sorted(job.scenes):
+        raise RuntimeError(f"{job.method} partitioned {list(job.scenes)} into {names}")
+    return PartitionResult(groups=names, seconds=seconds)
