@@ -25,7 +25,7 @@ from bench.records import SCHEMA, Record, hash_of
 from bench.store import Store, read_record
 from bench.tables import frame, rows
 from datasets.errors import DataError
-from reports.tables import to_csv
+from reports.tables.documents import to_csv
 
 if TYPE_CHECKING:
     import pandas as pd

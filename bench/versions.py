@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bench.records import Job, Record, hash_of
-from reports.protocols import together
+from reports.tables.protocols import together
 
 
 @dataclass

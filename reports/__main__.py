@@ -25,7 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
     except Unusable as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    from reports.page import write_report
+    from reports.page.document import write_report
 
     try:
         options.out.mkdir(parents=True, exist_ok=True)

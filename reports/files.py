@@ -9,16 +9,20 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import charts, confidence, datasets, paper_documents, rate_distortion
-from reports.protocols import by_training_views
-from reports.tables import left_out, to_csv, to_latex, to_markdown
+from reports.charts import files as charts
+from reports.charts import rate_distortion
+from reports.paper import documents as paper_documents
+from reports.tables import confidence, datasets
+from reports.tables.documents import to_csv, to_latex, to_markdown
+from reports.tables.protocols import by_training_views
+from reports.tables.results import left_out
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import pandas as pd
 
-    from reports.paper_values import PaperTable
+    from reports.paper.values import PaperTable
 
 
 def write_files(tables: dict[str, pd.DataFrame], folder: Path, measured: Sequence[PaperTable]) -> None:

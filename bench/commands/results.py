@@ -27,8 +27,11 @@ def results(options: Namespace) -> int:
 
 def report(options: Namespace) -> int:
     """Print those of the paper's tables that a store has rows of, and write its HTML report."""
-    from reports import claims, claims_documents, paper_documents, paper_tables
-    from reports.page import write_report
+    from reports.page.document import write_report
+    from reports.paper import claims
+    from reports.paper import documents as paper_documents
+    from reports.paper import tables as paper_tables
+    from reports.paper import verdicts as claims_documents
 
     store = Store(Path(options.runs))
     page = _page(Path(options.out)) if options.out else store.root / "report.html"
@@ -45,7 +48,7 @@ def report(options: Namespace) -> int:
 
 
 def _tell_left_out(tables: dict[str, pd.DataFrame], out: TextIO) -> None:
-    from reports.tables import left_out
+    from reports.tables.results import left_out
 
     told = left_out(tables["superseded"])
     if told:
@@ -65,23 +68,23 @@ def _page(out: Path) -> Path:
 def print_as(table: pd.DataFrame, form: str) -> None:
     """Write a table to standard output as csv, md, tex or json."""
     if form == "csv":
-        from reports.tables import to_csv
+        from reports.tables.documents import to_csv
 
         sys.stdout.write(to_csv(table))
     elif form == "json":
         print(table.to_json(orient="records", indent=1, double_precision=15))
     else:
-        from reports import tables as convert
-        from reports.protocols import by_training_views
+        from reports.tables import documents
+        from reports.tables.protocols import by_training_views
 
-        writer: Any = convert.to_markdown if form == "md" else convert.to_latex
+        writer: Any = documents.to_markdown if form == "md" else documents.to_latex
         print(writer(by_training_views({"results": table})["results"]))
 
 
 def print_results(table: pd.DataFrame) -> None:
     """The rows of a run, for people."""
-    from reports.protocols import by_training_views
-    from reports.tables import terminal_rows
+    from reports.tables.protocols import by_training_views
+    from reports.tables.results import terminal_rows
 
     width = _console().width
     header, *lines = terminal_rows(by_training_views({"results": table})["results"], width)
@@ -90,7 +93,7 @@ def print_results(table: pd.DataFrame) -> None:
 
 def print_table(table: pd.DataFrame) -> None:
     """A table made for people; columns that hold nothing are left out."""
-    from reports.tables import cell, title
+    from reports.tables.columns import cell, title
 
     names = [name for name in table.columns if table[name].notna().any()]
     lines = [[cell(name, row[name]) for name in names] for _, row in table.iterrows()]

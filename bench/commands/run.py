@@ -42,7 +42,7 @@ def run(options: Namespace) -> int:
     shown = {name: frame(name, measured[name]) for name in ("results", "dvr")}
     if any(map(len, shown.values())):
         from bench.commands.results import print_results, print_table
-        from reports.datasets import costs
+        from reports.tables.datasets import costs
 
         if len(shown["results"]):
             print_results(shown["results"])
@@ -51,7 +51,7 @@ def run(options: Namespace) -> int:
         page = store.root / "report.html"
         if not options.no_report:
             if outcome.ran or not page.is_file():
-                from reports.page import write_report
+                from reports.page.document import write_report
 
                 write_report(tables, store.root, page)
             print(f"report: {page}")

@@ -13,7 +13,7 @@ from datasets.errors import DataError
 
 if TYPE_CHECKING:
     from datasets.scene import BasicScene, Dataset
-    from reports.contact_sheet import Tile
+    from reports.pictures.contact_sheet import Tile
 
 _ENTRIES = 2048  # of a drawn transfer function
 
@@ -22,7 +22,7 @@ def contact_sheets(options: Namespace) -> int:
     """Write one sheet per dataset; without a name, of every dataset of the catalogue that is here."""
     from datasets.catalogue import list_datasets, open_dataset
     from datasets.png import write_png
-    from reports.contact_sheet import contact_sheet
+    from reports.pictures.contact_sheet import contact_sheet
 
     if options.model:
         raise DataError("--contact-sheet", "shows ground truth only", "Leave --model out")
@@ -44,7 +44,7 @@ def contact_sheets(options: Namespace) -> int:
 def _tile(dataset: Dataset, name: str, options: Namespace) -> Tile:
     from bench.inputs import request, views
     from bench.suites import ViewPreset
-    from reports.contact_sheet import Tile
+    from reports.pictures.contact_sheet import Tile
 
     count, (width, height) = options.views or 3, options.size or (140, 140)
     preset = ViewPreset(12, count, width, height, prerendered_limit=max(width, height))

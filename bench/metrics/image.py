@@ -138,7 +138,7 @@ def flip(pair: Pair) -> float:
 
 def delta_e_uv(pair: Pair) -> float:
     """Mean CIELUV color difference."""
-    from reports.cieluv import delta_e_uv as difference
+    from reports.pictures.cieluv import delta_e_uv as difference
 
     return float(difference(*pair.floats()).mean())
 

@@ -9,7 +9,7 @@ from bench.selection import Selection
 from bench.suites import VIEWS, load_suite, names
 from datasets.catalogue import list_datasets
 from datasets.errors import DataError, UnknownName
-from reports.paper_layouts import layouts, published_as, takes
+from reports.paper.layouts import layouts, published_as, takes
 from tests.bench.conftest import PLUGINS
 
 BUILT_IN = {info.name for info in list_datasets() if info.kind == "procedural"}

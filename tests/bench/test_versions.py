@@ -18,7 +18,8 @@ from bench.records import (
 )
 from bench.store import Store
 from bench.tables import build_tables, rows
-from reports.tables import left_out, summary
+from reports.tables.means import summary
+from reports.tables.results import left_out
 
 REQUEST = Request(train_views=12, test_views=4, width=8, height=8)
 GROUPS = (("a", "b"), ("c",))

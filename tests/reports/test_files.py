@@ -8,16 +8,16 @@ from unittest.mock import patch
 import pandas as pd
 import pytest
 
-from reports import charts, paper_documents
 from reports.__main__ import main
+from reports.charts import files as charts
 from reports.files import write_files
 from reports.inputs import Unusable, read_results
-from reports.paper_tables import of_tables, paper_tables
-from reports.paper_values import NOT_MEASURED
-from reports.tables import tex, to_latex
-
-from .conftest import fill
-from .test_paper_tables import four, results, row, seen, waves
+from reports.paper import documents as paper_documents
+from reports.paper.tables import of_tables, paper_tables
+from reports.paper.values import NOT_MEASURED
+from reports.tables.documents import tex, to_latex
+from tests.reports.conftest import fill
+from tests.reports.paper.test_paper_tables import four, results, row, seen, waves
 
 
 def written(maker):

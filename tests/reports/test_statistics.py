@@ -3,9 +3,11 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from reports.confidence import ends, signed
 from reports.statistics import Views, block_length, bootstrap_means, interval
-from reports.tables import UNDECIDED, ranks, summary, to_latex, to_markdown
+from reports.tables.confidence import ends, signed
+from reports.tables.documents import to_latex, to_markdown
+from reports.tables.means import summary
+from reports.tables.ranks import UNDECIDED, ranks
 
 
 def autoregressive(rng, count, n, rho):

@@ -1,0 +1,157 @@
+"""What the charts of per-primitive attributes draw: histograms, and a map of anchors by their features."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reports.charts.rate_distortion import at_default_rates
+from reports.style import label, named
+from reports.tables.protocols import comparable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+BINS = 60
+_MOST_PEAKS = 3
+"""Of a histogram; more are taken for the steps of quantised values."""
+_PEAK = 0.05  # share of the highest bin that a peak stands out by
+_TAIL = 0.002
+"""Share of the samples at each end that a histogram's axis leaves out."""
+MOST_ANCHORS = 4000
+_LEAST_ANCHORS = 30
+VECTOR = "features"
+"""Name of the attribute that the map is of."""
+
+
+class Missing(Exception):
+    """Why a chart is left out."""
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """Samples of one attribute on one dataset.
+
+    Attributes:
+        dataset: with its preset where there are several.
+        edges: of the bins, ascending.
+        shares: series -> percent of its samples in each bin.
+    """
+
+    dataset: str
+    attribute: str
+    edges: list[float]
+    shares: dict[str, list[float]]
+
+
+def histograms(features: pd.DataFrame) -> list[Histogram]:
+    """Of all attributes; scenes, seeds and the components of a vector are pooled.
+
+    With many variants only the defaults are shown (:func:`reports.style.named`), and of fits that differ only
+    in a rate knob the default's.
+
+    Args:
+        features: the documented table.
+    """
+    made = []
+    for dataset, every in comparable(at_default_rates(features)):
+        told = named(label(*pair) for pair in zip(every["method"], every["variant"], strict=True))
+        for attribute, rows in every.groupby("name", sort=False):
+            pools: dict[str, list[NDArray[np.float64]]] = {}
+            for row in rows.itertuples(index=False):
+                values = np.asarray(row.values, dtype=np.float64)
+                name = label(row.method, row.variant)
+                if name in told:
+                    pools.setdefault(name, []).append(values[np.isfinite(values)])
+            joined = {name: np.concatenate(arrays) for name, arrays in pools.items()}
+            joined = {name: values for name, values in joined.items() if len(values)}
+            if joined:
+                edges = _edges(list(joined.values()))
+                shares = {name: _shares(values, edges).tolist() for name, values in joined.items()}
+                made.append(Histogram(dataset, str(attribute), edges.tolist(), shares))
+    return made
+
+
+def _edges(samples: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Of the bins, over the range of all samples."""
+    ends = [np.quantile(values, [_TAIL, 1 - _TAIL]) for values in samples]
+    low, high = float(min(e[0] for e in ends)), float(max(e[1] for e in ends))
+    if low == high:
+        low, high = low - 0.5, high + 0.5
+    return np.linspace(low, high, BINS + 1)
+
+
+def _shares(values: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Percent of the samples in each bin; quantised values are spread until they are no comb."""
+    from scipy.signal import find_peaks
+
+    counted = 100.0 * np.histogram(values, edges)[0] / len(values)
+    for reach in range(1, BINS // 4):
+        weights = 1.0 - np.abs(np.arange(1 - reach, reach)) / reach
+        spread = np.convolve(np.pad(counted, reach), weights / weights.sum(), "same")
+        if len(find_peaks(spread, prominence=_PEAK * spread.max())[0]) <= _MOST_PEAKS:
+            break
+    return spread[reach:-reach]
+
+
+@dataclass(frozen=True)
+class Map:
+    """Anchors of one method on one dataset in two dimensions.
+
+    Attributes:
+        scenes: scene -> (n, 2) positions.
+    """
+
+    dataset: str
+    title: str
+    scenes: dict[str, NDArray[np.float64]]
+
+
+def maps(features: pd.DataFrame) -> list[Map]:
+    """UMAP of the vectors that anchors carry (the attribute :data:`VECTOR`).
+
+    Args:
+        features: the documented table.
+
+    Raises:
+        Missing: there are none, or the package is not installed; the text says which.
+    """
+    vectors = _vectors(features)
+    if not vectors:
+        raise Missing("no method of this report offers its anchors' feature vectors")
+    try:
+        import umap
+    except ImportError as error:
+        raise Missing("the optional package umap-learn is not installed: pip install umap-learn") from error
+    made = []
+    for (dataset, title), scenes in vectors.items():
+        each = MOST_ANCHORS // len(scenes)
+        rng = np.random.default_rng(0)
+        taken = {scene: rows[np.sort(rng.permutation(len(rows))[:each])] for scene, rows in scenes.items()}
+        every = np.concatenate(list(taken.values()))
+        if len(every) < _LEAST_ANCHORS:
+            continue
+        spots = umap.UMAP(random_state=0, n_jobs=1).fit_transform(every).astype(np.float64)
+        ends = np.cumsum([len(rows) for rows in taken.values()])[:-1]
+        made.append(Map(dataset, title, dict(zip(taken, np.split(spots, ends), strict=True))))
+    return made
+
+
+def _vectors(features: pd.DataFrame) -> dict[tuple[str, str], dict[str, NDArray[np.float64]]]:
+    """(dataset, method) -> scene -> (n, components); of seeds the first, of many variants the defaults."""
+    found: dict[tuple[str, str], dict[str, NDArray[np.float64]]] = {}
+    if features.empty or "width" not in features:
+        return found
+    for dataset, every in comparable(at_default_rates(features)):
+        rows = every[(every["name"] == VECTOR) & (every["width"] > 2)]
+        told = named(label(*pair) for pair in zip(rows["method"], rows["variant"], strict=True))
+        for row in rows.itertuples(index=False):
+            name = label(row.method, row.variant)
+            if name not in told:
+                continue
+            vectors = np.asarray(row.values, dtype=np.float64).reshape(-1, int(row.width))  # type: ignore[arg-type]
+            found.setdefault((dataset, name), {}).setdefault(str(row.scene), vectors)
+    return found

@@ -1,0 +1,1 @@
+"""Drawing of the figures of :mod:`reports.charts.files`, by kind."""

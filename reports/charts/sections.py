@@ -1,0 +1,332 @@
+"""The sections of the page that hold charts and the small tables beside them."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from reports.charts import features, plots, rate_distortion, stability_sections, training
+from reports.charts.elements import Section, chart, charts, legend, table
+from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, absent, legend_entries, mib, seconds, series
+from reports.tables import confidence
+from reports.tables.protocols import comparable
+
+if TYPE_CHECKING:
+    from reports.charts.rate_distortion import Difference
+
+_HELD_OUT = "a few held-out views (of the measured split; no method trains on them)"
+_GRAY = (
+    f" A chart with more than {MOST_NAMED} variants colors and names each method's default alone; the others "
+    "are gray and named when pointed at."
+)
+_DEFAULTS = f" Of more than {MOST_NAMED} variants each method's default is shown alone."
+_ONE_RATE = " Of fits that differ only in a rate knob, the default's is shown."
+_SEEDS = " Several rates of a method are compared on the seeds that all of them have."
+_FRONT = (
+    " They are without their single scenes. What is on the front keeps its color, and is named by its "
+    "options."
+)
+_TRADEOFFS = (
+    ("PSNR and size", "size_bytes"),
+    ("PSNR and speed", "fps"),
+    ("PSNR and training time", "train_seconds"),
+    ("PSNR and host memory", "peak_host_bytes"),
+    ("PSNR and device memory", "peak_device_bytes"),
+)
+
+
+def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
+    """The sections for which there are data, in the order of the page.
+
+    Args:
+        tables: as documented (results, views, curve, losses, ledger, timing, features).
+    """
+    results = tables["results"]
+    made = (
+        _confidence(results, tables["views"]),
+        _rate_distortion(results),
+        _tradeoffs(results),
+        stability_sections.stability_section(tables),
+        stability_sections.complexity_section(results),
+        _anytime(tables),
+        _convergence(tables),
+        _losses(tables),
+        _features(tables),
+        _timing(tables["timing"]),
+        _ledger(tables["ledger"]),
+    )
+    return [section for section in made if section is not None]
+
+
+def _confidence(results: pd.DataFrame, views: pd.DataFrame) -> Section | None:
+    known = confidence.intervals(results, views, ["psnr"])
+    if known.empty:
+        return None
+    pairs = confidence.comparisons(results, views, ["psnr"])
+    several = [axis for axis in ("preset", "split") if known[axis].nunique() > 1]
+    rows = []
+    for _, group in known.groupby(["dataset", "preset", "split"], sort=False, dropna=False):
+        records = group.to_dict("records")
+        best = str(max(records, key=lambda row: row["mean"])["method"])
+        for row in records:
+            told = [row["dataset"], row["method"], *(row[axis] for axis in several), f"{row['mean']:.2f}"]
+            told += [confidence.ends(row["low"], row["high"]), _seeds(row)]
+            rows.append([*told, *_against(pairs, row, best)])
+    heads = ["Dataset", "Method", *(axis.capitalize() for axis in several), "PSNR [dB]", "95 % over views"]
+    heads += ["Over seeds", "To the highest [dB]", "95 % of the difference", "Ranking"]
+    words = (
+        "PSNR is a mean over views and scenes. How sure it is given these views is told by a 95 % interval "
+        "from a circular block bootstrap (blocks of a sixth of the test path, because neighbouring views are "
+        "alike); what another seed would change is another matter and stands apart. Differences are taken "
+        "view by view against the method with the highest mean; where their interval contains zero, the two "
+        'are not ranked. All metrics: <a href="intervals.csv">intervals</a>, all pairs: '
+        '<a href="comparisons.csv">comparisons</a>.'
+    )
+    return Section(
+        "confidence",
+        "How sure",
+        f"<p>{words}</p>{table('PSNR, how sure it is, and differences', heads, rows)}",
+    )
+
+
+def _seeds(row: dict) -> str:
+    if row["seeds"] < 2:
+        return "one seed"
+    told = f"± {row['seed_std']:.2f} ({row['seeds']} seeds)"
+    if row["seed_values"]:
+        told += ": " + ", ".join(f"{float(value):.2f}" for value in row["seed_values"].split("; "))
+    return told
+
+
+def _against(pairs: pd.DataFrame, row: dict, best: str) -> list[str]:
+    """Difference to the best, its interval, and what follows."""
+    if row["method"] == best:
+        return ["highest", "", ""]
+    same = (pairs[["dataset", "preset", "split"]] == [row["dataset"], row["preset"], row["split"]]).all(
+        axis=1
+    )
+    for sign, mine, other in ((1, "first", "second"), (-1, "second", "first")):
+        found = pairs[same & (pairs[mine] == row["method"]) & (pairs[other] == best)]
+        if len(found):
+            pair = found.iloc[0]
+            low, high = pair["low"], pair["high"]
+            if sign < 0:
+                low, high = _minus(high), _minus(low)
+            verdict = "lower" if pair["apart"] else "not ranked"
+            return [
+                confidence.signed(sign * pair["difference"]),
+                confidence.ends(low, high, sign=True),
+                verdict,
+            ]
+    return [MISSING, MISSING, "other scenes"]
+
+
+def _minus(value: float | None) -> float | None:
+    return None if absent(value) else -float(value)  # type: ignore[arg-type]
+
+
+def _rate_distortion(results: pd.DataFrame) -> Section | None:
+    figures = plots.rate_curves(results)
+    if not figures:
+        return None
+    curves = rate_distortion.curves(results)
+    differences = rate_distortion.differences(curves)
+    words = (
+        "Mean PSNR over size per scene (logarithmic), at all rates that were measured; of methods of one "
+        "size the default settings are a single mark. All as data: "
+        '<a href="curves/">one JSON file per method and dataset</a>.'
+    )
+    words += _seeds_left_out(results)
+    parts = [f'<p>{words}</p><div class="charts">{charts(figures.items())}</div>']
+    if differences:
+        heads = ["Dataset", "Method", "Against", "BD-rate", "BD-PSNR [dB]", "PSNR shared [dB]"]
+        heads += ["Size shared [MiB]", "Overlap", "Remarks"]
+        parts.append(table("Average differences", heads, [_difference(found) for found in differences]))
+        parts.append(
+            '<p class="note">BD-rate: bytes at equal PSNR against those of the other method. '
+            f"BD-PSNR: dB at equal bytes. Interpolated with {rate_distortion.INTERPOLATION} splines over the "
+            "logarithm of the size, averaged over the range that both curves cover: BD-rate over the PSNR "
+            "they share, BD-PSNR over the sizes. Refused with fewer than "
+            f"{rate_distortion.LEAST_POINTS} points, for curves that bend back, and without overlap.</p>"
+        )
+    return Section("rate-distortion", "Rate and distortion", "".join(parts))
+
+
+def _many(table: pd.DataFrame) -> bool:
+    """Whether some panel of a dataset's variants has more than are named."""
+    return any(len(series(rows)) > MOST_NAMED for _, rows in comparable(table))
+
+
+def _rates_left_out(table: pd.DataFrame) -> str:
+    """What to say of fits that charts of training and of attributes do not draw."""
+    return _ONE_RATE if len(rate_distortion.at_default_rates(table)) < len(table) else ""
+
+
+def _seeds_left_out(results: pd.DataFrame) -> str:
+    """What to say of seeds that some rates of a method were not measured with."""
+    basic = results[results["kind"] == "basic"]
+    return _SEEDS if len(rate_distortion.with_shared_seeds(basic)) < len(basic) else ""
+
+
+def _difference(found: Difference) -> list[str]:
+    who = [found.dataset, found.test, found.reference]
+    if found.refused:
+        return [*who, *[MISSING] * 5, f"refused: {found.refused}"]
+    numbers = [
+        MISSING if found.rate is None else f"{found.rate:+.1f} %",
+        MISSING if found.psnr is None else f"{found.psnr:+.2f}",
+        confidence.ends(*found.psnr_range) if found.psnr_range else MISSING,
+        " to ".join(mib(value) for value in found.bytes_range) if found.bytes_range else MISSING,
+    ]
+    return [*who, *numbers, f"{100 * found.overlap:.0f} %", "; ".join(found.warnings)]
+
+
+def _tradeoffs(results: pd.DataFrame) -> Section | None:
+    drawn = {against: plots.tradeoffs(results, against) for _, against in _TRADEOFFS}
+    datasets = list(dict.fromkeys(name for figures in drawn.values() for name in figures))
+    if not datasets:
+        return None
+    parts = [
+        "<p>Large marks: mean over the dataset's scenes; small marks: single scenes. Horizontal axes are "
+        "logarithmic. The dashed line is the Pareto front of the means; what lies in the shaded region is "
+        f"worse than some method in both.{_seeds_left_out(results)}"
+        f"{_GRAY + _FRONT if _many(results) else ''}</p>"
+    ]
+    for dataset in datasets:
+        cards = charts((caption, drawn[a][dataset]) for caption, a in _TRADEOFFS if dataset in drawn[a])
+        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{cards}</div>')
+    return Section("tradeoffs", "Trade-offs", "\n".join(parts))
+
+
+def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
+    results, curve = tables["results"], tables["curve"]
+    names = series(results, curve)
+    quality, size = (plots.anytime(curve, results, what, names) for what in ("psnr", "bytes_estimate"))
+    if not quality and not size:
+        return None
+    words = (
+        "What a method has reached after so many seconds of training, mean over scenes. A joint fit of n "
+        f"scenes counts for each with its time / n. PSNR is of {_HELD_OUT}; size is "
+        f"the method's own estimate."
+    )
+    panels = [training.anytime(curve, results, what) for what in ("psnr", "bytes_estimate")]
+    entries = legend_entries(
+        [[line.name for line in lines] for each in panels for lines in each.values()], names
+    )
+    cards = []
+    for dataset in dict.fromkeys([*quality, *size]):
+        cards += [(dataset, figures[dataset]) for figures in (quality, size) if dataset in figures]
+    heads = ["Dataset", "Method", *(f"{level:g} dB" for level in training.LEVELS)]
+    rows = [
+        [dataset, line.title, *(MISSING if t is None else seconds(t) for t in times)]
+        for dataset, lines in panels[0].items()
+        for line, times in training.time_to_quality(lines)
+    ]
+    words += _rates_left_out(curve)
+    words += _GRAY if OTHERS_NAME in entries else ""
+    times = table("Time to a quality", heads, rows) if rows else ""
+    return Section(
+        "anytime",
+        "Quality over training time",
+        f'<p>{words}</p>{legend(entries)}<div class="charts">{charts(cards)}</div>'
+        f"{times}"
+        '<p class="note">Seconds of training per scene until the PSNR of these views first reaches the '
+        f"level, linear between evaluations; {MISSING}: never.</p>",
+    )
+
+
+def _convergence(tables: dict[str, pd.DataFrame]) -> Section | None:
+    results, curve = tables["results"], tables["curve"]
+    order = series(results, curve)
+    pairs = [plots.convergence(curve, against, order) for against in ("train_seconds", "iteration")]
+    if not any(pairs):
+        return None
+    told = (
+        f"PSNR of {_HELD_OUT} while training; the clock stands still while it is measured. Of more than "
+        f"{training.MOST_FITS} fits a chart shows each method's mean."
+    )
+    told += _rates_left_out(curve)
+    lines = training.convergence(curve, "iteration") | training.convergence(curve, "train_seconds")
+    entries = legend_entries([[line.name for line in each] for each in lines.values()], order)
+    told += _GRAY if OTHERS_NAME in entries else ""
+    parts = [f"<p>{told}</p>{legend(entries)}"]
+    for dataset in dict.fromkeys([*pairs[0], *pairs[1]]):
+        drawn = charts(("", figures[dataset]) for figures in pairs if dataset in figures)
+        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{drawn}</div>')
+    return Section("convergence", "Convergence", "\n".join(parts))
+
+
+def _losses(tables: dict[str, pd.DataFrame]) -> Section | None:
+    panels = plots.losses(tables)
+    if not panels:
+        return None
+    words = (
+        "The training loss and its weighted parts (logarithmic), means over stretches of the fits (50, which "
+        "stages cut). A dashed line stands where a stage begins."
+    )
+    shown = training.steps(tables)
+    if "first" not in shown or shown["first"].isna().any():
+        words += (
+            " Of fits by older versions there are single steps; their dashed lines stand at the first one "
+            "that has seen a part, which may have joined at any time since the one before."
+        )
+    small = sorted({name for panel, _ in panels for name in panel.small})
+    if small:
+        words += f" Not drawn, for they are under {training.LEAST_SHARE:g} of it: {escape(', '.join(small))}."
+    words += _rates_left_out(tables["curve"])
+    words += _DEFAULTS if _many(shown) else ""
+    cards = charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in panels)
+    return Section("losses", "Parts of the loss", f'<p>{words}</p><div class="charts">{cards}</div>')
+
+
+def _features(tables: dict[str, pd.DataFrame]) -> Section | None:
+    table = tables["features"]
+    names = series(tables["results"], tables["curve"], table)
+    panels = plots.histograms(table, names)
+    if not panels:
+        return None
+    entries = legend_entries([panel.shares for panel, _ in panels], names)
+    cards = charts((f"{panel.dataset} · {panel.attribute}", figure) for panel, figure in panels)
+    words = (
+        "Distribution of what the primitives carry, all scenes of a dataset together. Quantised values are "
+        "spread over neighbouring bins as far as their steps reach."
+    )
+    words += _rates_left_out(table)
+    if _many(table):
+        words += _DEFAULTS
+    bare = {name: look._replace(marker="") for name, look in entries.items()}
+    parts = [f'<p>{words}</p>{legend(bare)}<div class="charts">{cards}</div>']
+    try:
+        maps = plots.feature_maps(features.maps(table))
+        cards = charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in maps)
+        parts.append(
+            "<h3>Anchors by their features</h3><p>UMAP: neighbours have similar features; distances between "
+            f'clusters, and their sizes, say little.</p><div class="charts">{cards}</div>'
+        )
+    except features.Missing as why:
+        parts.append(f'<p class="note">No map of anchors by their features: {escape(str(why))}.</p>')
+    return Section("attributes", "Attributes", "".join(parts))
+
+
+def _timing(table: pd.DataFrame) -> Section | None:
+    figure = plots.timing(table)
+    if figure is None:
+        return None
+    words = (
+        "Where the time of a frame goes, mean over scenes and seeds. The parts are timed one by one, without "
+        "what happens between them, which is “other”."
+    )
+    return Section("timing", "Time of a frame", f"<p>{words}</p>{chart(figure, '')}")
+
+
+def _ledger(table: pd.DataFrame) -> Section | None:
+    figure = plots.ledger(table)
+    if figure is None:
+        return None
+    words = (
+        "Bytes of the files that a model is loaded from, by what they hold, over all scenes of a dataset, "
+        "mean over seeds. Pointed at, a bar names its parts; what is under 1 % of every bar is “other”."
+    )
+    return Section("ledger", "Size ledger", f"<p>{words}</p>{chart(figure, '')}")

@@ -1,0 +1,168 @@
+"""Where methods fail, and what they spend: few views, other seeds, hard views; scenes of known complexity."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from reports.charts.training import Curve
+from reports.style import MIB, label
+from reports.tables.protocols import ORIGIN
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+COMPLEXITY = {
+    "primitives": "primitives",
+    "size_bytes": "size [MiB]",
+    "psnr": "PSNR [dB]",
+}
+"""Columns drawn over what a scene holds, and the titles of their axes."""
+LEAST_FAMILY = 3
+"""So many datasets of one family are drawn as a curve."""
+_NUMBERED = re.compile(r"(.*?)[_-]?(\d+)")
+
+
+@dataclass(frozen=True)
+class Record:
+    """How a method fared on a dataset, all scenes, seeds and rates.
+
+    Attributes:
+        dataset, title: of whom.
+        rows: results that were to be measured.
+        failed: status -> how many of them.
+        seed_gap: largest difference of PSNR between two seeds on the same scene, dB; None with one seed.
+        view_gap: mean over scenes and seeds of the median view's PSNR less that of the worst, dB.
+        lowest: PSNR of the worst view of all, dB.
+        missing, excess: of the truth's alpha, in the scene and seed that are worst off; None if not measured.
+    """
+
+    dataset: str
+    title: str
+    rows: int
+    failed: dict[str, int]
+    seed_gap: float | None
+    view_gap: float | None
+    lowest: float | None
+    missing: float | None
+    excess: float | None
+
+
+def records(results: pd.DataFrame, views: pd.DataFrame) -> list[Record]:
+    """One record per dataset, method, variant, preset and split of single scenes, in the tables' order."""
+    basic = results[results["kind"] == "basic"]
+    made = []
+    axes = ["dataset", "method", "variant", "preset", "split"]
+    for keys, rows in basic.groupby(axes, dropna=False, sort=False):
+        good = rows[rows["status"] == "ok"]
+        failed = rows.loc[rows["status"] != "ok", "status"].value_counts()
+        seen = views[views["job"].isin(set(good["job"]))]
+        per_job = seen.groupby(["job", "rate"], dropna=False)["psnr"]
+        gaps = (per_job.median() - per_job.min()).dropna()
+        made.append(
+            Record(
+                dataset=str(keys[0]),
+                title=_title(label(keys[1], keys[2]), basic, *keys[3:]),
+                rows=len(rows),
+                failed={str(status): int(count) for status, count in failed.items()},
+                seed_gap=_seed_gap(good),
+                view_gap=float(gaps.mean()) if len(gaps) else None,
+                lowest=float(seen["psnr"].min()) if seen["psnr"].notna().any() else None,
+                missing=_most(good, "missing"),
+                excess=_most(good, "excess"),
+            )
+        )
+    return made
+
+
+def _seed_gap(good: pd.DataFrame) -> float | None:
+    per_scene = good.groupby(["scene", "rate"], dropna=False)
+    several = per_scene["seed"].nunique() > 1
+    gaps = (per_scene["psnr"].max() - per_scene["psnr"].min())[several].dropna()
+    return float(gaps.max()) if len(gaps) else None
+
+
+def _most(good: pd.DataFrame, column: str) -> float | None:
+    return float(good[column].max()) if column in good and good[column].notna().any() else None
+
+
+def few_views(results: pd.DataFrame) -> dict[str, list[Curve]]:
+    """Dataset -> mean PSNR over scenes and seeds at each number of training views, a line per method.
+
+    Datasets with one number are left out, and so is what not all scenes and seeds have reached, and scenes
+    that were not fitted with every number of views.
+
+    Args:
+        results: as :func:`reports.tables.protocols.by_training_views` makes it.
+    """
+    if results.empty or ORIGIN not in results:
+        return {}
+    basic = results[(results["kind"] == "basic") & (results["dataset"] != results[ORIGIN])]
+    panels: dict[str, list[Curve]] = {}
+    for dataset, rows in basic.groupby(ORIGIN, sort=False):
+        scenes = [set(part["scene"]) for _, part in rows.groupby("requested_views")]
+        rows = rows[rows["scene"].isin(set.intersection(*scenes))]
+        lines = []
+        for title, name, fits in _methods(rows):
+            whole = fits.groupby("requested_views").filter(lambda part: bool((part["status"] == "ok").all()))
+            means = whole.groupby("requested_views")["psnr"].mean().dropna()
+            if len(means):
+                x, y = [float(v) for v in means.index], [float(v) for v in means]
+                lines.append(Curve(name, title, x, y))
+        if lines:
+            panels[str(dataset)] = lines
+    return panels
+
+
+def by_complexity(results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
+    """Family of datasets -> a column of :data:`COMPLEXITY` over the number in their names, a line per method.
+
+    A family are datasets whose names differ in their last number alone, as blobs_1, blobs_8, blobs_64: what
+    that number counts is what the scene holds. Values are means over scenes and seeds; incomplete sets are
+    left out.
+    """
+    if results.empty or what not in results:
+        return {}
+    basic = results[results["kind"] == "basic"]
+    panels: dict[str, list[Curve]] = {}
+    for family, members in families(basic["dataset"].unique()).items():
+        rows = basic[basic["dataset"].isin(members)]
+        lines = []
+        for title, name, fits in _methods(rows):
+            points = []
+            for dataset, part in fits.groupby("dataset", sort=False):
+                values = part[what].astype("Float64")
+                if (part["status"] == "ok").all() and values.notna().all():
+                    unit = MIB if what == "size_bytes" else 1.0
+                    points.append((float(members[str(dataset)]), float(values.mean()) / unit))
+            points.sort()
+            if points:
+                lines.append(Curve(name, title, [x for x, _ in points], [y for _, y in points]))
+        if lines:
+            panels[family] = lines
+    return panels
+
+
+def families(datasets: Iterable[str]) -> dict[str, dict[str, int]]:
+    """Stem -> dataset -> number, of those with at least :data:`LEAST_FAMILY` members."""
+    found: dict[str, dict[str, int]] = {}
+    for dataset in datasets:
+        match = _NUMBERED.fullmatch(str(dataset))
+        if match and int(match[2]) > 0:
+            found.setdefault(match[1], {})[str(dataset)] = int(match[2])
+    return {stem: members for stem, members in found.items() if len(members) >= LEAST_FAMILY}
+
+
+def _methods(rows: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
+    """Title, series and rows of each method; of several presets and splits, each on its own."""
+    axes = ["method", "variant", "rate", "preset", "split"]
+    for keys, fits in rows.groupby(axes, dropna=False, sort=False):
+        yield _title(label(*keys[:3]), rows, *keys[3:]), label(*keys[:2]), fits
+
+
+def _title(name: str, rows: pd.DataFrame, preset: object, split: object) -> str:
+    """A method's name, with preset and split where the rows have several."""
+    told = [str(v) for v, axis in ((preset, "preset"), (split, "split")) if rows[axis].nunique() > 1]
+    return " ".join([name, *told])

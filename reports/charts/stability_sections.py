@@ -1,0 +1,85 @@
+"""Sections of the page on where methods fail and what they spend."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from reports.charts import plots, stability
+from reports.charts.elements import Section, charts, legend, table
+from reports.style import MISSING, legend_entries, series
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def stability_section(tables: dict[str, pd.DataFrame]) -> Section | None:
+    """Failures, spread over seeds and worst views; charts where there are several numbers of views."""
+    results = tables["results"]
+    found = stability.records(results, tables["views"])
+    curves = stability.few_views(results)
+    told = any(record.seed_gap is not None or record.missing is not None for record in found)
+    if not curves and not told and not any(record.failed for record in found):
+        return None
+    words = (
+        "Where methods fail: what did not finish, how far two seeds lie apart on the same scene, how far the "
+        "worst view lies under the median one of its scene, and what of the truth's alpha the model lacks "
+        "(structures that it never found, or what has the background's color; edges alone make a few "
+        "percent) or has beyond it (what would hide other scenes, or show on another background), in the "
+        "scene and seed that are worst off."
+    )
+    names = series(results, tables["curve"])
+    drawn = plots.over(curves, "training views", "PSNR [dB]", names, log_y=False)
+    heads = ["Dataset", "Method", "Failed", "Two seeds differ by up to [dB]"]
+    heads += ["Worst view under the median [dB]", "Worst view [dB]", "Missing [%]", "Excess [%]"]
+    rows = [
+        [
+            record.dataset,
+            record.title,
+            _failed(record),
+            *(_number(gap, 2) for gap in (record.seed_gap, record.view_gap, record.lowest)),
+            *(_number(share, 1, 100.0) for share in (record.missing, record.excess)),
+        ]
+        for record in found
+    ]
+    shown = legend(legend_entries([[line.name for line in lines] for lines in curves.values()], names))
+    note = (
+        '<p class="note">Charts: mean PSNR over scenes and seeds by the number of training views; where any '
+        "fit failed, the mark is left out.</p>"
+    )
+    cards = f'<div class="charts">{charts(drawn.items())}</div>{note}' if drawn else ""
+    return Section(
+        "stability",
+        "Stability",
+        f"<p>{words}</p>{shown}{cards}{table('Failures, seeds and worst views', heads, rows)}",
+    )
+
+
+def _number(value: float | None, digits: int, times: float = 1.0) -> str:
+    return MISSING if value is None else f"{times * value:.{digits}f}"
+
+
+def _failed(record: stability.Record) -> str:
+    if not record.failed:
+        return f"0 of {record.rows}"
+    told = ", ".join(f"{status} {count}" for status, count in record.failed.items())
+    return f"{sum(record.failed.values())} of {record.rows}: {told}"
+
+
+def complexity_section(results: pd.DataFrame) -> Section | None:
+    """What grows with the number in the names of datasets."""
+    names = series(results)
+    cards = []
+    for what, title in stability.COMPLEXITY.items():
+        panels = stability.by_complexity(results, what)
+        drawn = plots.over(panels, "number of parts", title, names, log_y=what != "psnr")
+        cards += [(f"{family}: {title}", figure) for family, figure in drawn.items()]
+    if not cards:
+        return None
+    words = (
+        "What methods spend on scenes that hold more and more: datasets whose names differ in a number, "
+        "which counts their parts. A method that models no more than a scene needs grows with it, and starts "
+        "small."
+    )
+    return Section(
+        "complexity", "What a scene needs", f'<p>{words}</p><div class="charts">{charts(cards)}</div>'
+    )

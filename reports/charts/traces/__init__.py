@@ -1,0 +1,1 @@
+"""Making of the figures of :mod:`reports.charts.plots`, by kind."""

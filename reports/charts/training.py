@@ -1,0 +1,300 @@
+"""What the charts of training draw: convergence, anytime curves, time to a quality, parts of the loss.
+
+Of fits that differ only in a rate knob they draw the default's: others are points of rate-distortion curves.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from reports.charts.rate_distortion import at_default_rates
+from reports.style import MIB, PALETTE, label, named
+from reports.tables.protocols import comparable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CURVE_AXIS = {"train_seconds": "training time of the fit [s]", "iteration": "iteration"}
+LEVELS = (30.0, 32.0, 34.0)
+"""PSNR, dB, that the time to is told of."""
+ANYTIME_AXIS = {
+    "psnr": "PSNR of a few held-out views [dB]",
+    "bytes_estimate": "estimated size per scene [MiB]",
+}
+_UNIT = {"psnr": 1.0, "bytes_estimate": MIB}
+_FIT = ["job", "method", "variant", "seed", "scene"]
+MOST_FITS = 24
+"""Lines of a chart of convergence: the four scenes of six methods."""
+LEAST_SHARE = 1e-5
+"""Parts that never reach this share of the loss are not drawn."""
+
+
+_SHORT = 0.25
+"""Stretches shorter than this, against a fit's longest, are left out."""
+_NEAR = 0.02
+"""Stages that begin nearer to each other than this share of a fit share a mark."""
+MARKED = 16
+"""Points up to which a line of losses has marks at them."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line of a chart.
+
+    Attributes:
+        name: series that decides the color.
+        title: its label.
+        x: ascending.
+        y: one per x.
+    """
+
+    name: str
+    title: str
+    x: list[float]
+    y: list[float]
+
+
+def convergence(curve: pd.DataFrame, against: str) -> dict[str, list[Curve]]:
+    """Dataset (with its preset where there are several) -> PSNR of each scene while its fit went on.
+
+    Of more than :data:`MOST_FITS` fits the mean of each method's.
+
+    Args:
+        curve: the documented table.
+        against: "train_seconds" or "iteration".
+    """
+    panels: dict[str, list[Curve]] = {}
+    if curve.empty:
+        return panels
+    for title, every in comparable(at_default_rates(curve)):
+        rows = every[every["psnr"].notna() & every[against].notna()]
+        methods = len({label(m, v) for m, v in zip(rows["method"], rows["variant"], strict=True)})
+        many = {axis: rows[axis].nunique() > 1 for axis in ("scene", "seed")}
+        for (_, method, variant, seed, scene), fit in rows.groupby(_FIT, dropna=False, sort=False):
+            name = label(method, variant)
+            words = [name] if methods > 1 else []
+            words += [str(scene)] if many["scene"] or not words else []
+            words += [f"seed {seed}"] if many["seed"] else []
+            ordered = fit.sort_values("iteration")
+            x, y = ([float(v) for v in ordered[column]] for column in (against, "psnr"))
+            panels.setdefault(title, []).append(Curve(name, " \N{MIDDLE DOT} ".join(words), x, y))
+        if len(panels.get(title, [])) > MOST_FITS:
+            panels[title] = _of_methods(panels[title])
+    return panels
+
+
+def _of_methods(fits: list[Curve]) -> list[Curve]:
+    """Their means by method."""
+    by_name: dict[str, list[Curve]] = {}
+    for fit in fits:
+        by_name.setdefault(fit.name, []).append(fit)
+    return [Curve(name, name, *_mean([(fit.x, fit.y, 1) for fit in mine])) for name, mine in by_name.items()]
+
+
+def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
+    """As :func:`convergence`, but a curve per method over seconds per scene; mean over scenes and seeds.
+
+    A fit of n scenes counts for each of them with its time / n (and its bytes / n), as in `results`, so that
+    joint and single fits compare. A mean begins where all fits have been evaluated; a finished fit keeps its
+    last value.
+
+    Args:
+        curve: the documented table.
+        results: the documented table: which scenes there are, so that a mean of fewer is titled so.
+        what: "psnr" or "bytes_estimate" (in MiB).
+    """
+    panels: dict[str, list[Curve]] = {}
+    if curve.empty or what not in curve:
+        return panels
+    for panel, every in comparable(at_default_rates(curve)):
+        known = every[every[what].notna() & every["train_seconds"].notna()]
+        first = every.iloc[0]
+        basic = (results["kind"] == "basic") & (results["dataset"] == first["dataset"])
+        wanted = set(results.loc[basic & (results["preset"] == first["preset"]), "scene"])
+        for names, rows in known.groupby(["method", "variant"], dropna=False, sort=False):
+            x, y = _mean([_shares(fit, what) for _, fit in rows.groupby("job", sort=False)])
+            if not x:
+                continue
+            name = title = label(*names)
+            have = wanted & set(rows["scene"])
+            if wanted - have:
+                title += f" ({len(have)} of {len(wanted)} scenes)"
+            panels.setdefault(panel, []).append(Curve(name, title, x, y))
+    return panels
+
+
+def _shares(fit: pd.DataFrame, what: str) -> tuple[list[float], list[float], int]:
+    """Seconds and values of a fit, mean over its scenes, and their number."""
+    scenes = len(set(fit["scene"]))
+    points = fit.groupby("iteration", sort=True)[["train_seconds", what]].mean()
+    # The bytes are of all scenes together, in every scene's row.
+    divisor = _UNIT[what] * (scenes if what == "bytes_estimate" else 1)
+    x, y = points["train_seconds"] / scenes, points[what] / divisor
+    return [float(clock) for clock in x], [float(value) for value in y], scenes
+
+
+def _mean(fits: list[tuple[list[float], list[float], int]]) -> tuple[list[float], list[float]]:
+    """Mean of fits, each weighted by its scenes, at all times (or iterations) at which any was evaluated.
+
+    It begins where all have been; a finished fit keeps its last value.
+    """
+    begin = max(x[0] for x, _, _ in fits)
+    times = sorted({t for x, _, _ in fits for t in x if t >= begin and t > 0})
+    weights = np.array([scenes for _, _, scenes in fits], dtype=float)
+    values = np.array([np.interp(times, x, y) for x, y, _ in fits])
+    return times, [float(v) for v in weights @ values / weights.sum()]
+
+
+def time_to_quality(curves: list[Curve]) -> list[tuple[Curve, list[float | None]]]:
+    """Seconds per scene at which each curve first reaches each of :data:`LEVELS`; None where it never does.
+
+    Linear between evaluations; a curve that begins above a level has reached it by its first evaluation.
+    """
+    return [(curve, [_reached(curve, level) for level in LEVELS]) for curve in curves]
+
+
+def _reached(curve: Curve, level: float) -> float | None:
+    for i, (x, y) in enumerate(zip(curve.x, curve.y, strict=True)):
+        if y >= level:
+            if i == 0:
+                return x
+            before, low = curve.x[i - 1], curve.y[i - 1]
+            return before + (x - before) * (level - low) / (y - low)
+    return None
+
+
+@dataclass(frozen=True)
+class Losses:
+    """The loss of a method on a dataset, mean over its fits.
+
+    Attributes:
+        dataset: with its preset where there are several.
+        title: of the method.
+        parts: over iterations; the whole first.
+        marks: (iteration, text): where a stage begins; without stages the first evaluation with parts that
+            the first one had not.
+        small: names of parts too small to be drawn.
+    """
+
+    dataset: str
+    title: str
+    parts: list[Curve]
+    marks: list[tuple[float, str]]
+    small: list[str]
+
+
+def losses(tables: Mapping[str, pd.DataFrame]) -> list[Losses]:
+    """The losses by part of all methods that tell them; figures that are no part of the sum are left out.
+
+    Of fits in the table `losses` these are means over stretches, of others (older ones) the single steps of
+    `curve`. With many variants only the defaults are shown (:func:`reports.style.named`).
+
+    Args:
+        tables: with `losses` and `curve` as documented.
+    """
+    made = []
+    rows = steps(tables)
+    for dataset, every in comparable(rows) if len(rows) else ():
+        told = named(label(*pair) for pair in zip(every["method"], every["variant"], strict=True))
+        for names, fits in every.groupby(["method", "variant"], dropna=False, sort=False):
+            if label(*names) not in told:
+                continue
+            table = _parts_table(fits)
+            if len(table.columns) < 2:
+                continue
+            floor = LEAST_SHARE * float(table["loss"].max())
+            drawn = [name for name in table.columns if float(table[name].max()) > floor]
+            parts = [_part(name, table[name]) for name in drawn]
+            small = [str(name) for name in table.columns if name not in drawn]
+            made.append(Losses(dataset, label(*names), parts, _marks(fits, parts), small))
+    return made
+
+
+def steps(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """The rows of `losses`, and as such those of `curve` of methods that it has none of."""
+    import pandas as pd
+
+    keys = ["dataset", "preset", "method", "variant"]
+    stretches = at_default_rates(tables["losses"])
+    curve = at_default_rates(tables["curve"])
+    if "loss_parts" not in curve:
+        return stretches
+    known = {tuple(row) for row in stretches[keys].fillna("").itertuples(index=False)}
+    single = [tuple(row) not in known for row in curve[keys].fillna("").itertuples(index=False)]
+    curve = curve[pd.Series(single, curve.index, dtype=bool)].dropna(subset=["loss", "loss_parts"])
+    told = [
+        json.dumps({"loss": float(loss), **json.loads(parts)})
+        for loss, parts in zip(curve["loss"], curve["loss_parts"], strict=True)
+    ]
+    return pd.concat([stretches, curve[["job", *keys, "iteration"]].assign(losses=told)], ignore_index=True)
+
+
+def _parts_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Iteration -> "loss" and its parts, mean over fits that were all evaluated then."""
+    import pandas as pd
+
+    fits = []
+    for _, fit in rows.groupby("job", sort=False):
+        points = _long_enough(fit.drop_duplicates("iteration"))
+        parts = [json.loads(text) for text in points["losses"]]
+        table = pd.DataFrame(parts, index=points["iteration"].astype(int))
+        # A part cannot exceed the sum; what does is another figure (bits per attribute, say).
+        of_sum = [name for name in table if not (table[name] > 1.001 * table["loss"]).any()]
+        fits.append(table[of_sum])
+    shared = set.intersection(*(set(fit.index) for fit in fits))
+    every = pd.concat([fit.loc[sorted(shared)] for fit in fits])
+    return every.groupby(level=0, sort=True).mean()
+
+
+def _long_enough(points: pd.DataFrame) -> pd.DataFrame:
+    """Without stretches that stages cut so short that they are single steps again."""
+    if "first" not in points or points["first"].isna().any():
+        return points
+    steps = points["iteration"] - points["first"] + 1
+    kept: pd.DataFrame = points[steps >= _SHORT * steps.max()]
+    return kept
+
+
+def _marks(rows: pd.DataFrame, parts: list[Curve]) -> list[tuple[float, str]]:
+    told = rows[rows["stage"].notna()] if "stage" in rows else rows[:0]
+    if len(told):
+        starts = told.groupby("stage", sort=False)["first"].min().sort_values()
+        marks: list[tuple[float, str]] = []
+        for stage, first in list(starts.items())[1:]:
+            if marks and first - marks[-1][0] < _NEAR * told["iteration"].max():
+                marks[-1] = marks[-1][0], f"{marks[-1][1]}, {stage}"
+            else:
+                marks.append((float(first), str(stage)))
+        return marks
+    begin = min(part.x[0] for part in parts)
+    late: dict[float, list[str]] = {}
+    for part in parts:
+        if part.x[0] > begin:
+            late.setdefault(part.x[0], []).append(part.name)
+    return [(iteration, f"{', '.join(names)} first seen") for iteration, names in late.items()]
+
+
+def _part(name: Any, values: pd.Series) -> Curve:
+    present = values[values > 0]
+    x = [float(i) for i in present.index]
+    return Curve(str(name), str(name), x, [float(value) for value in present])
+
+
+def shades(panel: Losses, panels: list[Losses]) -> list[str]:
+    """Colors of a panel's parts; a name has the same in all panels, the whole is black."""
+    names = list(dict.fromkeys(part.name for each in panels for part in each.parts[1:]))
+    return [PALETTE[-1], *(PALETTE[names.index(part.name) % (len(PALETTE) - 1)] for part in panel.parts[1:])]
+
+
+def along(panel: Losses) -> list[tuple[float, float]]:
+    """Points along a panel's lines, which labels keep clear of."""
+    spots: list[tuple[float, float]] = []
+    for part in panel.parts:
+        x = np.linspace(part.x[0], part.x[-1], 40)
+        spots += zip(x.tolist(), (10 ** np.interp(x, part.x, np.log10(part.y))).tolist(), strict=True)
+    return spots

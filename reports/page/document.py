@@ -1,0 +1,191 @@
+"""The report: one HTML file that needs no network, with the same charts and tables beside it as files."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from reports.charts.elements import Section
+from reports.charts.sections import chart_sections
+from reports.files import write_files, write_text
+from reports.page import editing, provenance, scenes
+from reports.page import results as results_table
+from reports.paper import tables as paper_tables
+from reports.paper import verdicts as claims_documents
+from reports.style import absent, label
+from reports.tables import datasets
+from reports.tables.protocols import by_training_views
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pandas as pd
+
+    from reports.paper.values import PaperTable
+
+_WEB = Path(__file__).parent / "web"
+_LONG = 50  # characters of a fact that needs a wide box
+
+
+def write_report(
+    tables: dict[str, pd.DataFrame], root: Path, out: Path, measured: Sequence[PaperTable] | None = None
+) -> Path:
+    """Write the report.
+
+    Beside it go the files of :func:`reports.files.write_files`, and panels of pictures into ``charts/``.
+
+    Args:
+        tables: results, views, curve, ledger, timing, features and dvr (docs/concepts/architecture.md).
+        root: run store that the picture paths in ``views`` are relative to.
+        out: the HTML file.
+        measured: the paper's tables of the same rows, where the caller has made them.
+
+    Returns:
+        ``out``.
+    """
+    results, dvr = tables["results"], tables["dvr"]
+    if measured is None:
+        measured = [] if results.empty else paper_tables.of_tables(tables)
+    write_files(tables, out.parent, measured)
+    sections = []
+    if not results.empty:
+        paper = claims_documents.section(measured, tables["views"])
+        tables = by_training_views(tables)
+        results = tables["results"]
+        pictures = scenes.section(tables, root, out.parent / "charts")
+        edits = editing.section(tables, root, out.parent / "charts")
+        sections = [
+            Section(
+                "results",
+                "Results",
+                results_table.section(results, tables["views"], tables.get("superseded")),
+            ),
+            *([Section("paper", "The paper's tables", paper)] if paper else []),
+            *([Section("scenes", "Scenes", pictures)] if pictures else []),
+            *([Section("editing", "Editing", edits)] if edits else []),
+            *chart_sections(tables),
+        ]
+    if not dvr.empty:
+        sections.append(Section("datasets", "Rendering the volumes", datasets.section(dvr)))
+    if not results[["machine", "commit"]].dropna(how="all").empty:
+        sections.append(Section("provenance", "Provenance", provenance.section(results)))
+    name = _name(dvr if results.empty else results)
+    write_text(out, _document(name, _head(name, tables, sections), sections))
+    return out
+
+
+def _document(name: str, head: str, sections: list[Section]) -> str:
+    body = "\n".join(
+        f'<section aria-labelledby="{part.anchor}"><h2 id="{part.anchor}">{escape(part.title)}</h2>\n'
+        f"{part.html}</section>"
+        for part in sections
+    )
+    scripts = ["theme.js", "table.js"]
+    if 'class="compare"' in body:
+        body += scenes.COMPARE
+        scripts.append("compare.js")
+    library = ""
+    if "data-figure" in body:
+        from plotly.offline import get_plotlyjs
+
+        library = get_plotlyjs()
+        scripts.append("charts.js")
+    code = '"use strict";\n' + "\n".join((_WEB / file).read_text(encoding="utf-8") for file in scripts)
+    # Kept as text and run when the first chart comes near the screen, which saves a second when it opens.
+    kept = f'<script type="text/plain" id="plotly">{library}</script>\n' if library else ""
+    css = (_WEB / "page.css").read_text(encoding="utf-8")
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_policy([code, library])}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(name)}</title>\n<style>\n{css}</style>\n</head>\n<body>\n"
+        f'<a class="skip" href="#main">Skip to the content</a>\n<div class="page">\n<header>{head}</header>\n'
+        f'<main id="main">\n{body}\n</main>\n</div>\n'
+        f"{kept}<script>{code}</script>\n</body>\n</html>\n"
+    )
+
+
+def _policy(scripts: list[str]) -> str:
+    """What the browser lets the page do: run these very scripts and nothing else, and fetch nothing."""
+    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts)
+    allowed = " ".join(f"'sha256-{value}'" for value in hashes)
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+
+
+def _name(results: pd.DataFrame) -> str:
+    names = [str(name) for name in results["dataset"].dropna().unique()]
+    if len(names) > 4:
+        return f"Benchmark report: {len(names)} datasets"
+    return f"Benchmark report: {', '.join(names)}" if names else "Benchmark report"
+
+
+def _scene_count(results: pd.DataFrame) -> str:
+    kinds = results[["dataset", "scene", "kind"]].drop_duplicates()["kind"].value_counts()
+    others = [f"{kinds[kind]} {kind}" for kind in ("composed", "edited") if kind in kinds]
+    return ", ".join([str(kinds.get("basic", 0)), *others])
+
+
+def _listed(results: pd.DataFrame, column: str) -> str:
+    """The different values of a column, in order."""
+    return ", ".join(str(value) for value in results[column].dropna().unique() if str(value))
+
+
+def _joined(*texts: str) -> str:
+    return ", ".join(text for text in texts if text)
+
+
+def _methods(results: pd.DataFrame) -> str:
+    """The methods; in how many variants where several were measured: all names would fill the page."""
+    variants = results.fillna({"variant": ""}).groupby("method", sort=False)["variant"].unique()
+    return ", ".join(
+        label(method, names[0]) if len(names) == 1 else f"{label(method)} in {len(names)} variants"
+        for method, names in variants.items()
+    )
+
+
+def _head(name: str, tables: dict[str, pd.DataFrame], sections: list[Section]) -> str:
+    """Heading, how the runs went, links to the sections, and what was run."""
+    results = tables["results"]
+    title = f'<h1>{escape(name)}</h1><button type="button" id="theme" hidden></button>'
+    links = "".join(f'<li><a href="#{part.anchor}">{escape(part.title)}</a></li>' for part in sections)
+    nav = f'<nav aria-label="Sections"><ul>{links}</ul></nav>' if links else ""
+    if results.empty:
+        if sections:
+            return title + nav
+        return f"{title}<p>The run store holds no results yet. <code>bench run quick</code> makes some.</p>"
+    sizes = {
+        f"{w} \N{MULTIPLICATION SIGN} {h}"
+        for w, h in zip(results["width"], results["height"], strict=True)
+        if not absent(w)
+    }
+    facts = [
+        ("Methods", _methods(results)),
+        ("Datasets", _listed(results, "dataset")),
+        ("Scenes", _scene_count(results)),
+        ("Preset, split", _joined(_listed(results, "preset"), _listed(results, "split"))),
+        ("Image size", ", ".join(sorted(sizes))),
+        ("Training views", _listed(results, "train_views")),
+        ("Seeds", _listed(results, "seed")),
+        ("Machine, device", _joined(_listed(results, "machine"), _listed(results, "device"))),
+    ]
+    cards = "".join(
+        f'<div class="fact{" long" if len(v) > _LONG else ""}"><dt>{escape(k)}</dt><dd>{escape(v)}</dd></div>'
+        for k, v in facts
+        if v
+    )
+    tags = " ".join(
+        f'<span class="tag {"ok" if status == "ok" else "bad"}">{count} {escape(str(status))}</span>'
+        for status, count in results["status"].value_counts().items()
+    )
+    if (results["status"] != "ok").any():
+        tags += ' <a href="#failures">what did not finish</a>'
+    stale = int(results["stale"].fillna(False).astype(bool).sum())
+    if stale:
+        tags += f' <span class="tag stale">{stale} stale</span>'
+    return f'{title}<p>{tags}</p>{nav}<dl class="facts">{cards}</dl>'

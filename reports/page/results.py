@@ -1,0 +1,242 @@
+"""The page's table of results: all rows with the means of each dataset, to be sorted and filtered."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from reports.page import markup
+from reports.page.provenance import DETAILS, details
+from reports.style import MISSING, absent, label, mean_key, series
+from reports.tables.columns import COLUMNS, cell, quality, title
+from reports.tables.means import summary
+from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
+from reports.tables.results import left_out, processors
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def section(results: pd.DataFrame, views: pd.DataFrame, superseded: pd.DataFrame | None = None) -> str:
+    """The table with its controls, what the columns mean, and what did not finish.
+
+    Args:
+        results: the documented table.
+        views: the documented table; with it, differences are marked that are none by chance.
+        superseded: the documented table; how many rows it has is told.
+    """
+    wanted = [
+        *quality(results), "size_bytes", "primitives", "train_seconds", "load_seconds", "fps",
+        "peak_host_bytes", "peak_device_bytes",
+    ]  # fmt: skip
+    explained = {name for _, row in results.iterrows() for name in _reasons(row)}
+    always = {"psnr", "size_bytes", *explained}
+    numbers = [name for name in wanted if name in always or results[name].notna().any()]
+    axes = [a for a in ("kind", "preset", "split", "seed", "device") if results[a].nunique(dropna=False) > 1]
+    means = summary(results)
+    writer = _Rows(results, numbers, axes, ranks(results, views), ranks(means, views))
+    bodies = []
+    for dataset, rows in results.groupby("dataset", sort=False):
+        name = escape(str(dataset))
+        span = len(numbers) + len(axes) + 3
+        lines = [f'<tr class="group"><th scope="rowgroup" colspan="{span}">{name}</th></tr>']
+        order = {scene: i for i, scene in enumerate(rows["scene"].unique())}
+        # The methods of a scene stand together, to be compared.
+        ordered = rows.sort_values("scene", key=lambda s: s.map(order), kind="stable")
+        told: dict[str, list[str]] = {"basic": [], "composed": [], "edited": []}
+        for index, row in ordered.iterrows():
+            told[row["kind"]].append(writer.scene(index, row))
+        of_dataset = means[means["dataset"] == dataset]
+        lines += told["basic"]
+        lines += [writer.mean(index, row) for index, row in of_dataset.iterrows()]
+        lines += told["composed"] + told["edited"]
+        bodies.append(f"<tbody>{''.join(lines)}</tbody>")
+    heads = "".join(
+        f'<th scope="col"{" class=r" if name in numbers else ""} data-better="{_better(name)}">'
+        f'<button type="button" title="{escape(_doc(name))}">{escape(title(name))}</button></th>'
+        for name in ("scene", "method", *axes, "status", *numbers)
+    )
+    data = json.dumps(
+        {"names": [name for name, _ in DETAILS.values()], "rows": writer.details}, separators=(",", ":")
+    ).replace("</", "<\\/")
+    return (
+        f"{_controls(results)}"
+        '<div class="wide tall" role="region" tabindex="0" aria-label="Results">'
+        '<table class="results"><caption>One row per scene and method; under them the means of the dataset. '
+        "A row opens to show where its numbers come from.</caption>"
+        f"<thead><tr>{heads}</tr></thead>{''.join(bodies)}</table></div>"
+        f'<script type="application/json" id="details">{data}</script>'
+        f"{_notes(results, numbers, writer, left_out(superseded))}{_failures(results)}"
+    )
+
+
+class _Rows:
+    """Writes the rows, and collects their details in the same order."""
+
+    def __init__(
+        self,
+        results: pd.DataFrame,
+        numbers: list[str],
+        axes: list[str],
+        marks: dict[tuple[Any, str], int],
+        mean_marks: dict[tuple[Any, str], int],
+    ) -> None:
+        self.names = series(results)
+        self.numbers, self.axes = numbers, axes
+        self.marks, self.mean_marks = marks, mean_marks
+        self.details: list[list[str]] = []
+
+    @property
+    def marked(self) -> bool:
+        return bool(self.marks or self.mean_marks)
+
+    @property
+    def undecided(self) -> bool:
+        return UNDECIDED in [*self.marks.values(), *self.mean_marks.values()]
+
+    def scene(self, index: Any, row: Any) -> str:
+        cells = self._cells(row, self.marks, index, _reasons(row))
+        kind = "scene" if row["kind"] == "basic" else str(row["kind"])
+        return self._line(row, kind, str(row["scene"]), str(row["status"]), markup.status(row), cells)
+
+    def mean(self, index: Any, row: Any) -> str:
+        state = "mean, sum" if row["complete"] else markup.hint("no average", row["note"])
+        if row["stale"]:
+            state += ' <span class="tag stale">stale</span>'
+        missing = dict.fromkeys(self.numbers, row["note"] or "missing in some scene")
+        cells = self._cells(row, self.mean_marks, index, missing, spread=row["psnr_std"])
+        seeds = f", {row['seeds']} seeds" if row["seeds"] > 1 else ""
+        name = f"{'all' if row['complete'] else 'incomplete'} ({row['scenes']} scenes{seeds})"
+        return self._line(row, "mean", name, "mean", state, cells)
+
+    def _line(self, row: Any, kind: str, name: str, status: str, state: str, cells: str) -> str:
+        self.details.append(details(row))
+        dataset = escape(str(row["dataset"]))
+        key = mean_key(row) if kind == "mean" else str(row["job"])
+        shown = "".join(f"<td>{escape(cell(axis, row.get(axis)))}</td>" for axis in self.axes)
+        return (
+            f'<tr class="row {kind}" data-dataset="{dataset}" data-status="{escape(status)}" '
+            f'data-method="{escape(label(row["method"], row["variant"]))}" data-key="{escape(key)}">'
+            f'<th scope="row"><button type="button" aria-expanded="false">'
+            f'<span class="ds">{dataset} / </span>'
+            f"{escape(name)}</button></th><td>{markup.method(row, self.names)}</td>{shown}"
+            f"<td>{state}</td>{cells}</tr>"
+        )
+
+    def _cells(
+        self,
+        row: Any,
+        marks: dict[tuple[Any, str], int],
+        index: Any,
+        reasons: dict[str, str],
+        spread: Any = None,
+    ) -> str:
+        cells = []
+        for name in self.numbers:
+            if absent(row[name]):
+                why = reasons.get(name) or reasons.get("", "not measured")
+                cells.append(f'<td class="r">{markup.hint(MISSING, why)}</td>')
+                continue
+            text = escape(cell(name, row[name]))
+            if name == "psnr" and not absent(spread):
+                text += f" ± {spread:.2f}"
+            mark = marks.get((index, name), 0)
+            if mark == UNDECIDED:
+                text += f" {markup.hint(UNDECIDED_SIGN, UNDECIDED_NOTE)}"
+            place = {1: " first", 2: " second"}.get(mark, "")
+            cells.append(f'<td class="r{place}" data-v="{float(row[name]):.7g}">{text}</td>')
+        return "".join(cells)
+
+
+def _controls(results: pd.DataFrame) -> str:
+    """Of the page's script, which shows them."""
+    statuses = [str(status) for status in results["status"].unique()]
+    datasets = [str(name) for name in results["dataset"].unique()]
+
+    def select(name: str, text: str, options: list[tuple[str, str]]) -> str:
+        listed = "".join(f'<option value="{escape(v)}">{escape(said)}</option>' for v, said in options)
+        return f'<label>{text} <select data-filter="{name}">{listed}</select></label>'
+
+    def values(name: str, text: str, options: list[str]) -> str:
+        return select(name, text, [("", "all"), *((option, option) for option in options)])
+
+    kinds = [("", "scenes and means"), ("scene", "scenes only"), ("mean", "means only")]
+    return (
+        '<div class="controls" role="search" aria-label="Filter the results" hidden>'
+        '<label>Filter <input type="search" data-filter="text" placeholder="words, all must occur"></label>'
+        f"{values('dataset', 'Dataset', datasets)}{values('method', 'Method', series(results))}"
+        f"{values('status', 'Status', statuses)}{select('kind', 'Show', kinds)}"
+        '<label><input type="checkbox" id="flat"> Sort across datasets</label>'
+        '<button type="button" id="reset">Reset</button>'
+        '<span id="count" role="status"></span></div>'
+    )
+
+
+def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows, superseded: str) -> str:
+    note = (
+        "Quality and FPS of the rows “all” are means over scenes, size and time are sums, memory is the "
+        "maximum. Sizes are MiB (2<sup>20</sup> bytes). "
+    )
+    if (results["kind"] == "composed").any():
+        note += (
+            "A composed row shows its scenes rendered together, with the sum of their sizes and times; it "
+            "is in no mean or sum. "
+        )
+    if (results["kind"] == "edited").any():
+        note += "An edited row is measured against the edited scene's ground truth; it is in no mean or sum. "
+    if writer.marked:
+        note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
+    if writer.undecided:
+        note += f"{UNDECIDED_NOTE} "
+    if numbers[0] == "ssim" and "lpips_vgg" in numbers:
+        note += "LPIPS could not be computed (the reason stands in its cells), so SSIM and FLIP lead. "
+    for remark in (superseded, processors(results)):
+        note += f"<b>{escape(remark)}</b> " if remark else ""
+    note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '
+    note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
+    meanings = "".join(
+        f"<dt>{escape(title(name))}</dt><dd>{escape(_doc(name))}</dd>" for name in numbers if _doc(name)
+    )
+    return (
+        f'<p class="note">{note}</p>'
+        f'<details class="note"><summary>What the columns mean</summary><dl>{meanings}</dl></details>'
+    )
+
+
+def _failures(results: pd.DataFrame) -> str:
+    bad = results[results["status"] != "ok"]
+    if bad.empty:
+        return ""
+    names = series(results)
+    lines = [
+        [
+            escape(f"{row['dataset']} / {row['scene']}"),
+            markup.method(row, names),
+            markup.status(row),
+            escape(cell("stage", row["stage"])),
+            f'<span class="wrap">{escape(cell("reason", row["reason"]))}</span>',
+        ]
+        for _, row in bad.iterrows()
+    ]
+    heads = ("Scene", "Method", "Status", "Stage", "Reason")
+    return (
+        f'<h3 id="failures">What did not finish</h3>{markup.table("Runs that did not finish", heads, lines)}'
+    )
+
+
+def _reasons(row: Any) -> dict[str, str]:
+    """Column -> why it is missing; "" for all others. `reason` lists "metric: why" joined by "; "."""
+    text = "" if absent(row["reason"]) else str(row["reason"])
+    if row["status"] != "ok":
+        return {"": f"{row['status']}: {text}" if text else str(row["status"])}
+    parts = (part.partition(": ") for part in text.split("; "))
+    return {name: why for name, _, why in parts if name in COLUMNS}
+
+
+def _doc(name: str) -> str:
+    return COLUMNS[name].doc if name in COLUMNS else ""
+
+
+def _better(name: str) -> int:
+    return COLUMNS[name].better if name in COLUMNS else 0

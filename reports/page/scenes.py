@@ -1,0 +1,191 @@
+"""The page's pictures: panels of each scene, and the dialog that compares two pictures of a view."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from reports.page import markup
+from reports.pictures import panel_files as panel_figures
+from reports.pictures.difference import DELTA_E_MAX, scale
+from reports.pictures.files import uri
+from reports.pictures.panels import RULE, WHICH, Panel, Shot, models, panels
+from reports.pictures.transfer import beside
+from reports.style import label, series
+from reports.tables.columns import cell
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pandas as pd
+    from numpy.typing import NDArray
+
+PICTURE_BYTES = 4_300_000
+"""Room for pictures; with the chart library (4.8 MB) the page stays under 10 MB."""
+TRUTH = "Ground truth"
+
+
+def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) -> str:
+    """Panels of all scenes that have pictures; "" where none was to have any.
+
+    Where room is short, all median views come before the worst ones.
+
+    Args:
+        tables: results and views as documented.
+        root: the folder that picture paths are relative to.
+        charts: where panels are also written as PDF and PNG; None for nowhere.
+    """
+    results = tables["results"]
+    names = series(results)
+    results = results[results["kind"] != "edited"]
+    keys = ["dataset", "scene", "preset", "split"]
+    blocks: list[tuple[str, dict[str, str]]] = []
+    absent = 0
+    for _, rows in results.groupby(keys, dropna=False, sort=False):
+        shown = models(rows)
+        first = shown.iloc[0]
+        told = [str(first[a]) for a in ("preset", "split") if results[a].nunique(dropna=False) > 1]
+        name = " · ".join([f"{first['dataset']} / {first['scene']}", *told])
+        head = escape(name)
+        if first["kind"] == "composed":
+            head += ' <span class="soft">composed</span>'
+        made = beside(panels(shown, tables["views"], root), tables.get("scenes"), first)
+        absent += bool(made) and not any(panel.tells for panel in made)
+        made = [panel for panel in made if panel.tells]
+        if not made:
+            continue
+        files = ""
+        if charts is not None and any(panel.window for panel in made):
+            short = panel_figures.write(made, name, charts)
+            files = f' <span class="soft">(<a href="charts/{short}.pdf">PDF</a>)</span>'
+        figures = {panel.which: figure(panel, name, names) for panel in made}
+        blocks.append((f'<section class="scene"><h3>{head}{files}</h3><div class="panels">', figures))
+    kept, left_out = _within(PICTURE_BYTES, [figures for _, figures in blocks])
+    parts = [_legend()] if blocks else []
+    for (head, _), fitting in zip(blocks, kept, strict=True):
+        parts.append(f"{head}{''.join(fitting)}</div></section>")
+    if left_out:
+        parts.append(
+            f'<p class="note">{left_out} panels were left out to keep this page small; '
+            "the PDF of their scene has them.</p>"
+        )
+    if absent:
+        counted = "1 scene" if absent == 1 else f"{absent} scenes"
+        which = f"The pictures of {counted}" if blocks else "The scenes' pictures"
+        parts.append(f'<p class="note">{which} are not in this store: bundles carry numbers alone.</p>')
+    return "\n".join(parts)
+
+
+def _within(room: int, scenes: list[dict[str, str]]) -> tuple[list[list[str]], int]:
+    """What of each scene's figures fits, and how many do not."""
+    kept: list[list[str]] = [[] for _ in scenes]
+    left_out = 0
+    for which in WHICH:
+        for figures, fitting in zip(scenes, kept, strict=True):
+            if which not in figures:
+                continue
+            if len(figures[which]) > room:
+                left_out += 1
+                continue
+            room -= len(figures[which])
+            fitting.append(figures[which])
+    return kept, left_out
+
+
+def figure(panel: Panel, scene: str, names: list[str]) -> str:
+    """A view as HTML; ``names``: the report's series."""
+    where = f"{scene}, view {panel.view}"
+    cells = []
+    if panel.truth is not None:
+        zoom = (
+            f"<div>{_image(panel.zoom(panel.truth), f'{where}: {TRUTH}, enlarged')}</div>"
+            if panel.window
+            else ""
+        )
+        cells.append(
+            f'<div class="shot truth"><p>{TRUTH}</p>{_picture(panel, panel.truth, where, TRUTH)}'
+            f'<div class="pair">{zoom}{_transfer(panel, where)}</div></div>'
+        )
+    cells += [_shot(panel, shot, where, names) for shot in panel.shots]
+    compare = '<button type="button" class="compare" hidden>Compare</button>' if panel.window else ""
+    caption = f"{escape(panel.title)} <span class=soft>{escape(panel.view)}</span>"
+    return (
+        f'<figure class="card panel" data-view="{escape(where)}"><figcaption>{caption} {compare}</figcaption>'
+        f'<div class="shots" style="--n:{len(cells)}">{"".join(cells)}</div></figure>'
+    )
+
+
+def _transfer(panel: Panel, where: str) -> str:
+    if panel.transfer is None:
+        return ""
+    return f'<div class="tf">{_image(panel.transfer, f"{where}: transfer function")}</div>'
+
+
+def _shot(panel: Panel, shot: Shot, where: str, names: list[str]) -> str:
+    name = f"<p>{markup.method(shot.row, names)}</p>"
+    if shot.picture is None or shot.difference is None:
+        state = "" if shot.row["status"] == "ok" else markup.status(shot.row)
+        return f'<div class="shot">{name}<p class="note">{state} {escape(shot.problem)}</p></div>'
+    called = label(shot.row["method"], shot.row["variant"], shot.row["rate"])
+    zoom = _image(panel.zoom(shot.picture), f"{where}: {called}, enlarged")
+    difference = _picture(panel, shot.difference, where, f"ΔE*uv of {called}")
+    values = (
+        f"<span><b>{cell('psnr', shot.psnr)}</b> dB ·</span> <span>SSIM {cell('ssim', shot.ssim)} ·</span> "
+        f"<span>ΔE {cell('delta_e_uv', shot.delta_e)}</span>"
+    )
+    return (
+        f'<div class="shot">{name}{_picture(panel, shot.picture, where, called)}'
+        f'<div class="pair"><div>{zoom}</div>{difference}</div><p class="values">{values}</p></div>'
+    )
+
+
+def _picture(panel: Panel, pixels: NDArray[np.uint8], where: str, called: str) -> str:
+    """A picture that can be compared, with the box of the zoom window."""
+    box = ""
+    if panel.window is not None:
+        height, width = pixels.shape[:2]
+        top, left, side = panel.window
+        place = (100 * left / width, 100 * top / height, 100 * side / width, 100 * side / height)
+        box = (
+            '<span class="box" style="left:{:.2f}%;top:{:.2f}%;width:{:.2f}%;height:{:.2f}%"></span>'.format(
+                *place
+            )
+        )
+    return f'<div class="pic">{_image(pixels, f"{where}: {called}", called)}{box}</div>'
+
+
+def _image(pixels: NDArray[np.uint8], alt: str, called: str = "") -> str:
+    height, width = pixels.shape[:2]
+    named = f' data-as="{escape(called)}"' if called else ""
+    size = f'width="{width}" height="{height}"'
+    return f'<img src="{uri(pixels)}" alt="{escape(alt)}" {size}{named} decoding="async">'
+
+
+def _legend() -> str:
+    stops = ", ".join("rgb({},{},{})".format(*scale()[i]) for i in range(0, 256, 15))
+    return (
+        f"<p>{RULE}</p>"
+        '<div class="scalebar"><span>Difference: CIELUV ΔE*<sub>uv</sub>&nbsp; 0</span><span class="bar" '
+        f'style="background:linear-gradient(to right,{stops})"></span>'
+        f"<span>{DELTA_E_MAX:.0f} and more; about 1 is just noticeable. The scale is the same everywhere."
+        "</span></div>"
+    )
+
+
+COMPARE = """<dialog id="compare" aria-labelledby="compare-title">
+<div class="bar"><h2 id="compare-title">Compare</h2><button type="button" data-do="close">Close</button></div>
+<div class="controls">
+<label>Left <select data-side="a"></select></label><label>Right <select data-side="b"></select></label>
+<label>As <select data-mode><option value="slider">slider</option><option value="flip">flip</option>
+<option value="beside">side by side</option></select></label>
+<label data-slider>Divider <input type="range" min="0" max="100" value="50"></label>
+<button type="button" data-do="flip" aria-keyshortcuts="f">Flip (F)</button>
+<button type="button" data-do="truth" aria-keyshortcuts="g" aria-pressed="false">Ground truth (G)</button>
+<button type="button" data-do="previous" aria-keyshortcuts="p">Previous view (P)</button>
+<button type="button" data-do="next" aria-keyshortcuts="n">Next view (N)</button>
+</div>
+<div class="stage"><img data-side="a" alt="Left picture"><img data-side="b" alt="Right picture">
+<span class="divider"></span></div>
+<p role="status"></p>
+</dialog>"""
+"""The dialog, which the page's script fills and opens."""

@@ -1,0 +1,176 @@
+"""The paper's claims as conditions on its tables, held against what was measured."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from reports.paper.layouts import layouts
+from reports.paper.values import QUANTITIES, Block, PaperTable, Row
+from reports.statistics import METRICS, Interval, Views
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+HOLDS, EXCEEDS, FAILS = "holds", "holds, exceeds", "does not hold"
+UNSURE = "not decided"
+UNKNOWN = "not measured"
+SKIPPED = "not evaluated"
+VERDICTS = (HOLDS, EXCEEDS, FAILS, UNSURE, UNKNOWN, SKIPPED)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One claim on one dataset.
+
+    Attributes:
+        claim: its identifier.
+        text: what is claimed.
+        where: dataset and protocol that it was checked on; "" if nowhere.
+        same: whether that is the paper's own dataset.
+        measured: the quantity that the claim bounds, None if it was not measured.
+        bounds: what the paper states of it.
+        verdict: one of :data:`VERDICTS`. :data:`EXCEEDS`: by more than the paper states; :data:`UNSURE`: the
+            interval of the paired difference contains the bound.
+        interval: its 95 % interval over views, where it is a difference of quality.
+        why: why it is not evaluated, or what its rows differ in besides what is claimed.
+    """
+
+    claim: str
+    text: str
+    where: str
+    same: bool
+    measured: float | None
+    bounds: str
+    verdict: str
+    interval: Interval | None = None
+    why: str = ""
+
+
+@cache
+def claims() -> list[dict[str, Any]]:
+    """What ``published/claims.toml`` says."""
+    path = Path(__file__).parent / "published" / "claims.toml"
+    return list(tomllib.loads(path.read_text(encoding="utf-8"))["claims"])
+
+
+def check(tables: Sequence[PaperTable], views: pd.DataFrame | None = None) -> list[Verdict]:
+    """Every claim on every dataset of its table; one verdict without dataset where none was measured.
+
+    Args:
+        tables: of the paper, as measured.
+        views: the documented table; with it differences of quality have intervals.
+    """
+    by_name = {table.name: table for table in tables}
+    seen = Views(views) if views is not None and not views.empty else None
+    verdicts: list[Verdict] = []
+    for claim in claims():
+        table = by_name.get(claim.get("table", ""))
+        blocks = [block for block in table.blocks if _about(claim, block)] if table else []
+        known = [one for one in (_verdict(claim, block, seen) for block in blocks) if one is not None]
+        if not known:
+            why = claim.get("why", "")
+            verdict = SKIPPED if why else UNKNOWN
+            known = [Verdict(claim["id"], claim["text"], "", False, None, _bounds(claim), verdict, None, why)]
+        verdicts += known
+    return verdicts
+
+
+def _about(claim: dict[str, Any], block: Block) -> bool:
+    """Claims about one dataset by name are not asked of others, except of what imitates it."""
+    if claim.get("own") and not block.same:
+        return False
+    return "datasets" not in claim or block.published in claim["datasets"]
+
+
+def _verdict(claim: dict[str, Any], block: Block, views: Views | None) -> Verdict | None:
+    """None if the block lacks what the claim is about."""
+    rows = _rows(claim, block)
+    if rows is None:
+        return None
+    column, what = claim["column"], claim.get("what", "value")
+    values = [float(row.values[column].mean or 0.0) for row in rows]
+    if "of" in claim:
+        whole = rows[0].values[claim["of"]].mean
+        if whole is None:
+            return None
+        values = [values[0] / QUANTITIES[column].scale, whole / QUANTITIES[claim["of"]].scale]
+    measured = _measured(what, values)
+    interval = None
+    if what == "gain" and column in METRICS and views is not None:
+        first, second = (views.sample(row.jobs, column) for row in rows)
+        interval = first.minus(second) if first and second else None
+    verdict = _decide(claim, measured, interval)
+    where = f"{block.dataset}, {block.protocol}" if block.protocol else block.dataset
+    why = _mixed(claim, rows)
+    return Verdict(
+        claim["id"], claim["text"], where, block.same, measured, _bounds(claim), verdict, interval, why
+    )
+
+
+def _mixed(claim: dict[str, Any], rows: list[Row]) -> str:
+    """Whether rows of one method are of several versions of it, which may be what their difference tells."""
+    methods = {line["label"]: line["method"] for line in layouts()["tables"][claim["table"]]["rows"]}
+    sources = {row.sources for row in rows}
+    alike = len({methods.get(row.label) for row in rows}) == 1
+    return "rows of several versions of the method" if alike and len(sources) > 1 else ""
+
+
+def _rows(claim: dict[str, Any], block: Block) -> list[Row] | None:
+    """The rows that a claim compares, of several rivals the best one; None if any is missing."""
+    column = claim["column"]
+    by_label = {row.label: row for row in block.rows if row.values[column].mean is not None}
+    found = []
+    for labels in claim["rows"]:
+        named = [labels] if isinstance(labels, str) else labels
+        rivals = [by_label[name] for name in named if name in by_label]
+        if not rivals:
+            return None
+        better = QUANTITIES[column].better
+        found.append(max(rivals, key=lambda row: better * float(row.values[column].mean or 0.0)))
+    return found
+
+
+def _decide(claim: dict[str, Any], measured: float, interval: Interval | None) -> str:
+    # As exact as the paper prints its own numbers: "2.2 times" is what rounds to it.
+    half = 0.0 if claim.get("exact") else 0.5 * 10.0 ** -_digits(claim)
+    low, high, top = claim.get("least"), claim.get("most"), claim.get("top")
+    floor = None if low is None else low - (half if low else 0.0)
+    good = (floor is None or measured >= floor) and (high is None or measured <= high + half)
+    if floor is not None and interval is not None and interval.contains(floor):
+        return UNSURE
+    if not good:
+        return FAILS
+    return EXCEEDS if top is not None and measured > top + half else HOLDS
+
+
+def _measured(what: str, values: list[float]) -> float:
+    if what == "value":
+        return values[0]
+    first, second = values
+    if what == "gain":
+        return first - second
+    return second / first if what == "ratio" else first / second
+
+
+def _digits(claim: dict[str, Any]) -> int:
+    """Decimals of a claim's bounds as printed."""
+    bounds = [str(claim[key]) for key in ("least", "most", "top") if key in claim]
+    return max((len(text.partition(".")[2].rstrip("0")) for text in bounds), default=0)
+
+
+def _bounds(claim: dict[str, Any]) -> str:
+    if "column" not in claim:
+        return ""
+    unit = {"gain": " dB", "value": "", "share": ""}.get(claim.get("what", "value"), " times")
+    low, high = claim.get("least"), claim.get("most", claim.get("top"))
+    if low is None or high is None or low == high:
+        sign = "≥ " if high is None else "≤ " if low is None else ""
+        text = f"{sign}{high if low is None else low:g}"
+    else:
+        text = f"{low:g} to {high:g}"
+    return text.replace("-", "\N{MINUS SIGN}") + unit

@@ -1,0 +1,1 @@
+"""Pictures of scenes: panels, differences, contact sheets, transfer functions."""

@@ -1,0 +1,149 @@
+"""Contact sheets: small views of many scenes on one picture, with their transfer functions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reports.pictures.transfer import AXIS, draw_level, draw_transfer, pixels
+
+if TYPE_CHECKING:
+    from PIL.ImageDraw import ImageDraw
+    from PIL.ImageFont import FreeTypeFont
+
+_WIDTH = 1500  # pixels of a sheet, or as wide as one tile
+_GAP = 14
+_LINE = 18
+_CURVE = 56  # height of a transfer function
+_INK, _PALE, _BARS = (20, 20, 20), AXIS, (222, 222, 222)
+_LEAST = 420  # a tile is at least so wide that its texts have room
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """One scene or composition.
+
+    Attributes:
+        title: its name.
+        note: said beside it: its variable, or what it is composed of.
+        views: (height, width, 3) in [0, 1], composited; one or more.
+        coverage: mean alpha of the views.
+        histogram: (n,) counts of normalised values in equal bins; empty for none.
+        transfer: (m, 4) color and opacity in [0, 1] at equidistant normalised values; empty for none.
+        levels: normalised value and color of each isosurface.
+    """
+
+    title: str
+    note: str
+    views: tuple[NDArray[np.floating], ...]
+    coverage: float
+    histogram: NDArray[np.integer] | None = None
+    transfer: NDArray[np.floating] | None = None
+    levels: tuple[tuple[float, tuple[float, float, float]], ...] = ()
+
+    @property
+    def has_curve(self) -> bool:
+        return self.transfer is not None or bool(self.levels)
+
+
+def contact_sheet(title: str, tiles: Sequence[Tile]) -> NDArray[np.uint8]:
+    """A picture of all tiles in rows, by their order.
+
+    Under the views of a tile: the logarithmic histogram of its variable (grey) over normalised values 0 to 1,
+    and on it the transfer function, opacity upwards, filled with the color that a value gets; isosurfaces
+    are lines. ``coverage`` stands at the right of the title.
+
+    Args:
+        title: heading of the sheet.
+        tiles: at least one; each as wide as its views side by side.
+
+    Returns:
+        (height, width, 3).
+    """
+    from PIL import Image, ImageDraw
+
+    wide = max(_LEAST, *(sum(v.shape[1] for v in tile.views) for tile in tiles))
+    columns = max(1, min(len(tiles), (_WIDTH - _GAP) // (wide + _GAP)))
+    rows = [list(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
+    heights = [max(_height(tile) for tile in row) + _GAP for row in rows]
+    size = (columns * (wide + _GAP) + _GAP, sum(heights) + 2 * _GAP + 28)
+    sheet = Image.new("RGB", size, (255, 255, 255))
+    draw = ImageDraw.Draw(sheet)
+    draw.text(
+        (_GAP, _GAP), _fitting(title, 20, size[0] - 2 * _GAP, bold=True), fill=_INK, font=_font(20, bold=True)
+    )
+    top = _GAP + 36
+    for row, height in zip(rows, heights, strict=True):
+        for column, tile in enumerate(row):
+            left = _GAP + column * (wide + _GAP)
+            _head(draw, tile, left, top, wide)
+            at, tall = left, max(v.shape[0] for v in tile.views)
+            for view in tile.views:
+                sheet.paste(Image.fromarray(pixels(view)), (at, top + _LINE + 4))
+                at += view.shape[1]
+            if tile.has_curve:
+                curve = Image.fromarray(pixels(_curve(tile, wide)))
+                sheet.paste(curve, (left, top + _LINE + 4 + tall + 6))
+        top += height
+    return np.asarray(sheet)
+
+
+def _height(tile: Tile) -> int:
+    return _LINE + 4 + max(len(v) for v in tile.views) + (6 + _CURVE if tile.has_curve else 0)
+
+
+def _head(draw: ImageDraw, tile: Tile, left: int, top: int, wide: int) -> None:
+    said = f"{100 * tile.coverage:.1f} %"
+    right = left + wide - draw.textlength(said, font=_font(13))
+    draw.text((right, top), said, fill=_PALE, font=_font(13))
+    name = _fitting(tile.title, 14, right - left - 10, bold=True)
+    draw.text((left, top), name, fill=_INK, font=_font(14, bold=True))
+    after = left + draw.textlength(name, font=_font(14, bold=True)) + 10
+    if right - after > 40:
+        note = _fitting(tile.note, 13, right - after - 10)
+        draw.text((after, top), note, fill=_PALE, font=_font(13))
+
+
+def _curve(tile: Tile, wide: int) -> NDArray[np.floating]:
+    """(_CURVE, wide, 3): histogram, transfer function and levels over values 0 to 1."""
+    picture = np.ones((_CURVE, wide, 3))
+    across = (np.arange(wide) + 0.5) / wide
+    up = (_CURVE - 1 - np.arange(_CURVE) + 0.5)[:, None] / _CURVE
+    if tile.histogram is not None and tile.histogram.max() > 0:
+        bins = np.minimum((across * len(tile.histogram)).astype(int), len(tile.histogram) - 1)
+        share = np.log1p(tile.histogram)[bins] / math.log1p(tile.histogram.max())
+        picture[up < share[None]] = np.asarray(_BARS) / 255.0
+    if tile.transfer is not None:
+        draw_transfer(picture, tile.transfer)
+    for value, level in tile.levels:
+        draw_level(picture, value, level)
+    picture[-1] = np.asarray(_PALE) / 255.0
+    return picture
+
+
+def _fitting(text: str, size: int, room: float, *, bold: bool = False) -> str:
+    """The text, shortened to fit."""
+    font = _font(size, bold=bold)
+    if font.getlength(text) <= room:
+        return text
+    kept = text
+    while kept and font.getlength(kept + "\N{HORIZONTAL ELLIPSIS}") > room:
+        kept = kept[:-1]
+    return kept.rstrip(" ,") + "\N{HORIZONTAL ELLIPSIS}"
+
+
+@cache
+def _font(size: int, *, bold: bool = False) -> FreeTypeFont:
+    """DejaVu Sans, which Matplotlib brings."""
+    import matplotlib
+    from PIL import ImageFont
+
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)

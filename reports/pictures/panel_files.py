@@ -1,0 +1,147 @@
+"""Panels as files for papers: PDF and PNG, one per scene."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from reports.pictures.difference import DELTA_E_MAX, scale
+from reports.pictures.panels import Panel, Shot
+from reports.style import label
+from reports.tables.columns import cell
+
+if TYPE_CHECKING:
+    import numpy as np
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+_CELL = 1.5  # inches, width of a picture
+_GAP = 0.06
+_TEXT = 0.17  # a line
+_HALF = (_CELL - _GAP) / 2
+_LETTERS = 29  # of a line that fits below a picture
+_BOLD = 24  # of one above it
+_FRAME = "#d6006c"  # with white around it, seen on light and on dark pictures
+
+
+def write(panels: list[Panel], scene: str, folder: Path) -> str:
+    """Write the panels of a scene, one row of pictures per view.
+
+    Args:
+        panels: at least one with pictures.
+        scene: its name, which becomes that of the files.
+        folder: made if it is missing.
+
+    Returns:
+        Name of the files without ending: "panel-<dataset>-<scene>".
+    """
+    name = "panel-" + re.sub(r"[^\w.@=+-]+", "-", scene)
+    folder.mkdir(parents=True, exist_ok=True)
+    figure = draw([panel for panel in panels if panel.window is not None], scene)
+    figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None})
+    figure.savefig(folder / f"{name}.png", dpi=200)
+    return name
+
+
+def draw(panels: list[Panel], scene: str) -> Figure:
+    """Ground truth and all models in a row per view: the picture, below it the zoom and the difference."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = 1 + max(len(panel.shots) for panel in panels)
+    heights = [_above(panel) + _CELL * _aspect(panel) + _GAP + _HALF + 2 * _TEXT for panel in panels]
+    size = (columns * (_CELL + _GAP) + _GAP, sum(heights) + 2.4 * _TEXT)
+    figure = Figure(figsize=size)
+    FigureCanvasAgg(figure)
+    figure.suppressComposite = True  # every picture keeps its own pixels
+    # One set of axes in inches from the upper left corner; hundreds of them would take seconds.
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    top = _GAP
+    for panel, height in zip(panels, heights, strict=True):
+        _row(axes, panel, top)
+        top += height
+    _show(axes, scale()[None], _GAP, top + 0.06, _CELL, 0.09)
+    text = f"ΔE*uv to the ground truth, 0 to {DELTA_E_MAX:.0f}"
+    _write(axes, 2 * _GAP + _CELL, top + 0.03, text if columns > 2 else f"ΔE*uv 0 to {DELTA_E_MAX:.0f}")
+    _write(axes, _GAP, top + 0.03 + _TEXT, scene, color="#555555")
+    axes.set(xlim=(0.0, size[0]), ylim=(size[1], 0.0))
+    return figure
+
+
+def _row(axes: Axes, panel: Panel, top: float) -> None:
+    """One view: all pictures side by side."""
+    aspect, bottom = _aspect(panel), top + _above(panel)
+    below = bottom + _CELL * aspect + _GAP
+    words = f"{panel.title[:1].lower()}{panel.title[1:]}, {panel.view}"
+    words = textwrap.fill(words, _LETTERS)
+    shown: list[tuple[str, Any, Any, str]] = [("Ground truth", panel.truth, None, words)]
+    for shot in panel.shots:
+        values = f"{cell('psnr', shot.psnr)} dB, ΔE {cell('delta_e_uv', shot.delta_e)}"
+        if shot.picture is None:
+            values = str(shot.row["status"]) if shot.row["status"] != "ok" else "no picture"
+        shown.append((_name(shot), shot.picture, shot.difference, values))
+    for column, (name, picture, difference, values) in enumerate(shown):
+        left = _GAP + column * (_CELL + _GAP)
+        _write(axes, left, bottom - 0.03, name, weight="bold", va="bottom")
+        _write(axes, left, below + _HALF + 0.03, values)
+        if picture is None:
+            continue
+        _show(axes, picture, left, bottom, _CELL, _CELL * aspect, panel.window)
+        _show(axes, panel.zoom(picture), left, below, _HALF, _HALF)
+        _frame(axes, left, below, _HALF, _HALF, _FRAME, 1.0)
+        if column == 0 and panel.transfer is not None:
+            _show(axes, panel.transfer, left + _HALF + _GAP, below, _HALF, _HALF)
+        if difference is not None:
+            wide = min(_HALF, _HALF / aspect)
+            _show(axes, difference, left + _HALF + _GAP, below, wide, wide * aspect, panel.window)
+
+
+def _show(
+    axes: Axes,
+    picture: NDArray[np.uint8],
+    left: float,
+    top: float,
+    width: float,
+    height: float,
+    window: tuple[int, int, int] | None = None,
+) -> None:
+    """A picture in a thin frame, with the box of the zoom window."""
+    place = (left, left + width, top + height, top)
+    axes.imshow(picture, extent=place, aspect="auto", interpolation="nearest")
+    _frame(axes, left, top, width, height, "#000000", 0.4)
+    if window is not None:
+        rows, columns = picture.shape[:2]
+        at, side = (left + width * window[1] / columns, top + height * window[0] / rows), window[2]
+        for color, line in (("#ffffff", 1.8), (_FRAME, 1.0)):
+            _frame(axes, *at, width * side / columns, height * side / rows, color, line)
+
+
+def _frame(axes: Axes, left: float, top: float, width: float, height: float, color: str, line: float) -> None:
+    from matplotlib.patches import Rectangle
+
+    axes.add_patch(Rectangle((left, top), width, height, fill=False, ec=color, lw=line, joinstyle="miter"))
+
+
+def _write(axes: Axes, left: float, top: float, text: str, **style: Any) -> None:
+    axes.text(left, top, text, **{"fontsize": 6.5, "va": "top", **style})
+
+
+def _name(shot: Shot) -> str:
+    """Method, variant and rate, in lines that fit above a picture."""
+    return textwrap.fill(label(shot.row["method"], shot.row["variant"], shot.row["rate"]), _BOLD)
+
+
+def _above(panel: Panel) -> float:
+    """Inches above the pictures that the longest name takes."""
+    return _TEXT * 0.75 * (max([1, *(_name(shot).count("\n") + 1 for shot in panel.shots)]) + 1 / 3)
+
+
+def _aspect(panel: Panel) -> float:
+    """Height of the pictures over their width."""
+    assert panel.truth is not None
+    height, width = panel.truth.shape[:2]
+    return float(height / width)

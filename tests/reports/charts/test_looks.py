@@ -1,0 +1,256 @@
+"""What colors, markers and legends stand for; charts of many variants and of several presets."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.colors import to_hex
+from scipy.signal import find_peaks
+
+from reports import style
+from reports.charts import data, features, parts, plots, rate_distortion, training
+from reports.charts import files as charts
+from reports.charts.elements import legend
+from reports.charts.figures.frame import LINES, MARKERS
+from reports.charts.sections import chart_sections
+from reports.page import results as results_table
+from reports.style import MOST_NAMED, OTHERS, OTHERS_NAME, legend_entries, look, looks, named, series
+from tests.reports.charts.test_charts import curve_table, of_training
+
+NAMES = ["ECoNGS", *(f"ECoNGS [features={i}]" for i in range(20)), "3DGS [start=cloud]", "HAC"]
+
+
+def many_variants(maker, **more):
+    """ECoNGS in twelve variants of which three are on the front, and another method."""
+    maker.run(method="econgs", psnr=33.0, size=3 << 20, views=0, **more)
+    for i in range(11):
+        psnr, size = (34.0 + i, (4 + i) << 20) if i < 2 else (30.0, (20 + i) << 20)
+        maker.run(method="econgs", variant=f"features={i}", psnr=psnr, size=size, views=0, **more)
+    maker.run(method="hac", psnr=20.0, size=90 << 20, views=0, **more)
+
+
+def test_a_method_has_one_color_and_its_variants_differ_in_marker_or_line():
+    assert {look(name, NAMES).color for name in NAMES[:21]} == {style.PALETTE[0]}
+    assert len({look(name, NAMES).color for name in ("ECoNGS", "3DGS [start=cloud]", "HAC")}) == 3
+    assert len({look(name, NAMES) for name in NAMES}) == len(NAMES)
+    assert look("ECoNGS", list(reversed(NAMES))).dash == "solid"  # the default, wherever it stands
+
+
+def test_many_methods_stay_apart_where_the_colors_begin_again():
+    methods = [f"method {i}" for i in range(20)]
+    assert len({look(name, methods) for name in methods}) == 20
+
+
+def test_with_many_variants_only_the_defaults_are_told_apart():
+    assert named(NAMES[:MOST_NAMED]) == set(NAMES[:MOST_NAMED])
+    assert named(NAMES) == {"ECoNGS", "3DGS [start=cloud]", "HAC"}
+    shown = looks(NAMES, NAMES)
+    assert list(shown.values()).count(OTHERS) == 20
+    assert OTHERS not in list(shown.values())[20:]  # and drawn below
+    assert list(legend_entries([NAMES], NAMES)) == ["ECoNGS", "3DGS [start=cloud]", "HAC", OTHERS_NAME]
+
+
+def test_a_legend_shows_marker_and_dash(maker):
+    entries = legend_entries([["ECoNGS", "ECoNGS [features=1]"]], NAMES)
+    html = legend(entries)
+    assert html.count("<svg") == 2
+    assert html.count("stroke-dasharray") == sum(entry.dash != "solid" for entry in entries.values()) == 1
+    assert len(set(re.findall(r'd="(M[^"]+z)"', html))) == 2
+    many_variants(maker)
+    handles = charts.tradeoff(maker.tables()["results"], "size_bytes").legends[0].legend_handles
+    assert [(handle.get_label(), handle.get_marker()) for handle in handles] == [(OTHERS_NAME, "o")]
+
+
+def test_the_legend_of_lines_is_what_is_drawn():
+    rows = [(f"{m}{s}", s, m, i, float(i), 30.0 + i, None, "") for m in ("a", "b", "c") for s in "wxyz"
+            for i in (1, 2)]  # fmt: skip
+    curve = curve_table(rows)
+    names = ["other", "a", "b", "b [x=1]", "c"]
+    figure = charts.convergence(curve, "iteration", names)
+    drawn = {(line.get_color(), line.get_marker(), line.get_linestyle()) for line in figure.axes[0].lines}
+    handles = figure.legends[0].legend_handles
+    assert {(h.get_color(), h.get_marker(), h.get_linestyle()) for h in handles} == drawn
+    assert [handle.get_label() for handle in handles] == ["a", "b", "c"]
+    assert all(look.marker in MARKERS and look.dash in LINES for look in looks(names, names).values())
+
+
+def test_page_legends_name_only_what_is_drawn(maker):
+    maker.run(method="3dgs")
+    maker.run(method="hac")
+    maker.run(method="econgs")
+    tables = maker.tables()
+    tables["curve"].loc[tables["curve"]["method"] == "hac", "psnr"] = None
+    html = {section.anchor: section.html for section in chart_sections(tables)}
+    for anchor in ("convergence", "anytime"):
+        said = re.findall(r"</svg> ([^<]+)</span>", html[anchor])
+        assert said == ["3DGS", "ECoNGS"]
+
+
+def test_the_front_is_named_among_many_variants_and_the_rest_is_gray(maker):
+    many_variants(maker)
+    results = maker.tables()["results"]
+    (panel,) = data.tradeoff(results, "size_bytes")
+    names = series(results)
+    said = {text for _, _, text, _ in panel.labels(names)}
+    assert said == {"ECoNGS", "HAC", "features=0", "features=1"}
+    assert [style is OTHERS for _, style in panel.looks(names)] == [True] * 9 + [False] * 4
+    traces = plots.tradeoffs(results, "size_bytes")["vortex"]["data"]
+    assert sum(trace.get("marker", {}).get("color") == OTHERS.color for trace in traces) == 18
+    assert any("features=5" in trace.get("hovertemplate", "") for trace in traces)
+
+
+def test_presets_and_splits_have_panels_of_their_own(maker):
+    for preset, psnr in (("quick", 30.0), ("paper", 36.0)):
+        maker.run(method="econgs", preset=preset, psnr=psnr, views=0)
+        maker.run(method="3dgs", preset=preset, psnr=psnr - 2, size=9 << 20, views=0)
+    maker.run(method="3dgs", split="val", psnr=20.0, views=0)
+    panels = data.tradeoff(maker.tables()["results"], "size_bytes")
+    titles = ["vortex · quick · test", "vortex · paper · test", "vortex · quick · val"]
+    assert [panel.title for panel in panels] == titles
+    assert [[y for _, y in panel.means] for panel in panels] == [[30.0, 28.0], [36.0, 34.0], [20.0]]
+    assert {line.title for panel in panels for line in panel.lines} == {"ECoNGS", "3DGS"}
+
+
+def test_rates_and_training_are_not_compared_across_presets(maker):
+    for preset, gain in (("quick", 0.0), ("paper", 3.0)):
+        for weight, psnr in ((1e-2, 33.0), (5e-3, 34.0), (1e-3, 35.0), (5e-4, 36.0)):
+            variant = f"rate_weight={weight:g}"
+            maker.run(method="hac", variant=variant, preset=preset, psnr=psnr + gain,
+                      size=int(1 / weight) << 10, views=0)  # fmt: skip
+    found = rate_distortion.curves(maker.tables()["results"])
+    assert list(found) == ["vortex · quick", "vortex · paper"]
+    assert rate_distortion.differences(found) == []
+    assert list(plots.rate_curves(maker.tables()["results"])) == list(found)
+    rows = [("j", "s", "econgs", i, float(i), 30.0 + i, 9, '{"image": 0.1, "x": 0.1}') for i in (1, 2)]
+    curve = pd.concat([curve_table(rows), curve_table(rows).assign(preset="paper", job="k")])
+    assert list(training.convergence(curve, "iteration")) == ["d · quick", "d · paper"]
+    assert list(training.anytime(curve, maker.tables()["results"], "psnr")) == ["d · quick", "d · paper"]
+    assert [panel.dataset for panel in training.losses(of_training(curve))] == ["d · quick", "d · paper"]
+
+
+def test_single_sizes_of_variants_are_not_in_the_chart_of_rates(maker):
+    many_variants(maker)
+    maker.run(method="3dgs", variant="start=cloud", psnr=33.0, views=0)
+    for rate, size in ((64, 1 << 20), (256, 2 << 20)):
+        maker.run(method="vq-3dgs", rate=rate, psnr=30.0 + rate / 100, size=size, views=0)
+    (curves,) = rate_distortion.drawn(rate_distortion.curves(maker.tables()["results"])).values()
+    assert [curve.title for curve in curves] == ["ECoNGS", "HAC", "3DGS [start=cloud]", "VQ-3DGS"]
+
+
+def test_every_row_of_the_page_has_a_key_of_its_own(maker):
+    for preset in ("quick", "paper"):
+        for seed in (0, 1):
+            for scene in "ab":
+                maker.run(scene=scene, preset=preset, seed=seed, views=0)
+    maker.run(split="val", views=0)
+    results = maker.tables()["results"]
+    keys = re.findall('data-key="([^"]*)"', results_table.section(results, maker.tables()["views"]))
+    assert len(keys) == len(set(keys)) == 8 + 2 + 1 + 1
+    for panel in data.tradeoff(results, "size_bytes"):
+        for line in panel.lines:
+            linked = [key for point in (*line.keys, *line.scene_keys) for key in point]
+            assert set(linked) <= set(keys)
+    (point, _), *_ = [line.scene_keys for panel in data.tradeoff(results, "fps") for line in panel.lines]
+    assert len(point) == 2  # seeds of one scene
+
+
+# --------------------------------------------------------------------------- parts
+
+
+def ledger(**methods):
+    rows = [(method, part, count) for method, held in methods.items() for part, count in held.items()]
+    return pd.DataFrame(rows, columns=["method", "part", "bytes"]).assign(
+        job=[method for method, _, _ in rows], dataset="d", scene="s", variant="", rate=None,
+        preset="quick", seed=0,
+    )  # fmt: skip
+
+
+def test_a_part_has_its_color_whatever_else_is_in_the_chart():
+    first = plots.ledger(ledger(a={"positions": 50, "sh2": 50}))
+    second = plots.ledger(ledger(a={"decoders": 70, "features": 20, "positions": 10}))
+    colors = [{t["name"]: t["marker"]["color"] for t in figure["data"]} for figure in (first, second)]
+    assert colors[0]["positions"] == colors[1]["positions"]
+    assert len({shade for each in colors for shade in each.values()}) == 4
+    figure = charts.ledger(ledger(a={"positions": 50, "sh2": 50}))
+    drawn = {to_hex(patch.get_facecolor()).upper() for patch in figure.axes[0].patches}
+    assert drawn == set(colors[0].values())
+
+
+def test_all_families_look_different():
+    others = dict.fromkeys(("opacity", "features", "codebooks", "new"), 9)
+    table = ledger(a=dict.fromkeys(parts._FAMILIES, 100), b=others)
+    shades = [trace["marker"]["color"] for trace in plots.ledger(table)["data"]]
+    assert len(set(shades)) == len(shades) > 9
+
+
+def test_parts_of_a_family_are_one_and_small_ones_are_the_rest():
+    table = ledger(a={"sh_dc": 300, "sh_rest": 600, "positions": 95, "header": 5, "codebooks": 4})
+    (bar,), families = data.ledger(table)
+    assert families == ["positions", "color", "other"]
+    assert bar.amounts == {"positions": 95, "color": 900, "other": 9}
+    told = {trace["name"]: trace["customdata"][0] for trace in plots.ledger(table)["data"]}
+    assert "sh_rest: " in told["color"]
+    assert "codebooks: " in told["other"]
+
+
+def test_a_part_of_the_loss_has_one_color_in_all_panels():
+    both, one = '{"image": 0.1, "color": 0.05, "rate": 0.01}', '{"image": 0.1, "rate": 0.01}'
+    rows = [(m, "s", m, i, 1.0, 30.0, None, text) for m, text in (("a", both), ("b", one)) for i in (1, 2)]
+    figures = [figure for _, figure in plots.losses(of_training(curve_table(rows)))]
+    colors = [{trace["name"]: trace["line"]["color"] for trace in figure["data"]} for figure in figures]
+    assert colors[1] == {name: shade for name, shade in colors[0].items() if name != "color"}
+    assert len(set(colors[0].values())) == 4
+
+
+def test_losses_of_many_variants_are_those_of_the_default():
+    text = '{"image": 0.1, "rate": 0.01}'
+    variants = ["", *(f"hidden={i}" for i in range(MOST_NAMED))]
+    each = [
+        curve_table([(f"j{v}", "s", "econgs", i, 1.0, 30.0, None, text) for i in (1, 2)]).assign(variant=v)
+        for v in variants
+    ]
+    assert [panel.title for panel in training.losses(of_training(pd.concat(each)))] == ["ECoNGS"]
+    assert len(training.losses(of_training(pd.concat(each[:MOST_NAMED])))) == MOST_NAMED
+
+
+def test_titles_of_panels_are_broken_before_they_are_cut():
+    rows = [("j", "s", "econgs", i, 1.0, 30.0, None, '{"image": 0.1, "rate": 0.01}') for i in (1, 2)]
+    table = curve_table(rows).assign(variant="decoder_precision=float32", dataset="a dataset of a long name")
+    title = charts.losses(training.losses(of_training(table))).axes[0].get_title(loc="left")
+    assert max(map(len, title.splitlines())) < 45
+
+
+# --------------------------------------------------------------------------- attributes
+
+
+def attributes(values, variants=("",)):
+    rows = [("econgs", variant, "offsets", list(values), 1) for variant in variants]
+    table = pd.DataFrame(rows, columns=["method", "variant", "name", "values", "width"])
+    return table.assign(job="j", dataset="d", scene="s", preset="quick")
+
+
+def test_quantised_values_are_no_comb():
+    values = np.random.default_rng(0).normal(0.0, 0.1, 20_000)
+    (panel,) = features.histograms(attributes(np.round(values / 0.047) * 0.047))
+    shares = np.array(panel.shares["ECoNGS"])
+    assert len(find_peaks(np.pad(shares, 1), prominence=0.05 * shares.max())[0]) <= 3
+    counted = np.histogram(values, panel.edges)[0] / 200
+    assert np.abs(shares - counted).sum() < 12  # percent: what the values were before
+
+
+def test_histograms_of_many_variants_show_the_default():
+    table = attributes(np.arange(50.0), ["", *(f"features={i}" for i in range(12))])
+    assert list(features.histograms(table)[0].shares) == ["ECoNGS"]
+    presets = pd.concat([table, table.assign(preset="paper")])
+    assert [panel.dataset for panel in features.histograms(presets)] == ["d · quick", "d · paper"]
+
+
+def test_page_and_script_agree_on_dark_colors():
+    script = (Path(results_table.__file__).parent / "web" / "charts.js").read_text(encoding="utf-8")
+    assert all(f'"{light}": "{dark}"' in script for light, dark in style.DARK.items())
+
+
+def test_saving_draws_once(maker):
+    maker.run(views=0)
+    assert charts.tradeoff(maker.tables()["results"], "fps").get_layout_engine() is None

@@ -1,0 +1,39 @@
+"""The page of a table that another tool made says nothing that the table does not."""
+
+import pytest
+
+from reports.__main__ import main
+from tests.reports.page.test_page import Checker
+
+TABLE = """dataset,scene,method,psnr,size_bytes,fps
+engine,bone,alpha,32.1,1048576,100
+engine,bone,beta,31,524288,
+"""
+
+
+@pytest.fixture
+def table(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text(TABLE)
+    return path
+
+
+def test_nothing_empty_or_false_is_said(table, tmp_path):
+    assert main(["--table", str(table), "--out", str(tmp_path / "out")]) == 0
+    checker = Checker()
+    checker.feed((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    text = " ".join(" ".join(checker.text).split())
+    for words in ("Preset, split", "Machine", "Image size", "could not be computed", "SSIM", "FLIP", "ΔE",
+                  "Primitives", "Load", "Host mem", "No pictures", "Reference kernel"):  # fmt: skip
+        assert words not in text, words
+    assert "32.10" in text
+    heads = (tmp_path / "out" / "results.md").read_text(encoding="utf-8").splitlines()[0]
+    assert heads == "| Dataset | Scene | Method | PSNR [dB] | Size [MiB] | FPS | Status |"
+
+
+def test_a_file_where_the_folder_shall_be_is_an_error(table, capsys):
+    assert main(["--table", str(table), "--out", str(table)]) == 2
+    assert main(["--table", str(table), "--out", str(table / "deeper")]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 2
+    assert all(line.startswith(f"error: {table}") and "--out" in line for line in told)

@@ -1,0 +1,312 @@
+import contextlib
+import re
+import warnings
+from html.parser import HTMLParser
+from itertools import pairwise
+from unittest.mock import patch
+
+import pandas as pd
+import pytest
+from PIL import Image
+
+from reports.charts import files as charts
+from reports.charts import plots
+from reports.page.document import write_report
+from reports.pictures import panel_files as panel_figures
+from reports.style import color, place_labels, series
+from tests.reports.conftest import fill, frame
+
+
+class Checker(HTMLParser):
+    """Collects what the page loads, and whether its elements are closed."""
+
+    VOID = frozenset({"meta", "img", "br", "link", "input", "wbr"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        self.sources += [value for name, value in attrs if name == "src"]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "script" not in self.open and "style" not in self.open:
+            self.text.append(data)
+
+
+def page(maker, draw: bool = False) -> tuple[str, str]:
+    """The page's source and its text; the charts for papers take seconds and are drawn if asked for."""
+    with contextlib.ExitStack() as stack:
+        if not draw:
+            stack.enter_context(patch.object(charts, "write"))
+            stack.enter_context(patch.object(panel_figures, "write", return_value="panel"))
+        path = write_report(maker.tables(), maker.root, maker.root / "report.html")
+    source = path.read_text(encoding="utf-8")
+    checker = Checker()
+    checker.feed(source)
+    assert checker.open == []
+    assert all(value.startswith("data:image/") for value in checker.sources)
+    assert path.stat().st_size < 10e6
+    return source, " ".join(" ".join(checker.text).split())
+
+
+def test_a_normal_report_is_whole_and_works_offline(maker):
+    fill(maker, "normal")
+    source, text = page(maker, draw=True)
+    assert source.count("Plotly.react(") == 1
+    assert "<link" not in source
+    assert source.count('<figure class="card panel"') == 4
+    for words in ("34.20", "31.70", "all (2 of 2 scenes)", "32.95", "68a71d8fe012", "12.3 to 12.3 ms"):
+        assert words in text
+    assert {p.name for p in (maker.root / "charts").iterdir()} == {
+        f"{name}.{ending}"
+        for name in (
+            "psnr-size",
+            "psnr-fps",
+            "psnr-time",
+            "psnr-memory",
+            "anytime-psnr",
+            "convergence-seconds",
+            "convergence-iterations",
+            "ledger",
+            "panel-vortex-tf0",
+            "panel-vortex-tf1",
+        )
+        for ending in ("pdf", "png")
+    }
+    assert all((maker.root / f"results.{ending}").stat().st_size for ending in ("csv", "md", "tex"))
+
+
+class Outline(HTMLParser):
+    """What a screen reader is told."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__()
+        self.headings: list[int] = []
+        self.wrong: list[str] = []
+        self.captions = self.tables = 0
+        self.landmarks: list[str] = []
+        self.ids: list[str] = []
+        self.refers: set[str] = set()
+        self.feed(source)
+
+    def handle_starttag(self, tag, attrs):
+        had = dict(attrs)
+        if re.fullmatch("h[1-6]", tag):
+            self.headings.append(int(tag[1]))
+        if (tag == "img" and not had.get("alt")) or (tag == "th" and not had.get("scope")):
+            self.wrong.append(self.get_starttag_text())
+        if tag in ("select", "input") and not self.labelled:
+            self.wrong.append(self.get_starttag_text())
+        self.labelled = tag == "label" or (tag == "select" and self.labelled)
+        self.captions += tag == "caption"
+        self.tables += tag == "table"
+        if tag in ("main", "header", "nav"):
+            self.landmarks.append(tag)
+        if "id" in had:
+            self.ids.append(had["id"])
+        self.refers |= {had[name] for name in ("aria-labelledby", "aria-controls") if name in had}
+        if had.get("href", "").startswith("#"):
+            self.refers.add(had["href"][1:])
+
+    labelled = False
+
+
+def test_a_screen_reader_finds_its_way(maker):
+    fill(maker, "failures")
+    maker.run("other", method="econgs")
+    maker.dvr()
+    outline = Outline(page(maker)[0])
+    assert outline.headings[0] == 1
+    assert outline.headings.count(1) == 1
+    assert all(b <= a + 1 for a, b in pairwise(outline.headings))
+    assert outline.wrong == []
+    assert outline.captions == outline.tables > 3
+    assert sorted(outline.landmarks) == ["header", "main", "nav"]
+    assert len(outline.ids) == len(set(outline.ids))
+    assert outline.refers <= set(outline.ids)
+
+
+def test_variants_are_counted_where_several_were_measured(maker):
+    maker.run(method="3dgs", views=0)
+    maker.run(method="hac", variant="configuration=paper", views=0)
+    maker.run(method="econgs", views=0)
+    maker.run(method="econgs", variant="shading=false", views=0)
+    assert "Methods 3DGS, HAC [configuration=paper], ECoNGS in 2 variants Datasets" in page(maker)[1]
+
+
+def test_a_missing_metric_is_a_dash_with_its_reason(maker):
+    maker.run()
+    source, text = page(maker)
+    assert "backbone weights missing: put vgg16-397923af.pth" in source
+    assert "SSIM and FLIP lead" in text
+    assert text.index("SSIM") < text.index("PSNR [dB]")
+
+
+def test_failures_are_shown_escaped_with_reasons(maker):
+    fill(maker, "failures")
+    source, text = page(maker)
+    assert "<b>cannot</b>" not in source
+    for words in (
+        "1 oom",
+        "1 refused",
+        "1 timeout",
+        "1 stale",
+        "no average",
+        "the fit passed its limit of 8 GiB",
+    ):
+        assert words in text
+    assert re.search(r'class="r first"[^>]*>36.00', source)
+    assert re.search(r'class="r second"[^>]*>33.98', source)
+
+
+def test_an_empty_store_says_so(maker):
+    _, text = page(maker)
+    assert "no results yet" in text
+
+
+def test_nothing_but_failures(maker):
+    maker.run(status="failed", reason="boom")
+    _, text = page(maker)
+    assert "boom" in text
+
+
+def test_a_store_without_pictures_says_so_once_and_shows_no_empty_scenes(maker):
+    for scene in "abc":
+        maker.run(scene=scene)
+    for view in maker.rows["views"]:
+        (maker.root / view["render_file"]).unlink()
+    source, text = page(maker)
+    assert text.count("pictures are not in this store") == 1
+    assert "<h3>vortex / a" not in source
+    assert str(maker.root) not in source
+    assert "Errno" not in source
+
+
+def test_scenes_without_pictures_are_counted_beside_others(maker):
+    maker.run(scene="a")
+    maker.run(scene="b")
+    maker.run(scene="b", method="hac")
+    for view in maker.rows["views"]:
+        if view["scene"] == "a" or view["method"] == "hac":
+            (maker.root / view["render_file"]).unlink()
+    source, text = page(maker)
+    assert "The pictures of 1 scene are not in this store" in text
+    assert "no picture in this store" in text  # of one model of a scene that has others
+    assert source.count("<h3>vortex / ") == 1
+
+
+def test_a_broken_picture_is_told_without_its_path(maker):
+    maker.run(views=1)
+    (maker.root / maker.rows["views"][0]["render_file"]).write_bytes(b"none")
+    source, text = page(maker)
+    assert "no picture: the file is none" in text
+    assert str(maker.root) not in source
+
+
+def test_long_lists_stand_in_wide_boxes(maker):
+    for i in range(6):
+        maker.run(dataset=f"a_dataset_{i}", views=0)
+    source, _ = page(maker)
+    assert source.count('class="fact long"') == 1
+
+
+def test_paths_out_of_the_store_are_not_read(maker, tmp_path):
+    maker.run(views=1)
+    Image.new("RGB", (96, 96)).save(tmp_path.parent / "secret.png")
+    maker.rows["views"][0]["truth_file"] = "../secret.png"
+    assert "outside the run store" in page(maker)[1]
+
+
+def test_charts_hold_the_numbers(maker):
+    maker.run(scene="a", psnr=30.0, size=2 << 20, fps=10)
+    maker.run(scene="b", psnr=34.0, size=4 << 20, fps=10)
+    trace = plots.tradeoffs(maker.tables()["results"], "size_bytes")["vortex"]["data"]
+    assert (trace[0]["x"], trace[0]["y"]) == ([2.0, 4.0], [30.0, 34.0])
+    assert (trace[1]["x"], trace[1]["y"]) == ([3.0], [32.0])
+
+
+def test_no_mean_is_drawn_where_scenes_are_missing(maker):
+    fill(maker, "failures")
+    figure = plots.tradeoffs(maker.tables()["results"], "size_bytes")["vortex"]
+    by_color = {t["marker"]["color"]: t for t in figure["data"] if t["mode"] == "lines+markers"}
+    assert sorted(len(t["x"]) for t in by_color.values()) == [0, 1]
+    assert any(note["text"] == "3DGS (incomplete)" for note in figure["layout"]["annotations"])
+
+
+def test_ledger_sums_to_the_bytes(maker):
+    fill(maker, "normal")
+    ledger = maker.tables()["ledger"]
+    figure = plots.ledger(ledger)
+    assert sum(t["x"][0] for t in figure["data"]) == pytest.approx(100.0)
+    assert "8.68 MiB" in [note["text"] for note in figure["layout"]["annotations"]]
+    counted = [
+        int(re.search(r"\(([\d,]+) B\)", t["customdata"][0])[1].replace(",", "")) for t in figure["data"]
+    ]
+    assert sum(counted) == ledger["bytes"].sum()
+
+
+def test_labels_do_not_overlap():
+    points = [(100 + i % 3, 100 + i) for i in range(6)]
+    texts = ["method number"] * 6
+    boxes = []
+    for (x, y), spot in zip(points, place_labels(points, texts, 330, 250), strict=True):
+        left = x + spot.dx - {"left": 0, "right": 1, "center": 0.5}[spot.anchor] * 6.4 * 13
+        boxes.append((left, y + spot.dy - 7, left + 6.4 * 13, y + spot.dy + 7))
+    for i, a in enumerate(boxes):
+        assert a[0] >= 0
+        assert a[2] <= 330
+        assert not any(a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3] for b in boxes[:i])
+
+
+def test_labels_too_long_for_their_chart_are_broken_at_spaces():
+    long = "Scaffold-GS [configuration=paper] (incomplete)"
+    for x in (5.0, 140.0, 275.0):
+        (spot,) = place_labels([(x, 100.0)], [long], 280, 200)
+        assert spot.text.split() == long.split()
+        wide = 6.4 * max(map(len, spot.text.split("\n")))
+        left = x + spot.dx - {"left": 0, "right": 1, "center": 0.5}[spot.anchor] * wide
+        assert left >= 0
+        assert left + wide <= 280
+    (spot,) = place_labels([(5.0, 100.0)], ["ECoNGS (1 of 4)"], 280, 200)
+    assert spot.text == "ECoNGS (1 of 4)"
+
+
+def test_figures_can_be_drawn_for_many_methods(maker):
+    for method in ("3dgs", "econgs", "hac"):
+        for dataset in ("x", "y"):
+            maker.run(dataset, method=method, views=0, psnr=30 + len(method))
+    tables = maker.tables()
+    figure = charts.tradeoff(tables["results"], "fps")
+    assert [axis.get_title(loc="left") for axis in figure.axes] == ["x", "y"]
+    assert {text.get_text() for text in figure.axes[0].texts} == {"3DGS", "ECoNGS", "HAC"}
+    for axis in figure.axes:
+        assert axis.get_xscale() == "log"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # matplotlib says so where a layout finds no room
+        assert len(charts.convergence(tables["curve"]).axes) == 2
+        bars = tables["ledger"]
+        for size in (bars.head(1), bars, bars.assign(variant="an_option=with a very long value," * 4)):
+            charts.ledger(size)
+            parts = [size.assign(part=f"part {i}", job=f"{i}") for i in range(9)]
+            charts.ledger(pd.concat(parts))
+    assert frame(["psnr"], []).empty
+
+
+def test_a_method_keeps_its_color_where_others_are_missing(maker):
+    maker.run(method="hac", status="oom")
+    maker.run(method="3dgs")
+    tables = maker.tables()
+    names = series(tables["results"], tables["curve"])
+    drawn = plots.convergence(tables["curve"], "iteration", names)["vortex"]["data"]
+    dots = plots.tradeoffs(tables["results"], "fps")["vortex"]["data"]
+    assert (
+        drawn[0]["line"]["color"] == dots[0]["marker"]["color"] == color("3DGS", names) != color("HAC", names)
+    )

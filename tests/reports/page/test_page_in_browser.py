@@ -1,0 +1,309 @@
+"""The page as a reader uses it: opened from disk in a browser, with mouse and keyboard."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+
+from reports.page import document as page_module
+from reports.pictures import panel_files as panel_figures
+from reports.style import MISSING
+from tests.reports.conftest import METHODS, Maker, fill
+from tests.reports.page.browser import Browser, executable
+
+pytestmark = pytest.mark.skipif(executable() is None, reason="no Chromium here")
+SLOWER = 2.0  # than the machines that readers have: cores here are shared, and so are their caches
+VISIBLE = "Array.from(document.querySelectorAll('tr.row')).filter((row) => row.offsetParent)"
+
+
+def write(maker: Maker) -> Path:
+    """The page alone: the files beside it and the paper's tables have tests of their own."""
+    with (
+        patch.object(page_module, "write_files"),
+        patch.object(page_module.claims_documents, "section", return_value=""),
+        patch.object(panel_figures, "write", return_value="panel"),
+    ):
+        return page_module.write_report(maker.tables(), maker.root, maker.root / "report.html")
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three datasets, three scenes each, eight methods, one failed; pictures of one scene."""
+    maker = Maker(tmp_path_factory.mktemp("page"))
+    for method, psnr in (("3dgs", 33.0), ("econgs", 36.0), ("hac", 30.0)):
+        maker.run("fuel", "core", method, psnr=psnr, views=3)
+    maker.run("fuel", "jet", "econgs", status="oom", reason="<b>no memory</b>")
+    with patch.object(Maker.run, "__defaults__", (*Maker.run.__defaults__[:-1], 0)):  # no pictures
+        fill(maker, "many")
+    return write(maker)
+
+
+@pytest.fixture(scope="module")
+def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with Browser(tmp_path_factory.mktemp("profile")) as browser:
+        yield browser
+
+
+@pytest.fixture
+def browser(driver: Browser, page: Path) -> Iterator[Browser]:
+    """The page, freshly loaded; whatever is done with it, nothing goes wrong and nothing is fetched."""
+    driver.emulate(1400, 1000)
+    driver.problems.clear()
+    driver.requests.clear()
+    driver.open(page)
+    yield driver
+    assert driver.problems == []
+    assert driver.requests == [page.resolve().as_uri()]
+
+
+def column(browser: Browser, name: str, rows: str = VISIBLE) -> list[str]:
+    """Texts of a column's visible cells."""
+    heads = browser.run("Array.from(document.querySelectorAll('.results thead th'), (h) => h.textContent)")
+    script = f"{rows}.map((row) => row.cells[{heads.index(name)}].textContent)"
+    return list(browser.run(script))
+
+
+def head(browser: Browser, name: str) -> str:
+    """Selector of a column's button."""
+    heads = browser.run("Array.from(document.querySelectorAll('.results thead th'), (h) => h.textContent)")
+    return f".results thead th:nth-child({heads.index(name) + 1}) button"
+
+
+def test_it_asks_for_nothing_and_would_be_refused(browser: Browser) -> None:
+    assert browser.run("fetch('data:text/plain,x').then(() => 'fetched', () => 'refused')") == "refused"
+    script = "document.body.append(Object.assign(document.createElement('script'), {text: 'window.bad = 1'}))"
+    assert browser.run(f"{script}; window.bad") is None
+    browser.problems.clear()  # the refusals themselves
+
+
+def test_rows_sort_by_click_within_datasets_and_means_stay_below(browser: Browser) -> None:
+    before = column(browser, "PSNR [dB]")
+    browser.click(head(browser, "PSNR [dB]"))
+    bodies = browser.run(
+        "Array.from(document.querySelectorAll('.results tbody')).filter((b) => b.rows.length).map((b) => "
+        "Array.from(b.rows, (r) => [r.className, r.querySelector('td.r:nth-of-type(3)')?.dataset.v]))"
+    )
+    assert len(bodies) == 4
+    at = browser.run(
+        "Array.from(document.querySelectorAll('.results thead th')).findIndex((h) => h.ariaSort)"
+    )
+    assert browser.run(f"document.querySelectorAll('.results thead th')[{at}].ariaSort") == "descending"
+    for i in range(1, 5):
+        rows = f"Array.from(document.querySelectorAll('.results tbody:nth-of-type({i}) tr'))"
+        kinds = browser.run(f"{rows}.map((row) => row.classList[0] + (row.classList[1] ?? ''))")
+        assert kinds[0] == "group"
+        assert kinds[1:] == sorted(kinds[1:], key=["rowscene", "rowmean"].index)
+        shown = column(browser, "PSNR [dB]", f"{rows}.filter((row) => row.classList.contains('scene'))")
+        known = [float(text.split()[0]) for text in shown if text != MISSING]  # ≈ may follow
+        assert known == sorted(known, reverse=True)
+        assert shown[: len(known)] == [text for text in shown if text != MISSING]  # the missing stand last
+    browser.click(head(browser, "PSNR [dB]"))
+    assert browser.run("document.querySelector('th[aria-sort]').ariaSort") == "ascending"
+    browser.click(head(browser, "PSNR [dB]"))
+    assert browser.run("document.querySelector('th[aria-sort]')") is None
+    assert column(browser, "PSNR [dB]") == before
+
+
+def test_rows_sort_by_keyboard_across_datasets(browser: Browser) -> None:
+    browser.run("document.querySelector('#flat').focus()")
+    browser.key(" ")
+    browser.run(f"document.querySelector({json.dumps(head(browser, 'Size [MiB]'))}).focus()")
+    browser.key("Enter")
+    scenes = f"{VISIBLE}.filter((row) => row.classList.contains('scene'))"
+    sizes = [float(text) for text in column(browser, "Size [MiB]", scenes) if text != MISSING]
+    assert sizes == sorted(sizes)
+    datasets = browser.run(f"{scenes}.slice(0, 12).map((row) => row.dataset.dataset)")
+    assert len(set(datasets)) > 1
+    assert all(" / " in text for text in column(browser, "Scene", scenes))
+    assert not browser.run("document.querySelector('tr.group').offsetParent")
+
+
+def test_filters_leave_what_fits_and_say_how_much(browser: Browser) -> None:
+    total = len(column(browser, "Method"))
+    browser.run("document.querySelector('[data-filter=text]').focus()")
+    for letter in "fuel jet":
+        browser.key(letter)
+    assert column(browser, "Method") == ["ECoNGS"]
+    assert browser.run("document.querySelector('#count').textContent") == f"1 of {total} rows"
+    assert browser.run(f"{VISIBLE}.length") == 1
+    groups = "Array.from(document.querySelectorAll('tr.group')).filter((g) => g.offsetParent)"
+    groups = browser.run(f"{groups}.map((g) => g.innerText)")
+    assert groups == ["fuel"]
+    browser.click("#reset")
+    assert len(column(browser, "Method")) == total
+    choose = "(() => {{ const s = document.querySelector('[data-filter={}]'); s.value = '{}';"
+    choose += "s.dispatchEvent(new Event('input')); }})()"
+    browser.run(choose.format("status", "oom"))
+    assert column(browser, "Scene") == ["fuel / jet"]
+    browser.run(choose.format("status", ""))
+    browser.run(choose.format("method", "HAC"))
+    browser.run(choose.format("kind", "mean"))
+    assert len(column(browser, "Method")) == 4
+    assert set(column(browser, "Method")) == {"HAC"}
+
+
+def test_a_row_opens_to_its_provenance_and_stays_with_it(browser: Browser) -> None:
+    browser.run("document.querySelector('tr.row th button').focus()")
+    browser.key("Enter")
+    told = browser.run("document.querySelector('tr.detail').innerText")
+    for words in ("measure-0000", "68a71d8fe012", "laptop", "12.3 ms"):
+        assert words in told
+    assert browser.run("document.activeElement.ariaExpanded") == "true"
+    browser.click(head(browser, "SSIM"))
+    assert browser.run("document.querySelector('tr.detail').previousSibling.dataset.key") == "measure-0000"
+    browser.click("tr.row.marked td:nth-child(2)")
+    assert not browser.run("document.querySelector('tr.detail').offsetParent")
+
+
+def test_points_of_charts_and_rows_are_linked(browser: Browser) -> None:
+    charts = "Array.from(document.querySelectorAll('[data-figure]'))"
+    chart = f"{charts}.find((c) => c.data?.some((t) => t.meta?.keys))"
+    browser.run("document.querySelector('#tradeoffs').scrollIntoView()")
+    browser.until(f"!!({chart})")
+    place = browser.run(
+        f"(() => {{ const c = {chart}; c.scrollIntoView({{block: 'center'}}); const l = c._fullLayout;"
+        "const t = c.data.find((t) => t.meta?.keys && t.x.length), b = c.getBoundingClientRect();"
+        "return [b.x + l.xaxis._offset + l.xaxis.l2p(Math.log10(t.x[0])),"
+        "b.y + l.yaxis._offset + l.yaxis.l2p(t.y[0]), t.meta.keys[0][0]]; })()"
+    )
+    browser.point(*place[:2], press=False)
+    browser.until("!!document.querySelector('tr.row.hit')")
+    assert browser.run("document.querySelector('tr.row.hit').dataset.key") == place[2]
+    browser.point(*place[:2])
+    browser.until("!!document.querySelector('tr.row.marked')")
+    assert browser.run("document.querySelector('tr.row.marked').dataset.key") == place[2]
+    assert browser.run("document.activeElement.closest('tr').dataset.key") == place[2]
+    selected = f"({chart}).data.flatMap((t) => (t.selectedpoints ?? []).map((i) => t.meta.keys[i]))"
+    assert browser.run(selected) == [[place[2]]]
+
+
+def test_pictures_are_compared_with_the_keyboard_alone(browser: Browser) -> None:
+    shown = "Array.from(document.querySelectorAll('.stage img')).filter((i) => !i.hidden).map((i) => i.alt)"
+    browser.run("document.querySelector('button.compare').focus()")
+    browser.key("Enter")
+    assert browser.run("document.querySelector('#compare').open")
+    view = browser.run("document.querySelector('#compare h2').textContent")
+    assert browser.run(shown) == [f"{view}: Ground truth", f"{view}: 3DGS"]
+    browser.run("document.querySelector('#compare input[type=range]').focus()")
+    browser.key("ArrowRight")
+    assert browser.run("document.querySelector('.stage').style.getPropertyValue('--at')") == "51%"
+    browser.key("f")  # from slider to flip: the other picture
+    assert browser.run(shown) == [f"{view}: 3DGS"]
+    browser.key("f")
+    assert browser.run(shown) == [f"{view}: Ground truth"]
+    assert (
+        browser.run("document.querySelector('#compare [role=status]').textContent") == "Shown: Ground truth"
+    )
+    # Any two models, and the ground truth in place of the one that is shown.
+    for side, name in (("a", "ECoNGS"), ("b", "HAC")):
+        browser.run(
+            f"(() => {{ const s = document.querySelector('select[data-side={side}]'); s.value = '{name}';"
+            "s.dispatchEvent(new Event('input')); })()"
+        )
+    assert browser.run(shown) == [f"{view}: ECoNGS"]
+    browser.key("f")
+    assert browser.run(shown) == [f"{view}: HAC"]
+    browser.key("g")
+    assert browser.run(shown) == [f"{view}: Ground truth"]
+    browser.key("n")
+    other = browser.run("document.querySelector('#compare h2').textContent")
+    assert other != view
+    assert browser.run(shown) == [f"{other}: ECoNGS"]
+    browser.key("Escape")
+    assert not browser.run("document.querySelector('#compare').open")
+    assert browser.run("document.activeElement.className") == "compare"
+
+
+def test_light_and_dark_follow_the_system_until_told(browser: Browser, page: Path) -> None:
+    background = "getComputedStyle(document.body).backgroundColor"
+    light = browser.run(background)
+    browser.emulate(1400, 1000, "dark")
+    dark = browser.run(background)
+    assert dark != light
+    browser.click("#theme")
+    assert browser.run(background) == light
+    browser.call("Page.reload")
+    browser.until("document.readyState === 'complete' && !document.querySelector('#theme').hidden")
+    assert browser.run(background) == light
+    browser.run("localStorage.clear()")
+    browser.requests[:] = browser.requests[:1]
+
+
+def test_text_can_be_read_on_its_background(browser: Browser) -> None:
+    """WCAG AA: 4.5 to 1, of whatever text is there."""
+    script = """(() => {
+      const rgb = (text) => text.match(/[\\d.]+/g).map(Number);
+      const light = (c) => c.slice(0, 3).map((v) => v / 255)
+        .map((v) => v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+        .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
+      const behind = (e) => { for (; e; e = e.parentElement) {
+        const c = rgb(getComputedStyle(e).backgroundColor); if (c.length < 4 || c[3] > 0) return c; }
+        return [255, 255, 255]; };
+      const bad = new Set();
+      for (const e of document.querySelectorAll('.page *')) {
+        const own = Array.from(e.childNodes).some((n) => n.nodeType === 3 && n.textContent.trim());
+        if (!own || !e.checkVisibility() || e.closest('svg, script')) continue;
+        const [a, b] = [light(rgb(getComputedStyle(e).color)), light(behind(e))].sort((x, y) => y - x);
+        if ((a + 0.05) / (b + 0.05) < 4.5) bad.add(`${e.className}: ${e.textContent.slice(0, 30)}`);
+      }
+      return Array.from(bad);
+    })()"""
+    browser.click("tr.row th button")
+    for scheme in ("light", "dark"):
+        browser.emulate(1400, 1000, scheme)
+        assert browser.run(script) == []
+
+
+@pytest.mark.parametrize("width", [400, 1400])
+def test_only_tables_and_panels_scroll_sideways(browser: Browser, width: int) -> None:
+    browser.emulate(width, 900)
+    assert browser.run("document.documentElement.scrollWidth") <= width
+
+
+def test_print_shows_every_row_and_no_controls(browser: Browser) -> None:
+    browser.run("document.querySelector('[data-filter=text]').focus()")
+    for letter in "jet":
+        browser.key(letter)
+    assert len(column(browser, "Method")) == 1
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    rows = browser.run("document.querySelectorAll('tr.row').length")
+    assert browser.run(f"{VISIBLE}.length") == rows > 80
+    for control in (".controls", "nav", "#theme", "button.compare"):
+        assert not browser.run(f"document.querySelector('{control}').checkVisibility()")
+    browser.call("Emulation.setEmulatedMedia", media="")
+
+
+def test_a_thousand_rows_are_there_in_two_seconds(driver: Browser, tmp_path: Path) -> None:
+    """Seconds of the processor, the least of three, so that little depends on what else runs here."""
+    maker = Maker(tmp_path)
+    for i in range(1000):
+        method, (psnr, size, fps, seconds) = list(METHODS.items())[i % 8]
+        scene = i // 8
+        maker.run(
+            f"set{scene // 16}", f"tf{scene % 16}", method, psnr=psnr + scene % 5, size=size, fps=fps,
+            seconds=seconds, views=0,
+        )  # fmt: skip
+    page = write(maker)
+    driver.emulate(1400, 1000)
+    driver.call("Performance.enable", timeDomain="threadTicks")
+    loads, sorts = [], []
+    for _ in range(3):
+        driver.open(page)
+        loads.append(busy(driver))
+        driver.click(head(driver, "PSNR [dB]"))
+        driver.run("document.body.offsetHeight")
+        sorts.append(busy(driver) - loads[-1])
+    assert driver.run("document.querySelectorAll('tr.row').length") > 1000
+    print(f"loaded in {min(loads):.2f} s, sorted in {min(sorts):.2f} s, {page.stat().st_size / 1e6:.1f} MB")
+    assert min(loads) < 2.0 * SLOWER
+    assert min(sorts) < 1.0 * SLOWER
+
+
+def busy(browser: Browser) -> float:
+    """Seconds that the page's main thread has computed since the page was opened."""
+    metrics = browser.call("Performance.getMetrics")["metrics"]
+    return float(next(entry["value"] for entry in metrics if entry["name"] == "TaskDuration"))

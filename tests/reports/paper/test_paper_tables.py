@@ -1,0 +1,320 @@
+"""Tables in the paper's layout, and its claims held against them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from reports.paper.documents import to_html, to_latex, to_markdown, to_text
+from reports.paper.layouts import layouts, reference_rows
+from reports.paper.tables import paper_tables
+from tests.reports.conftest import RESULTS, frame
+
+SCENES = ("TF01", "TF02", "TF03", "TF04")
+
+
+def row(method="econgs", scene="TF01", psnr=36.0, **changed):
+    said = {
+        "dataset": "vortex_views", "scene": scene, "kind": "basic", "method": method, "variant": "",
+        "preset": "paper", "split": "test", "seed": 0, "status": "ok", "psnr": psnr, "fps": 100.0,
+        "size_bytes": 2**19, "train_seconds": 120.0, "primitives": 1000, "group": "g", "train_views": 92,
+        "width": 200, "height": 200, "machine": "x",
+    }  # fmt: skip
+    said |= changed
+    return {"job": f"{method}-{said['variant']}-{scene}-{said['seed']}"} | said
+
+
+def results(*rows):
+    return frame(RESULTS, list(rows))
+
+
+def four(method, psnr, **changed):
+    return [row(method, scene, psnr + i, **changed) for i, scene in enumerate(SCENES)]
+
+
+def table(tables, name):
+    return next(one for one in tables if one.name == name)
+
+
+def line(block, label):
+    return next(one for one in block.rows if one.label == label)
+
+
+def test_measured_values_stand_beside_the_published_ones_in_their_units():
+    found = paper_tables(results(*four("econgs", 35.0), *four("3dgs", 34.0, fps=300.0)))
+    block = table(found, "univariate").blocks[0]
+    assert (block.dataset, block.published, block.same) == ("vortex_views", "vortex", True)
+    ours = line(block, "ECoNGS").values
+    assert ours["psnr"].mean == pytest.approx(36.5)
+    assert ours["psnr"].published == 36.74
+    assert ours["train_seconds"].mean == pytest.approx(8.0)  # minutes of all scenes together
+    assert ours["train_seconds"].published == 9.32
+    assert ours["size_bytes"].mean == pytest.approx(2.0)  # MiB, sum
+    assert line(block, "HAC").values["psnr"].mean is None
+    assert line(block, "HAC").values["psnr"].published == 26.74
+    text = to_text(table(found, "univariate"))
+    assert "36.74 (-0.24)" in text
+    assert "second line: published for vortex (difference)" in text
+
+
+def test_seeds_give_a_spread_and_an_incomplete_seed_is_named():
+    rows = [*four("econgs", 35.0), *four("econgs", 36.0, seed=1), *four("econgs", 50.0, seed=2)[:3]]
+    block = table(paper_tables(results(*rows)), "univariate").blocks[0]
+    ours = line(block, "ECoNGS")
+    assert ours.values["psnr"].mean == pytest.approx(37.0)
+    assert ours.values["psnr"].spread == pytest.approx(0.5**0.5)
+    assert ours.note == "seed 2: TF04 not run"
+    assert set(ours.jobs) == {one["job"] for one in rows[:8]}
+    assert "37.00 ± 0.71" in to_markdown(table(paper_tables(results(*rows)), "univariate"))
+
+
+def test_rows_of_a_method_are_of_the_seeds_that_all_of_them_have():
+    ours = [one for seed, psnr in ((0, 33.0), (1, 30.0)) for one in four("econgs", psnr, seed=seed)]
+    plain = four("econgs", 32.0, variant="view_direction=false")
+    others = four("3dgs", 31.0, seed=1)
+    tables = paper_tables(results(*ours, *plain, *others))
+    design, univariate = table(tables, "design").blocks[0], table(tables, "univariate").blocks[0]
+    assert [r.values["psnr"].mean for r in design.rows if r.jobs] == [34.5, 33.5]
+    told = next(remark for remark in design.remarks if remark.startswith("Means of seed 0, which all have"))
+    assert "w/o view direction" in told
+    assert told.count(",") == 2
+    # Seeds of different methods have nothing in common.
+    assert line(univariate, "ECoNGS").values["psnr"].seeds == (34.5, 31.5)
+    assert not any("seed" in remark for remark in univariate.remarks)
+    apart = paper_tables(
+        results(*ours[:4], *(one | {"seed": 1, "job": one["job"][:-1] + "1"} for one in plain))
+    )
+    block = table(apart, "design").blocks[0]
+    assert [r.values["psnr"].mean for r in block.rows if r.jobs] == [34.5, 33.5]
+    assert "Not all of the same seeds, but full ECoNGS: 0; w/o view direction: 1." in block.remarks
+    # Where methods are compared each keeps its seeds.
+    literal = four("econgs", 32.0, variant="configuration=paper")
+    block = table(paper_tables(results(*ours, *literal, *others)), "univariate").blocks[0]
+    assert line(block, "ECoNGS").values["psnr"].seeds == (34.5, 31.5)
+    assert "Not all of the same seeds, but ECoNGS: 0, 1; ECoNGS, the paper's settings: 0." in block.remarks
+
+
+def test_a_failed_scene_leaves_the_cells_empty():
+    rows = [*four("econgs", 35.0)[:3], row(scene="TF04", psnr=None, status="failed"), *four("3dgs", 30.0)]
+    block = table(paper_tables(results(*rows)), "univariate").blocks[0]
+    assert line(block, "ECoNGS").values["psnr"].mean is None
+    assert line(block, "3DGS").values["psnr"].mean is not None
+
+
+def test_other_data_than_the_papers_are_compared_with_no_published_difference():
+    rows = [row(dataset="jet_flame", scene=f"mf_{i}") for i in range(9)]
+    rows += [row(dataset="jet_flame", scene=f"mf_{i}", variant="joint=false", psnr=37.0) for i in range(9)]
+    found = paper_tables(results(*rows))
+    block = table(found, "joint-gain").blocks[0]
+    assert (block.published, block.same) == ("combustion (MF)", False)
+    assert "98,174 (" not in to_text(table(found, "joint-gain"))
+    assert "98,174" in to_text(table(found, "joint-gain"))
+    assert "design" in {one.name for one in found}, "unknown data: beside the paper's only dataset"
+    # A part of a dataset is not the dataset.
+    assert not [one for one in paper_tables(results(*rows[:5])) if one.name == "univariate"]
+
+
+def test_one_row_without_published_values_is_no_table():
+    assert paper_tables(results(row(dataset="nucleon"))) == []
+    assert paper_tables(results()) == []
+
+
+def test_tables_of_other_questions_are_not_filled_with_what_happens_to_fit():
+    rows = [one for m in ("econgs", "ivr-gs") for one in four(m, 35.0)]
+    assert {one.name for one in paper_tables(results(*rows))} == {"univariate", "clustering"}
+    fewer = [one for m in ("econgs", "ivr-gs") for one in four(m, 30.0, train_views=12, requested_views=12)]
+    few = [one | {"dataset": "argon_bubble_like"} for one in [*rows, *fewer] if one["scene"] in SCENES[:2]]
+    assert {one.name for one in paper_tables(results(*few))} == {"limited-views"}
+    ours = [one | {"dataset": "cth_impact"} for one in rows]
+    assert {one.name for one in paper_tables(results(*ours))} == {"multivariate"}
+    for other in ("vis_male", "shells", "csafe_heptane", "mine.nrrd"):
+        assert paper_tables(results(*(one | {"dataset": other} for one in rows))) == []
+    part = [one for one in rows if one["scene"] in SCENES[:2]]
+    assert paper_tables(results(*part)) == [], "two of vortex' four scenes are not vortex"
+
+
+def test_scenes_and_their_composition_have_lines_of_their_own():
+    rows = [
+        row(dataset="vortices_fuzzy", scene="blue_fog", psnr=40.0),
+        row(dataset="vortices_fuzzy", scene="red_fog", psnr=42.0),
+        row(dataset="vortices_fuzzy", scene="all", kind="composed", psnr=39.0),
+    ]
+    (fuzzy,) = paper_tables(results(*rows))
+    assert fuzzy.name == "fuzzy"
+    values = {one.label: one.values["psnr"] for one in fuzzy.blocks[0].rows}
+    assert {label: (one.mean, one.published) for label, one in values.items()} == {
+        "blue": (40.0, 47.12), "red": (42.0, 50.77), "composed": (39.0, 45.84),
+    }  # fmt: skip
+    meshes = [row(m, f"s{i}", dataset="mesh_fire_ug") for m in ("econgs", "3dgs") for i in range(8)]
+    (block,) = table(paper_tables(results(*meshes)), "unstructured").blocks
+    assert (block.published, block.same) == ("RPCOM", False)
+
+
+def test_scenes_learned_with_others_are_not_those_of_a_smaller_dataset():
+    t = [f"t_{i}" for i in range(1, 5)]
+    h = [f"h_{i}" for i in range(20)]
+    of = {"dataset": "ionisation_like"}
+    alone = [row("ivr-gs", scene, group=scene, **of) for scene in t + h]
+    mixed = [row("econgs", scene, 30.0, group="t_1+h_1", **of) for scene in t + h]
+    small = [row("econgs", scene, 33.0, dataset="ionisation_like, 4 scenes together", group="t_1+t_2",
+                 job=f"small-{scene}") for scene in t]  # fmt: skip
+    both = paper_tables(results(*alone, *mixed, *small))
+    (univariate,) = table(both, "univariate").blocks
+    assert (univariate.published, univariate.dataset) == ("ionization (T)", "ionisation_like")
+    assert line(univariate, "ECoNGS").values["psnr"].mean == 33.0
+    assert line(univariate, "iVR-GS").values["psnr"].mean == 36.0
+    (multivariate,) = table(both, "multivariate").blocks
+    assert line(multivariate, "ECoNGS").values["psnr"].mean == 30.0
+    without = paper_tables(results(*alone, *mixed))
+    assert "univariate" not in {one.name for one in without}, "nothing to set iVR-GS against"
+
+
+def seen(rows, noise):
+    """Views of each finished job: its PSNR and ``noise`` (job -> 40 values)."""
+    finished = rows.loc[rows["status"] == "ok", ["job", "scene", "psnr"]]
+    views = [
+        {"job": job, "scene": scene, "view": f"v{i}", "psnr": psnr + value}
+        for job, scene, psnr in finished.itertuples(index=False)
+        for i, value in enumerate(noise(job))
+    ]
+    return pd.DataFrame(views)
+
+
+def waves(size):
+    """Noise of views, other noise for each method, and no seed or scene without it."""
+    rng = np.random.default_rng(0)
+    made = {}
+    return lambda job: made.setdefault(job.split("-")[0], size * rng.normal(size=40))
+
+
+def places(block, column="psnr"):
+    return {block.rows[i].label: place for (i, name), place in block.marks.items() if name == column}
+
+
+def test_quality_is_not_ranked_where_views_cannot_tell():
+    rows = results(*four("econgs", 35.0), *four("3dgs", 34.9), *four("ivr-gs", 30.0))
+    for spread, mark in ((0.0, 1), (3.0, 3)):
+        block = table(paper_tables(rows, seen(rows, waves(spread))), "univariate").blocks[0]
+        assert places(block)["ECoNGS"] == mark
+    assert "\N{ALMOST EQUAL TO}" in to_text(table(paper_tables(rows, seen(rows, waves(3.0))), "univariate"))
+
+
+def test_a_seed_that_failed_does_not_make_two_methods_differ():
+    good = [*four("econgs", 35.1), *four("3dgs", 35.0)]
+    failed = [one | {"status": "failed", "psnr": None} for one in four("3dgs", 35.0, seed=1)]
+    for rows in (results(*good), results(*good, *failed)):
+        block = table(paper_tables(rows, seen(rows, waves(3.0))), "univariate").blocks[0]
+        assert places(block) == {"ECoNGS": 3, "3DGS": 3}
+
+
+def test_an_incomplete_seed_does_not_hide_a_clear_difference():
+    rows = results(*four("econgs", 38.0), *four("3dgs", 35.0), *four("econgs", 20.0, seed=1)[:3])
+    block = table(paper_tables(rows, seen(rows, waves(0.5))), "univariate").blocks[0]
+    assert places(block) == {"ECoNGS": 1, "3DGS": 2}
+
+
+def test_the_leader_must_be_ahead_on_the_views_too():
+    """Means and paired views can disagree, where a table of views is not the whole of them."""
+    rows = results(*four("econgs", 35.0), *four("3dgs", 34.0))
+    views = seen(rows, waves(0.1))
+    views.loc[views["job"].str.startswith("3dgs"), "psnr"] += 3.0
+    assert places(table(paper_tables(rows, views), "univariate").blocks[0]) == {"ECoNGS": 3, "3DGS": 3}
+
+
+def test_what_is_ranked_without_views_is_told():
+    rows = results(*four("econgs", 38.0), *four("3dgs", 35.0), *four("ivr-gs", 30.0))
+    block = table(paper_tables(rows), "univariate").blocks[0]
+    assert "PSNR [dB]: ranked by means alone where there are no views to pair." in block.remarks
+    views = seen(rows, waves(0.5))
+    views = views[~views["job"].str.startswith("ivr-gs")]
+    block = table(paper_tables(rows, views), "univariate").blocks[0]
+    assert "PSNR [dB]: ranked by means alone where there are no views to pair (iVR-GS)." in block.remarks
+
+
+def test_speed_and_time_are_ranked_in_one_place_and_where_seeds_agree():
+    def found(*fps, **changed):
+        rows = [*four("econgs", 38.0, fps=fps[0]), *four("econgs", 38.0, fps=fps[1], seed=1)]
+        rows += [*four("3dgs", 35.0, fps=fps[2], **changed)]
+        rows += [*four("3dgs", 35.0, fps=fps[3], seed=1, **changed)]
+        return table(paper_tables(results(*rows)), "univariate").blocks[0]
+
+    assert places(found(90.0, 100.0, 110.0, 120.0), "fps") == {"3DGS": 1, "ECoNGS": 2}
+    near = found(90.0, 112.0, 110.0, 120.0)
+    assert places(near, "fps") == {"3DGS": 3, "ECoNGS": 3}
+    assert any("ranges of their seeds overlap" in remark for remark in near.remarks)
+    apart = found(90.0, 100.0, 110.0, 120.0, threads=1)
+    assert places(apart, "fps") == {}
+    assert any(remark.startswith("FPS: not ranked: measured on several machines") for remark in apart.remarks)
+
+
+def test_why_a_column_is_empty_is_told():
+    rows = [one | {"reason": "flip: slow; lpips_vgg: weights missing"} for one in four("econgs", 35.0)]
+    block = table(paper_tables(results(*rows, *four("3dgs", 34.0))), "univariate").blocks[0]
+    assert "LPIPS: not measured (weights missing)." in block.remarks
+    rows = results(*rows, *four("3dgs", 34.0, lpips_vgg=0.1))
+    text = to_markdown(table(paper_tables(rows), "univariate"))
+    assert "LPIPS of ECoNGS: not measured (weights missing)." in text
+
+
+def test_rows_of_several_versions_of_a_method_are_told():
+    without = {"variant": "view_direction=false", "source": "old"}
+    rows = [*four("econgs", 35.0, source="new"), *four("econgs", 34.0, **without)]
+    block = table(paper_tables(results(*rows)), "design").blocks[0]
+    told = "Not all of one version of the method's source, but: full ECoNGS; w/o view direction."
+    assert told in block.remarks
+    rows = [*four("econgs", 35.0, source="new"), *four("3dgs", 34.0, source="other")]
+    (block,) = table(paper_tables(results(*rows)), "univariate").blocks
+    assert not [remark for remark in block.remarks if "version" in remark]
+
+
+def test_rows_left_out_are_counted():
+    superseded = results(*four("econgs", 30.0)[:3], row(dataset="other"))
+    found = paper_tables(results(*four("econgs", 35.0), *four("3dgs", 34.0)), superseded=superseded)
+    told = "3 rows of older versions of the same models are left out."
+    for write in (to_markdown, to_html, to_latex, to_text):
+        assert told in write(table(found, "univariate"))
+
+
+def test_times_of_a_frame_come_from_their_own_table():
+    rows = results(*four("econgs", 35.0), *four("3dgs", 34.0))
+    timing = pd.DataFrame(
+        [
+            {"job": job, "part": part, "seconds": seconds * (2.0 if job.startswith("3dgs") else 1.0)}
+            for job in rows["job"]
+            for part, seconds in (("frame", 0.004), ("decode", 0.001), ("rasterise", 0.003))
+        ]
+    )
+    assert not [one for one in paper_tables(rows) if one.name == "timing"]
+    block = table(paper_tables(rows, None, timing), "timing").blocks[0]
+    ours, theirs = line(block, "ECoNGS").values, line(block, "3DGS").values
+    assert (ours["rasterise_ms"].mean, ours["rasterise_ms"].published) == (pytest.approx(3.0), 0.69)
+    assert theirs["frame_ms"].mean == pytest.approx(8.0)
+    assert "one by one" in block.remarks[0]
+
+
+def test_documents_hold_every_row_and_escape_what_they_must():
+    tables = paper_tables(
+        results(*four("econgs", 35.0), *four("econgs", 34.0, variant="view_direction=false"))
+    )
+    design = table(tables, "design")
+    for write in (to_markdown, to_html, to_latex, to_text):
+        text = write(design)
+        for label in ("full ECoNGS", "w/o view direction", "w/o joint learning"):
+            assert label in text
+    latex = to_latex(design)
+    assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == 1
+    assert "vortex\\_views" in latex
+    assert {
+        text.count("&") for text in latex.splitlines() if text.endswith(r"\\") and "multicolumn" not in text
+    } == {6}
+    assert r"\textbf{36.50}" in latex
+
+
+def test_every_layout_row_with_a_published_one_finds_it():
+    for name, said in layouts()["tables"].items():
+        for one in said["rows"]:
+            match = one.get("match")
+            assert not match or any(all(r[k] == v for k, v in match.items()) for r in reference_rows(name)), (
+                one
+            )

@@ -1,0 +1,83 @@
+"""Transfer functions beside pictures: what is drawn is what the scene shows."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from bench.inputs import shown_transfer
+from datasets.catalogue import open_dataset
+from reports.page.document import write_report
+from reports.pictures.transfer import transfer_picture
+from tests.reports.conftest import frame
+
+RED, BLUE = [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]
+
+
+def said(**parts) -> str:
+    return json.dumps({name: {"transfer": [], "levels": []} | part for name, part in parts.items()})
+
+
+def test_a_band_is_drawn_where_its_values_are() -> None:
+    bins = [[*RED, 0.0]] * 40 + [[*RED, 0.5]] * 20 + [[*RED, 0.0]] * 40
+    picture = transfer_picture(said(a={"transfer": bins}), 100)
+    red = (picture[..., 0] > 100) & (picture[..., 1] == 0)
+    columns = np.nonzero(red.any(axis=0))[0]
+    assert columns.min() == pytest.approx(40, abs=1)
+    assert columns.max() == pytest.approx(59, abs=1)
+    assert red[:, 50].sum() == pytest.approx(50, abs=2)  # of 100 rows: opacity 0.5
+    assert (picture[:-1, :35] == 255).all()
+
+
+def test_a_white_band_has_an_outline() -> None:
+    bins = [[1.0, 1.0, 1.0, 0.0]] * 40 + [[1.0, 1.0, 1.0, 0.5]] * 20 + [[1.0, 1.0, 1.0, 0.0]] * 40
+    dark = (transfer_picture(said(a={"transfer": bins}), 100) < 200).all(axis=-1)[:-1]
+    columns = np.nonzero(dark.sum(axis=0) > 30)[0]
+    assert list(columns) == [pytest.approx(40, abs=1), pytest.approx(59, abs=1)]
+    assert dark[:, 50].sum() == 1
+
+
+def test_levels_are_lines_and_parts_are_strips() -> None:
+    picture = transfer_picture(
+        said(a={"levels": [[0.25, *RED]]}, b={"transfer": [[*BLUE, 1.0], [*BLUE, 1.0]]}), 100
+    )
+    assert (picture[10, 25] == [255, 0, 0]).all()
+    assert (picture[80, 50] == [0, 0, 255]).all()
+    assert (picture[10, 60] == 255).all()
+
+
+@pytest.mark.parametrize("nothing", [None, "", "{}"])
+def test_nothing_known_is_no_picture(nothing) -> None:
+    assert transfer_picture(nothing, 50) is None
+
+
+def test_what_a_scene_shows() -> None:
+    dataset = open_dataset("shells@16")
+    (part,) = shown_transfer(dataset, "middle").values()
+    bins = np.array(part["transfer"])
+    scene = dataset.scene("middle")
+    (bump,) = scene.transfer.bumps
+    peak = bins[:, 3].argmax() / len(bins)
+    assert bump.start <= peak <= bump.end
+    assert bins[int(peak * len(bins)), :3] == pytest.approx(bump.color, abs=1e-3)
+    (blue,) = shown_transfer(dataset, "middle", "palette=#0000ff").values()
+    assert np.array(blue["transfer"])[int(peak * len(bins)), 2] == pytest.approx(1.0)
+    assert list(shown_transfer(dataset, next(iter(dataset.compositions)))) == [
+        part.name for part in dataset.parts(next(iter(dataset.compositions)))
+    ]
+
+
+def test_the_page_shows_it_beside_the_ground_truth(maker, tmp_path) -> None:
+    maker.run()
+    tables = maker.tables()
+    assert 'class="tf"' not in write_report(tables, maker.root, tmp_path / "a.html").read_text(
+        encoding="utf-8"
+    )
+    columns = ["job", "dataset", "scene", "preset", "split", "requested_views", "transfer"]
+    row = {"dataset": "vortex", "scene": "tf0", "preset": "quick", "split": "test"}
+    tables["scenes"] = frame(columns, [row | {"transfer": said(a={"transfer": [[*RED, 1.0]] * 2})}])
+    page = write_report(tables, maker.root, tmp_path / "b.html").read_text(encoding="utf-8")
+    assert page.count('class="tf"') >= 1
+    assert "transfer function" in page

@@ -1,0 +1,208 @@
+import io
+
+import pandas as pd
+import pytest
+
+from reports.page.document import write_report
+from reports.style import mib, seconds
+from reports.tables.columns import quality
+from reports.tables.documents import to_csv, to_latex, to_markdown
+from reports.tables.means import summary
+from reports.tables.ranks import ranks
+from reports.tables.results import least_width, processors, shown, terminal_rows
+from tests.reports.conftest import NO_LPIPS, fill
+
+
+def test_summary_means_quality_and_sums_sizes_and_times(maker):
+    maker.run(scene="a", psnr=30.0, size=1000, seconds=10.0, fps=100.0)
+    maker.run(scene="b", psnr=34.0, size=3000, seconds=20.0, fps=50.0, peak_host_bytes=900 << 20)
+    row = summary(maker.tables()["results"]).iloc[0]
+    assert row["psnr"] == 32.0
+    assert row["fps"] == 75.0
+    assert (row["size_bytes"], row["train_seconds"]) == (4000, 30.0)
+    assert row["peak_host_bytes"] == 900 << 20
+    assert row["complete"]
+    assert row["scenes"] == "2 of 2"
+
+
+def test_no_average_over_an_incomplete_set(maker):
+    fill(maker, "failures")
+    table = summary(maker.tables()["results"]).set_index("method")
+    assert table.loc["econgs", "complete"]
+    assert not table.loc["3dgs", "complete"]
+    assert pd.isna(table.loc["3dgs", "psnr"])
+    assert pd.isna(table.loc["3dgs", "size_bytes"])
+    assert table.loc["3dgs", "note"] == "incomplete, no average: tf1: oom"
+    assert table.loc["hac", "scenes"] == "0 of 2"
+
+
+def test_a_scene_that_was_never_run_counts_as_missing(maker):
+    maker.run(scene="a")
+    maker.run(scene="b")
+    maker.run(scene="a", method="hac")
+    note = summary(maker.tables()["results"]).set_index("method").loc["hac", "note"]
+    assert note == "incomplete, no average: b: not run"
+
+
+def test_composed_rows_are_never_summed(maker):
+    maker.run(scene="a", size=1000)
+    maker.run(scene="a+b", size=5000, kind="composed")
+    row = summary(maker.tables()["results"]).iloc[0]
+    assert row["size_bytes"] == 1000
+
+
+def test_seeds_are_averaged_with_their_spread(maker):
+    fill(maker, "seeds")
+    row = summary(maker.tables()["results"]).iloc[0]
+    assert row["seeds"] == 3
+    assert row["psnr"] == pytest.approx(34.0)
+    assert row["psnr_std"] == pytest.approx(0.3)
+    assert row["size_bytes"] == 8_000_000
+
+
+def test_missing_lpips_lets_ssim_and_flip_lead(maker):
+    maker.run()
+    assert quality(maker.tables()["results"])[:2] == ["ssim", "flip"]
+    maker.run(scene="b", lpips=0.1)
+    assert quality(maker.tables()["results"])[0] == "psnr"
+
+
+def test_best_and_second_by_direction_and_only_among_finished_rows(maker):
+    maker.run(method="a", psnr=30.0, size=100 << 20)
+    maker.run(method="b", psnr=32.0, size=10 << 20)
+    maker.run(method="c", psnr=31.0, size=50 << 20)
+    maker.run(method="d", status="oom")
+    marks = ranks(maker.tables()["results"])
+    assert {i: marks.get((i, "psnr")) for i in range(4)} == {0: None, 1: 1, 2: 2, 3: None}
+    assert {i: marks.get((i, "size_bytes")) for i in range(4)} == {0: None, 1: 1, 2: 2, 3: None}
+
+
+def test_a_single_method_is_not_called_best(maker):
+    fill(maker, "normal")
+    assert ranks(maker.tables()["results"]) == {}
+
+
+def test_csv_keeps_every_column_and_value(maker):
+    fill(maker, "failures")
+    results = maker.tables()["results"]
+    back = pd.read_csv(io.StringIO(to_csv(results)), keep_default_na=False)
+    assert list(back.columns) == list(results.columns)
+    assert back["psnr"][1] == ""
+    assert float(back["psnr"][0]) == results["psnr"][0]
+
+
+def test_markdown_marks_and_escapes(maker):
+    maker.run(method="a|b", psnr=30.0)
+    maker.run(method="c", psnr=32.0)
+    *lines, blank, note = to_markdown(maker.tables()["results"]).splitlines()
+    assert len(lines) == 4
+    assert blank == ""
+    assert note.startswith("lpips_vgg: ")  # once, though both rows lack it
+    assert "**32.00**" in lines[3]
+    assert "*30.00*" in lines[2]
+    assert "a\\|b" in lines[2]
+    assert len({line.replace("\\|", "").count("|") for line in lines}) == 1
+
+
+def test_latex_marks_and_escapes(maker):
+    maker.run(scene="tf_0", method="a", psnr=30.0)
+    maker.run(scene="tf_0", method="c", psnr=32.0)
+    text = to_latex(maker.tables()["results"])
+    assert r"\textbf{32.00}" in text
+    assert r"\underline{30.00}" in text
+    assert r"tf\_0" in text
+    rows = [line for line in text.splitlines() if line.endswith(r"\\")]
+    assert len(rows) == 3
+    assert len({row.count("&") for row in rows}) == 1
+
+
+def test_other_tables_are_written_as_they_are():
+    table = pd.DataFrame(
+        {"file": ["a.png"], "psnr": [31.234], "lpips_vgg": pd.Series([None], dtype="Float64")}
+    )
+    assert "| a.png | 31.23 | \N{EN DASH} |" in to_markdown(table)
+    assert "a.png & 31.23 & -- " in to_latex(table)
+
+
+def test_terminal_rows_show_reasons_only_for_failures(maker):
+    maker.run(reason=NO_LPIPS)
+    header, line = terminal_rows(maker.tables()["results"], 200)
+    assert "Reason" not in header
+    assert "LPIPS" not in header
+    assert line[header.index("Training")] == "42.0 s"
+    maker.run(scene="b", status="oom", reason="limit")
+    header, first, second = terminal_rows(maker.tables()["results"], 200)
+    assert (first[-1], second[-1]) == ("", "limit")
+    assert len(first) == len(header)
+
+
+def test_a_narrow_terminal_has_fewer_columns_but_whole_numbers(maker):
+    maker.run()
+    results = maker.tables()["results"]
+    everything = terminal_rows(results, 200)[0]
+    header, line = terminal_rows(results, 80)
+    assert {"PSNR [dB]", "SSIM", "Size [MiB]", "Training", "FPS", "Status"} <= set(header) < set(everything)
+    assert sum(least_width(*column) + 2 for column in zip(header, [[c] for c in line], strict=True)) <= 82
+    assert line[header.index("Training")] == "42.0 s"
+
+
+def test_empty_tables(maker):
+    results = maker.tables()["results"]
+    assert summary(results).empty
+    assert shown(results).empty
+    assert len(terminal_rows(results, 200)) == 1
+    assert to_markdown(results).count("\n") == 2
+
+
+def test_scores_without_a_metric_say_so_once():
+    scores = pd.DataFrame(
+        {
+            "file": ["a.png", "b.png"],
+            "psnr": [30.0, 31.0],
+            "lpips_vgg": [None, None],
+            "reason": ["lpips_vgg: no weights; flip: x", "lpips_vgg: no weights"],
+        }
+    )
+    for text in (to_markdown(scores), to_latex(scores)):
+        assert "LPIPS" not in text
+        assert text.count("no weights") == 1
+        assert "31.00" in text
+
+
+def test_times_of_several_processors_are_told(maker, tmp_path) -> None:
+    for scene, isa in (("a", ", avx2"), ("b", ", avx512"), ("c", "")):
+        maker.run(scene=scene, processor=f"EPYC, 2 cores{isa}", fit_processor="EPYC, 2 cores, avx2")
+    results = maker.tables()["results"]
+    told = processors(results)
+    assert told == (
+        "Several processors: rendering was timed on EPYC, 2 cores, avx2 and on EPYC, 2 cores, avx512. "
+        "Compare times of one."
+    )
+    assert told in to_markdown(results)
+    assert told in write_report(maker.tables(), maker.root, tmp_path / "r.html").read_text(encoding="utf-8")
+    assert processors(results[results["scene"] != "b"]) == ""
+    assert processors(results.drop(columns="processor")) == ""
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0042, "4.2 ms"),
+        (0.0994, "99.4 ms"),
+        (0.0996, "0.10 s"),
+        (0.42, "0.42 s"),
+        (12.34, "12.3 s"),
+        (59.96, "1 min 00 s"),
+        (200, "3 min 20 s"),
+        (3599.7, "1 h 00 min"),
+        (3900, "1 h 05 min"),
+    ],
+)
+def test_durations(value, text):
+    assert seconds(value) == text
+
+
+def test_sizes_are_mib():
+    assert mib(2**20) == "1.00"
+    assert mib(126.92 * 2**20) == "127"
+    assert mib(11.18 * 2**20) == "11.2"
