@@ -1,0 +1,241 @@
+"""Fingerprints of the methods: a tiny fit of each, recorded, so that no change of results passes unseen.
+
+    python tests/methods/fingerprints.py            compare every method with tests/fingerprints.json
+    python tests/methods/fingerprints.py --exact    the same, byte for byte (one machine, one torch)
+    python tests/methods/fingerprints.py --write    record new methods and new versions
+    python tests/methods/fingerprints.py --write --keep-version NAME
+                                                    record changed results of the same version (say why)
+
+The fits run on the tiny scene of the contract kit, each method in a process of its own: one thread; our
+kernels, torch and MKL held to their baseline instruction set, so that every x86-64 machine does the same
+arithmetic. What remains (a C library's exponential, another release of torch) stays within ``TOLERANCE``;
+a changed constant does not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+FILE = Path(__file__).parents[1] / "fingerprints.json"
+ITERATIONS = {"fair": 64}
+"""Of the default configuration. Fits of others are shorter: published step sizes amplify rounding."""
+SHORT = 24
+VIEWS = 3
+"""Of the loaded model, whose mean colors and alphas are recorded."""
+TOLERANCE = {"losses": 2e-3, "pictures": 2e-3, "bytes": 0.02, "primitives": 0.02}
+"""Relative differences that another processor or library may cause; see :func:`differences`."""
+BASELINE = {
+    "ECONGS_ISA": "baseline",
+    "ECONGS_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "ATEN_CPU_CAPABILITY": "default",
+    "MKL_CBWR": "COMPATIBLE",
+    "ONEDNN_MAX_CPU_ISA": "SSE41",
+    "CUDA_VISIBLE_DEVICES": "",
+}
+
+
+def measure(name: str) -> dict[str, Any]:
+    """The fingerprint of a method, by a process held to the baseline."""
+    command = [sys.executable, "-P", __file__, "--measure", name]
+    run = subprocess.run(
+        command, env=os.environ | BASELINE, cwd=FILE.parents[1], capture_output=True, text=True
+    )
+    if run.returncode:
+        raise RuntimeError(f"the fit of {name} failed:\n{run.stderr[-4000:]}")
+    return dict(json.loads(run.stdout.splitlines()[-1]))
+
+
+def fingerprint(name: str) -> dict[str, Any]:
+    """Settings of every preset and configuration, and what fits with those of "quick" come to."""
+    import torch
+
+    from methods.contract import Subject
+    from methods.options import CONFIGURATION, resolve
+    from methods.registry import PRESETS, Registry, load_method
+
+    torch.set_num_threads(1)
+    spec = Registry().spec(name)
+    configurations = list(spec.configurations) or [""]
+    settings = {}
+    for preset in PRESETS:
+        for one in configurations:
+            settings[f"{preset} {one}".strip()] = _plain(
+                resolve(spec, preset, {CONFIGURATION: one} if one else {})
+            )
+    fits = {}
+    for one in configurations:
+        with tempfile.TemporaryDirectory() as folder:
+            overrides = {CONFIGURATION: one} if one else {}
+            subject = Subject(
+                spec, load_method(spec), Path(folder), ITERATIONS.get(one or "fair", SHORT), overrides
+            )
+            fits[one] = _fit(subject)
+    return {"version": spec.version, "settings": settings, "fits": fits}
+
+
+def _plain(settings: Any) -> dict[str, Any]:
+    from dataclasses import asdict, is_dataclass
+
+    options = settings.options
+    values = asdict(options) if is_dataclass(options) else dict(options)
+    return {"iterations": settings.iterations, **dict(sorted(values.items()))}
+
+
+def _fit(subject: Any) -> dict[str, Any]:
+    """Losses of every iteration, primitives, and the bytes and pictures of the saved model."""
+    from methods.contract_scene import cameras
+
+    from methods.contract import Recorder, files_of
+
+    recorder = Recorder()
+    scenes = [subject.tiny("one"), subject.tiny("two", 0.15)] if subject.spec.joint else [subject.tiny("one")]
+    model = subject.fit(scenes, recorder)
+    folder, ledger = subject.saved(model, "model")
+    files = files_of(folder)
+    digest = hashlib.sha256()
+    for name, content in sorted(files.items()):
+        digest.update(name.encode() + b"\0" + content)
+    loaded = subject.method.load(folder, "cpu")
+    pictures = []
+    for camera in cameras(VIEWS, phase=0.5):
+        color, alpha = loaded.render(camera, scenes=[scenes[0].name])
+        pictures.append([*(float(channel.mean()) for channel in color.unbind(-1)), float(alpha.mean())])
+        pictures[-1] += [float(color.square().mean()), float((color[1:] - color[:-1]).abs().mean())]
+    return {
+        "losses": [float(f"{loss:.8g}") for loss in recorder.losses],
+        "primitives": model.primitives(),
+        "bytes": {
+            f"{scene}/{part}": count for scene, parts in ledger.items() for part, count in parts.items()
+        },
+        "pictures": [[float(f"{value:.8g}") for value in row] for row in pictures],
+        "sha256": digest.hexdigest(),
+    }
+
+
+def differences(now: dict[str, Any], recorded: dict[str, Any], *, exact: bool = False) -> list[str]:
+    """What of a method's results is not as recorded, one line each.
+
+    Settings are compared exactly, numbers of fits within :data:`TOLERANCE` (bytes and primitives: at
+    least 4), with ``exact`` all of it byte for byte.
+    """
+    lines = []
+    for name in sorted(set(now["settings"]) | set(recorded["settings"])):
+        one, other = now["settings"].get(name, {}), recorded["settings"].get(name, {})
+        for option in sorted(set(one) | set(other)):
+            if one.get(option) != other.get(option):
+                lines.append(f"{name}: {option} is {one.get(option)!r}, recorded {other.get(option)!r}")
+    for name in sorted(set(now["fits"]) | set(recorded["fits"])):
+        one, other = now["fits"].get(name), recorded["fits"].get(name)
+        label = f"fit {name}".strip()
+        if one is None or other is None:
+            lines.append(f"{label}: {'not recorded' if other is None else 'no longer there'}")
+            continue
+        if exact and one != other:
+            lines.append(
+                f"{label}: not byte for byte as recorded ({', '.join(k for k in one if one[k] != other[k])})"
+            )
+        lines += _unlike(label, one, other)
+    return lines
+
+
+def _unlike(label: str, one: dict[str, Any], other: dict[str, Any]) -> list[str]:
+    lines = []
+    if len(one["losses"]) != len(other["losses"]):
+        return [f"{label}: {len(one['losses'])} losses, recorded {len(other['losses'])}"]
+    for i, (a, b) in enumerate(zip(one["losses"], other["losses"], strict=True), 1):
+        if abs(a - b) > TOLERANCE["losses"] * abs(b):
+            lines.append(f"{label}: loss {a:.8g} at iteration {i}, recorded {b:.8g}")
+            break
+    pairs = [("primitives", one["primitives"], other["primitives"])]
+    pairs += [
+        ("bytes", one["bytes"].get(part, -100), other["bytes"].get(part, -100))
+        for part in sorted(set(one["bytes"]) | set(other["bytes"]))
+    ]
+    parts = ["primitives", *(f"bytes of {part}" for part in sorted(set(one["bytes"]) | set(other["bytes"])))]
+    for part, (kind, a, b) in zip(parts, pairs, strict=True):
+        if abs(a - b) > max(TOLERANCE[kind] * abs(b), 4):
+            lines.append(f"{label}: {part} {a}, recorded {b}")
+    far = max(
+        abs(a - b)
+        for row, past in zip(one["pictures"], other["pictures"], strict=True)
+        for a, b in zip(row, past, strict=True)
+    )
+    if far > TOLERANCE["pictures"]:
+        lines.append(f"{label}: pictures of the loaded model differ by {far:.2g} in their means")
+    return lines
+
+
+def recorded() -> dict[str, Any]:
+    """Method -> its fingerprint as recorded."""
+    return dict(json.loads(FILE.read_text(encoding="utf-8"))) if FILE.is_file() else {}
+
+
+def verdict(name: str, now: dict[str, Any], past: dict[str, Any] | None, *, exact: bool = False) -> str:
+    """What is wrong with a method's results and what to do; "" if nothing."""
+    remedy = f"python tests/methods/fingerprints.py --write {name}"
+    if past is None:
+        return f"{name} has no fingerprint: run {remedy}"
+    lines = differences(now, past, exact=exact)
+    if now["version"] != past["version"]:
+        return f"{name} has version {now['version']}, its fingerprint {past['version']}: run {remedy}"
+    if lines:
+        return f"results of {name} changed: raise its version or undo it\n  " + "\n  ".join(lines)
+    return ""
+
+
+def built_in() -> list[str]:
+    """Names of the methods that come with the harness."""
+    from methods.registry import Registry
+
+    registry = Registry()
+    return [name for name in registry.names() if registry.origin(name).startswith("built in")]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Compare or record the fingerprints of the methods.")
+    parser.add_argument("methods", nargs="*", metavar="METHOD", help="default: all built-in ones")
+    parser.add_argument("--write", action="store_true", help="record them in tests/fingerprints.json")
+    parser.add_argument(
+        "--keep-version", action="store_true", help="record changed results of the same version"
+    )
+    parser.add_argument("--exact", action="store_true", help="compare byte for byte")
+    parser.add_argument("--measure", metavar="METHOD", help=argparse.SUPPRESS)  # inside the process of a fit
+    options = parser.parse_args()
+    if options.measure:
+        print(json.dumps(fingerprint(options.measure)))
+        return 0
+    past, wrong = recorded(), 0
+    for name in options.methods or built_in():
+        now = measure(name)
+        problem = verdict(name, now, past.get(name), exact=options.exact)
+        if options.write and (not problem.startswith("results of") or options.keep_version):
+            past[name] = now
+            problem = ""
+        wrong += bool(problem)
+        print(problem or f"{name}: {'recorded' if options.write else 'as recorded'}", flush=True)
+    if options.write:
+        FILE.write_text(_text(past), encoding="utf-8")
+    return 1 if wrong else 0
+
+
+def _text(prints: dict[str, Any]) -> str:
+    """JSON with short lists on one line each, so that a change is a readable diff."""
+    import re
+
+    text = json.dumps(prints, indent=1, sort_keys=True)
+    return re.sub(r"\[[^][{}]*\]", lambda match: re.sub(r"\s+", " ", match[0]), text) + "\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,56 @@
+"""Every method fits as recorded in tests/fingerprints.json; a changed constant does not pass for noise."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+
+from tests.methods import fingerprints
+
+
+@pytest.mark.parametrize("method", fingerprints.built_in())
+def test_results_are_as_recorded_for_their_version(method):
+    problem = fingerprints.verdict(method, fingerprints.measure(method), fingerprints.recorded().get(method))
+    assert not problem, problem
+
+
+@pytest.fixture
+def recorded():
+    return fingerprints.recorded()["econgs"]
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("settings", "quick fair", "rate_weight"), 1.01e-4),
+        (("settings", "paper paper", "iterations"), 20_001),
+        (("fits", "fair", "primitives"), 290),
+        (("fits", "fair", "losses", 20), 0.2),
+        (("fits", "fair", "pictures", 0, 3), 0.2),
+        (("fits", "fair", "sha256"), None),
+    ],
+    ids=lambda value: "/".join(map(str, value)) if isinstance(value, tuple) else "",
+)
+def test_a_change_is_reported_with_its_remedy(recorded, path, value):
+    now = copy.deepcopy(recorded)
+    place = now
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    problem = fingerprints.verdict("econgs", now, recorded, exact=path[-1] == "sha256")
+    assert "raise its version or undo it" in problem
+    assert not fingerprints.verdict("econgs", recorded, recorded, exact=True)
+
+
+def test_rounding_of_another_processor_passes(recorded):
+    now = copy.deepcopy(recorded)
+    for fit in now["fits"].values():
+        fit["losses"] = [loss * (1 + 1e-5) for loss in fit["losses"]]
+        fit["sha256"] = "another"
+    assert not fingerprints.verdict("econgs", now, recorded)
+
+
+def test_a_new_version_asks_for_a_new_record(recorded):
+    problem = fingerprints.verdict("econgs", {**recorded, "version": "next"}, recorded)
+    assert "--write econgs" in problem
