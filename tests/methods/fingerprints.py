@@ -60,7 +60,7 @@ def fingerprint(name: str) -> dict[str, Any]:
     """Settings of every preset and configuration, and what fits with those of "quick" come to."""
     import torch
 
-    from methods.contract import Subject
+    from methods.contract.checks import Subject
     from methods.options import CONFIGURATION, resolve
     from methods.registry import PRESETS, Registry, load_method
 
@@ -94,9 +94,8 @@ def _plain(settings: Any) -> dict[str, Any]:
 
 def _fit(subject: Any) -> dict[str, Any]:
     """Losses of every iteration, primitives, and the bytes and pictures of the saved model."""
-    from methods.contract_scene import cameras
-
-    from methods.contract import Recorder, files_of
+    from methods.contract.checks import Recorder, files_of
+    from methods.contract.scene import cameras
 
     recorder = Recorder()
     scenes = [subject.tiny("one"), subject.tiny("two", 0.15)] if subject.spec.joint else [subject.tiny("one")]
