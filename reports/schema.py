@@ -1,0 +1,364 @@
+"""The tables of a run store: every table and every column, declared once.
+
+All else follows from these declarations: types, columns of foreign tables, headers and formats for people, titles of
+chart axes, the choices of ``bench results --table``, and the page ``docs/reference/tables.md``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from reports.style import MIB, mib, seconds
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+DType = Literal["string", "Int64", "Float64", "boolean", "object"]
+
+METRICS = ("psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv")
+"""Metrics of color that a run measures by default; every one is a column of `results` and of `views`."""
+COVERAGE = ("missing", "excess")
+"""Metrics of alpha alone. Every measurement takes them, but a measure job's key does not name them: they came later,
+and records without them are worth the same."""
+
+
+def _fixed(digits: int) -> Callable[[Any], str]:
+    return lambda value: f"{value:.{digits}f}"
+
+
+def significant(value: float) -> str:
+    """Five significant digits."""
+    return f"{value:.5g}"
+
+
+def _three(value: float) -> str:
+    return f"{value:.3g}" if value < 1000 else f"{value:,.0f}"
+
+
+def _fps(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 else f"{value:.1f}" if value >= 1 else f"{value:.3f}"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column, in whichever tables it occurs.
+
+    Attributes:
+        name: identifier.
+        dtype: pandas type; all types are nullable.
+        doc: definition, in one sentence.
+        title: name for people, without unit; "" if the name itself serves.
+        unit: unit of the stored values.
+        better: 1 if higher is better, -1 if lower is better, 0 if values are not ranked.
+        write: value -> text for people, of a value that is present; `str` for names.
+        axis: name on a chart's axis, where it differs from ``title``.
+        default: value in a foreign table that lacks the column.
+    """
+
+    name: str
+    dtype: DType
+    doc: str = ""
+    title: str = ""
+    unit: str = ""
+    better: int = 0
+    write: Callable[[Any], str] | None = None
+    axis: str = ""
+    default: Any = None
+
+    @property
+    def display_unit(self) -> str:
+        """Unit in tables and charts for people."""
+        return "MiB" if self.unit == "bytes" else self.unit
+
+    @property
+    def scale(self) -> float:
+        """Stored value / value in the display unit."""
+        return MIB if self.unit == "bytes" else 1.0
+
+    @property
+    def header(self) -> str:
+        """Title with unit, where cells do not contain the unit themselves."""
+        name = self.title or self.name.replace("_", " ").capitalize()
+        bare = self.write is seconds or self.display_unit in ("", name)
+        return name if bare else f"{name} [{self.display_unit}]"
+
+    @property
+    def axis_title(self) -> str:
+        """Title of a chart's axis, with unit."""
+        unit = "" if self.display_unit == self.title else self.display_unit
+        return (self.axis or self.title or self.name) + (f" [{unit}]" if unit else "")
+
+    @property
+    def numeric(self) -> bool:
+        """Whether a table for people aligns it to the right."""
+        return self.write is not None and self.write is not str
+
+    def text(self, value: Any) -> str:
+        """A value that is present, for people."""
+        if self.write is not None:
+            return self.write(value)
+        return significant(value) if isinstance(value, float) else str(value)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes:
+        doc: definition of a row.
+        axes: columns that the row's job determines.
+        facts: columns that it does not determine.
+    """
+
+    doc: str
+    axes: tuple[str, ...]
+    facts: tuple[str, ...]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Every column, as readers get them."""
+        return (*self.axes, *self.facts)
+
+
+def _declare(*columns: Column) -> dict[str, Column]:
+    assert len({column.name for column in columns}) == len(columns), "a column is declared twice"
+    return {column.name: column for column in columns}
+
+
+_T, _W, _F, _B = "string", "Int64", "Float64", "boolean"
+COLUMNS: dict[str, Column] = _declare(
+    # Axes: what a job is about.
+    Column("dataset", _T, "name of the dataset", "Dataset", write=str, default=""),
+    Column("scene", _T, "scene, or composition; an edited scene is its name and the edit", "Scene", write=str,
+           default=""),
+    Column("method", _T, "name of the method", "Method", write=str, default=""),
+    Column("variant", _T, "settings that differ from the preset's, as a label; empty if none do", default=""),
+    Column("rate", _F, "value of a rate knob at which one fit was saved; null if the method has one size"),
+    Column("preset", _T, "how long the method trains, and on which views", default=""),
+    Column("split", _T, "views that were measured: `test`, or `val` for views held out of the training views",
+           default=""),
+    Column("seed", _W, "random seed", default=0),
+    Column("requested_views", _W, "training views that were requested; of these, split `val` holds out a "
+           "tenth"),
+    Column("kind", _T, "`basic`: a scene; `edited`: a basic scene after a change, against the ground truth "
+           "of the changed scene; `composed`: scenes of a composition rendered together, from the models of "
+           "all groups that hold them. Kinds are never summed or averaged together", default="basic"),
+    Column("edit", _T, "the change of an edited scene, as `opacity=0.5 light=1,0,0`; else empty", default=""),
+    Column("group", _T, "scenes that were fitted together, joined by `+`; of a composition, its groups "
+           "joined by `,`"),
+    Column("iterations", _W, "training iterations of the group"),
+    Column("train_views", _W, "training views of the fit"),
+    Column("width", _W, "width of a view in pixels; in `features`, numbers in a row"),
+    Column("height", _W, "height of a view in pixels"),
+    Column("device", _T, "device of the fit: `cpu`, `cuda`"),
+    Column("machine", _T, "host name"),
+    Column("processor", _T, "processor, cores and instruction set of the measurement"),
+    Column("fit_processor", _T, "the same of the fits; several are joined by `; `"),
+    Column("threads", _W, "threads per job"),
+    Column("commit", _T, "commit of this program; `+` means that files were changed"),
+    Column("source", _T, "hash of the method's source code at the fit"),
+    # A job's outcome.
+    Column("job", _T, "identifier of the job"),
+    Column("status", _T, "`ok`, `failed`, `oom`, `timeout`, `diverged` or `refused`", "Status", write=str,
+           default="ok"),
+    Column("reason", _T, "why the job has no result, or why metrics are missing", "Reason", write=str),
+    Column("stage", _T, "stage in which the job failed"),
+    Column("stale", _B, "the method has another version today", default=False),
+    # Quality.
+    Column("psnr", _F, "10 log10(1 / MSE) per image, over all pixels and channels of the 8-bit composited "
+           "picture; mean over views. Identical images count 100 dB, which is also the cap", "PSNR", "dB", 1,
+           _fixed(2)),
+    Column("psnr_fg", _F, "PSNR over the pixels where the alpha of truth or model is at least 1/255",
+           "PSNR fg", "dB", 1, _fixed(2)),
+    Column("ssim", _F, "SSIM of Wang et al. 2004 as in scikit-image: Gaussian window 11x11, sigma 1.5, "
+           "population covariance, mean over the interior (5 pixels from the border) and three channels",
+           "SSIM", "", 1, _fixed(4)),
+    Column("lpips_vgg", _F, "LPIPS 0.1 with VGG-16, input in [-1, 1] as its authors ask", "LPIPS", "", -1,
+           _fixed(4)),
+    Column("lpips_vgg01", _F, "LPIPS 0.1 with VGG-16, input left in [0, 1]: the convention of splatting "
+           "papers, which gives lower values", "LPIPS [0,1]", "", -1, _fixed(4)),
+    Column("lpips_alex", _F, "LPIPS 0.1 with AlexNet, input in [-1, 1]", "LPIPS Alex", "", -1, _fixed(4)),
+    Column("flip", _F, "mean LDR-FLIP (Andersson et al. 2020) at 67 pixels per degree", "FLIP", "", -1,
+           _fixed(4)),
+    Column("delta_e_uv", _F, "mean color difference in CIE 1976 L*u*v*; sRGB decoded, white point D65",
+           "ΔE*uv", "", -1, _fixed(2)),
+    Column("missing", _F, "alpha of the truth that the model lacks, summed over pixels, as a share of the "
+           "truth's: structures that it never found, and what has the color of the background"),
+    Column("excess", _F, "alpha of the model beyond the truth's, summed over pixels, as a share of the "
+           "truth's: what hides other things, and appears on another background"),
+    Column("identical_views", _W, "views that are identical to the truth"),
+    Column("psnr_std", _F, "standard deviation of PSNR over seeds", "±", "dB", 0, _fixed(2)),
+    # Size.
+    Column("size_bytes", _W, "bytes of the files that load opens: the scene's own part and its share of the "
+           "shared part, so that rows sum to the dataset's total", "Size", "bytes", -1, mib,
+           "size per scene"),
+    Column("group_bytes", _W, "bytes of the whole group", unit="bytes"),
+    Column("standalone_bytes", _W, "own part and the whole shared part; of a composition, the shared part of "
+           "each group once", unit="bytes"),
+    Column("primitives", _W, "primitives of the scene", "Primitives", write=lambda value: f"{int(value):,}"),
+    Column("part", _T, "name of a part, as the method declares it; of a frame: `frame`, `decode`, `shade`, "
+           "`rasterise`"),
+    Column("bytes", _W, "bytes of the part", unit="bytes"),
+    # Time and memory.
+    Column("train_seconds", _F, "time of partition, fit and encode; the scene's share", "Training", "s", -1,
+           seconds, "training time per scene"),
+    Column("group_seconds", _F, "time of partition, fit and encode of the whole group", unit="s"),
+    Column("partition_seconds", _F, "time to find the groups of a joint method; null for others", unit="s"),
+    Column("encode_seconds", _F, "time to write the compressed files", unit="s"),
+    Column("cpu_seconds", _F, "processor time of the fit over all threads, the scene's share; other work on "
+           "the machine hardly changes it", unit="s"),
+    Column("load_seconds", _F, "time from files to a model that is ready to render; of a volume, to read it",
+           "Load", "s", -1, seconds),
+    Column("fps", _F, "1 / median frame time of the loaded model, from camera to image", "FPS", "FPS", 1,
+           _fps, "frames per second"),
+    Column("fps_p05", _F, "1 / 95th percentile of frame time", unit="FPS"),
+    Column("fps_p95", _F, "1 / 5th percentile of frame time", unit="FPS"),
+    Column("reference_seconds", _F, "time of a fixed kernel next to the timed part: how fast the machine was "
+           "then", unit="s"),
+    Column("peak_host_bytes", _W, "peak host memory of fit and measurement", "Host mem.", "bytes", -1, mib,
+           "peak host memory"),
+    Column("peak_device_bytes", _W, "peak device memory of fit and measurement", "Device mem.", "bytes", -1,
+           mib, "peak device memory"),
+    Column("group_peak_host_bytes", _W, "peak host memory of the fit", unit="bytes"),
+    Column("seconds", _F, "median time of the part", unit="s"),
+    # Views.
+    Column("view", _T, "name of the view"),
+    Column("identical", _B, "the rendered picture equals the truth", "Identical",
+           write=lambda value: "yes" if value else "no"),
+    Column("truth_file", _T, "picture of the truth, relative to the store"),
+    Column("render_file", _T, "rendered picture, relative to the store"),
+    Column("alpha_file", _T, "picture of the rendered alpha, relative to the store"),
+    Column("background", _T, "background color, as `#rrggbb`"),
+    # Training.
+    Column("iteration", _W, "training iteration; of a stretch, its last"),
+    Column("first", _W, "first iteration of a stretch", "First", write=significant),
+    Column("loss", _F, "training loss"),
+    Column("loss_parts", _T, "JSON: part of the loss -> its weighted value; with further figures of the "
+           "method"),
+    Column("losses", _T, "JSON: `loss`, its weighted parts and further figures of the method -> mean over "
+           "the stretch"),
+    Column("bytes_estimate", _W, "the method's estimate of its size at this iteration", unit="bytes"),
+    # Attributes of primitives, and transfer functions.
+    Column("name", _T, "name of the attribute"),
+    Column("values", "object", "values of a sample of primitives, row after row"),
+    Column("transfer", _T, "JSON: part -> `transfer`, color and opacity in 128 bins of normalised values, "
+           "and `levels`, value and color of isosurfaces"),
+    # Cost of rendering volumes.
+    Column("nx", _W, "voxels along x"),
+    Column("ny", _W, "voxels along y"),
+    Column("nz", _W, "voxels along z"),
+    Column("variables", _T, "variables of the volume, joined by `;`", "Variables", write=significant),
+    Column("dtype", _T, "type of a voxel in memory"),
+    Column("volume_bytes", _W, "size of all variables in memory", unit="bytes"),
+    Column("ms_per_view", _F, "median time of one view per launch over the test path, after warm-up",
+           "ms per view", write=_three),
+    Column("ms_p05", _F, "5th percentile of the same", "5 %", write=_three),
+    Column("ms_p95", _F, "95th percentile of the same", "95 %", write=_three),
+    Column("setup_seconds", _F, "time from the volume in memory to the first picture", "Set-up", "s", 0,
+           seconds),
+    Column("renderer", _T, "renderer of the volume", "Renderer", write=str),
+    Column("version", _T, "version of the renderer"),
+    Column("backend", _T, "backend of the renderer"),
+    # Columns of tables for people alone.
+    Column("scenes", _T, "scenes with a result", "Scenes", write=str),
+    Column("seeds", _W, "seeds with a result", "Seeds", write=str),
+    Column("resolution", _T, "voxels of the volume", "Resolution", write=str),
+    Column("volume_gib", _F, "size of the volume in memory", "Volume", "GiB", write=_three),
+    Column("cpu_gib", _F, "peak of the process that renders", "CPU mem.", "GiB", write=_three),
+    Column("gpu_gib", _F, "peak device memory", "GPU mem.", "GiB", write=_three),
+    Column("image", _T, "size of a view", "Image", write=str),
+    Column("file", _T, "name of the picture", "Image", write=str),
+    Column("views", _W, "paired views", "Views", write=significant),
+    Column("second", _F, "mean of the second run", "Second", write=significant),
+    Column("difference", _F, "second - first, mean over the paired views", "Difference", write=significant),
+    Column("least", _F, "least difference of any view", "Least", write=significant),
+    Column("greatest", _F, "greatest difference of any view", "Greatest", write=significant),
+)  # fmt: skip
+
+_FIT = ("dataset", "scene", "method", "variant", "preset", "seed", "requested_views")
+_SAVED = ("dataset", "scene", "method", "variant", "rate", "preset", "seed", "requested_views")
+_MEASURED = ("dataset", "scene", "method", "variant", "rate", "preset", "split", "seed", "requested_views")
+TABLES: dict[str, Table] = {
+    "results": Table(
+        "A model of a scene or composition. `size_bytes`, `train_seconds` and `cpu_seconds` are shares of "
+        "the group's, so that rows sum to the dataset's total. Bytes, seconds and primitives of a "
+        "composition are sums over its scenes or groups; `load_seconds` and `fps` are measured; memory is "
+        "the maximum. A method that cannot make an edit, or cannot render models of several groups together, "
+        "has a row with status `refused`.",
+        (*_MEASURED, "kind", "edit", "group", "iterations", "train_views", "width", "height", "device",
+         "machine", "threads", "commit", "source", "processor", "fit_processor"),
+        ("job", "status", "reason", "stage", "stale", *METRICS, *COVERAGE, "identical_views", "size_bytes",
+         "group_bytes", "standalone_bytes", "primitives", "train_seconds", "group_seconds",
+         "partition_seconds", "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95",
+         "reference_seconds", "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes"),
+    ),
+    "views": Table(
+        "A measured view of a model.", _MEASURED,
+        ("job", "view", *METRICS, *COVERAGE, "identical", "truth_file", "render_file", "alpha_file",
+         "background"),
+    ),
+    "curve": Table(
+        "An evaluation during a fit, per scene, on four of the views that are measured at the end; no method "
+        "trains on them.", _FIT,
+        ("job", "iteration", "train_seconds", "loss", "psnr", "primitives", "bytes_estimate", "loss_parts"),
+    ),
+    "losses": Table(
+        "A stretch of a fit: a fiftieth of its iterations, or the rest of a stage. A group has one row per "
+        "stretch.", _FIT,
+        ("job", "stage", "first", "iteration", "losses"),
+    ),
+    "ledger": Table(
+        "A part of a saved model, per scene; `scene` is empty for what the group shares.", _SAVED,
+        ("job", "part", "bytes"),
+    ),
+    "timing": Table(
+        "A part of a frame of the loaded model.", _SAVED,
+        ("job", "part", "seconds"),
+    ),
+    "features": Table(
+        "An attribute of a sample of a model's primitives (100, or as many as the suite requests): `values` "
+        "holds rows of `width` numbers.",
+        ("dataset", "scene", "method", "variant", "preset", "requested_views"),
+        ("job", "name", "values", "width"),
+    ),
+    "scenes": Table(
+        "A scene whose views were rendered here.",
+        ("dataset", "scene", "preset", "split", "requested_views"),
+        ("job", "transfer"),
+    ),
+    "dvr": Table(
+        "Cost of direct rendering of a scene's volume, one view per launch, alone on the machine.",
+        ("dataset", "scene", "kind", "preset", "width", "height", "machine", "threads", "commit"),
+        ("job", "status", "reason", "nx", "ny", "nz", "variables", "dtype", "volume_bytes", "ms_per_view",
+         "ms_p05", "ms_p95", "fps", "load_seconds", "setup_seconds", "peak_host_bytes", "peak_device_bytes",
+         "renderer", "version", "backend", "reference_seconds"),
+    ),
+    "superseded": Table(
+        "A result that the other tables leave out, because a newer one takes its place.",
+        (*_MEASURED, "kind", "commit"),
+        ("job", "status", "psnr", "size_bytes"),
+    ),
+}  # fmt: skip
+
+
+def frame(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """Rows as a table with typed columns; what a row lacks is null."""
+    import pandas as pd
+
+    names, rows = list(columns), list(rows)
+    return pd.DataFrame(
+        {name: pd.Series([row.get(name) for row in rows], dtype=COLUMNS[name].dtype) for name in names},
+        columns=names,
+    )
+
+
+def empty(name: str) -> pd.DataFrame:
+    """A table without rows."""
+    return frame(TABLES[name].columns, [])
+
+
+def by_name(name: str) -> Column:
+    """A column, also one that is declared nowhere."""
+    return COLUMNS.get(name) or Column(name, "object")
