@@ -16,6 +16,8 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+from reports.schema import TABLES
+
 COMMANDS = {
     "run": "bench.commands.run:run",
     "plan": "bench.commands.run:plan",
@@ -32,9 +34,6 @@ COMMANDS = {
     "verify": "bench.commands.stores:verify",
     "check-plugin": "bench.commands.check_plugin:check_plugin",
 }
-TABLES = (
-    "results", "views", "curve", "losses", "ledger", "timing", "features", "scenes", "dvr", "superseded",
-)  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

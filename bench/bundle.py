@@ -23,8 +23,9 @@ from typing import TYPE_CHECKING, Any
 
 from bench.records import SCHEMA, Record, hash_of
 from bench.store import Store, read_record
-from bench.tables import frame, rows
+from bench.tables import rows
 from datasets.errors import DataError
+from reports.schema import frame
 from reports.tables.documents import to_csv
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The documented tables (docs/concepts/architecture.md), derived from the records and from nothing else."""
+"""The documented tables (:mod:`reports.schema`), derived from the records and from nothing else."""
 
 from __future__ import annotations
 
@@ -10,55 +10,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bench.metrics import COVERAGE
 from bench.records import CurvePoint, EncodeResult, FitResult, Job, Record
 from bench.store import Store
 from bench.versions import is_stale, standing
+from reports.schema import COVERAGE, METRICS, TABLES, frame
 
 if TYPE_CHECKING:
     import pandas as pd
-
-METRICS = ("psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv")
-_AXES = ("dataset", "scene", "method", "variant")
-COLUMNS: dict[str, tuple[str, ...]] = {
-    "results": (
-        "dataset", "scene", "kind", "method", "variant", "rate", "preset", "split", "seed", "status",
-        "reason", "stale", "group", *METRICS, "size_bytes", "group_bytes", "standalone_bytes", "primitives",
-        "train_seconds", "group_seconds", "load_seconds", "fps", "peak_host_bytes", "peak_device_bytes",
-        "iterations", "train_views", "width", "height", "device", "machine", "threads", "job", "fps_p05",
-        "fps_p95", "encode_seconds", "reference_seconds", "identical_views", "stage", "commit",
-        "group_peak_host_bytes", "partition_seconds", "requested_views", "edit", "source",
-        "cpu_seconds", *COVERAGE, "processor", "fit_processor",
-    ),
-    "views": ("job", *_AXES, "rate", "preset", "split", "seed", "view", *METRICS, "identical", "truth_file",
-              "render_file", "alpha_file", "background", "requested_views", *COVERAGE),
-    "curve": ("job", *_AXES, "preset", "seed", "iteration", "train_seconds", "loss", "psnr", "primitives",
-              "bytes_estimate", "loss_parts", "requested_views"),
-    "losses": ("job", *_AXES, "preset", "seed", "stage", "first", "iteration", "losses", "requested_views"),
-    "ledger": ("job", *_AXES, "rate", "preset", "seed", "part", "bytes", "requested_views"),
-    "timing": ("job", *_AXES, "rate", "preset", "seed", "part", "seconds", "requested_views"),
-    "features": ("job", *_AXES, "preset", "name", "values", "width", "requested_views"),
-    "scenes": ("job", "dataset", "scene", "preset", "split", "requested_views", "transfer"),
-    "dvr": ("job", "dataset", "scene", "kind", "preset", "status", "reason", "nx", "ny", "nz", "variables",
-            "dtype", "volume_bytes", "ms_per_view", "ms_p05", "ms_p95", "fps", "load_seconds",
-            "setup_seconds", "peak_host_bytes", "peak_device_bytes", "width", "height", "renderer", "version",
-            "backend", "machine", "threads", "reference_seconds", "commit"),
-    "superseded": ("job", "dataset", "scene", "kind", "method", "variant", "rate", "preset", "split", "seed",
-                   "status", "psnr", "size_bytes", "commit", "requested_views"),
-}  # fmt: skip
-_TEXT = {
-    "dataset", "scene", "kind", "method", "variant", "preset", "split", "status", "reason", "group", "device",
-    "machine", "job", "stage", "commit", "view", "truth_file", "render_file", "alpha_file", "part", "name",
-    "background", "variables", "dtype", "renderer", "version", "backend",
-    "loss_parts", "losses", "edit", "transfer", "source", "processor", "fit_processor",
-}  # fmt: skip
-_WHOLE = {
-    "seed", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "peak_host_bytes",
-    "peak_device_bytes", "iterations", "train_views", "width", "height", "threads", "identical_views",
-    "group_peak_host_bytes", "requested_views", "first", "iteration", "bytes_estimate", "bytes", "nx", "ny",
-    "nz", "volume_bytes",
-}  # fmt: skip
-_FLAGS = {"stale", "identical"}
 
 
 def share(total: int, names: Iterable[str], name: str) -> int:
@@ -78,7 +36,7 @@ def rows(
         sources: method -> hashes of its source now; where a fit's is none of them, its rows are stale.
     """
     by_id = {record.job.id: record for record in records}
-    tables: dict[str, list[dict[str, Any]]] = {name: [] for name in COLUMNS}
+    tables: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
     answered = {_question(record.job) for record in by_id.values() if record.ok}
     for record in by_id.values():
         job = record.job
@@ -145,27 +103,6 @@ def build_tables(
                 table.to_parquet(aside, index=False)
                 os.replace(aside, target)
     return frames
-
-
-def frame(name: str, table: list[dict[str, Any]]) -> pd.DataFrame:
-    """One table with its documented columns and types (nullable: what is missing is null)."""
-    import pandas as pd
-
-    data = {}
-    for column in COLUMNS[name]:
-        values = [row.get(column) for row in table]
-        data[column] = pd.Series(values, dtype=_dtype(column))
-    return pd.DataFrame(data, columns=list(COLUMNS[name]))
-
-
-def _dtype(column: str) -> str:
-    if column in _TEXT:
-        return "string"
-    if column in _WHOLE:
-        return "Int64"
-    if column in _FLAGS:
-        return "boolean"
-    return "object" if column == "values" else "Float64"
 
 
 # --------------------------------------------------------------------------- one record's rows

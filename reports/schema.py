@@ -1,7 +1,7 @@
 """The tables of a run store: every table and every column, declared once.
 
-All else follows from these declarations: types, columns of foreign tables, headers and formats for people, titles of
-chart axes, the choices of ``bench results --table``, and the page ``docs/reference/tables.md``.
+All else follows from these declarations: types, columns of foreign tables, headers and formats for people,
+titles of chart axes, the choices of ``bench results --table``, and the page ``docs/reference/tables.md``.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ DType = Literal["string", "Int64", "Float64", "boolean", "object"]
 METRICS = ("psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv")
 """Metrics of color that a run measures by default; every one is a column of `results` and of `views`."""
 COVERAGE = ("missing", "excess")
-"""Metrics of alpha alone. Every measurement takes them, but a measure job's key does not name them: they came later,
-and records without them are worth the same."""
+"""Metrics of alpha alone. Every measurement takes them, but a measure job's key does not name them: they came
+later, and records without them are worth the same."""
 
 
 def _fixed(digits: int) -> Callable[[Any], str]:
@@ -127,7 +127,10 @@ def _declare(*columns: Column) -> dict[str, Column]:
     return {column.name: column for column in columns}
 
 
-_T, _W, _F, _B = "string", "Int64", "Float64", "boolean"
+_T: DType = "string"
+_W: DType = "Int64"
+_F: DType = "Float64"
+_B: DType = "boolean"
 COLUMNS: dict[str, Column] = _declare(
     # Axes: what a job is about.
     Column("dataset", _T, "name of the dataset", "Dataset", write=str, default=""),
@@ -343,20 +346,17 @@ TABLES: dict[str, Table] = {
 }  # fmt: skip
 
 
-def frame(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """Rows as a table with typed columns; what a row lacks is null."""
+def frame(name: str, rows: Iterable[Mapping[str, Any]] = ()) -> pd.DataFrame:
+    """A table with its columns and types; what a row lacks is null."""
     import pandas as pd
 
-    names, rows = list(columns), list(rows)
+    rows = list(rows)
     return pd.DataFrame(
-        {name: pd.Series([row.get(name) for row in rows], dtype=COLUMNS[name].dtype) for name in names},
-        columns=names,
+        {
+            column: pd.Series([row.get(column) for row in rows], dtype=COLUMNS[column].dtype)
+            for column in TABLES[name].columns
+        }
     )
-
-
-def empty(name: str) -> pd.DataFrame:
-    """A table without rows."""
-    return frame(TABLES[name].columns, [])
 
 
 def by_name(name: str) -> Column:

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import pandas as pd
 
-METRICS = ("psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv")
-"""Columns of `views` that have intervals."""
 BLOCKS = 6
 """Blocks that the path of test views is divided into."""
 RESAMPLES = 2000

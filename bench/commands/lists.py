@@ -51,8 +51,8 @@ def _metrics(options: Namespace) -> Iterable[tuple[str, ...]]:
         (
             name,
             f"version {m.version}",
-            m.unit,
-            "higher is better" if m.higher_is_better else "lower is better",
+            m.column.unit,
+            "higher is better" if m.column.better > 0 else "lower is better",
         )
         for name, m in METRICS.items()
     ]

@@ -93,11 +93,12 @@ def print_results(table: pd.DataFrame) -> None:
 
 def print_table(table: pd.DataFrame) -> None:
     """A table made for people; columns that hold nothing are left out."""
-    from reports.tables.columns import cell, title
+    from reports.schema import by_name
+    from reports.tables.columns import cell
 
     names = [name for name in table.columns if table[name].notna().any()]
     lines = [[cell(name, row[name]) for name in names] for _, row in table.iterrows()]
-    _print([title(name) for name in names], lines)
+    _print([by_name(name).header for name in names], lines)
 
 
 def _console() -> Any:

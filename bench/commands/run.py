@@ -20,7 +20,8 @@ def run(options: Namespace) -> int:
     """Run what a suite and the selectors name, then show the table and write the report."""
     from bench.executor import Limits, LocalExecutor
     from bench.provenance import current_sources
-    from bench.tables import build_tables, frame, rows
+    from bench.tables import build_tables, rows
+    from reports.schema import frame
 
     planner = _planner(options)
     store = Store(Path(options.out), create=True)
@@ -119,9 +120,9 @@ def _state(job: Job, record: Record | None, expected: Estimate | None, store: St
 
 
 def _planner(options: Namespace) -> Planner:
-    from bench.metrics import METRICS
-    from bench.tables import METRICS as MEASURED
+    from bench.metrics import METRICS as VERSIONS
     from methods.options import parse_assignments
+    from reports.schema import METRICS
 
     selection = Selection(
         suite=load_suite(options.suite),
@@ -136,7 +137,7 @@ def _planner(options: Namespace) -> Planner:
         device=options.device,
         plugins=_plugins(options),
     )
-    return Planner(selection, {name: METRICS[name].version for name in MEASURED})
+    return Planner(selection, {name: VERSIONS[name].version for name in METRICS})
 
 
 def _plugins(options: Namespace) -> tuple[str, ...]:

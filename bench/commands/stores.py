@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 from bench.commands.results import current
 from bench.store import Store
-from bench.tables import METRICS, build_tables
+from bench.tables import build_tables
 from datasets.errors import DataError
+from reports.schema import METRICS
 
 if TYPE_CHECKING:
     import pandas as pd

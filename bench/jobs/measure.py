@@ -24,6 +24,7 @@ from bench.timing import (
 )
 from datasets.memory import peak_host_bytes
 from methods.interface import HasAttributes, Method, Model, Refused
+from reports.schema import COVERAGE
 
 if TYPE_CHECKING:
     from datasets.scene import RGB
@@ -70,7 +71,7 @@ def run(context: Context) -> MeasureResult:
 
     context.report(stage="metrics")
     from bench.inputs import open_dataset, views
-    from bench.metrics import COVERAGE, evaluate
+    from bench.metrics import evaluate
     from bench.metrics.image import to_8bit
     from datasets.png import write_png
 

@@ -1,8 +1,8 @@
 """Image quality metrics, each named and versioned. This module is import-light.
 
 Metrics judge the picture as displayed: composited on the scene's background, clipped to [0, 1] and
-rounded to 8 bit, so that a number from memory and one from the PNG files agree. Those of :data:`COVERAGE`
-judge alpha, rounded likewise.
+rounded to 8 bit, so that a number from memory and one from the PNG files agree. Those of
+:data:`reports.schema.COVERAGE` judge alpha, rounded likewise.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from reports.schema import COLUMNS, Column
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -18,81 +20,40 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Metric:
-    """What a metric's name stands for.
+    """A metric; its title, unit, direction and definition are those of its column.
 
     Attributes:
         name: identifier; column of the tables.
         version: raised when numbers may change; part of the measure key.
-        title: as printed in tables.
-        unit: "" if it has none.
-        higher_is_better: direction.
         bounds: least and greatest possible value.
-        doc: the definition, in one or two sentences.
     """
 
     name: str
     version: str
-    title: str
-    unit: str
-    higher_is_better: bool
     bounds: tuple[float, float]
-    doc: str
+
+    @property
+    def column(self) -> Column:
+        """Declaration of its column."""
+        return COLUMNS[self.name]
 
 
 _INF = float("inf")
 METRICS: dict[str, Metric] = {
     metric.name: metric
     for metric in (
-        Metric(
-            "psnr", "1", "PSNR", "dB", True, (0.0, 100.0),
-            "10 log10(1 / MSE) over all pixels and channels of one image. Identical images count 100 dB and "
-            "are flagged; 100 dB is also the cap.",
-        ),
-        Metric(
-            "psnr_fg", "1", "PSNR (foreground)", "dB", True, (0.0, 100.0),
-            "PSNR over the pixels where the alpha of truth or model is at least 1/255.",
-        ),
-        Metric(
-            "ssim", "1", "SSIM", "", True, (-1.0, 1.0),
-            "Wang et al. 2004 as in scikit-image: Gaussian window 11x11, sigma 1.5, population covariance, "
-            "mean over the interior (5 pixels from the border) and the three channels.",
-        ),
-        Metric(
-            "lpips_vgg", "1", "LPIPS (VGG)", "", False, (0.0, _INF),
-            "LPIPS 0.1 of the `lpips` package, VGG-16, input in [-1, 1] as its authors ask.",
-        ),
-        Metric(
-            "lpips_vgg01", "1", "LPIPS (VGG, unscaled)", "", False, (0.0, _INF),
-            "LPIPS 0.1, VGG-16, input left in [0, 1]: the splatting papers' convention, "
-            "which gives lower values.",
-        ),
-        Metric(
-            "lpips_alex", "1", "LPIPS (AlexNet)", "", False, (0.0, _INF),
-            "LPIPS 0.1, AlexNet, input in [-1, 1].",
-        ),
-        Metric(
-            "flip", "1", "FLIP", "", False, (0.0, 1.0),
-            "Mean LDR-FLIP (Andersson et al. 2020) at 67 pixels per degree, by flip-evaluator.",
-        ),
-        Metric(
-            "delta_e_uv", "1", "ΔE*uv", "", False, (0.0, _INF),
-            "Mean CIE 1976 L*u*v* color difference; sRGB decoded, white point D65.",
-        ),
-        Metric(
-            "missing", "1", "Missing", "", False, (0.0, 1.0),
-            "Share of the truth's alpha, summed over pixels, that the model lacks: structures that it never "
-            "found, and what has the background's color, which no error in color asks for.",
-        ),
-        Metric(
-            "excess", "1", "Excess", "", False, (0.0, _INF),
-            "Alpha of the model beyond the truth's, summed over pixels, relative to the sum of the truth's: "
-            "what hides other things, and shows on another background.",
-        ),
+        Metric("psnr", "1", (0.0, 100.0)),
+        Metric("psnr_fg", "1", (0.0, 100.0)),
+        Metric("ssim", "1", (-1.0, 1.0)),
+        Metric("lpips_vgg", "1", (0.0, _INF)),
+        Metric("lpips_vgg01", "1", (0.0, _INF)),
+        Metric("lpips_alex", "1", (0.0, _INF)),
+        Metric("flip", "1", (0.0, 1.0)),
+        Metric("delta_e_uv", "1", (0.0, _INF)),
+        Metric("missing", "1", (0.0, 1.0)),
+        Metric("excess", "1", (0.0, _INF)),
     )
-}  # fmt: skip
-COVERAGE = ("missing", "excess")
-"""Of alpha alone. Every measure job takes them, but its key does not name them: they came later, and records
-without them are worth the same."""
+}
 
 
 class Scores(NamedTuple):

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from reports.charts import parts
 from reports.charts.parts import OTHER
 from reports.charts.rate_distortion import split_rate, with_shared_seeds
-from reports.style import MIB, OTHERS, Look, label, look, mean_key, mib, named, options_of, seconds
+from reports.schema import COLUMNS
+from reports.style import OTHERS, Look, label, look, mean_key, mib, named, options_of, seconds
 from reports.tables.protocols import comparable
 from reports.tables.results import distinct_processors
 
@@ -21,22 +22,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class AxisSpec(NamedTuple):
-    """An axis: its title, what its column is divided by, the unit's short name, and 1 if more is better."""
-
-    title: str
-    unit: float
-    short: str
-    better: int
-
-
 AXIS = {
-    "size_bytes": AxisSpec("size per scene [MiB]", MIB, "MiB", -1),
-    "fps": AxisSpec("frames per second", 1.0, "FPS", 1),
-    "train_seconds": AxisSpec("training time per scene [s]", 1.0, "s", -1),
-    "peak_host_bytes": AxisSpec("peak host memory [MiB]", MIB, "MiB", -1),
-    "peak_device_bytes": AxisSpec("peak device memory [MiB]", MIB, "MiB", -1),
+    name: COLUMNS[name]
+    for name in ("size_bytes", "fps", "train_seconds", "peak_host_bytes", "peak_device_bytes")
 }
+"""Columns that PSNR is drawn against."""
 
 _CLOCK = {"fps": "processor", "train_seconds": "fit_processor"}
 """Column that was timed -> the one that tells on what."""
@@ -179,7 +169,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
     """
     if results.empty or against not in results:
         return []
-    unit = AXIS[against].unit
+    unit = AXIS[against].scale
     panels = []
     for title, rows in comparable(with_shared_seeds(results[results["kind"] == "basic"])):
         good = rows[

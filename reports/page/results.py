@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from reports.page import markup
 from reports.page.provenance import DETAILS, details
+from reports.schema import COLUMNS, by_name
 from reports.style import MISSING, absent, label, mean_key, series
-from reports.tables.columns import COLUMNS, cell, quality, title
+from reports.tables.columns import cell, quality
 from reports.tables.means import summary
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
 from reports.tables.results import left_out, processors
@@ -53,9 +54,9 @@ def section(results: pd.DataFrame, views: pd.DataFrame, superseded: pd.DataFrame
         lines += told["composed"] + told["edited"]
         bodies.append(f"<tbody>{''.join(lines)}</tbody>")
     heads = "".join(
-        f'<th scope="col"{" class=r" if name in numbers else ""} data-better="{_better(name)}">'
-        f'<button type="button" title="{escape(_doc(name))}">{escape(title(name))}</button></th>'
-        for name in ("scene", "method", *axes, "status", *numbers)
+        f'<th scope="col"{" class=r" if column.name in numbers else ""} data-better="{column.better}">'
+        f'<button type="button" title="{escape(column.doc)}">{escape(column.header)}</button></th>'
+        for column in map(by_name, ("scene", "method", *axes, "status", *numbers))
     )
     data = json.dumps(
         {"names": [name for name, _ in DETAILS.values()], "rows": writer.details}, separators=(",", ":")
@@ -196,7 +197,9 @@ def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows, superseded:
     note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '
     note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
     meanings = "".join(
-        f"<dt>{escape(title(name))}</dt><dd>{escape(_doc(name))}</dd>" for name in numbers if _doc(name)
+        f"<dt>{escape(by_name(name).header)}</dt><dd>{escape(by_name(name).doc)}</dd>"
+        for name in numbers
+        if by_name(name).doc
     )
     return (
         f'<p class="note">{note}</p>'
@@ -232,11 +235,3 @@ def _reasons(row: Any) -> dict[str, str]:
         return {"": f"{row['status']}: {text}" if text else str(row["status"])}
     parts = (part.partition(": ") for part in text.split("; "))
     return {name: why for name, _, why in parts if name in COLUMNS}
-
-
-def _doc(name: str) -> str:
-    return COLUMNS[name].doc if name in COLUMNS else ""
-
-
-def _better(name: str) -> int:
-    return COLUMNS[name].better if name in COLUMNS else 0

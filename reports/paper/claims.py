@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from reports.paper.layouts import layouts
 from reports.paper.values import QUANTITIES, Block, PaperTable, Row
-from reports.statistics import METRICS, Interval, Views
+from reports.schema import METRICS
+from reports.statistics import Interval, Views
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 
 from reports.paper.values import QUANTITIES, Row
-from reports.statistics import METRICS, Views
+from reports.schema import METRICS
+from reports.statistics import Views
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, standing, told_apart
 
 SEEDS_NOTE = f"{UNDECIDED_SIGN} of size, time and speed: the ranges of their seeds overlap."

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from reports.paper.layouts import layouts, published_as, reference, sole_dataset, takes
 from reports.paper.marks import marks
 from reports.paper.values import NOT_MEASURED, QUANTITIES, Block, PaperTable, Quantity, Row, Value
-from reports.statistics import METRICS, Views
+from reports.schema import METRICS
+from reports.statistics import Views
 from reports.style import absent
 from reports.tables.protocols import shared_by_all, together, whole
 from reports.tables.results import left_out

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from reports.statistics import METRICS, Interval, Sample, Views
+from reports.schema import METRICS
+from reports.statistics import Interval, Sample, Views
 from reports.style import MISSING, absent, label
 from reports.tables.means import summary
 

@@ -8,8 +8,9 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from reports.schema import by_name
 from reports.style import absent
-from reports.tables.columns import cell, title
+from reports.tables.columns import cell
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -131,7 +132,7 @@ def _cells(row: pd.Series, names: list[str]) -> str:
 
 
 def _table(caption: str, names: list[str], lines: str) -> str:
-    head = "".join(f'<th scope="col" class="{_align(n)}">{escape(title(n))}</th>' for n in names)
+    head = "".join(f'<th scope="col" class="{_align(n)}">{escape(by_name(n).header)}</th>' for n in names)
     return (
         f'<div class="wide" role="region" tabindex="0" aria-label="{caption}"><table>'
         f"<caption>{caption}</caption><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table></div>"

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from reports.schema import by_name
 from reports.style import MISSING, absent, label
-from reports.tables.columns import cell, is_results, numeric, title
+from reports.tables.columns import cell, is_results
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
 from reports.tables.results import readable
 
@@ -41,8 +42,8 @@ def to_markdown(table: pd.DataFrame, views: pd.DataFrame | None = None, remark: 
     marks = ranks(table, views)
     table, remarks = readable(table)
     remarks += [remark] if remark else []
-    lines = ["| " + " | ".join(_md(title(name)) for name in table.columns) + " |"]
-    lines.append("|" + "|".join("---:" if numeric(name) else "---" for name in table.columns) + "|")
+    lines = ["| " + " | ".join(_md(by_name(name).header) for name in table.columns) + " |"]
+    lines.append("|" + "|".join("---:" if by_name(name).numeric else "---" for name in table.columns) + "|")
     for index, row in table.iterrows():
         texts = []
         for name in table.columns:
@@ -75,8 +76,12 @@ def to_latex(table: pd.DataFrame, views: pd.DataFrame | None = None, remark: str
     notes += [*remarks, *([remark] if remark else [])]
     if results:
         table = table.drop(columns="reason", errors="ignore")
-    spec = "".join("r" if numeric(name) else "l" for name in table.columns)
-    head = [r"\toprule", " & ".join(tex(title(name)) for name in table.columns) + r" \\", r"\midrule"]
+    spec = "".join("r" if by_name(name).numeric else "l" for name in table.columns)
+    head = [
+        r"\toprule",
+        " & ".join(tex(by_name(name).header) for name in table.columns) + r" \\",
+        r"\midrule",
+    ]
     if results:
         lines = [r"% needs \usepackage{booktabs,longtable}; wide: landscape, small type"]
         lines += [rf"\begin{{longtable}}{{{spec}}}", *head, r"\endhead", r"\bottomrule", r"\endfoot"]

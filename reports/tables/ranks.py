@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from reports.statistics import METRICS, Sample, Views
-from reports.tables.columns import COLUMNS
+from reports.schema import COLUMNS, METRICS
+from reports.statistics import Sample, Views
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,7 +44,7 @@ def ranks(results: pd.DataFrame, views: pd.DataFrame | None = None) -> dict[tupl
             if not column.better or name not in rivals:
                 continue
             values = rivals[name].dropna()
-            texts = {index: column.write(value) for index, value in values.items()}
+            texts = {index: column.text(value) for index, value in values.items()}
             order = sorted(values.index, key=lambda index: -column.better * float(values[index]))
             if len(values) < 2 or len(set(texts.values())) < 2:
                 continue

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from reports.schema import by_name
 from reports.style import absent, label
-from reports.tables.columns import COLUMNS, cell, is_results, quality, title
+from reports.tables.columns import cell, is_results, quality
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,7 +76,7 @@ def readable(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
         return table, []
     # Why metrics are missing is told once instead of in every row.
     told = (part for reason in table["reason"] if not absent(reason) for part in reason.split("; "))
-    ranked = [name for name in table.columns if name in COLUMNS and COLUMNS[name].better]
+    ranked = [name for name in table.columns if by_name(name).better]
     nowhere = [name for name in ranked if table[name].isna().all()]
     return table.drop(columns=["reason", *nowhere]), list(dict.fromkeys(part for part in told if part))
 
@@ -103,10 +104,10 @@ def terminal_rows(results: pd.DataFrame, width: int) -> list[list[str]]:
         for name in table.columns
     }
     for name in _FIRST_TO_GO:
-        if sum(least_width(title(n), cells) + _GAP for n, cells in texts.items()) - _GAP <= width:
+        if sum(least_width(by_name(n).header, cells) + _GAP for n, cells in texts.items()) - _GAP <= width:
             break
         texts.pop(name, None)
-    return [[title(name) for name in texts], *map(list, zip(*texts.values(), strict=True))]
+    return [[by_name(name).header for name in texts], *map(list, zip(*texts.values(), strict=True))]
 
 
 def least_width(header: str, cells: list[str]) -> int:

@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.metrics import COVERAGE, METRICS, evaluate
+from bench.metrics import METRICS, evaluate
 from bench.metrics.image import _FUNCTIONS, Pair, to_8bit
 from datasets.errors import DataError
+from reports.schema import COVERAGE
 
 CHEAP = ["psnr", "psnr_fg", "ssim", "flip", "delta_e_uv"]
 
@@ -171,7 +172,7 @@ def test_more_noise_is_worse_by_every_metric():
     ]
     for name in CHEAP:
         values = [s[name] for s in scores]
-        assert values == sorted(values, reverse=METRICS[name].higher_is_better)
+        assert values == sorted(values, reverse=METRICS[name].column.better > 0)
 
 
 def test_unknown_names_and_bad_shapes_are_refused():

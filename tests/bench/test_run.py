@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 
 from bench.store import Store
-from bench.tables import COLUMNS, build_tables
+from bench.tables import build_tables
 from datasets.png import read_png
+from reports.schema import TABLES
 
 
 def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
@@ -33,7 +34,7 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     assert after == stamps
 
     table = pd.read_parquet(bench.store / "tables" / "results.parquet")
-    assert list(table.columns) == list(COLUMNS["results"])
+    assert list(table.columns) == list(TABLES["results"].columns)
     assert list(table["scene"]) == ["a", "b"]
     assert table["psnr"].notna().all()
     assert (table["fps"] > 0).all()
@@ -70,7 +71,7 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     assert re.search(r"4 to do, about .*, \d+ MiB of disk, [1-9]\d* MiB of memory\n", told), told
 
     printed = bench("results", "--runs", bench.store, "--plugins", bench.plugins)
-    assert printed.stdout.splitlines()[0].split(",") == list(COLUMNS["results"])
+    assert printed.stdout.splitlines()[0].split(",") == list(TABLES["results"].columns)
     assert len(printed.stdout.splitlines()) == 3
     data = json.loads(bench("results", "--runs", bench.store, "--format", "json").stdout)
     assert data[0]["rate"] is None

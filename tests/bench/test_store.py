@@ -8,13 +8,13 @@ import shutil
 import pandas as pd
 import pytest
 
-from bench.__main__ import TABLES
 from bench.commands.stores import paired
 from bench.jobs.encode import check_ledger
 from bench.records import EncodeResult, Job, Record, Request, derived_seed, hash_of
 from bench.store import Store
-from bench.tables import COLUMNS, frame, rows, share
+from bench.tables import rows, share
 from datasets.errors import DataError
+from reports.schema import frame
 
 
 def _record(status: str = "ok", key: str = "0123", **changes) -> Record:
@@ -104,15 +104,6 @@ def test_wrong_ledgers(ledger, words: str) -> None:
         check_ledger(ledger, 10, ("a",))
 
 
-def test_every_table_can_be_printed() -> None:
-    assert set(TABLES) == set(COLUMNS)
-
-
-def test_empty_tables_have_their_columns() -> None:
-    for name, table in rows([]).items():
-        assert list(frame(name, table).columns) == list(COLUMNS[name])
-
-
 def test_rows_stand_in_the_order_people_expect() -> None:
     def measured(scene: str, seed: int, rate: float | None) -> Record:
         job = _record().job.model_copy(
@@ -125,20 +116,6 @@ def test_rows_stand_in_the_order_people_expect() -> None:
               ("tf2", 0, 10.0), ("tf10", 0, None)]  # fmt: skip
     made = rows(measured(*axes) for axes in reversed(wanted))["results"]
     assert [(row["scene"], row["seed"], row["rate"]) for row in made] == wanted
-
-
-def test_documented_columns_are_those_written() -> None:
-    """Against the contract in the architecture page."""
-    import re
-    from pathlib import Path
-
-    text = (Path(__file__).parents[2] / "docs" / "concepts" / "architecture.md").read_text(encoding="utf-8")
-    said = re.search(r"`results`: `([^`]*)`[^`]*`([^`]*)`", text)
-    names = [n.strip() for part in said.groups() for n in part.replace("\n", " ").split(",")]
-    assert names == list(COLUMNS["results"])
-    for table in COLUMNS.keys() - {"results"}:
-        said = re.search(rf"^`{table}`: `([^`]*)`", text, re.MULTILINE)
-        assert [n.strip() for n in said[1].split(",")] == list(COLUMNS[table])
 
 
 def _views(psnr: list[float], rate=None) -> pd.DataFrame:

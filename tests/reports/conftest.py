@@ -9,156 +9,9 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-RESULTS = [
-    "dataset",
-    "scene",
-    "kind",
-    "method",
-    "variant",
-    "rate",
-    "preset",
-    "split",
-    "seed",
-    "status",
-    "reason",
-    "stale",
-    "group",
-    "psnr",
-    "psnr_fg",
-    "ssim",
-    "lpips_vgg",
-    "flip",
-    "delta_e_uv",
-    "size_bytes",
-    "group_bytes",
-    "standalone_bytes",
-    "primitives",
-    "train_seconds",
-    "group_seconds",
-    "load_seconds",
-    "fps",
-    "peak_host_bytes",
-    "peak_device_bytes",
-    "iterations",
-    "train_views",
-    "width",
-    "height",
-    "device",
-    "machine",
-    "threads",
-    "job",
-    "fps_p05",
-    "fps_p95",
-    "encode_seconds",
-    "reference_seconds",
-    "identical_views",
-    "stage",
-    "commit",
-    "group_peak_host_bytes",
-    "partition_seconds",
-    "requested_views",
-    "edit",
-    "source",
-    "cpu_seconds",
-    "missing",
-    "excess",
-    "processor",
-    "fit_processor",
-]
-VIEWS = [
-    "job",
-    "dataset",
-    "scene",
-    "method",
-    "variant",
-    "rate",
-    "preset",
-    "split",
-    "seed",
-    "view",
-    "psnr",
-    "psnr_fg",
-    "ssim",
-    "lpips_vgg",
-    "flip",
-    "delta_e_uv",
-    "identical",
-    "truth_file",
-    "render_file",
-    "alpha_file",
-    "background",
-    "requested_views",
-    "missing",
-    "excess",
-]
-CURVE = "job dataset scene method variant preset seed iteration train_seconds loss psnr primitives "
-CURVE += "bytes_estimate requested_views"
-LOSSES = "job dataset scene method variant preset seed stage first iteration losses requested_views"
-LEDGER = "job dataset scene method variant rate preset seed part bytes requested_views"
-DVR = """job dataset scene kind preset status reason nx ny nz variables dtype volume_bytes ms_per_view ms_p05
-ms_p95 fps load_seconds setup_seconds peak_host_bytes peak_device_bytes width height renderer version backend
-machine threads reference_seconds commit"""
-NUMBERS = {
-    "ms_per_view",
-    "ms_p05",
-    "ms_p95",
-    "setup_seconds",
-    "rate",
-    "psnr",
-    "psnr_fg",
-    "ssim",
-    "lpips_vgg",
-    "flip",
-    "delta_e_uv",
-    "train_seconds",
-    "group_seconds",
-    "fps",
-    "load_seconds",
-    "fps_p05",
-    "fps_p95",
-    "encode_seconds",
-    "reference_seconds",
-    "loss",
-    "partition_seconds",
-    "cpu_seconds",
-    "missing",
-    "excess",
-}
-WHOLE = {
-    "seed",
-    "requested_views",
-    "size_bytes",
-    "group_bytes",
-    "standalone_bytes",
-    "primitives",
-    "peak_host_bytes",
-    "peak_device_bytes",
-    "iterations",
-    "train_views",
-    "width",
-    "height",
-    "threads",
-    "identical_views",
-    "group_peak_host_bytes",
-    "bytes",
-    "iteration",
-    "bytes_estimate",
-    "nx",
-    "ny",
-    "nz",
-    "volume_bytes",
-}
+from reports.schema import TABLES, frame
+
 NO_LPIPS = "lpips_vgg: backbone weights missing: put vgg16-397923af.pth into ~/.cache/torch/hub/checkpoints"
-
-
-def frame(columns: list[str], rows: list[dict]) -> pd.DataFrame:
-    """Typed as the harness types its tables (nullable)."""
-    data = {}
-    for name in columns:
-        kind = "Float64" if name in NUMBERS else "Int64" if name in WHOLE else "string"
-        kind = "boolean" if name in ("stale", "identical") else kind
-        data[name] = pd.Series([row.get(name) for row in rows], dtype=kind)
-    return pd.DataFrame(data, columns=columns)
 
 
 def picture(path: Path, size: int, shift: float, noise: float, seed: int) -> None:
@@ -177,8 +30,7 @@ class Maker:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        names = ("results", "views", "curve", "ledger", "dvr")
-        self.rows: dict[str, list[dict]] = {name: [] for name in names}
+        self.rows: dict[str, list[dict]] = {name: [] for name in TABLES}
 
     def run(
         self,
@@ -307,15 +159,7 @@ class Maker:
         self.rows["dvr"].append(row | more)
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        columns = {"results": RESULTS, "views": VIEWS, "curve": CURVE.split(), "ledger": LEDGER.split(),
-                   "dvr": DVR.split()}  # fmt: skip
-        made = {name: frame(columns[name], rows) for name, rows in self.rows.items()}
-        axes = ["job", "dataset", "scene", "method", "variant", "rate", "preset", "seed", "part", "seconds"]
-        made["timing"] = frame(axes, [])
-        made["losses"] = frame(LOSSES.split(), [])
-        columns = ["job", "dataset", "scene", "method", "variant", "preset", "name", "values", "width"]
-        made["features"] = frame(columns, [])
-        return made
+        return {name: frame(name, rows) for name, rows in self.rows.items()}
 
 
 METHODS = {

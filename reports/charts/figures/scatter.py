@@ -49,7 +49,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> Figure:
                 axis.plot(
                     line.x, line.y, "-", marker=symbol, color=look.color, markersize=size, linewidth=1.3
                 )
-            titled(axis, panel.title, panel.axis(data.AXIS[against].title), "PSNR [dB]")
+            titled(axis, panel.title, panel.axis(data.AXIS[against].axis_title), "PSNR [dB]")
         if any(look is OTHERS for panel in panels for _, look in panel.looks(names)):
             legend_below(figure, {OTHERS_NAME: OTHERS})
         settle(figure)
@@ -71,7 +71,7 @@ def rate_curves(results: pd.DataFrame) -> Figure:
                 x, y = curve.mebibytes, [point.psnr for point in curve.points]
                 symbol = MARKERS[look.marker]
                 axis.plot(x, y, "-", marker=symbol, color=look.color, markersize=5, linewidth=1.3)
-            titled(axis, dataset, data.AXIS["size_bytes"].title, "PSNR [dB]")
+            titled(axis, dataset, data.AXIS["size_bytes"].axis_title, "PSNR [dB]")
         settle(figure)
         for axis, curves in zip(axes, panels.values(), strict=False):
             annotate(axis, *rate_distortion.labels(curves, names))

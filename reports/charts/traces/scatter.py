@@ -21,12 +21,12 @@ def tradeoffs(results: pd.DataFrame, against: str) -> dict[str, Figure]:
 
 def _tradeoff(panel: data.Panel, against: str, names: list[str]) -> Figure:
     axis = data.AXIS[against]
-    x_axis = log_axis(panel.all_x, panel.axis(axis.title))
+    x_axis = log_axis(panel.all_x, panel.axis(axis.axis_title))
     low, high = x_axis["range"]
     y_range = linear_range(panel.all_y, 2.0)
     traces: list[Any] = _dominated(panel, 10 ** (low if panel.better > 0 else high), y_range[0])
     for drawn, look in panel.looks(names):
-        hover = f"%{{text}}<br>%{{x:.4~g}} {axis.short}<br>%{{y:.2f}} dB<extra>{drawn.title}</extra>"
+        hover = f"%{{text}}<br>%{{x:.4~g}} {axis.display_unit}<br>%{{y:.2f}} dB<extra>{drawn.title}</extra>"
         traces.append(
             {
                 "type": "scatter",
@@ -92,7 +92,7 @@ def rate_curves(results: pd.DataFrame) -> dict[str, Figure]:
 
 
 def _rate_curves(curves: list[rate_distortion.Curve], names: list[str]) -> Figure:
-    x_axis = log_axis([x for curve in curves for x in curve.mebibytes], data.AXIS["size_bytes"].title)
+    x_axis = log_axis([x for curve in curves for x in curve.mebibytes], data.AXIS["size_bytes"].axis_title)
     y_range = linear_range([point.psnr for curve in curves for point in curve.points], 2.0)
     traces = []
     for curve, look in rate_distortion.looks(curves, names):

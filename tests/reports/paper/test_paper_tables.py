@@ -9,7 +9,7 @@ import pytest
 from reports.paper.documents import to_html, to_latex, to_markdown, to_text
 from reports.paper.layouts import layouts, reference_rows
 from reports.paper.tables import paper_tables
-from tests.reports.conftest import RESULTS, frame
+from reports.schema import frame
 
 SCENES = ("TF01", "TF02", "TF03", "TF04")
 
@@ -26,7 +26,7 @@ def row(method="econgs", scene="TF01", psnr=36.0, **changed):
 
 
 def results(*rows):
-    return frame(RESULTS, list(rows))
+    return frame("results", rows)
 
 
 def four(method, psnr, **changed):

@@ -32,7 +32,7 @@ def views(**psnr: list[float]):
         for job, values in psnr.items()
         for i, value in enumerate(values)
     ]
-    return frame(["job", "view", "psnr"], rows)
+    return frame("views", rows)
 
 
 def test_worst_and_median_views_are_those_of_all_models_together():

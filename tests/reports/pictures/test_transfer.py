@@ -75,9 +75,8 @@ def test_the_page_shows_it_beside_the_ground_truth(maker, tmp_path) -> None:
     assert 'class="tf"' not in write_report(tables, maker.root, tmp_path / "a.html").read_text(
         encoding="utf-8"
     )
-    columns = ["job", "dataset", "scene", "preset", "split", "requested_views", "transfer"]
     row = {"dataset": "vortex", "scene": "tf0", "preset": "quick", "split": "test"}
-    tables["scenes"] = frame(columns, [row | {"transfer": said(a={"transfer": [[*RED, 1.0]] * 2})}])
+    tables["scenes"] = frame("scenes", [row | {"transfer": said(a={"transfer": [[*RED, 1.0]] * 2})}])
     page = write_report(tables, maker.root, tmp_path / "b.html").read_text(encoding="utf-8")
     assert page.count('class="tf"') >= 1
     assert "transfer function" in page
