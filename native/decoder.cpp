@@ -4,8 +4,6 @@
 #include <cstring>
 #include <numeric>
 
-#include "threads.h"
-
 namespace econgs {
 namespace {
 
@@ -49,7 +47,7 @@ class Parts {
 // Where packed weights lie: those of the forward pass first, in the layout of the gradients' sums too.
 struct Packed {
   float *first_t, *first_bias, *second_t[NETS], *second_bias[NETS];
-  float *palette;                // of sums
+  float* palette;                // of sums
   float *first, *second[NETS];   // of the backward pass
 };
 
@@ -64,7 +62,8 @@ int64_t lay_out(const DecodeShape& s, float* base, bool sums, bool backward, Pac
   if (sums) p.palette = parts.take(3);
   if (backward) {
     p.first = parts.take(int64_t{1} * s.nets * s.hidden * s.input_stride);
-    for (int net = 0; net < s.nets; ++net) p.second[net] = parts.take(int64_t{1} * s.out_width[net] * whole16(s.hidden));
+    for (int net = 0; net < s.nets; ++net)
+      p.second[net] = parts.take(int64_t{1} * s.out_width[net] * whole16(s.hidden));
   }
   return parts.size;
 }
@@ -171,16 +170,16 @@ std::unique_ptr<DecodeFrame> decode_begin(const DecodeShape& shape, const Decode
   frame->anchors = in.count;
   frame->keep = keep;
   pack(shape, nets, *frame);
-  const int64_t blocks = blocks_of(in.count), floats = (frame->kernels->decode_scratch(shape) + 15) / 16 * 16;
+  const int64_t blocks = blocks_of(in.count);
   if (keep) frame->rows = Buffer((blocks * DECODE_BLOCK * shape.hidden_stride + 16) * sizeof(float));
-  Buffer scratch(threads() * floats * sizeof(float));
+  const Scratch scratch(frame->kernels->decode_scratch(shape));
   std::vector<int64_t>& first = frame->first;
   first.assign(blocks + 1, 0);
   parallel(blocks, [&](int64_t block, int thread) {
     const int64_t begin = block * DECODE_BLOCK, end = std::min(in.count, begin + DECODE_BLOCK);
     first[block + 1] =
         frame->kernels->decode_opacity(shape, in, view, frame->weights, begin, end, opacities + begin * shape.offsets,
-                                       rows_of(*frame, block), scratch.as<float>() + thread * floats);
+                                       rows_of(*frame, block), scratch.of(thread));
   });
   if (std::any_of(first.begin(), first.end(), [](int64_t n) { return n < 0; })) return nullptr;
   std::partial_sum(first.begin(), first.end(), first.begin());
@@ -190,27 +189,28 @@ std::unique_ptr<DecodeFrame> decode_begin(const DecodeShape& shape, const Decode
 
 void decode_finish(DecodeFrame& frame, const DecodeInputs& in, const float* opacities, const DecodeOutputs& out) {
   const DecodeShape& shape = frame.shape;
-  const int64_t blocks = blocks_of(in.count), floats = (frame.kernels->decode_scratch(shape) + 15) / 16 * 16;
+  const int64_t blocks = blocks_of(in.count);
   if (frame.gaussians == 0) return;
   if (frame.keep) frame.raw = Buffer(blocks * raw_size(shape) * sizeof(float));
-  Buffer scratch(threads() * floats * sizeof(float));
+  const Scratch scratch(frame.kernels->decode_scratch(shape));
   parallel(blocks, [&](int64_t block, int thread) {
     const int64_t begin = block * DECODE_BLOCK, end = std::min(in.count, begin + DECODE_BLOCK);
     float* const kept = frame.keep ? frame.raw.as<float>() + block * raw_size(shape) : nullptr;
     frame.kernels->decode_block(shape, in, frame.view, frame.weights, begin, end, opacities + begin * shape.offsets,
                                 frame.first[block], frame.first[block + 1], out, rows_of(frame, block), kept,
-                                scratch.as<float>() + thread * floats);
+                                scratch.of(thread));
   });
 }
 
 void decode_backward(const DecodeFrame& frame, const DecodeInputs& in, const Networks& nets, const float* opacities,
                      const ConstDecodeOutputs& grad, const DecodeInputGradients& to, const NetworkGradients& weights) {
   const DecodeShape& shape = frame.shape;
-  const int64_t blocks = blocks_of(in.count), floats = (frame.kernels->decode_scratch(shape) + 15) / 16 * 16;
+  const int64_t blocks = blocks_of(in.count);
   Packed sums;
   const int64_t size = lay_out(shape, nullptr, true, false, sums);
   const int64_t pieces = frame.gaussians ? std::min<int64_t>(blocks, DECODE_PIECES) : 0;
-  Buffer memory((pieces + 1) * size * sizeof(float)), scratch(threads() * floats * sizeof(float));
+  const Buffer memory((pieces + 1) * size * sizeof(float));
+  const Scratch scratch(frame.kernels->decode_scratch(shape));
   float* const total = memory.as<float>() + pieces * size;
   parallel(pieces, [&](int64_t piece, int thread) {
     float* const base = memory.as<float>() + piece * size;
@@ -226,12 +226,12 @@ void decode_backward(const DecodeFrame& frame, const DecodeInputs& in, const Net
     for (int64_t block = piece * blocks / pieces; block < (piece + 1) * blocks / pieces; ++block) {
       const int64_t begin = block * DECODE_BLOCK, end = std::min(in.count, begin + DECODE_BLOCK);
       frame.kernels->decode_backward(shape, in, frame.view, frame.weights, begin, end,
-                                     opacities + begin * shape.offsets, frame.first[block], frame.gaussians, rows_of(frame, block),
-                                     frame.raw.as<float>() + block * raw_size(shape), grad, to, mine,
-                                     scratch.as<float>() + thread * floats);
+                                     opacities + begin * shape.offsets, frame.first[block], frame.gaussians,
+                                     rows_of(frame, block), frame.raw.as<float>() + block * raw_size(shape), grad, to,
+                                     mine, scratch.of(thread));
     }
   });
-  // Piece by piece in their order, whoever made them.
+  // Piece by piece in their order, whichever thread summed them.
   parallel_ranges(size, 4096, [&](int64_t begin, int64_t end, int) {
     std::fill(total + begin, total + end, 0.0f);
     for (int64_t piece = 0; piece < pieces; ++piece) {

@@ -1,5 +1,21 @@
-// Decoding the anchors of one view: packed weights, blocks and threads around the kernels of
-// kernels/decoder_block.h.
+// Decoding the anchors of one view: the driver of kernels/decoder_block.h. N anchors in blocks of 64, K Gaussians each,
+// M of them not culled.
+//
+//   torch's tensors of the networks --- pack --> weights as the kernels read them; the embedding joins the biases
+//
+//   begin    features, eye --> inputs --> hidden units --> tanh opacities [N x K] --> M, first row of every block
+//               (block by block)            |
+//                                           v kept for backward
+//   (Python allocates the M rows)
+//   finish   inputs --> hidden units --> raw outputs --> activations, shading --> means, quats, scales, opacities,
+//               (block by block)            |            + anchors, offsets,      colors, slots [M]
+//                                           v kept         scalings
+//   backward gradients [M] --> planes --> of raw outputs --> of hidden units --> of anchors, features, scalings,
+//               (16 pieces of blocks)           |                  |             offsets
+//                                               +--- sums of the weights and the palette, piece by piece --- unpack
+//
+// Rows of a block are anchors; planes hold one attribute of all its Gaussians (see kernels/decoder_block.h). Neither
+// blocks nor pieces depend on the number of threads, so the sums do not either.
 #pragma once
 
 #include <cstdint>
@@ -28,7 +44,7 @@ struct DecodeFrame {
   DecodeView view;
   int64_t anchors = 0, gaussians = 0;
   bool keep = false;
-  Buffer packed, rows, raw;    // weights; hidden units and raw outputs, if kept
+  Buffer packed, rows, raw;  // weights; hidden units and raw outputs, if kept
   DecodeWeights weights;
   std::vector<int64_t> first;  // row of the outputs, by block, and the number of all
 };

@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "runtime.h"
-#include "threads.h"
 
 namespace econgs {
 namespace {
@@ -98,10 +97,8 @@ void hash_grid_backward(const HashGrid& grid, const float* grad, const float* co
     for (int64_t m = 0; m < grid.count; ++m) {
       const int64_t row = grid.rows ? grid.rows[m] : m;
       const v4 outer = (v4) * (const v4_unaligned*)(grad + (m * grid.levels + level) * 4);
-      if (grid.corners[level] == 8)
-        scatter<8>(to, index + row, weights + row, n, outer);
-      else
-        scatter<4>(to, index + row, weights + row, n, outer);
+      if (grid.corners[level] == 8) scatter<8>(to, index + row, weights + row, n, outer);
+      else scatter<4>(to, index + row, weights + row, n, outer);
     }
     const float each = constant[level];
     for (int64_t i = 4 * begin; i < 4 * end; ++i) {

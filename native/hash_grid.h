@@ -10,7 +10,7 @@ struct HashGrid {
   const float* table;     // entries x 4, of which the signs count
   const int32_t* index;   // vertices x positions: entry, over all levels
   const float* weights;   // vertices x positions
-  const int64_t* rows;    // of the positions asked for; may be null: all
+  const int64_t* rows;    // indices of positions; null: all
   int64_t positions, count;
   int levels;
   const int* corners;     // per level: 8 (volume) or 4 (plane)

@@ -11,8 +11,6 @@
 #include <stdexcept>
 #include <utility>
 
-#include "threads.h"
-
 namespace econgs {
 namespace {
 
@@ -34,7 +32,8 @@ struct Span {
   uint32_t splat, first, count;
 };
 
-int floor_of(double x) { return static_cast<int>(x); }  // of what is not negative
+// Whole numbers next to x >= 0.
+int floor_of(double x) { return static_cast<int>(x); }
 int ceil_of(double x) {
   const int below = static_cast<int>(x);
   return below + (below < x);
@@ -72,8 +71,8 @@ struct Loose {
   uint32_t depth, splat, slot;
 };
 
-// Spans found in a piece of the Gaussians, in memory that is handed round.
-class Spans {
+// Spans of a piece of the Gaussians, in memory that is handed round.
+class SpanList {
  public:
   void reserve(int64_t capacity) { memory_ = Buffer((capacity_ = capacity) * sizeof(Span)); }
   void add(const Span& span) {
@@ -103,7 +102,7 @@ Buffer bin(Frame& frame, int64_t* visible) {
   Buffer counts_memory(pieces * tiles * sizeof(uint32_t));
   uint32_t* const counts = counts_memory.as<uint32_t>();
   struct Piece {
-    Spans found;
+    SpanList spans;
     int64_t visible = 0, slots = 0;
   };
   std::vector<Piece> all(pieces);
@@ -114,13 +113,13 @@ Buffer bin(Frame& frame, int64_t* visible) {
     uint32_t* const in_tile = counts + at * tiles;
     std::fill(in_tile, in_tile + tiles, 0);
     Piece piece;
-    piece.found.reserve((edge(at + 1) - edge(at)) * 3 / 2 + 64);
+    piece.spans.reserve((edge(at + 1) - edge(at)) * 3 / 2 + 64);
     for (int64_t n = edge(at); n < edge(at + 1); ++n) {
       first_slot[n] = static_cast<uint32_t>(piece.slots);
       if (splats[n].opacity <= 0.0f) continue;
       ++piece.visible;
       spans(splats[n], frame, [&](uint32_t first, uint32_t many) {
-        piece.found.add({static_cast<uint32_t>(n), first, many});
+        piece.spans.add({static_cast<uint32_t>(n), first, many});
         for (uint32_t t = first; t < first + many; ++t) ++in_tile[t];
         piece.slots += many;
       });
@@ -156,8 +155,8 @@ Buffer bin(Frame& frame, int64_t* visible) {
     uint32_t* const next = counts + at * tiles;
     uint32_t slot = static_cast<uint32_t>(all[at].slots);
     for (int64_t n = edge(at); n < edge(at + 1); ++n) first_slot[n] += slot;
-    const Span* span = all[at].found.data();
-    for (const Span* const end = span + all[at].found.size; span < end; ++span) {
+    const Span* span = all[at].spans.data();
+    for (const Span* const end = span + all[at].spans.size; span < end; ++span) {
       uint32_t depth;
       std::memcpy(&depth, &splats[span->splat].depth, 4);
       for (uint32_t t = span->first; t < span->first + span->count; ++t)
@@ -266,13 +265,11 @@ std::unique_ptr<Frame> forward(const Inputs& in, const View& view, const Images&
   statistics.sort = clock.lap();
 
   if (keep) frame->blocks = Buffer(std::max<int64_t>(frame->intersections, 1) * sizeof(uint64_t));
-  const int64_t floats = use.scratch(in.channels);
-  Buffer scratch(threads() * (floats + 16) * sizeof(float));
+  const Scratch scratch(use.scratch(in.channels));
   const auto& order = frame->order;
   std::atomic<int64_t> evaluations{0};
   parallel(static_cast<int64_t>(order.size()), [&](int64_t item, int thread) {
-    evaluations += use.blend(in, splats, tile_of(*frame, order[item]), view, out,
-                             scratch.as<float>() + thread * ((floats + 15) / 16 * 16));
+    evaluations += use.blend(in, splats, tile_of(*frame, order[item]), view, out, scratch.of(thread));
   });
   statistics.blend = clock.lap();
   statistics.visible = visible;
@@ -286,18 +283,18 @@ void backward(const Frame& frame, const Inputs& in, const ConstImages& out, cons
               const Gradients& gradients) {
   const Kernels& use = *frame.kernels;
   Clock clock;
-  const int64_t size = slot_size(in.channels), floats = (use.scratch(in.channels) + 15) / 16 * 16;
+  const int64_t size = slot_size(in.channels);
   Buffer slots(std::max<int64_t>(frame.intersections, 1) * size * sizeof(float));
-  Buffer scratch(threads() * floats * sizeof(float));
+  const Scratch scratch(use.scratch(in.channels));
   const auto& order = frame.order;
   parallel(static_cast<int64_t>(order.size()), [&](int64_t item, int thread) {
     use.blend_backward(in, frame.splats.as<Splat>(), tile_of(frame, order[item]), frame.view, out, grad,
-                       slots.as<float>(), scratch.as<float>() + thread * floats);
+                       slots.as<float>(), scratch.of(thread));
   });
   last_frame().blend_backward = clock.lap();
   parallel_ranges(in.count, 512, [&](int64_t begin, int64_t end, int) {
-    use.project_backward(in, frame.view, frame.splats.as<Splat>(), frame.first_slot.as<uint32_t>(),
-                         slots.as<float>(), gradients, begin, end);
+    use.project_backward(in, frame.view, frame.splats.as<Splat>(), frame.first_slot.as<uint32_t>(), slots.as<float>(),
+                         gradients, begin, end);
   });
   last_frame().project_backward = clock.lap();
 }
@@ -306,19 +303,19 @@ double photometric(const float* x, const float* y, int64_t height, int64_t width
                    float structural, float* grad, double* ssim) {
   const Kernels& use = kernels();
   const int64_t n = width * channels, plane = (height + 2 * SSIM_RADIUS) * ((n + 15) / 16 * 16);
-  const int64_t floats = (use.ssim_scratch(n, channels) + 15) / 16 * 16;
   std::vector<double> apart(height, 0.0), alike(height, 0.0);
   Buffer partials_memory;
   float* partials = nullptr;
   if (structural != 0.0f) {
-    Buffer moments(4 * plane * sizeof(float)), scratch(threads() * floats * sizeof(float));
+    const Buffer moments(4 * plane * sizeof(float));
+    const Scratch scratch(use.ssim_scratch(n, channels));
     if (grad) {
       partials_memory = Buffer(3 * plane * sizeof(float));
       partials = partials_memory.as<float>();
     }
     const auto padded_rows = [&](auto work) {
       parallel_ranges(height + 2 * SSIM_RADIUS, SSIM_BAND, [&](int64_t begin, int64_t end, int thread) {
-        work(begin - SSIM_RADIUS, end - SSIM_RADIUS, scratch.as<float>() + thread * floats);
+        work(begin - SSIM_RADIUS, end - SSIM_RADIUS, scratch.of(thread));
       });
     };
     padded_rows([&](int64_t begin, int64_t end, float* mine) {
@@ -376,22 +373,24 @@ double bench_blend(int channels, bool backward) {
     opacities[i] = 0.1f;  // sixty-four of them leave the pixels alive
     entries[i] = {static_cast<uint32_t>(i), static_cast<uint32_t>(i)};
   }
-  const Inputs in = {means.data(), quats.data(), scales.data(), opacities.data(), features.data(), nullptr, COUNT, channels};
+  const Inputs in = {means.data(),    quats.data(), scales.data(), opacities.data(),
+                     features.data(), nullptr,      COUNT,         channels};
   use.project(in, view, splats.data(), radii.data(), 0, COUNT);
   const Tile tile = {0, 0, TILE, TILE, entries.data(), blocks.data(), COUNT};
   const int pixels = TILE * TILE;
   std::vector<float> image(static_cast<size_t>(pixels) * channels), alpha(pixels), depth(pixels);
-  std::vector<float> grad(static_cast<size_t>(pixels) * channels, 1.0f), slots(static_cast<size_t>(COUNT) * slot_size(channels));
+  std::vector<float> grad(static_cast<size_t>(pixels) * channels, 1.0f),
+      slots(static_cast<size_t>(COUNT) * slot_size(channels));
   Buffer scratch(use.scratch(channels) * sizeof(float));
   const Images out = {image.data(), alpha.data(), depth.data()};
-  const ConstImages made = {image.data(), alpha.data(), depth.data()}, outer = {grad.data(), nullptr, nullptr};
+  const ConstImages result = {image.data(), alpha.data(), depth.data()}, outer = {grad.data(), nullptr, nullptr};
   double best = 0.0;
   const int64_t per_tile = use.blend(in, splats.data(), tile, view, out, scratch.as<float>());
   for (int round = 0; round < 10; ++round) {
     Clock clock;
     constexpr int REPEATS = 100;
     for (int i = 0; i < REPEATS; ++i) {
-      if (backward) use.blend_backward(in, splats.data(), tile, view, made, outer, slots.data(), scratch.as<float>());
+      if (backward) use.blend_backward(in, splats.data(), tile, view, result, outer, slots.data(), scratch.as<float>());
       else use.blend(in, splats.data(), tile, view, out, scratch.as<float>());
     }
     best = std::max(best, static_cast<double>(per_tile) * REPEATS / clock.lap());

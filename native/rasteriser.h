@@ -1,4 +1,22 @@
-// Splatting one frame: what drives the kernels.
+// Splatting one frame: the driver of kernels/project.h and kernels/blend.h. N Gaussians, T tiles of 16 x 16 pixels,
+// E entries (a Gaussian in one tile).
+//
+//   means, quats, scales, opacities                                            features
+//        | project, by Gaussian                                                    |
+//   splats [N] --- bin: spans of tiles, counted, then filled --> loose [E]         |
+//        |                                                          | sort, by tile, near to far
+//        |                                                      entries [E]        |
+//        +----------------------------+-----------------------------+--------------+
+//                                     | blend, by tile, front to back
+//             features, alpha, depth [pixels]        blocks [E]: the parts of a tile in which the Gaussian counts
+//
+//   gradients of the images
+//        | blend_backward, by tile, the same blocks front to back
+//   slots [E]: sums per Gaussian and tile, all tiles of a Gaussian side by side (first_slot [N + 1])
+//        | project_backward, by Gaussian: adds its slots in the order of the tiles
+//   gradients of means, quats, scales, opacities, features, screen offset
+//
+// Nothing depends on the number of threads: every sum has one order.
 #pragma once
 
 #include <cstdint>

@@ -12,26 +12,34 @@
 #endif
 
 // Defined once per ISA by kernels/isa.cpp.
-#define ECONGS_DECLARE(isa) \
-  namespace isa {           \
-  extern const econgs::Kernels kernels; \
-  }
-ECONGS_DECLARE(baseline)
+namespace baseline {
+extern const econgs::Kernels kernels;
+}
 #ifdef ECONGS_X86
-ECONGS_DECLARE(avx512)
-ECONGS_DECLARE(avx2)
-ECONGS_DECLARE(avx2x16)
+namespace avx512 {
+extern const econgs::Kernels kernels;
+}
+namespace avx2 {
+extern const econgs::Kernels kernels;
+}
+namespace avx2x16 {
+extern const econgs::Kernels kernels;
+}
 #endif
 
 namespace econgs {
 namespace {
 
-std::atomic<const Kernels*> chosen{nullptr};
+std::atomic<const Kernels*> current{nullptr};
 
 struct Shelf {
   static constexpr size_t PLACES = 48;
   std::mutex mutex;
-  struct { void* data; size_t bytes; } free[PLACES];  // oldest first
+  struct Piece {
+    void* data;
+    size_t bytes;
+  };
+  Piece free[PLACES];  // oldest first
   size_t count = 0;
 
   void remove(size_t place) { std::move(free + place + 1, free + count--, free + place); }
@@ -56,7 +64,8 @@ Shelf& shelf() {
 const std::vector<const Kernels*>& built_kernels() {
   static const std::vector<const Kernels*> all = {
 #ifdef ECONGS_X86
-      &::avx512::kernels, &::avx2::kernels,
+      &::avx512::kernels,
+      &::avx2::kernels,
 #endif
       &::baseline::kernels,
 #ifdef ECONGS_X86
@@ -69,9 +78,8 @@ const std::vector<const Kernels*>& built_kernels() {
 bool supported(const Kernels& one) {
 #ifdef ECONGS_X86
   __builtin_cpu_init();
-  const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
-                    __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2") &&
-                    __builtin_cpu_supports("popcnt");
+  const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
+                    __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt");
   if (&one == &::avx512::kernels)
     return avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
            __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
@@ -81,12 +89,12 @@ bool supported(const Kernels& one) {
 }
 
 const Kernels& kernels() {
-  if (!chosen.load())
-    chosen = *std::find_if(built_kernels().begin(), built_kernels().end(), [](auto one) { return supported(*one); });
-  return *chosen.load();
+  if (!current.load())
+    current = *std::find_if(built_kernels().begin(), built_kernels().end(), [](auto one) { return supported(*one); });
+  return *current.load();
 }
 
-void use_kernels(const Kernels& one) { chosen = &one; }
+void use_kernels(const Kernels& one) { current = &one; }
 
 Buffer::Buffer(size_t bytes) {
   bytes = (std::max<size_t>(bytes, 1) + 4095) / 4096 * 4096;
@@ -117,7 +125,7 @@ Buffer::~Buffer() {
   void* drop = nullptr;
   {
     std::lock_guard<std::mutex> lock(all.mutex);
-    if (all.count == Shelf::PLACES) {  // what nobody has asked for longest goes
+    if (all.count == Shelf::PLACES) {  // the oldest goes
       drop = all.free[0].data;
       all.remove(0);
     }

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "kernels/table.h"
+#include "threads.h"
 
 namespace econgs {
 
@@ -24,11 +25,24 @@ class Buffer {
   Buffer(Buffer&& other) noexcept;
   Buffer& operator=(Buffer&& other) noexcept;
   template <class T>
-  T* as() const { return static_cast<T*>(data_); }
+  T* as() const {
+    return static_cast<T*>(data_);
+  }
 
  private:
   void* data_ = nullptr;
   size_t bytes_ = 0;
+};
+
+// Floats for each thread's own use, not cleared.
+class Scratch {
+ public:
+  explicit Scratch(int64_t floats) : stride_((floats + 15) / 16 * 16), memory_(threads() * stride_ * sizeof(float)) {}
+  float* of(int thread) const { return memory_.as<float>() + thread * stride_; }
+
+ private:
+  int64_t stride_;
+  Buffer memory_;
 };
 
 }  // namespace econgs

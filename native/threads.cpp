@@ -72,12 +72,12 @@ class Pool {
   }
 
   void serve(int thread) {
-    for (uint64_t seen = 0;;) {
-      spin([&] { return round_.load(std::memory_order_acquire) != seen; });
+    for (uint64_t last_round = 0;;) {
+      spin([&] { return round_.load(std::memory_order_acquire) != last_round; });
       std::unique_lock<std::mutex> lock(mutex_);
-      wake_.wait(lock, [&] { return round_.load(std::memory_order_acquire) != seen || retired_; });
+      wake_.wait(lock, [&] { return round_.load(std::memory_order_acquire) != last_round || retired_; });
       if (retired_) return;
-      seen = round_.load(std::memory_order_acquire);
+      last_round = round_.load(std::memory_order_acquire);
       if (!open_) continue;
       helping_.fetch_add(1, std::memory_order_relaxed);
       lock.unlock();
@@ -111,22 +111,22 @@ class Pool {
 
 // Pools are never freed: threads may wait on them until the process ends.
 std::atomic<Pool*> current{nullptr};
-std::atomic<int> wanted{1};
+std::atomic<int> thread_count{1};
 
 Pool& pool() {
   Pool* now = current.load(std::memory_order_acquire);
-  if (now && now->count() == wanted.load()) return *now;
+  if (now && now->count() == thread_count.load()) return *now;
   static std::mutex* making = new std::mutex;
   std::lock_guard<std::mutex> lock(*making);
   now = current.load(std::memory_order_acquire);
-  if (now && now->count() == wanted.load()) return *now;
+  if (now && now->count() == thread_count.load()) return *now;
 #ifdef ECONGS_FORKS
   // A forked child has none of the threads and perhaps a locked mutex: it starts a pool of its own.
   static const int registered =
       pthread_atfork(nullptr, nullptr, [] { current.store(nullptr, std::memory_order_release); });
   (void)registered;
 #endif
-  Pool* const fresh = new Pool(wanted.load());
+  Pool* const fresh = new Pool(thread_count.load());
   current.store(fresh, std::memory_order_release);
   if (now) now->retire();
   return *fresh;
@@ -134,9 +134,9 @@ Pool& pool() {
 
 }  // namespace
 
-int threads() { return wanted.load(); }
+int threads() { return thread_count.load(); }
 
-void set_threads(int count) { wanted.store(count); }
+void set_threads(int count) { thread_count.store(count); }
 
 void parallel(int64_t items, const std::function<void(int64_t, int)>& work) {
   if (items <= 0) return;
@@ -147,11 +147,9 @@ void parallel(int64_t items, const std::function<void(int64_t, int)>& work) {
   pool().run(items, work);
 }
 
-void parallel_ranges(int64_t count, int64_t grain,
-                     const std::function<void(int64_t, int64_t, int)>& work) {
-  parallel((count + grain - 1) / grain, [&](int64_t item, int thread) {
-    work(item * grain, std::min(count, (item + 1) * grain), thread);
-  });
+void parallel_ranges(int64_t count, int64_t grain, const std::function<void(int64_t, int64_t, int)>& work) {
+  parallel((count + grain - 1) / grain,
+           [&](int64_t item, int thread) { work(item * grain, std::min(count, (item + 1) * grain), thread); });
 }
 
 }  // namespace econgs

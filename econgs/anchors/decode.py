@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -81,8 +79,10 @@ def decode(
     elif decoders.storage != "hybrid":
         backend = "torch"
     if choose_backend(anchors, backend) == "native":
+        from econgs.anchors import native
+
         try:
-            decoded: ViewGaussians = _native().decode(
+            decoded = native.decode(
                 *inputs.values(), decoders=decoders, eye=view, light=toward, factors=factors
             )
         except ValueError:
@@ -195,10 +195,6 @@ def visible_anchors(camera: Camera, anchors: Tensor, scalings: Tensor, *, near: 
         apart = torch.add(place, depth, alpha=(center - 0.5 * pixels) / focal).abs()
         inside &= apart <= torch.add(reach, depth, alpha=0.5 * pixels / focal)
     return inside
-
-
-def _native() -> Any:
-    return importlib.import_module("econgs.anchors.native")
 
 
 def _vector(value: Vector, like: Tensor, name: str) -> Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from dataclasses import replace
 
@@ -119,7 +118,7 @@ def _torch_decode(
     offsets: Tensor,
     decoders: ColorDecoders,
     eye: Tensor,
-    shown: bool,
+    visible: bool,
 ) -> ViewGaussians:
     count, many = offsets.shape[:2]
     inputs = torch.cat([features, unit(anchors - eye)], dim=1)
@@ -129,7 +128,7 @@ def _torch_decode(
         return torch.addmm(second_bias, torch.relu(torch.addmm(first_bias, inputs, first.T)), second.T)
 
     raw = torch.tanh(outputs("opacity"))
-    kept = raw.detach() > 0.0 if shown else torch.zeros_like(raw, dtype=torch.bool)
+    kept = raw.detach() > 0.0 if visible else torch.zeros_like(raw, dtype=torch.bool)
     slots = kept.reshape(-1).nonzero()[:, 0]
     anchor = slots // many
 
@@ -158,9 +157,9 @@ def _native_decode(
     offsets: Tensor,
     decoders: ColorDecoders,
     eye: Tensor,
-    shown: bool,
+    visible: bool,
 ) -> ViewGaussians:
+    from econgs.anchors import native
+
     tensors = [one for name in NETWORKS for one in decoders.network(name).tensors()]
-    native = importlib.import_module("econgs.anchors.native")
-    decoded: ViewGaussians = native.decode_plain((anchors, features, scalings, offsets), tensors, eye, shown)
-    return decoded
+    return native.decode_plain((anchors, features, scalings, offsets), tensors, eye, visible)

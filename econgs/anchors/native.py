@@ -17,8 +17,6 @@ from econgs.anchors.decoders import Decoders
 from econgs.anchors.gaussians import ViewGaussians
 from econgs.anchors.shading import Factors
 
-INPUTS = 6  # tensors before the weights: anchors, features, scalings, offsets, embedding, palette
-
 
 class _Decode(torch.autograd.Function):
     @staticmethod
@@ -29,27 +27,24 @@ class _Decode(torch.autograd.Function):
         eye: Tensor,
         light: Tensor | None,
         factors: list[float],
-        *tensors: Tensor,
+        *tensors: Tensor,  # anchors, features, scalings, offsets, embedding, palette, weights
     ) -> tuple[Tensor, ...]:
         plain = [one.detach().contiguous() for one in tensors]
         anchors, *_ = plain
         many = plain[3].shape[1]
-        arrays = [one.numpy() for one in plain]
+        x, f, s, o, embedding, palette, *weights = (one.numpy() for one in plain)
         keep = any(ctx.needs_input_grad)
         raw = anchors.new_empty((len(anchors), many))
-        weights, embedding, palette = arrays[INPUTS:], arrays[4], arrays[5]
         toward = None if light is None else light.numpy()
         frame = _native.decode_begin(
-            *arrays[:4], weights, embedding, palette, eye.numpy(), toward, factors, directions, sigmoid_color,
+            x, f, s, o, weights, embedding, palette, eye.numpy(), toward, factors, directions, sigmoid_color,
             raw.numpy(), keep,
         )  # fmt: skip
         count = frame.gaussians
         shapes = [(count, 3), (count, 4), (count, 3), (count,), (count, 3)]
         outputs = [anchors.new_empty(shape) for shape in shapes]
         slots = torch.empty(count, dtype=torch.int64)
-        _native.decode_finish(
-            frame, *arrays[:4], raw.numpy(), *(one.numpy() for one in outputs), slots.numpy()
-        )
+        _native.decode_finish(frame, x, f, s, o, *(one.numpy() for one in (raw, *outputs, slots)))
         if keep:
             ctx.frame = frame
             ctx.save_for_backward(raw, *plain)
@@ -61,17 +56,18 @@ class _Decode(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:  # type: ignore[override]
         raw, *plain = ctx.saved_tensors
-        arrays = [one.numpy() for one in plain]
-        outer = [None if one is None else one.contiguous().numpy() for one in grads[:5]]
-        needed = ctx.needs_input_grad[5:]
-        made = [torch.empty_like(one) for one in plain]
-        to = [one.numpy() for one in made]
+        x, f, s, o, embedding, _, *weights = (one.numpy() for one in plain)
+        means, quats, scales, opacities, colors = (
+            None if one is None else one.contiguous().numpy() for one in grads[:5]
+        )
+        needs = ctx.needs_input_grad[5:]
+        outputs = [torch.empty_like(one) for one in plain]
+        to_x, to_f, to_s, to_o, to_embedding, to_palette, *to_weights = (one.numpy() for one in outputs)
         _native.decode_backward(
-            ctx.frame, *arrays[:4], arrays[INPUTS:], arrays[4], raw.numpy(), *outer,
-            to[0] if needed[0] else None, *to[1:4], to[INPUTS:], to[4], to[5],
+            ctx.frame, x, f, s, o, weights, embedding, raw.numpy(), means, quats, scales, opacities, colors,
+            to_x if needs[0] else None, to_f, to_s, to_o, to_weights, to_embedding, to_palette,
         )  # fmt: skip
-        kept = [one if need else None for one, need in zip(made, needed, strict=True)]
-        return (None,) * 5 + tuple(kept)
+        return (None,) * 5 + tuple(one if need else None for one, need in zip(outputs, needs, strict=True))
 
 
 def decode(
@@ -91,7 +87,7 @@ def decode(
 
 
 def decode_plain(
-    inputs: Sequence[Tensor], weights: Sequence[Tensor], eye: Tensor, shown: bool
+    inputs: Sequence[Tensor], weights: Sequence[Tensor], eye: Tensor, visible: bool
 ) -> ViewGaussians:
     """What :func:`econgs.anchors.direct.decode_colors` does: three networks, sigmoid colors, no shading.
 
@@ -99,11 +95,11 @@ def decode_plain(
         inputs: anchors, features, scalings, offsets.
         weights: first weight and bias, second weight and bias of the three networks.
         eye: (3,) camera centre.
-        shown: False: everything is culled.
+        visible: False culls every Gaussian.
 
     Raises:
         ValueError: NaN or infinity among the inputs.
     """
     none = (eye.new_zeros(0), eye.new_zeros(3))  # neither embedding nor palette
-    factors = [float(shown), 1.0, 1.0, 1.0, 1.0]
+    factors = [float(visible), 1.0, 1.0, 1.0, 1.0]
     return ViewGaussians(*_Decode.apply(True, True, eye, None, factors, *inputs, *none, *weights))

@@ -6,6 +6,8 @@ import torch
 
 from datasets.scene import RGB
 
+MIN_ALPHA = 1.0 / 255.0
+"""Contributions below it are skipped."""
 _LEAST_TRANSMITTANCE = 1e-6  # of a Gaussian that is edited; opaque ones have no depth to multiply
 
 

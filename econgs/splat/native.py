@@ -110,8 +110,9 @@ class _Rasterise(torch.autograd.Function):
         depth = means.new_empty((height, width))
         radii = torch.empty(means.shape[0], dtype=torch.int32)
         keep = any(ctx.needs_input_grad[:6])
-        outputs = map(_array, (image, alpha, depth, radii))
-        frame = _native.forward(*map(_array, (*inputs, offset)), view, near, *outputs, keep)
+        outputs = (image, alpha, depth, radii)
+        arrays = (*map(_array, (*inputs, offset)), view, near, *map(_array, outputs), keep)
+        frame = _native.forward(*arrays)
         ctx.frame = frame if keep else None
         ctx.inputs = inputs
         ctx.images = (image, alpha, depth)
@@ -174,7 +175,7 @@ class _SphericalHarmonics(torch.autograd.Function):
     ) -> Tensor:
         inputs = [None if one is None else _plain(one) for one in (means, position, coefficients, rest)]
         colors = means.new_empty((means.shape[0], 3))
-        _native.sh_forward(degree, *map(_array, inputs), _array(colors))
+        _native.sh_forward(degree, *map(_array, (*inputs, colors)))
         ctx.degree = degree
         ctx.save_for_backward(*inputs, colors)
         return colors
@@ -259,9 +260,9 @@ def adam_step(
     Raises:
         ValueError: lists or tensors of different sizes, or a parameter that is not contiguous.
     """
-    columns = [[_in_place(one) for one in column] for column in (params, m, v)]
+    values, first, second = ([_in_place(one) for one in column] for column in (params, m, v))
     plain = [_array(_plain(one)) for one in grads]
-    _native.adam(columns[0], plain, *columns[1:], list(lrs), beta1, beta2, eps, step)
+    _native.adam(values, plain, first, second, list(lrs), beta1, beta2, eps, step)
 
 
 def _in_place(tensor: Tensor) -> Any:

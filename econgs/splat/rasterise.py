@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import math
 import os
 import warnings
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from types import ModuleType
 
 import torch
 from torch import Tensor
@@ -18,8 +17,6 @@ from datasets.camera import Camera
 from datasets.names import unknown
 
 BACKENDS = ("native", "gsplat", "torch")
-MIN_ALPHA = 1.0 / 255.0
-"""Whatever is fainter is skipped."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +80,8 @@ def rasterise(
     chosen = choose_backend(means, backend)
     if chosen != "native":  # whose kernels check the values as they read them
         _check_values(tensors)
-    module = native() if chosen == "native" else importlib.import_module(f"econgs.splat.{chosen}_backend")
     try:
-        images = module.rasterise(
+        images = _module(chosen).rasterise(
             means, quats, scales, opacities, features, camera, near=near, screen_offset=screen_offset
         )
     except ValueError:
@@ -122,9 +118,23 @@ def choose_backend(like: Tensor, backend: str | None = None) -> str:
     return suited
 
 
-def native() -> Any:
+def native() -> ModuleType:
     """The compiled kernels' module, imported when first used."""
-    return importlib.import_module("econgs.splat.native")
+    from econgs.splat import native
+
+    return native
+
+
+def _module(backend: str) -> ModuleType:
+    if backend == "native":
+        return native()
+    if backend == "gsplat":
+        from econgs.splat import gsplat_backend
+
+        return gsplat_backend
+    from econgs.splat import torch_backend
+
+    return torch_backend
 
 
 @cache

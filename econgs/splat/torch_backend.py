@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
-from econgs.splat.rasterise import MIN_ALPHA
+from econgs.splat.composite import MIN_ALPHA
 
 TILE = 16  # pixels
 BLUR = 0.3  # px², added to the diagonal of the projected covariance

@@ -13,7 +13,8 @@ from datasets.scene import RGB, WHITE
 from econgs.anchors.shading import MIN_NORMAL, Factors
 from econgs.losses import ssim
 from econgs.optim import Adam
-from econgs.splat.rasterise import MIN_ALPHA, SplatImages
+from econgs.splat.composite import MIN_ALPHA
+from econgs.splat.rasterise import SplatImages
 from methods.gaussian_splatting.densify import GrowthStatistics
 from methods.gaussian_splatting.training import LEARNING_RATES, Trainer
 from methods.interface import Checkpoint, OptionValue, SceneInput

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from econgs.codebooks import quantise, quantise_scalars
-from econgs.splat.rasterise import MIN_ALPHA
+from econgs.splat.composite import MIN_ALPHA
 from methods.gaussian_splatting.model import SceneGaussians, SplatModel
 from methods.interface import Refused
 from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, read_folder

@@ -13,6 +13,7 @@
 namespace econgs {
 
 namespace nb = nanobind;
+using namespace nb::literals;  // "name"_a
 
 using Array = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
 using In = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;

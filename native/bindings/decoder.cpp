@@ -47,15 +47,16 @@ Networks networks_of(const DecodeShape& s, const std::vector<In>& weights, const
 }
 
 DecodeFrame* begin_checked(const In& anchors, const In& features, const In& scalings, const In& offsets,
-                   const std::vector<In>& weights, const In& embedding, const Vector3& palette, const Vector3& eye,
-                   std::optional<Vector3> light, const std::vector<float>& factors, bool directions,
-                   bool sigmoid_color, const Array& opacities, bool keep) {
+                           const std::vector<In>& weights, const In& embedding, const Vector3& palette,
+                           const Vector3& eye, std::optional<Vector3> light, const std::vector<float>& factors,
+                           bool directions, bool sigmoid_color, const Array& opacities, bool keep) {
   expect(features.ndim() == 2 && offsets.ndim() == 3 && embedding.ndim() == 1 &&
-             (weights.size() == 4 * NETS || weights.size() == 4 * (NETS - 1)) && weights[0].ndim() == 2 && factors.size() == 5,
+             (weights.size() == 4 * NETS || weights.size() == 4 * (NETS - 1)) && weights[0].ndim() == 2 &&
+             factors.size() == 5,
          "decode: arguments of the wrong kind");
-  const DecodeShape shape =
-      decode_shape(static_cast<int>(features.shape(1)), directions ? 3 : 0, static_cast<int>(embedding.shape(0)),
-                   static_cast<int>(weights[0].shape(0)), static_cast<int>(offsets.shape(1)), weights.size() == 4 * NETS);
+  const DecodeShape shape = decode_shape(static_cast<int>(features.shape(1)), directions ? 3 : 0,
+                                         static_cast<int>(embedding.shape(0)), static_cast<int>(weights[0].shape(0)),
+                                         static_cast<int>(offsets.shape(1)), weights.size() == 4 * NETS);
   expect(shape.features >= 1 && shape.hidden >= 1 && shape.offsets >= 1, "decode: a width is zero");
   const DecodeInputs in = inputs_of(shape, anchors, features, scalings, offsets);
   const Networks nets = networks_of(shape, weights, embedding);
@@ -84,11 +85,12 @@ DecodeFrame* begin_checked(const In& anchors, const In& features, const In& scal
 }
 
 void finish_checked(DecodeFrame& frame, const In& anchors, const In& features, const In& scalings, const In& offsets,
-            const In& opacities, const Array& means, const Array& quats, const Array& scales, const Array& opaque,
-            const Array& colors, const Slots& slots) {
+                    const In& opacities, const Array& means, const Array& quats, const Array& scales,
+                    const Array& opaque, const Array& colors, const Slots& slots) {
   const DecodeInputs in = inputs_of(frame.shape, anchors, features, scalings, offsets);
   const int64_t m = frame.gaussians;
-  expect(in.count == frame.anchors && is(opacities, {in.count, frame.shape.offsets}), "decode: another number of anchors");
+  expect(in.count == frame.anchors && is(opacities, {in.count, frame.shape.offsets}),
+         "decode: another number of anchors");
   expect(is(means, {m, 3}) && is(quats, {m, 4}) && is(scales, {m, 3}) && is(opaque, {m}) && is(colors, {m, 3}) &&
              static_cast<int64_t>(slots.shape(0)) == m,
          "the outputs have other sizes than the Gaussians ask for");
@@ -98,12 +100,12 @@ void finish_checked(DecodeFrame& frame, const In& anchors, const In& features, c
   decode_finish(frame, in, t, out);
 }
 
-void backward_checked(const DecodeFrame& frame, const In& anchors, const In& features, const In& scalings, const In& offsets,
-              const std::vector<In>& weights, const In& embedding, const In& opacities, std::optional<In> means,
-              std::optional<In> quats, std::optional<In> scales, std::optional<In> opaque, std::optional<In> colors,
-              std::optional<Array> to_anchors, const Array& to_features, const Array& to_scalings,
-              const Array& to_offsets, const std::vector<Array>& to_weights, const Array& to_embedding,
-              const Array& to_palette) {
+void backward_checked(const DecodeFrame& frame, const In& anchors, const In& features, const In& scalings,
+                      const In& offsets, const std::vector<In>& weights, const In& embedding, const In& opacities,
+                      std::optional<In> means, std::optional<In> quats, std::optional<In> scales,
+                      std::optional<In> opaque, std::optional<In> colors, std::optional<Array> to_anchors,
+                      const Array& to_features, const Array& to_scalings, const Array& to_offsets,
+                      const std::vector<Array>& to_weights, const Array& to_embedding, const Array& to_palette) {
   const DecodeShape& s = frame.shape;
   const DecodeInputs in = inputs_of(s, anchors, features, scalings, offsets);
   const Networks nets = networks_of(s, weights, embedding);
@@ -115,33 +117,32 @@ void backward_checked(const DecodeFrame& frame, const In& anchors, const In& fea
   expect((!to_anchors || is(*to_anchors, {n, 3})) && is(to_features, {n, s.features}) && is(to_scalings, {n, 6}) &&
              is(to_offsets, {n, s.offsets, 3}) && is(to_embedding, {s.embedding}) && is(to_palette, {3}),
          "a gradient of another size than its tensor");
-  const ConstDecodeOutputs grad = {data_or_null(means), data_or_null(quats), data_or_null(scales),
-                                   data_or_null(opaque), data_or_null(colors)};
+  const ConstDecodeOutputs grad = {data_or_null(means), data_or_null(quats), data_or_null(scales), data_or_null(opaque),
+                                   data_or_null(colors)};
   const DecodeInputGradients to = {to_anchors ? to_anchors->data() : nullptr, to_features.data(), to_scalings.data(),
                                    to_offsets.data()};
-  NetworkGradients made = {};
-  networks_of(s, to_weights, made.first, made.first_bias, made.second, made.second_bias);
-  made.embedding = to_embedding.data();
-  made.palette = to_palette.data();
+  NetworkGradients net_grads = {};
+  networks_of(s, to_weights, net_grads.first, net_grads.first_bias, net_grads.second, net_grads.second_bias);
+  net_grads.embedding = to_embedding.data();
+  net_grads.palette = to_palette.data();
   const float* const t = opacities.data();
   nb::gil_scoped_release release;
-  decode_backward(frame, in, nets, t, grad, to, made);
+  decode_backward(frame, in, nets, t, grad, to, net_grads);
 }
 
 }  // namespace
 
 void bind_decode(nb::module_& m) {
   nb::class_<DecodeFrame>(m, "DecodeFrame").def_ro("gaussians", &DecodeFrame::gaussians);
-  m.def("decode_begin", begin_checked, nb::arg("anchors"), nb::arg("features"), nb::arg("scalings"), nb::arg("offsets"),
-        nb::arg("weights"), nb::arg("embedding"), nb::arg("palette"), nb::arg("eye"), nb::arg("light").none(),
-        nb::arg("factors"), nb::arg("directions"), nb::arg("sigmoid_color"), nb::arg("opacities"), nb::arg("keep"),
+  m.def("decode_begin", begin_checked, "anchors"_a, "features"_a, "scalings"_a, "offsets"_a, "weights"_a, "embedding"_a,
+        "palette"_a, "eye"_a, "light"_a.none(), "factors"_a, "directions"_a, "sigmoid_color"_a, "opacities"_a, "keep"_a,
         nb::rv_policy::take_ownership);
-  m.def("decode_finish", finish_checked);
-  m.def("decode_backward", backward_checked, nb::arg("frame"), nb::arg("anchors"), nb::arg("features"), nb::arg("scalings"),
-        nb::arg("offsets"), nb::arg("weights"), nb::arg("embedding"), nb::arg("opacities"), nb::arg("means").none(),
-        nb::arg("quats").none(), nb::arg("scales").none(), nb::arg("opaque").none(), nb::arg("colors").none(),
-        nb::arg("to_anchors").none(), nb::arg("to_features"), nb::arg("to_scalings"), nb::arg("to_offsets"),
-        nb::arg("to_weights"), nb::arg("to_embedding"), nb::arg("to_palette"));
+  m.def("decode_finish", finish_checked, "frame"_a, "anchors"_a, "features"_a, "scalings"_a, "offsets"_a, "opacities"_a,
+        "means"_a, "quats"_a, "scales"_a, "opaque"_a, "colors"_a, "slots"_a);
+  m.def("decode_backward", backward_checked, "frame"_a, "anchors"_a, "features"_a, "scalings"_a, "offsets"_a,
+        "weights"_a, "embedding"_a, "opacities"_a, "means"_a.none(), "quats"_a.none(), "scales"_a.none(),
+        "opaque"_a.none(), "colors"_a.none(), "to_anchors"_a.none(), "to_features"_a, "to_scalings"_a, "to_offsets"_a,
+        "to_weights"_a, "to_embedding"_a, "to_palette"_a);
 }
 
 }  // namespace econgs

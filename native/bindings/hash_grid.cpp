@@ -28,13 +28,20 @@ HashGrid grid_of(const In& table, const Indices& index, const In& weights, const
   if (rows)
     for (int64_t m = 0; m < count; ++m)
       expect(rows->data()[m] >= 0 && rows->data()[m] < n, "a row beyond the positions looked up");
-  return {table.data(), index.data(), weights.data(), rows ? rows->data() : nullptr, n, count,
-          static_cast<int>(corners.size()), corners.data(), sizes.data()};
+  return {table.data(),
+          index.data(),
+          weights.data(),
+          rows ? rows->data() : nullptr,
+          n,
+          count,
+          static_cast<int>(corners.size()),
+          corners.data(),
+          sizes.data()};
 }
 
-std::vector<int64_t> forward_checked(const In& table, const Indices& index, const In& weights,
-                                     std::optional<Rows> rows, const std::vector<int>& corners,
-                                     const std::vector<int64_t>& sizes, const Array& out) {
+std::vector<int64_t> forward_checked(const In& table, const Indices& index, const In& weights, std::optional<Rows> rows,
+                                     const std::vector<int>& corners, const std::vector<int64_t>& sizes,
+                                     const Array& out) {
   const HashGrid grid = grid_of(table, index, weights, rows, corners, sizes);
   expect(is(out, {grid.count, 4 * grid.levels}), "the output must have shape (M, 4 levels)");
   std::vector<int64_t> positive(corners.size());
@@ -88,13 +95,13 @@ void noise_backward_checked(const In& grad, const In& noise, const In& steps, in
 }  // namespace
 
 void bind_hash_grid(nb::module_& m) {
-  m.def("hash_grid", forward_checked, nb::arg("table"), nb::arg("index"), nb::arg("weights"), nb::arg("rows").none(),
-        nb::arg("corners"), nb::arg("sizes"), nb::arg("out"));
-  m.def("hash_grid_backward", backward_checked, nb::arg("table"), nb::arg("index"), nb::arg("weights"),
-        nb::arg("rows").none(), nb::arg("corners"), nb::arg("sizes"), nb::arg("grad"), nb::arg("constant"),
-        nb::arg("out"));
-  m.def("add_noise", noise_checked);
-  m.def("add_noise_backward", noise_backward_checked);
+  m.def("hash_grid", forward_checked, "table"_a, "index"_a, "weights"_a, "rows"_a.none(), "corners"_a, "sizes"_a,
+        "out"_a);
+  m.def("hash_grid_backward", backward_checked, "table"_a, "index"_a, "weights"_a, "rows"_a.none(), "corners"_a,
+        "sizes"_a, "grad"_a, "constant"_a, "out"_a);
+  m.def("add_noise", noise_checked, "values"_a, "noise"_a, "steps"_a, "first"_a, "groups"_a, "out"_a);
+  m.def("add_noise_backward", noise_backward_checked, "grad"_a, "noise"_a, "steps"_a, "first"_a, "groups"_a,
+        "to_steps"_a);
 }
 
 }  // namespace econgs

@@ -2,19 +2,21 @@
 // econgs/splat/native.py is its only caller and documents what the functions mean.
 #include "arrays.h"
 
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <cmath>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "rasteriser.h"
 #include "threads.h"
 
 using namespace econgs;
-namespace nb = nanobind;
+using namespace std::string_literals;
 
 namespace {
 
@@ -32,8 +34,14 @@ Inputs inputs(const In& means, const In& quats, const In& scales, const In& opac
   expect(features.ndim() == 2 && static_cast<int64_t>(features.shape(0)) == n && features.shape(1) >= 1,
          "features must have shape (N, C) with C >= 1");
   expect(!offset || is(*offset, {n, 2}), "screen_offset must have shape (N, 2)");
-  return {means.data(), quats.data(),         scales.data(), opacities.data(), features.data(),
-          data_or_null(offset), n, static_cast<int>(features.shape(1))};
+  return {means.data(),
+          quats.data(),
+          scales.data(),
+          opacities.data(),
+          features.data(),
+          data_or_null(offset),
+          n,
+          static_cast<int>(features.shape(1))};
 }
 
 View view_of(const Doubles& numbers, double near, const Array& alpha) {
@@ -59,10 +67,17 @@ View view_of(const Doubles& numbers, double near, const Array& alpha) {
 
 // The message for what `project` refused: names the tensor and the first Gaussian at fault.
 [[noreturn]] void refuse(const Inputs& in) {
-  const struct { const char* name; const float* data; int width; } tensors[] = {
-      {"means", in.means, 3},         {"quats", in.quats, 4},
-      {"scales", in.scales, 3},       {"opacities", in.opacities, 1},
-      {"features", in.features, in.channels}, {"screen_offset", in.offset, 2}};
+  struct Tensor {
+    const char* name;
+    const float* data;
+    int width;
+  };
+  const Tensor tensors[] = {{"means", in.means, 3},
+                            {"quats", in.quats, 4},
+                            {"scales", in.scales, 3},
+                            {"opacities", in.opacities, 1},
+                            {"features", in.features, in.channels},
+                            {"screen_offset", in.offset, 2}};
   const auto fail = [](const char* name, int64_t n, const char* rule) {
     throw std::invalid_argument(std::string(name) + "[" + std::to_string(n) + "]: " + rule);
   };
@@ -80,10 +95,9 @@ View view_of(const Doubles& numbers, double near, const Array& alpha) {
 }
 
 // The caller (Python) owns the frame.
-Frame* forward_checked(const In& means, const In& quats, const In& scales, const In& opacities,
-                                       const In& features, std::optional<In> offset, const Doubles& numbers,
-                                       double near, const Array& image, const Array& alpha, const Array& depth,
-                                       const Counts& radii, bool keep) {
+Frame* forward_checked(const In& means, const In& quats, const In& scales, const In& opacities, const In& features,
+                       std::optional<In> offset, const Doubles& numbers, double near, const Array& image,
+                       const Array& alpha, const Array& depth, const Counts& radii, bool keep) {
   const Inputs in = inputs(means, quats, scales, opacities, features, offset);
   const View view = view_of(numbers, near, alpha);
   expect(is(depth, {view.height, view.width}) && is(image, {view.height, view.width, in.channels}) &&
@@ -103,9 +117,8 @@ Frame* forward_checked(const In& means, const In& quats, const In& scales, const
 void backward_checked(const Frame& frame, const In& means, const In& quats, const In& scales, const In& opacities,
                       const In& features, const In& image, const In& alpha, const In& depth,
                       std::optional<In> grad_image, std::optional<In> grad_alpha, std::optional<In> grad_depth,
-                      const Array& to_means, const Array& to_quats, const Array& to_scales,
-                      const Array& to_opacities, const Array& to_features, std::optional<Array> to_offset,
-                      std::optional<In> offset) {
+                      const Array& to_means, const Array& to_quats, const Array& to_scales, const Array& to_opacities,
+                      const Array& to_features, std::optional<Array> to_offset, std::optional<In> offset) {
   const Inputs in = inputs(means, quats, scales, opacities, features, offset);
   const int64_t h = frame.view.height, w = frame.view.width, n = in.count;
   expect(n == frame.count, "another number of Gaussians than in the forward pass");
@@ -118,7 +131,7 @@ void backward_checked(const Frame& frame, const In& means, const In& quats, cons
          "a gradient of another size than its tensor");
   const ConstImages out = {image.data(), alpha.data(), depth.data()};
   const ConstImages grad = {data_or_null(grad_image), data_or_null(grad_alpha), data_or_null(grad_depth)};
-  const Gradients to = {to_means.data(),    to_quats.data(),    to_scales.data(),
+  const Gradients to = {to_means.data(),     to_quats.data(),    to_scales.data(),
                         to_opacities.data(), to_features.data(), to_offset ? to_offset->data() : nullptr};
   nb::gil_scoped_release release;
   backward(frame, in, out, grad, to);
@@ -136,11 +149,10 @@ Coefficients coefficients_of(int degree, const In& means, const In& position, co
   expect(fits(first) && first.shape(1) >= 1 && (!rest || (fits(*rest) && first.shape(1) == 1)),
          "coefficients must have shape (N, K, 3), or (N, 1, 3) and (N, K - 1, 3)");
   const int64_t stride = 3 * first.shape(1);
-  const Coefficients all =
-      rest ? Coefficients{first.data(), rest->data(), 3, static_cast<int64_t>(3 * rest->shape(1)),
-                          static_cast<int>(rest->shape(1))}
-           : Coefficients{first.data(), n ? first.data() + 3 : nullptr, stride, n ? stride : 0,
-                          static_cast<int>(first.shape(1)) - 1};
+  const Coefficients all = rest ? Coefficients{first.data(), rest->data(), 3, static_cast<int64_t>(3 * rest->shape(1)),
+                                               static_cast<int>(rest->shape(1))}
+                                : Coefficients{first.data(), n ? first.data() + 3 : nullptr, stride, n ? stride : 0,
+                                               static_cast<int>(first.shape(1)) - 1};
   expect(all.rest_bands + 1 >= (degree + 1) * (degree + 1), "fewer coefficients than the degree needs");
   return all;
 }
@@ -166,17 +178,17 @@ void sh_backward(int degree, const In& means, const In& position, const In& firs
              (!rest || is(*grad_rest, {n, in.rest_bands, 3})),
          "a gradient of another size than its tensor");
   const MutableCoefficients out = {grad_first.data(), rest ? grad_rest->data() : n ? grad_first.data() + 3 : nullptr};
-  const float *const m = means.data(), *const p = position.data(), *const made = colors.data(),
-              *const outer = grad.data();
+  const float *const m = means.data(), *const p = position.data(), *const shaded = colors.data(),
+                     *const outer = grad.data();
   float* const to_means = grad_means.data();
   nb::gil_scoped_release release;
   parallel_ranges(n, 1024, [&](int64_t begin, int64_t end, int) {
-    kernels().sh_backward(degree, in, m, p, made, outer, to_means, out, begin, end);
+    kernels().sh_backward(degree, in, m, p, shaded, outer, to_means, out, begin, end);
   });
 }
 
-nb::tuple photometric_checked(const In& x, const In& y, float absolute, float structural,
-                              std::optional<Array> grad) {
+std::pair<double, double> photometric_checked(const In& x, const In& y, float absolute, float structural,
+                                              std::optional<Array> grad) {
   expect(x.ndim() == 3 && x.size() > 0, "images must have shape (H, W, C)");
   const int64_t h = x.shape(0), w = x.shape(1), c = x.shape(2);
   expect(is(y, {h, w, c}) && (!grad || is(*grad, {h, w, c})), "the images have different shapes");
@@ -187,7 +199,7 @@ nb::tuple photometric_checked(const In& x, const In& y, float absolute, float st
     nb::gil_scoped_release release;
     mean = photometric(a, b, h, w, static_cast<int>(c), absolute, structural, to, &ssim);
   }
-  return nb::make_tuple(mean, ssim);
+  return {mean, ssim};
 }
 
 void adam(const std::vector<Array>& params, const std::vector<In>& grads, const std::vector<Array>& first,
@@ -213,9 +225,9 @@ void adam(const std::vector<Array>& params, const std::vector<In>& grads, const 
     expect(static_cast<int64_t>(grads[i].size()) == n && static_cast<int64_t>(first[i].size()) == n &&
                static_cast<int64_t>(second[i].size()) == n,
            "adam_step: a gradient or moment has another size than its parameter");
-    const AdamRates r = {static_cast<float>(rates[i] / left1), static_cast<float>(beta2),
-                         static_cast<float>(1.0 - beta1), static_cast<float>(1.0 - beta2),
-                         static_cast<float>(eps), static_cast<float>(1.0 / std::sqrt(left2))};
+    const AdamRates r = {
+        static_cast<float>(rates[i] / left1), static_cast<float>(beta2), static_cast<float>(1.0 - beta1),
+        static_cast<float>(1.0 - beta2),      static_cast<float>(eps),   static_cast<float>(1.0 / std::sqrt(left2))};
     for (int64_t at = 0; at < n; at += GRAIN)
       pieces.push_back({params[i].data() + at, grads[i].data() + at, first[i].data() + at, second[i].data() + at,
                         std::min(GRAIN, n - at), r});
@@ -227,55 +239,58 @@ void adam(const std::vector<Array>& params, const std::vector<In>& grads, const 
   });
 }
 
+template <class Condition>
+std::vector<std::string> names_of(Condition condition) {
+  std::vector<std::string> names;
+  for (const Kernels* one : built_kernels())
+    if (condition(*one)) names.push_back(one->name);
+  return names;
+}
+
 }  // namespace
 
 NB_MODULE(_native, m) {
   m.doc() = "Compiled kernels of the splatting core; call them through econgs.splat.native.";
   nb::class_<Frame>(m, "Frame");
 
-  m.def("built_isas", [] {
-    std::vector<std::string> names;
-    for (const Kernels* one : built_kernels()) names.push_back(one->name);
-    return names;
-  });
-  m.def("available_isas", [](bool testing) {
-    std::vector<std::string> names;
-    for (const Kernels* one : built_kernels())
-      if (supported(*one) && (testing || std::string(one->name) != "avx2x16")) names.push_back(one->name);
-    return names;
-  });
+  m.def("built_isas", [] { return names_of([](const Kernels&) { return true; }); });
+  m.def(
+      "available_isas",
+      [](bool testing) {
+        return names_of([=](const Kernels& one) { return supported(one) && (testing || one.name != "avx2x16"s); });
+      },
+      "testing"_a);
   m.def("isa", [] { return std::string(kernels().name); });
-  m.def("set_isa", [](const std::string& name) {
-    for (const Kernels* one : built_kernels())
-      if (name == one->name && supported(*one)) return use_kernels(*one);
-    throw std::invalid_argument("this processor or build lacks " + name);
-  });
+  m.def(
+      "set_isa",
+      [](const std::string& name) {
+        for (const Kernels* one : built_kernels())
+          if (name == one->name && supported(*one)) return use_kernels(*one);
+        throw std::invalid_argument("this processor or build lacks " + name);
+      },
+      "name"_a);
   m.def("threads", threads);
-  m.def("set_threads", set_threads);
+  m.def("set_threads", set_threads, "count"_a);
 
-  m.def("forward", forward_checked, nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"),
-        nb::arg("features"), nb::arg("offset").none(), nb::arg("view"), nb::arg("near"), nb::arg("image"),
-        nb::arg("alpha"), nb::arg("depth"), nb::arg("radii"), nb::arg("keep"), nb::rv_policy::take_ownership);
-  m.def("backward", backward_checked, nb::arg("frame"), nb::arg("means"), nb::arg("quats"), nb::arg("scales"),
-        nb::arg("opacities"), nb::arg("features"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"),
-        nb::arg("grad_image").none(), nb::arg("grad_alpha").none(), nb::arg("grad_depth").none(), nb::arg("to_means"), nb::arg("to_quats"), nb::arg("to_scales"),
-        nb::arg("to_opacities"), nb::arg("to_features"), nb::arg("to_offset").none(), nb::arg("offset").none());
-  m.def("sh_forward", sh_forward, nb::arg("degree"), nb::arg("means"), nb::arg("position"), nb::arg("first"),
-        nb::arg("rest").none(), nb::arg("colors"));
-  m.def("sh_backward", sh_backward, nb::arg("degree"), nb::arg("means"), nb::arg("position"), nb::arg("first"),
-        nb::arg("rest").none(), nb::arg("colors"), nb::arg("grad"), nb::arg("grad_means"), nb::arg("grad_first"),
-        nb::arg("grad_rest").none());
-  m.def("photometric", photometric_checked, nb::arg("x"), nb::arg("y"), nb::arg("absolute"),
-        nb::arg("structural"), nb::arg("grad").none());
-  m.def("adam", adam);
+  m.def("forward", forward_checked, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "features"_a, "offset"_a.none(),
+        "view"_a, "near"_a, "image"_a, "alpha"_a, "depth"_a, "radii"_a, "keep"_a, nb::rv_policy::take_ownership);
+  m.def("backward", backward_checked, "frame"_a, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "features"_a,
+        "image"_a, "alpha"_a, "depth"_a, "grad_image"_a.none(), "grad_alpha"_a.none(), "grad_depth"_a.none(),
+        "to_means"_a, "to_quats"_a, "to_scales"_a, "to_opacities"_a, "to_features"_a, "to_offset"_a.none(),
+        "offset"_a.none());
+  m.def("sh_forward", sh_forward, "degree"_a, "means"_a, "position"_a, "first"_a, "rest"_a.none(), "colors"_a);
+  m.def("sh_backward", sh_backward, "degree"_a, "means"_a, "position"_a, "first"_a, "rest"_a.none(), "colors"_a,
+        "grad"_a, "grad_means"_a, "grad_first"_a, "grad_rest"_a.none());
+  m.def("photometric", photometric_checked, "x"_a, "y"_a, "absolute"_a, "structural"_a, "grad"_a.none());
+  m.def("adam", adam, "params"_a, "grads"_a, "first"_a, "second"_a, "rates"_a, "beta1"_a, "beta2"_a, "eps"_a, "step"_a);
   bind_decode(m);
   bind_hash_grid(m);
 
   m.def("reference_kernel", reference_kernel, nb::call_guard<nb::gil_scoped_release>());
-  m.def("bench_blend", bench_blend, nb::call_guard<nb::gil_scoped_release>());
+  m.def("bench_blend", bench_blend, "channels"_a, "backward"_a, nb::call_guard<nb::gil_scoped_release>());
   m.def("last_frame", [] {
     const FrameStatistics s = last_frame();
-    nb::dict d;
+    nb::typed<nb::dict, std::string, double> d;
     d["project"] = s.project;
     d["sort"] = s.sort;
     d["bin"] = s.bin;

@@ -1,8 +1,8 @@
 // Adam (Kingma and Ba 2015), and the fixed piece of work that speeds of different moments are compared by.
 #pragma once
 
-#include "table.h"
 #include "simd.h"
+#include "table.h"
 
 namespace ECONGS_ISA {
 
@@ -19,7 +19,7 @@ static void adam(float* p, const float* g, float* m, float* v, int64_t n, const 
   for (; i + LANES <= n; i += LANES) {
     const vf grad = load(g + i);
     vf first = load(m + i), second = load(v + i);
-    // Never touched (inactive spherical harmonics): the update is exactly zero, so nothing is written.
+    // Zero all along (inactive spherical harmonics): the update is exactly zero, so nothing is written.
     if (signs(((vi)grad | (vi)first | (vi)second) != 0) == 0) continue;
     const vf change = update(grad, first, second);
     store(m + i, first);

@@ -1,12 +1,12 @@
 // Blending a tile front to back, and its gradients (Kerbl et al. 2023, section 6 and appendix C).
 //
 // A vector covers a block of 4 x LANES/4 pixels. For each Gaussian of the tile, near to far, the blocks that its
-// ellipse meets are found first (a bit mask) and then visited; the state of the pixels lies in L1. Forward notes
-// in the mask where something was blended, so backward visits exactly those blocks.
+// ellipse meets are first listed (a bit mask) and then visited; the state of the pixels lies in L1. Forward keeps
+// in the mask the blocks in which the Gaussian counted, and backward visits exactly those.
 #pragma once
 
-#include "table.h"
 #include "simd.h"
+#include "table.h"
 
 namespace ECONGS_ISA {
 
@@ -29,14 +29,13 @@ INLINE void make_lattice(Lattice& at) {
       at.x[block * LANES + l] = (float)(block % 4 * 4 + l % 4) + 0.5f;
       at.y[block * LANES + l] = (float)(block / 4 * BLOCK_ROWS + l / 4) + 0.5f;
     }
-  for (int band = 0; band < LANES * BAND_VECTORS; ++band)
-    at.first[band] = (float)(band * BLOCK_ROWS) + 0.5f;
+  for (int band = 0; band < LANES * BAND_VECTORS; ++band) at.first[band] = (float)(band * BLOCK_ROWS) + 0.5f;
 }
 
 INLINE vf power_of_two(vi n) { return (vf)((n + 127) << 23); }
 
 // The blocks of a tile that a splat's ellipse meets; (u, v) is its centre within the tile.
-INLINE uint64_t touched(const Splat& s, float u, float v, const Lattice& at) {
+INLINE uint64_t blocks_met(const Splat& s, float u, float v, const Lattice& at) {
   uint64_t mask = 0;
   for (int part = 0; part < BAND_VECTORS; ++part) {
     const vf low = load(at.first + part * LANES) - v;
@@ -44,10 +43,10 @@ INLINE uint64_t touched(const Splat& s, float u, float v, const Lattice& at) {
     const vf above = max(low, set(-s.top)), below = min(high, set(s.top));
     const vf at_right = max(above, min(below, set(s.tip)));
     const vf at_left = max(above, min(below, set(-s.tip)));
-    const vf right = s.slope * at_right +
-                     sqrt(max(s.bound - at_right * at_right * s.inverse, vf{}) * s.width2) + (u - 0.5f);
-    const vf left = s.slope * at_left -
-                    sqrt(max(s.bound - at_left * at_left * s.inverse, vf{}) * s.width2) + (u + 0.5f);
+    const vf right =
+        s.slope * at_right + sqrt(max(s.bound - at_right * at_right * s.inverse, vf{}) * s.width2) + (u - 0.5f);
+    const vf left =
+        s.slope * at_left - sqrt(max(s.bound - at_left * at_left * s.inverse, vf{}) * s.width2) + (u + 0.5f);
     // Pixels from floor(left) to floor(right), which is exact where both are positive.
     const vi from = __builtin_convertvector(min(max(left, vf{}), set(16.0f)), vi);
     const vi to = __builtin_convertvector(min(max(right, set(-1.0f)), set(15.0f)), vi);
@@ -105,8 +104,8 @@ static int64_t blend_channels(const Inputs& in, const Splat* splats, const Tile&
   float* const color = scratch + 2 * PIXELS;
   uint64_t alive = 0;
   for (int block = 0; block < BLOCKS; ++block) {
-    const vi inside = (load(at.x + block * LANES) < (float)tile.width) &
-                      (load(at.y + block * LANES) < (float)tile.height);
+    const vi inside =
+        (load(at.x + block * LANES) < (float)tile.width) & (load(at.y + block * LANES) < (float)tile.height);
     store(passing + block * LANES, inside ? set(1.0f) : set(-1.0f));
     if (signs(inside)) alive |= (uint64_t)1 << block;
   }
@@ -122,7 +121,7 @@ static int64_t blend_channels(const Inputs& in, const Splat* splats, const Tile&
     const Splat& s = splats[tile.entries[e].splat];
     const float* const feature = in.features + (int64_t)tile.entries[e].splat * channels;
     const float u = (float)(s.u - tile.x), v = (float)(s.v - tile.y);
-    uint64_t mask = touched(s, u, v, at) & alive;
+    uint64_t mask = blocks_met(s, u, v, at) & alive;
     evaluations += __builtin_popcountll(mask);
     uint64_t blended = 0;
     const Shape shape = shape_of(s, u, v);
@@ -168,8 +167,7 @@ static int64_t blend_channels(const Inputs& in, const Splat* splats, const Tile&
 // State: transmittance, rest (what lies behind, as dL), gradients of alpha, depth and features.
 template <int FIXED, bool DEPTH>
 static void blend_backward_channels(const Inputs& in, const Splat* splats, const Tile& tile, const View& view,
-                                    const ConstImages& out, const ConstImages& grad, float* slots,
-                                    float* scratch) {
+                                    const ConstImages& out, const ConstImages& grad, float* slots, float* scratch) {
   const int channels = FIXED ? FIXED : in.channels;
   const int size = slot_size(channels);
   Lattice at;
@@ -228,24 +226,24 @@ static void blend_backward_channels(const Inputs& in, const Splat* splats, const
       const vf weight = where(r.ok, r.alpha * transmittance);
       const vf ended = (vf)((vi)transmittance | (r.valid & INT32_MIN));
       store(p, r.ok ? r.after : ended);
-      // dL/dweight, by what the Gaussian shows in this pixel
-      vf shown = load(grad_alpha + block * LANES);
+      // dL/dweight
+      vf weight_grad = load(grad_alpha + block * LANES);
       if (DEPTH) {
         const vf g = load(grad_depth + block * LANES);
-        shown = fma(g, shape.depth, shown);
+        weight_grad = fma(g, shape.depth, weight_grad);
         mz = fma(weight, g, mz);
       }
       for (int k = 0; k < channels; ++k) {
         const vf g = load(grad_color + k * PIXELS + block * LANES);
-        shown = fma(g, FIXED ? fixed[FIXED ? k : 0] : set(feature[k]), shown);
+        weight_grad = fma(g, FIXED ? fixed[FIXED ? k : 0] : set(feature[k]), weight_grad);
         mc[k] = fma(weight, g, mc[k]);
       }
       float* const behind = rest + block * LANES;
-      const vf remaining = fma(-weight, shown, load(behind));
+      const vf remaining = fma(-weight, weight_grad, load(behind));
       store(behind, remaining);
       const vf clear = 1.0f - r.alpha;
       // alpha dL/dalpha; an alpha held at 0.99 passes no gradient on
-      const vf slope = fma(shown, transmittance, -remaining / clear);
+      const vf slope = fma(weight_grad, transmittance, -remaining / clear);
       const vf h = where(r.ok & (r.raised <= MAX_ALPHA), slope * r.alpha);
       const vf hx = h * r.across, hy = h * r.dy;
       m0 += h;
@@ -271,8 +269,8 @@ static void blend_backward_channels(const Inputs& in, const Splat* splats, const
 
 static int64_t blend_scratch(int channels) { return (4 + channels) * (int64_t)PIXELS + channels * LANES; }
 
-static int64_t blend(const Inputs& in, const Splat* splats, const Tile& tile, const View& view,
-                     const Images& out, float* scratch) {
+static int64_t blend(const Inputs& in, const Splat* splats, const Tile& tile, const View& view, const Images& out,
+                     float* scratch) {
   switch (in.channels) {
     case 1: return blend_channels<1>(in, splats, tile, view, out, scratch);
     case 3: return blend_channels<3>(in, splats, tile, view, out, scratch);
@@ -283,8 +281,7 @@ static int64_t blend(const Inputs& in, const Splat* splats, const Tile& tile, co
 
 template <bool DEPTH>
 static void blend_backward_depth(const Inputs& in, const Splat* splats, const Tile& tile, const View& view,
-                                 const ConstImages& out, const ConstImages& grad, float* slots,
-                                 float* scratch) {
+                                 const ConstImages& out, const ConstImages& grad, float* slots, float* scratch) {
   switch (in.channels) {
     case 1: return blend_backward_channels<1, DEPTH>(in, splats, tile, view, out, grad, slots, scratch);
     case 3: return blend_backward_channels<3, DEPTH>(in, splats, tile, view, out, grad, slots, scratch);

@@ -8,8 +8,8 @@
 
 #include "decoder_types.h"
 #include "gemm.h"
-#include "table.h"
 #include "simd.h"
+#include "table.h"
 
 namespace ECONGS_ISA {
 
@@ -71,8 +71,16 @@ INLINE V3 direction_backward(const Direction& to, V3 grad) {
 }
 
 // Planes of a block, in this order; raw outputs come without their activations.
-enum { RAW_SCALE = 0, RAW_QUAT = 3, RAW_COLOR = 7, RAW_AMBIENT = 10, RAW_DIFFUSE, RAW_SPECULAR, RAW_SHININESS,
-       RAW_NORMAL };
+enum {
+  RAW_SCALE = 0,
+  RAW_QUAT = 3,
+  RAW_COLOR = 7,
+  RAW_AMBIENT = 10,
+  RAW_DIFFUSE,
+  RAW_SPECULAR,
+  RAW_SHININESS,
+  RAW_NORMAL
+};
 enum { AT_MEAN = 0, AT_SCALING = 3, AT_OPACITY = 6, AT_PLANES };      // by slot, from the anchors
 enum { OUT_MEAN = 0, OUT_QUAT = 3, OUT_SCALE = 7, OUT_COLOR = 10, OUT_PLANES = 13 };
 
@@ -173,7 +181,7 @@ INLINE Square rows4(const float* planes, int64_t plane, int64_t i) {
 
 // Floats of scratch: inputs, hidden units and outputs of a block as rows, then two sets of planes.
 struct DecodeScratch {
-  float *inputs, *hidden, *outputs, *hidden_grad, *raw, *at, *made;
+  float *inputs, *hidden, *outputs, *hidden_grad, *raw, *at, *planes;
 };
 
 static int64_t decode_layout(const DecodeShape& s, float* memory, DecodeScratch* parts) {
@@ -190,7 +198,7 @@ static int64_t decode_layout(const DecodeShape& s, float* memory, DecodeScratch*
   p.outputs = take((int64_t)DECODE_BLOCK * s.out_stride + 16);
   p.raw = take((int64_t)RAW_PLANES * s.plane);
   p.at = take((int64_t)AT_PLANES * s.plane);
-  p.made = take((int64_t)(OUT_PLANES + 1) * s.plane);
+  p.planes = take((int64_t)(OUT_PLANES + 1) * s.plane);
   if (parts) *parts = p;
   return size;
 }
@@ -243,7 +251,7 @@ static int64_t decode_opacity(const DecodeShape& s, const DecodeInputs& in, cons
   const int width = whole16(s.out_width[NET_OPACITY]);
   product<BIAS>(count, s.offsets, s.hidden, {hidden, s.hidden_stride, 1}, w.second_t[NET_OPACITY], width,
                 scratch.outputs, width, w.second_bias[NET_OPACITY]);
-  float* const packed = scratch.made;
+  float* const packed = scratch.planes;
   copy_runs(scratch.outputs, width, packed, s.offsets, s.offsets, count);
   const int slots = count * s.offsets;
   int64_t kept = 0;
@@ -265,8 +273,8 @@ static int64_t decode_opacity(const DecodeShape& s, const DecodeInputs& in, cons
 }
 
 // What the planes need of the anchors: means, the last three scalings, and tanh opacities (0 past the end).
-INLINE void decode_anchors(const DecodeShape& s, const DecodeInputs& in, const float* opacity, int64_t begin,
-                           int count, float* at) {
+INLINE void decode_anchors(const DecodeShape& s, const DecodeInputs& in, const float* opacity, int64_t begin, int count,
+                           float* at) {
   const int many = s.offsets, slots = count * many;
   const int64_t plane = s.plane, all = in.count * many;
   float* const means = at + AT_MEAN * plane;
@@ -291,9 +299,9 @@ INLINE void decode_anchors(const DecodeShape& s, const DecodeInputs& in, const f
 
 // The Gaussians of a block, from `raw` on: rows [first, last) of the outputs. `rows` holds the hidden units of the
 // opacity network or is null; `kept` is where the planes of raw outputs stay for the backward pass, or null.
-static void decode_block(const DecodeShape& s, const DecodeInputs& in, const DecodeView& view,
-                         const DecodeWeights& w, int64_t begin, int64_t end, const float* opacity, int64_t first,
-                         int64_t last, const DecodeOutputs& out, float* rows, float* kept, float* memory) {
+static void decode_block(const DecodeShape& s, const DecodeInputs& in, const DecodeView& view, const DecodeWeights& w,
+                         int64_t begin, int64_t end, const float* opacity, int64_t first, int64_t last,
+                         const DecodeOutputs& out, float* rows, float* kept, float* memory) {
   const Flush flush;
   const int count = (int)(end - begin), many = s.offsets;
   const int64_t plane = s.plane;
@@ -316,7 +324,7 @@ static void decode_block(const DecodeShape& s, const DecodeInputs& in, const Dec
 
   const int slots = count * many;
   const bool shaded = s.nets == NETS;
-  float* const made = scratch.made;
+  float* const planes = scratch.planes;
   for (int i = 0; i < slots; i += LANES) {
     const float *const from = raw + i, *const at = scratch.at + i;
     V3 color;
@@ -326,27 +334,28 @@ static void decode_block(const DecodeShape& s, const DecodeInputs& in, const Dec
     } else {
       color = plain_color(from, plane);
     }
-    store3(made + OUT_COLOR * plane + i, plane, color);
+    store3(planes + OUT_COLOR * plane + i, plane, color);
     for (int d = 0; d < 3; ++d)
-      store(made + (OUT_SCALE + d) * plane + i,
+      store(planes + (OUT_SCALE + d) * plane + i,
             load(at + (AT_SCALING + d) * plane) * sigmoid(load(from + (RAW_SCALE + d) * plane)));
     const vf q0 = load(from + RAW_QUAT * plane);
     const V3 q = load3(from + (RAW_QUAT + 1) * plane, plane);
     const vf square = fma(q0, q0, dot(q, q));
     const vi sound = square > 1e-24f;
     const vf inverse = sound ? 1.0f / sqrt(square) : vf{};
-    store(made + OUT_QUAT * plane + i, sound ? q0 * inverse : set(1.0f));
-    store3(made + (OUT_QUAT + 1) * plane + i, plane, q * inverse);
+    store(planes + OUT_QUAT * plane + i, sound ? q0 * inverse : set(1.0f));
+    store3(planes + (OUT_QUAT + 1) * plane + i, plane, q * inverse);
   }
   if (!(view.opacity > 0.0f)) return;
   const float* const t = scratch.at + AT_OPACITY * plane;
   float *const means = out.means, *const quats = out.quats, *const scales = out.scales, *const colors = out.colors,
-        *const opacities = out.opacities;
+               *const opacities = out.opacities;
   int64_t* const places = out.slots;
   int64_t n = first;
   for (int i = 0; i < slots; i += 4) {
-    const Square mean = rows3(scratch.at + AT_MEAN * plane, plane, i), quat = rows4(made + OUT_QUAT * plane, plane, i),
-                 scale = rows3(made + OUT_SCALE * plane, plane, i), color = rows3(made + OUT_COLOR * plane, plane, i);
+    const Square mean = rows3(scratch.at + AT_MEAN * plane, plane, i),
+                 quat = rows4(planes + OUT_QUAT * plane, plane, i), scale = rows3(planes + OUT_SCALE * plane, plane, i),
+                 color = rows3(planes + OUT_COLOR * plane, plane, i);
     for (int j = 0; j < 4; ++j) {
       if (!(t[i + j] > 0.0f)) continue;  // also past the end
       // Another thread writes the rows after the block's last.
@@ -388,22 +397,22 @@ INLINE void decode_scatter(const float* t, int slots, int64_t plane, int64_t fir
 
 // From the gradient of shaded colors (planes OUT_COLOR of `grad`) to those of raw outputs, of means (added to planes
 // OUT_MEAN) and of the palette.
-INLINE void shade_backward(const DecodeView& view, int64_t plane, vi drawn, const float* at, const float* from, float* to,
-                           float* grad, V3& palette) {
+INLINE void shade_backward(const DecodeView& view, int64_t plane, vi visible, const float* at, const float* from,
+                           float* to, float* grad, V3& palette) {
   const V3 mean = load3(at + AT_MEAN * plane, plane);
   const Shaded s = shade(from, plane, mean, view);
 
   const V3 outer = load3(grad + OUT_COLOR * plane, plane);
-  const V3 g = {where(drawn & (s.color.x >= 0.0f) & (s.color.x <= 1.0f), outer.x),
-                where(drawn & (s.color.y >= 0.0f) & (s.color.y <= 1.0f), outer.y),
-                where(drawn & (s.color.z >= 0.0f) & (s.color.z <= 1.0f), outer.z)};
+  const V3 g = {where(visible & (s.color.x >= 0.0f) & (s.color.x <= 1.0f), outer.x),
+                where(visible & (s.color.y >= 0.0f) & (s.color.y <= 1.0f), outer.y),
+                where(visible & (s.color.z >= 0.0f) & (s.color.z <= 1.0f), outer.z)};
   const vf cosine = abs(s.toward);
   const V3 base = g * fma(s.diffuse, cosine, s.ambient);
-  palette = palette + V3{where(drawn, base.x), where(drawn, base.y), where(drawn, base.z)};
+  palette = palette + V3{where(visible, base.x), where(visible, base.y), where(visible, base.z)};
   const V3 offset = s.base - set3(view.palette);
   const V3 color = view.sigmoid_color
-      ? V3{offset.x * (1.0f - offset.x), offset.y * (1.0f - offset.y), offset.z * (1.0f - offset.z)}
-      : V3{1.0f - offset.x * offset.x, 1.0f - offset.y * offset.y, 1.0f - offset.z * offset.z};
+                       ? V3{offset.x * (1.0f - offset.x), offset.y * (1.0f - offset.y), offset.z * (1.0f - offset.z)}
+                       : V3{1.0f - offset.x * offset.x, 1.0f - offset.y * offset.y, 1.0f - offset.z * offset.z};
   store3(to + RAW_COLOR * plane, plane, {base.x * color.x, base.y * color.y, base.z * color.z});
   const vf body = dot(g, s.base), highlight = g.x + g.y + g.z;
   store(to + RAW_AMBIENT * plane, body * view.ambient);
@@ -411,9 +420,8 @@ INLINE void shade_backward(const DecodeView& view, int64_t plane, vi drawn, cons
   const vf specular = highlight * s.peak * (MAX_SPECULAR * view.specular);
   store(to + RAW_SPECULAR * plane, specular * s.bounded_specular * (1.0f - s.bounded_specular));
   const vf peak = highlight * s.specular * s.peak;  // times the logarithm's derivatives
-  store(to + RAW_SHININESS * plane,
-        peak * s.base_log * (0.693147181f * MAX_SHININESS * view.shininess) * s.bounded_shininess *
-            (1.0f - s.bounded_shininess));
+  store(to + RAW_SHININESS * plane, peak * s.base_log * (0.693147181f * MAX_SHININESS * view.shininess) *
+                                        s.bounded_shininess * (1.0f - s.bounded_shininess));
   const vf size = abs(s.cosine);
   const vf along_half = size >= MIN_BASE ? peak * s.shininess / s.cosine : vf{};
   const vf diffuse = body * s.diffuse;
@@ -434,32 +442,32 @@ INLINE void shade_backward(const DecodeView& view, int64_t plane, vi drawn, cons
   store3(grad + OUT_MEAN * plane, plane, to_mean);
 }
 
-INLINE void plain_color_backward(int64_t plane, vi drawn, const float* from, float* to, const float* grad) {
+INLINE void plain_color_backward(int64_t plane, vi visible, const float* from, float* to, const float* grad) {
   const V3 outer = load3(grad + OUT_COLOR * plane, plane), color = plain_color(from, plane);
-  store3(to + RAW_COLOR * plane, plane,
-         {where(drawn, outer.x) * (color.x * (1.0f - color.x)), where(drawn, outer.y) * (color.y * (1.0f - color.y)),
-          where(drawn, outer.z) * (color.z * (1.0f - color.z))});
+  store3(
+      to + RAW_COLOR * plane, plane,
+      {where(visible, outer.x) * (color.x * (1.0f - color.x)), where(visible, outer.y) * (color.y * (1.0f - color.y)),
+       where(visible, outer.z) * (color.z * (1.0f - color.z))});
 }
 
-// From gradients of what was made (planes `made`) to those of raw outputs (planes `to`, and for the raw opacity plane
-// OUT_PLANES of `made`). Plane OUT_MEAN + d of `made` then holds the gradient of the mean, OUT_SCALE + d that of the
-// last three scalings.
+// From gradients of the Gaussians (`planes`) to those of raw outputs (planes `to`, and for the raw opacity plane
+// OUT_PLANES of `planes`). Plane OUT_MEAN + d of `planes` then holds the gradient of the mean, OUT_SCALE + d that of
+// the last three scalings.
 INLINE void decode_activations_backward(const DecodeView& view, bool shaded, int slots, int64_t plane, const float* at,
-                                        const float* raw, float* to_raw, float* made, V3& palette) {
+                                        const float* raw, float* to_raw, float* planes, V3& palette) {
   for (int i = 0; i < slots; i += LANES) {
     const float* const from = raw + i;
-    float *const to = to_raw + i, *const grad = made + i;
+    float *const to = to_raw + i, *const grad = planes + i;
     const vf t = load(at + AT_OPACITY * plane + i);
-    const vi drawn = t > vf{};
-    if (shaded) shade_backward(view, plane, drawn, at + i, from, to, grad, palette);
-    else plain_color_backward(plane, drawn, from, to, grad);
+    const vi visible = t > vf{};
+    if (shaded) shade_backward(view, plane, visible, at + i, from, to, grad, palette);
+    else plain_color_backward(plane, visible, from, to, grad);
 
     for (int d = 0; d < 3; ++d) {
       const vf bounded = sigmoid(load(from + (RAW_SCALE + d) * plane));
       const vf scale = load(grad + (OUT_SCALE + d) * plane) * bounded;
       store(grad + (OUT_SCALE + d) * plane, scale);
-      store(to + (RAW_SCALE + d) * plane,
-            scale * load(at + (AT_SCALING + d) * plane + i) * (1.0f - bounded));
+      store(to + (RAW_SCALE + d) * plane, scale * load(at + (AT_SCALING + d) * plane + i) * (1.0f - bounded));
     }
     const vf q0 = load(from + RAW_QUAT * plane), g0 = load(grad + OUT_QUAT * plane);
     const V3 q = load3(from + (RAW_QUAT + 1) * plane, plane), g3 = load3(grad + (OUT_QUAT + 1) * plane, plane);
@@ -469,7 +477,7 @@ INLINE void decode_activations_backward(const DecodeView& view, bool shaded, int
     store(to + RAW_QUAT * plane, (g0 - q0 * turned) * inverse);
     store3(to + (RAW_QUAT + 1) * plane, plane, (g3 - q * turned) * inverse);
 
-    const vf opacity = drawn ? load(grad + OUT_PLANES * plane) : vf{};
+    const vf opacity = visible ? load(grad + OUT_PLANES * plane) : vf{};
     store(grad + OUT_PLANES * plane, opacity * (1.0f - t * t));
   }
 }
@@ -485,16 +493,16 @@ static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const 
   const int64_t plane = s.plane;
   DecodeScratch scratch;
   decode_layout(s, memory, &scratch);
-  float* const made = scratch.made;
+  float* const planes = scratch.planes;
   decode_anchors(s, in, opacity, begin, count, scratch.at);
   const float* const t = scratch.at + AT_OPACITY * plane;
-  decode_scatter<3>(t, slots, plane, first, all, grad.means, made + OUT_MEAN * plane);
-  decode_scatter<4>(t, slots, plane, first, all, grad.quats, made + OUT_QUAT * plane);
-  decode_scatter<3>(t, slots, plane, first, all, grad.scales, made + OUT_SCALE * plane);
-  decode_scatter<3>(t, slots, plane, first, all, grad.colors, made + OUT_COLOR * plane);
-  decode_scatter<1>(t, slots, plane, first, all, grad.opacities, made + OUT_PLANES * plane);
+  decode_scatter<3>(t, slots, plane, first, all, grad.means, planes + OUT_MEAN * plane);
+  decode_scatter<4>(t, slots, plane, first, all, grad.quats, planes + OUT_QUAT * plane);
+  decode_scatter<3>(t, slots, plane, first, all, grad.scales, planes + OUT_SCALE * plane);
+  decode_scatter<3>(t, slots, plane, first, all, grad.colors, planes + OUT_COLOR * plane);
+  decode_scatter<1>(t, slots, plane, first, all, grad.opacities, planes + OUT_PLANES * plane);
   V3 palette = {};
-  decode_activations_backward(view, s.nets == NETS, slots, plane, scratch.at, raw, scratch.raw, made, palette);
+  decode_activations_backward(view, s.nets == NETS, slots, plane, scratch.at, raw, scratch.raw, planes, palette);
   sums.palette[0] += sum(palette.x);
   sums.palette[1] += sum(palette.y);
   sums.palette[2] += sum(palette.z);
@@ -503,7 +511,7 @@ static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const 
   int from = 0;
   for (int net = 0; net < s.nets; ++net) {
     const int width = whole16(s.out_width[net]);
-    const float* const source = net == NET_OPACITY ? made + OUT_PLANES * plane : scratch.raw + from * plane;
+    const float* const source = net == NET_OPACITY ? planes + OUT_PLANES * plane : scratch.raw + from * plane;
     for (int a = 0; a < count; ++a)  // row by row: the last run may spill into the next row
       copy_runs(source + a * many, plane, scratch.outputs + (int64_t)a * width, many, many, s.attributes[net]);
     if (net != NET_OPACITY) from += s.attributes[net];
@@ -512,10 +520,10 @@ static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const 
       for (int a = 0; a < count; ++a) total += load(scratch.outputs + (int64_t)a * width + o);
       store(sums.second_bias[net] + o, load(sums.second_bias[net] + o) + total);
     }
-    product<ADD>(s.hidden, s.out_width[net], count, {rows + net * s.hidden, 1, s.hidden_stride}, scratch.outputs,
-                 width, sums.second_t[net], width, nullptr);
-    product<GATE>(count, s.hidden, s.out_width[net], {scratch.outputs, width, 1}, w.second[net],
-                  whole16(s.hidden), scratch.hidden_grad + net * s.hidden, s.hidden_stride, rows + net * s.hidden);
+    product<ADD>(s.hidden, s.out_width[net], count, {rows + net * s.hidden, 1, s.hidden_stride}, scratch.outputs, width,
+                 sums.second_t[net], width, nullptr);
+    product<GATE>(count, s.hidden, s.out_width[net], {scratch.outputs, width, 1}, w.second[net], whole16(s.hidden),
+                  scratch.hidden_grad + net * s.hidden, s.hidden_stride, rows + net * s.hidden);
   }
   const int units = s.nets * s.hidden;
   for (int a = 0; a < count; ++a)
@@ -530,8 +538,8 @@ static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const 
   }
   product<ADD>(s.inputs, units, count, {scratch.inputs, 1, s.input_stride}, scratch.hidden_grad, s.hidden_stride,
                sums.first_t, s.hidden_stride, nullptr);
-  const int wanted = to.anchors ? s.inputs : s.features;
-  product<PLAIN>(count, wanted, units, {scratch.hidden_grad, s.hidden_stride, 1}, w.first, s.input_stride,
+  const int inputs = to.anchors ? s.inputs : s.features;
+  product<PLAIN>(count, inputs, units, {scratch.hidden_grad, s.hidden_stride, 1}, w.first, s.input_stride,
                  scratch.inputs, s.input_stride, nullptr);
 
   for (int a = 0; a < count; ++a) {
@@ -541,8 +549,8 @@ static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const 
     const v4 stretch = load3(in.scalings + 6 * n);
     v4 moved = {}, stretched = {}, scaled = {};
     for (int k = 0; k < many; k += 4) {
-      const Square mean = rows3(made + OUT_MEAN * plane, plane, a * many + k),
-                   scale = rows3(made + OUT_SCALE * plane, plane, a * many + k);
+      const Square mean = rows3(planes + OUT_MEAN * plane, plane, a * many + k),
+                   scale = rows3(planes + OUT_SCALE * plane, plane, a * many + k);
       for (int j = 0; j < 4 && k + j < many; ++j) {
         const int64_t slot = n * many + k + j;
         moved += mean.row[j];

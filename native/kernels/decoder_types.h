@@ -28,8 +28,8 @@ struct DecodeShape {
   int nets, attributes[NETS];  // how many networks there are, and what each puts out per Gaussian
   int inputs;                // features + directions
   int input_stride, hidden_stride;
-  int out_first[NETS], out_width[NETS], out_stride;  // a row of outputs: each network's, padded
-  int slots, plane;          // Gaussians of a whole block, stride of a plane of them
+  int out_width[NETS], out_stride;  // floats of a network's row of outputs, and the widest one's stride
+  int plane;                 // stride of a plane of the Gaussians of a block
 };
 
 struct DecodeInputs {

@@ -19,8 +19,7 @@ INLINE void product_tile(int depth, const Left& a, const float* b, int64_t b_str
                          const float* extra) {
   vf sum[ROWS][VECTORS];
   for (int r = 0; r < ROWS; ++r)
-    for (int v = 0; v < VECTORS; ++v)
-      sum[r][v] = FINISH == BIAS || FINISH == RELU ? load(extra + v * LANES) : vf{};
+    for (int v = 0; v < VECTORS; ++v) sum[r][v] = FINISH == BIAS || FINISH == RELU ? load(extra + v * LANES) : vf{};
   const float* left = a.p;
   for (int k = 0; k < depth; ++k, left += a.column, b += b_stride) {
     vf right[VECTORS];
@@ -42,8 +41,8 @@ INLINE void product_tile(int depth, const Left& a, const float* b, int64_t b_str
 }
 
 template <int VECTORS, Finish FINISH>
-static void product_columns(int rows, int depth, Left a, const float* b, int64_t b_stride, float* c,
-                            int64_t c_stride, const float* extra) {
+static void product_columns(int rows, int depth, Left a, const float* b, int64_t b_stride, float* c, int64_t c_stride,
+                            const float* extra) {
   while (rows > 0) {
     // Never one row alone where it can be helped: its few sums would wait for each other.
     const int take = rows >= 8 || rows == 4 || rows == 7 ? 4 : rows >= 5 ? 3 : rows;

@@ -1,8 +1,8 @@
 // The kernels for one instruction set: CMakeLists.txt compiles this file once per ISA, with
 // -DECONGS_ISA=<name> -DECONGS_LANES=<floats per vector> and that ISA's flags.
+#include "adam.h"
 #include "blend.h"
 #include "decoder_block.h"
-#include "adam.h"
 #include "project.h"
 #include "sh.h"
 #include "ssim.h"
@@ -13,9 +13,10 @@
 namespace ECONGS_ISA {
 
 extern const econgs::Kernels kernels;
-const econgs::Kernels kernels = {
-    STRING(ECONGS_ISA), LANES, project, project_backward, blend_scratch, blend, blend_backward, sh, sh_backward,
-    ssim_scratch, ssim_rows, ssim_map, ssim_gradient, absolute, decode_scratch, decode_opacity,
-    decode_block, decode_backward, adam, reference};
+const econgs::Kernels kernels = {STRING(ECONGS_ISA), LANES,           project,        project_backward,
+                                 blend_scratch,      blend,           blend_backward, sh,
+                                 sh_backward,        ssim_scratch,    ssim_rows,      ssim_map,
+                                 ssim_gradient,      absolute,        decode_scratch, decode_opacity,
+                                 decode_block,       decode_backward, adam,           reference};
 
 }  // namespace ECONGS_ISA

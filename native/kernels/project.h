@@ -3,8 +3,8 @@
 // In double: the cost is small beside blending, and centres in pixels keep their accuracy in large images.
 #pragma once
 
-#include "table.h"
 #include "simd.h"
+#include "table.h"
 
 extern "C" double log2(double) noexcept;  // libm's, declared here to keep <cmath> and its templates out
 
@@ -95,8 +95,7 @@ INLINE Geometry geometry(const Batch& g, const View& view) {
 
 INLINE float narrow(double x) { return (float)(x > 1e30 ? 1e30 : x < -1e30 ? -1e30 : x); }
 
-static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* radii, int64_t begin,
-                    int64_t end) {
+static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* radii, int64_t begin, int64_t end) {
   bool fine = true;
   for (int64_t n = begin; n < end; ++n) {  // 0 * x is NaN where x is NaN or infinite
     float finite = 0.0f;
@@ -105,8 +104,8 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
   }
   for (int64_t start = begin; start < end; start += DLANES) {
     const Batch g = gather(in, start, end);
-    const vd finite = 0.0 * (g.mean.x + g.mean.y + g.mean.z + g.norm + g.scale.x + g.scale.y + g.scale.z +
-                             g.opacity + g.off_u + g.off_v);
+    const vd finite = 0.0 * (g.mean.x + g.mean.y + g.mean.z + g.norm + g.scale.x + g.scale.y + g.scale.z + g.opacity +
+                             g.off_u + g.off_v);
     const vl sound = (finite == 0.0) & (g.opacity >= 0.0) & (g.opacity <= 1.0) & (g.scale.x >= 0.0) &
                      (g.scale.y >= 0.0) & (g.scale.z >= 0.0) & (g.norm > 0.0);
     const Geometry o = geometry(g, view);
@@ -121,8 +120,8 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
     // Visible: nearer than `near` is culled, and the ellipse's box must hold the centre of a pixel.
     const vd left = maxd(o.u - half_u, setd(0.5)), right = mind(o.u + half_u, setd(view.width - 0.5));
     const vd low = maxd(o.v - half_v, setd(0.5)), high = mind(o.v + half_v, setd(view.height - 0.5));
-    const vl seen = sound & (o.local.z > view.near) & (o.local.z < 1e30) & (g.opacity >= 1.0 / 255.0) &
-                    (left <= right) & (low <= high);
+    const vl visible = sound & (o.local.z > view.near) & (o.local.z < 1e30) & (g.opacity >= 1.0 / 255.0) &
+                       (left <= right) & (low <= high);
     // Rounding in float must not cut a pixel off whose alpha is 1/255 in float: widened by a hair.
     const vd wide = bound * (1.0 + 1e-4) + 1e-4;
     const vd tip = o.b * sqrtd(wide / o.a), top = sqrtd(wide * o.c), reach = sqrtd(wide * o.a);
@@ -133,7 +132,7 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
       const int64_t n = start + l;
       fine &= sound[l] != 0;
       int across = 0;
-      if (seen[l]) {  // ... and of a pixel, not only lie between two
+      if (visible[l]) {  // ... and of a pixel, not only lie between two
         const double first_x = __builtin_ceil(left[l] - 0.5), last_x = __builtin_floor(right[l] - 0.5);
         const double first_y = __builtin_ceil(low[l] - 0.5), last_y = __builtin_floor(high[l] - 0.5);
         if (first_x <= last_x && first_y <= last_y)
@@ -205,8 +204,7 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
     const Vec3 dm1 = (2.0 * h11) * o.m1 + (2.0 * h12) * o.m2, dm2 = (2.0 * h12) * o.m1 + (2.0 * h22) * o.m2;
     const Vec3 ds = o.r1 * dm1 + o.r2 * dm2;
     const Vec3 dr1 = g.scale * dm1, dr2 = g.scale * dm2;
-    const Vec3 dc1 = dr1.x * o.k1 + dr2.x * o.k2, dc2 = dr1.y * o.k1 + dr2.y * o.k2,
-               dc3 = dr1.z * o.k1 + dr2.z * o.k2;
+    const Vec3 dc1 = dr1.x * o.k1 + dr2.x * o.k2, dc2 = dr1.y * o.k1 + dr2.y * o.k2, dc3 = dr1.z * o.k1 + dr2.z * o.k2;
     const Vec3 dk1 = dr1.x * o.c1 + dr1.y * o.c2 + dr1.z * o.c3, dk2 = dr2.x * o.c1 + dr2.y * o.c2 + dr2.z * o.c3;
 
     const vd near = 1.0 / o.local.z, fx = view.fx * near, fy = view.fy * near;
@@ -216,8 +214,8 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
     Vec3 local;
     local.x = du * fx + dsx * near;
     local.y = dv * fy + dsy * near;
-    local.z = sum[SLOT_DEPTH] - near * (dot(dk1, o.k1) + dot(dk2, o.k2) + dsx * tx + dsy * ty) - du * fx * tx -
-              dv * fy * ty;
+    local.z =
+        sum[SLOT_DEPTH] - near * (dot(dk1, o.k1) + dot(dk2, o.k2) + dsx * tx + dsy * ty) - du * fx * tx - dv * fy * ty;
     const Vec3 mean = local.x * v0 + local.y * v1 + local.z * v2;
 
     // Columns c1, c2, c3 hold R00 R10 R20, R01 R11 R21, R02 R12 R22.
@@ -233,21 +231,21 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
     dz = (dz - along * z) / g.norm;
     for (int l = 0; l < count; ++l) {
       const int64_t n = start + l;
-      const bool seen = splats[n].opacity > 0.0f;
-      out.means[3 * n] = seen ? narrow(mean.x[l]) : 0.0f;
-      out.means[3 * n + 1] = seen ? narrow(mean.y[l]) : 0.0f;
-      out.means[3 * n + 2] = seen ? narrow(mean.z[l]) : 0.0f;
-      out.scales[3 * n] = seen ? narrow(ds.x[l]) : 0.0f;
-      out.scales[3 * n + 1] = seen ? narrow(ds.y[l]) : 0.0f;
-      out.scales[3 * n + 2] = seen ? narrow(ds.z[l]) : 0.0f;
-      out.quats[4 * n] = seen ? narrow(dw[l]) : 0.0f;
-      out.quats[4 * n + 1] = seen ? narrow(dx[l]) : 0.0f;
-      out.quats[4 * n + 2] = seen ? narrow(dy[l]) : 0.0f;
-      out.quats[4 * n + 3] = seen ? narrow(dz[l]) : 0.0f;
-      out.opacities[n] = seen ? (float)(sum[SLOT_SUM][l] / g.opacity[l]) : 0.0f;
+      const bool visible = splats[n].opacity > 0.0f;
+      out.means[3 * n] = visible ? narrow(mean.x[l]) : 0.0f;
+      out.means[3 * n + 1] = visible ? narrow(mean.y[l]) : 0.0f;
+      out.means[3 * n + 2] = visible ? narrow(mean.z[l]) : 0.0f;
+      out.scales[3 * n] = visible ? narrow(ds.x[l]) : 0.0f;
+      out.scales[3 * n + 1] = visible ? narrow(ds.y[l]) : 0.0f;
+      out.scales[3 * n + 2] = visible ? narrow(ds.z[l]) : 0.0f;
+      out.quats[4 * n] = visible ? narrow(dw[l]) : 0.0f;
+      out.quats[4 * n + 1] = visible ? narrow(dx[l]) : 0.0f;
+      out.quats[4 * n + 2] = visible ? narrow(dy[l]) : 0.0f;
+      out.quats[4 * n + 3] = visible ? narrow(dz[l]) : 0.0f;
+      out.opacities[n] = visible ? (float)(sum[SLOT_SUM][l] / g.opacity[l]) : 0.0f;
       if (out.offset) {
-        out.offset[2 * n] = seen ? narrow(du[l]) : 0.0f;
-        out.offset[2 * n + 1] = seen ? narrow(dv[l]) : 0.0f;
+        out.offset[2 * n] = visible ? narrow(du[l]) : 0.0f;
+        out.offset[2 * n + 1] = visible ? narrow(dv[l]) : 0.0f;
       }
     }
   }

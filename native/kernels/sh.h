@@ -1,50 +1,64 @@
 // Colors from real spherical harmonics, max(0, 1/2 + sum c_k Y_k(d)), and their gradients.
 #pragma once
 
-#include "table.h"
 #include "simd.h"
+#include "table.h"
 
 namespace ECONGS_ISA {
 
 using namespace econgs;
 
-// Y_k and, where asked for, its partial derivatives with respect to an unconstrained direction.
+// Y_k and, with `slopes`, its partial derivatives with respect to an unconstrained direction.
 INLINE void harmonics(int degree, vf x, vf y, vf z, vf* Y, vf* X, vf* D, vf* Z, bool slopes) {
+  const auto slope = [&](int k, vf along_x, vf along_y, vf along_z) __attribute__((always_inline)) {
+    X[k] = along_x;
+    D[k] = along_y;
+    Z[k] = along_z;
+  };
   Y[0] = set(0.28209479f);
-  if (slopes) X[0] = D[0] = Z[0] = vf{};
+  if (slopes) slope(0, vf{}, vf{}, vf{});
   if (degree < 1) return;
   const float c1 = 0.48860251f;
-  Y[1] = -c1 * y; Y[2] = c1 * z; Y[3] = -c1 * x;
+  Y[1] = -c1 * y;
+  Y[2] = c1 * z;
+  Y[3] = -c1 * x;
   if (slopes) {
-    X[1] = vf{}; D[1] = set(-c1); Z[1] = vf{};
-    X[2] = vf{}; D[2] = vf{}; Z[2] = set(c1);
-    X[3] = set(-c1); D[3] = vf{}; Z[3] = vf{};
+    slope(1, vf{}, set(-c1), vf{});
+    slope(2, vf{}, vf{}, set(c1));
+    slope(3, set(-c1), vf{}, vf{});
   }
   if (degree < 2) return;
   const float c2 = 1.09254843f, c20 = 0.31539157f, c22 = 0.54627422f;
-  Y[4] = c2 * x * y; Y[5] = -c2 * y * z; Y[6] = c20 * (2.0f * z * z - x * x - y * y); Y[7] = -c2 * x * z;
+  Y[4] = c2 * x * y;
+  Y[5] = -c2 * y * z;
+  Y[6] = c20 * (2.0f * z * z - x * x - y * y);
+  Y[7] = -c2 * x * z;
   Y[8] = c22 * (x * x - y * y);
   if (slopes) {
-    X[4] = c2 * y; D[4] = c2 * x; Z[4] = vf{};
-    X[5] = vf{}; D[5] = -c2 * z; Z[5] = -c2 * y;
-    X[6] = -2.0f * c20 * x; D[6] = -2.0f * c20 * y; Z[6] = 4.0f * c20 * z;
-    X[7] = -c2 * z; D[7] = vf{}; Z[7] = -c2 * x;
-    X[8] = 2.0f * c22 * x; D[8] = -2.0f * c22 * y; Z[8] = vf{};
+    slope(4, c2 * y, c2 * x, vf{});
+    slope(5, vf{}, -c2 * z, -c2 * y);
+    slope(6, -2.0f * c20 * x, -2.0f * c20 * y, 4.0f * c20 * z);
+    slope(7, -c2 * z, vf{}, -c2 * x);
+    slope(8, 2.0f * c22 * x, -2.0f * c22 * y, vf{});
   }
   if (degree < 3) return;
   const float c33 = 0.59004359f, c32 = 2.89061144f, c31 = 0.45704580f, c30 = 0.37317633f, c3 = 1.44530572f;
   const vf xx = x * x, yy = y * y, zz = z * z;
-  Y[9] = -c33 * y * (3.0f * xx - yy); Y[10] = c32 * x * y * z; Y[11] = -c31 * y * (4.0f * zz - xx - yy);
-  Y[12] = c30 * z * (2.0f * zz - 3.0f * xx - 3.0f * yy); Y[13] = -c31 * x * (4.0f * zz - xx - yy);
-  Y[14] = c3 * z * (xx - yy); Y[15] = -c33 * x * (xx - 3.0f * yy);
+  Y[9] = -c33 * y * (3.0f * xx - yy);
+  Y[10] = c32 * x * y * z;
+  Y[11] = -c31 * y * (4.0f * zz - xx - yy);
+  Y[12] = c30 * z * (2.0f * zz - 3.0f * xx - 3.0f * yy);
+  Y[13] = -c31 * x * (4.0f * zz - xx - yy);
+  Y[14] = c3 * z * (xx - yy);
+  Y[15] = -c33 * x * (xx - 3.0f * yy);
   if (slopes) {
-    X[9] = -6.0f * c33 * x * y; D[9] = -3.0f * c33 * (xx - yy); Z[9] = vf{};
-    X[10] = c32 * y * z; D[10] = c32 * x * z; Z[10] = c32 * x * y;
-    X[11] = 2.0f * c31 * x * y; D[11] = -c31 * (4.0f * zz - xx - 3.0f * yy); Z[11] = -8.0f * c31 * y * z;
-    X[12] = -6.0f * c30 * x * z; D[12] = -6.0f * c30 * y * z; Z[12] = c30 * (6.0f * zz - 3.0f * xx - 3.0f * yy);
-    X[13] = -c31 * (4.0f * zz - 3.0f * xx - yy); D[13] = 2.0f * c31 * x * y; Z[13] = -8.0f * c31 * x * z;
-    X[14] = 2.0f * c3 * x * z; D[14] = -2.0f * c3 * y * z; Z[14] = c3 * (xx - yy);
-    X[15] = -3.0f * c33 * (xx - yy); D[15] = 6.0f * c33 * x * y; Z[15] = vf{};
+    slope(9, -6.0f * c33 * x * y, -3.0f * c33 * (xx - yy), vf{});
+    slope(10, c32 * y * z, c32 * x * z, c32 * x * y);
+    slope(11, 2.0f * c31 * x * y, -c31 * (4.0f * zz - xx - 3.0f * yy), -8.0f * c31 * y * z);
+    slope(12, -6.0f * c30 * x * z, -6.0f * c30 * y * z, c30 * (6.0f * zz - 3.0f * xx - 3.0f * yy));
+    slope(13, -c31 * (4.0f * zz - 3.0f * xx - yy), 2.0f * c31 * x * y, -8.0f * c31 * x * z);
+    slope(14, 2.0f * c3 * x * z, -2.0f * c3 * y * z, c3 * (xx - yy));
+    slope(15, -3.0f * c33 * (xx - yy), 6.0f * c33 * x * y, vf{});
   }
 }
 
@@ -101,7 +115,7 @@ static void sh_backward(int degree, const Coefficients& in, const float* means, 
     vf Y[16], X[16], D[16], Z[16];
     harmonics(degree, to.x, to.y, to.z, Y, X, D, Z, true);
     const float *const y = (const float*)Y, *const slope_x = (const float*)X, *const slope_y = (const float*)D,
-                *const slope_z = (const float*)Z;
+                       *const slope_z = (const float*)Z;
     for (int l = 0; l < LANES && start + l < end; ++l) {
       const int64_t n = start + l;
       float* const mean = grad_means + 3 * n;

@@ -30,6 +30,17 @@ typedef float vf_unaligned __attribute__((vector_size(4 * LANES), aligned(4), ma
 typedef float v4 __attribute__((vector_size(16)));
 typedef float v4_unaligned __attribute__((vector_size(16), aligned(4), may_alias));
 
+union Quarters {
+  vf v;
+  v4 q[LANES / 4];
+};
+#if ECONGS_LANES == 16 && defined(__AVX2__)
+union Halves {
+  vf v;
+  __m256 h[2];
+};
+#endif
+
 INLINE vf load(const float* p) { return (vf) * (const vf_unaligned*)p; }
 INLINE void store(float* p, vf v) { *(vf_unaligned*)p = v; }
 INLINE v4 load3(const float* p) { return v4{p[0], p[1], p[2], 0.0f}; }
@@ -82,7 +93,7 @@ INLINE vf fma(vf a, vf b, vf c) {
 #if ECONGS_LANES == 16 && defined(__AVX512F__)
   return (vf)_mm512_fmadd_ps((__m512)a, (__m512)b, (__m512)c);
 #elif ECONGS_LANES == 16 && defined(__FMA__)
-  union { vf v; __m256 h[2]; } x = {a}, y = {b}, z = {c};
+  Halves x = {a}, y = {b}, z = {c};
   z.h[0] = _mm256_fmadd_ps(x.h[0], y.h[0], z.h[0]);
   z.h[1] = _mm256_fmadd_ps(x.h[1], y.h[1], z.h[1]);
   return z.v;
@@ -125,7 +136,7 @@ INLINE uint32_t signs(vi a) {
 #if ECONGS_LANES == 16 && defined(__AVX512F__)
   return _mm512_cmplt_epi32_mask((__m512i)a, _mm512_setzero_si512());
 #elif ECONGS_LANES == 16 && defined(__AVX2__)
-  union { vi v; __m256 h[2]; } x = {a};
+  const Halves x = {(vf)a};
   return (uint32_t)_mm256_movemask_ps(x.h[0]) | ((uint32_t)_mm256_movemask_ps(x.h[1]) << 8);
 #elif ECONGS_LANES == 8 && defined(__AVX__)
   return (uint32_t)_mm256_movemask_ps((__m256)a);
@@ -146,7 +157,7 @@ INLINE v4 quarter(vf a, int i) {
 #elif ECONGS_LANES == 16 && defined(__AVX512F__)
   if (i == 0) return (v4)_mm512_castps512_ps128((__m512)a);
 #endif
-  union { vf v; v4 q[LANES / 4]; } x = {a};
+  const Quarters x = {a};
   return x.q[i];
 }
 
@@ -159,7 +170,7 @@ INLINE v4 fold(vf a) {
 #elif ECONGS_LANES == 8 && defined(__AVX__)
   return (v4)_mm_add_ps(_mm256_castps256_ps128((__m256)a), _mm256_extractf128_ps((__m256)a, 1));
 #else
-  union { vf v; v4 q[LANES / 4]; } x = {a};
+  const Quarters x = {a};
 #if ECONGS_LANES == 16
   return (x.q[0] + x.q[2]) + (x.q[1] + x.q[3]);
 #elif ECONGS_LANES == 8

@@ -10,8 +10,8 @@
 // What is filtered down lies in planes with SSIM_RADIUS more rows above and below, which hold the padding.
 #pragma once
 
-#include "table.h"
 #include "simd.h"
+#include "table.h"
 
 namespace ECONGS_ISA {
 
@@ -19,8 +19,8 @@ using namespace econgs;
 
 constexpr int TAPS = 2 * SSIM_RADIUS + 1;
 // exp(-k^2 / 4.5) / sum, k = 0..5
-constexpr float TAP[SSIM_RADIUS + 1] = {0.26601172f, 0.21300553f, 0.10936069f, 0.036000773f, 0.0075987582f,
-                                        0.0010283801f};
+constexpr float TAP[SSIM_RADIUS + 1] = {0.26601172f,  0.21300553f,   0.10936069f,
+                                        0.036000773f, 0.0075987582f, 0.0010283801f};
 
 INLINE vf along(const float* p, int stride) {
   vf r = TAP[0] * load(p);
@@ -97,7 +97,7 @@ static void ssim_rows(const float* x, const float* y, float* moments, int64_t n,
   }
 }
 
-// SSIM at one vector of pixels, given the four filtered moments, and its partial derivatives by the window's mean of
+// SSIM at one vector of pixels from the four filtered moments, and its partial derivatives by the window's mean of
 // x, of x^2 and of x y.
 INLINE vf ssim_of(const vf* f, vf* partials) {
   const vf shifted_x = 0.5f * (f[0] + f[1]), shifted_y = 0.5f * (f[0] - f[1]);
@@ -152,8 +152,8 @@ static void ssim_map(const float* moments, float* partials, int64_t n, int64_t h
 }
 
 // grad = absolute * sign(x - y) + structural * dSSIM/dx; partials may be null where structural is 0.
-static void ssim_gradient(const float* x, const float* y, const float* partials, float* grad, int64_t n,
-                          int64_t height, int64_t begin, int64_t end, float absolute, float structural) {
+static void ssim_gradient(const float* x, const float* y, const float* partials, float* grad, int64_t n, int64_t height,
+                          int64_t begin, int64_t end, float absolute, float structural) {
   const int64_t step = pitch(n);
   for (int64_t row = begin; row < end; ++row)
     for (int64_t i = 0; i < n; i += LANES) {

@@ -67,7 +67,9 @@ struct ConstImages {
 // Gradients of one slot: moments of h = dL/dlog(alpha) in e = dx - slope dy and dy (in which the exponent is a sum
 // of squares: moments in dx and dy would cancel for needles), then depth, then features.
 enum { SLOT_SUM, SLOT_E, SLOT_Y, SLOT_EE, SLOT_EY, SLOT_YY, SLOT_DEPTH, SLOT_FEATURES };
-__attribute__((always_inline)) static inline int slot_size(int channels) { return (SLOT_FEATURES + channels + 3) / 4 * 4; }
+__attribute__((always_inline)) static inline int slot_size(int channels) {
+  return (SLOT_FEATURES + channels + 3) / 4 * 4;
+}
 
 struct Gradients {
   float *means, *quats, *scales, *opacities, *features, *offset;  // offset may be null
@@ -96,19 +98,18 @@ struct Kernels {
   // Projects Gaussians [begin, end); returns false if any input among them is unusable.
   bool (*project)(const Inputs&, const View&, Splat*, int32_t* radii, int64_t begin, int64_t end);
   // Sums the slots of Gaussians [begin, end) and carries the gradients back to the inputs.
-  void (*project_backward)(const Inputs&, const View&, const Splat*, const uint32_t* first_slot,
-                           const float* slots, const Gradients&, int64_t begin, int64_t end);
+  void (*project_backward)(const Inputs&, const View&, const Splat*, const uint32_t* first_slot, const float* slots,
+                           const Gradients&, int64_t begin, int64_t end);
   // Scratch floats that the two blend functions need.
   int64_t (*scratch)(int channels);
   // Blends one tile; returns the number of lane evaluations.
   int64_t (*blend)(const Inputs&, const Splat*, const Tile&, const View&, const Images&, float* scratch);
   void (*blend_backward)(const Inputs&, const Splat*, const Tile&, const View&, const ConstImages& out,
                          const ConstImages& grad, float* slots, float* scratch);
-  void (*sh)(int degree, const Coefficients&, const float* means, const float* position, float* colors,
-             int64_t begin, int64_t end);
-  void (*sh_backward)(int degree, const Coefficients&, const float* means, const float* position,
-                      const float* colors, const float* grad, float* grad_means, const MutableCoefficients&,
-                      int64_t begin, int64_t end);
+  void (*sh)(int degree, const Coefficients&, const float* means, const float* position, float* colors, int64_t begin,
+             int64_t end);
+  void (*sh_backward)(int degree, const Coefficients&, const float* means, const float* position, const float* colors,
+                      const float* grad, float* grad_means, const MutableCoefficients&, int64_t begin, int64_t end);
   // SSIM over rows of n = width * channels floats, in three sweeps over rows [begin, end), at most SSIM_BAND of them
   // (see ssim.h). The first two also take the SSIM_RADIUS rows above and below the image.
   int64_t (*ssim_scratch)(int64_t n, int channels);
@@ -116,8 +117,8 @@ struct Kernels {
                     int64_t begin, int64_t end, float* scratch);
   void (*ssim_map)(const float* moments, float* partials, int64_t n, int64_t height, int channels, int64_t begin,
                    int64_t end, double* values, float* scratch);
-  void (*ssim_gradient)(const float* x, const float* y, const float* partials, float* grad, int64_t n,
-                        int64_t height, int64_t begin, int64_t end, float absolute, float structural);
+  void (*ssim_gradient)(const float* x, const float* y, const float* partials, float* grad, int64_t n, int64_t height,
+                        int64_t begin, int64_t end, float absolute, float structural);
   double (*absolute)(const float* x, const float* y, int64_t n);
   // Decoding a block of anchors (see decoder_block.h).
   int64_t (*decode_scratch)(const DecodeShape&);
