@@ -16,6 +16,7 @@ import traceback
 from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import UTC, datetime
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,13 +82,13 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
     spec: MethodSpec | None = None
     context = None
     try:
-        from bench.jobs.context import Context, run_job
+        from bench.jobs.context import Context
 
         spec = _spec(task)
         if spec is not None:
             prepare_device(job.device, spec)
         context = Context(job, folder, store, spec, _loader(spec, task.threads), stop, report)
-        fields = run_job(context)
+        fields = {job.kind: import_module(f"bench.jobs.{job.kind}").run(context)}
     except Refused as error:
         status, reason = "refused", str(error)
     except Diverged as error:

@@ -1,12 +1,10 @@
-"""What a job works with, and which module runs it."""
+"""What a job works with."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from bench.monitor import Progress, Stop
 from bench.records import Job, Record
@@ -50,9 +48,3 @@ class Context:
 
     def path_of(self, record: Record) -> Path:
         return self.store.jobs / record.job.id
-
-
-def run_job(context: Context) -> dict[str, Any]:
-    """Run a job by the module of its kind; returns the fields of its record that it fills."""
-    kind = context.job.kind
-    return {kind: import_module(f"bench.jobs.{kind}").run(context)}

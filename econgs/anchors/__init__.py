@@ -1,0 +1,1 @@
+"""Anchors: training, growth, decoding to the Gaussians of a view, shading."""
