@@ -1,11 +1,9 @@
-"""What jobs read: datasets, their content hashes, and the scenes as a method may see them."""
+"""Datasets as plans and views jobs read them: content hashes, views, transfer functions."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.edits import edit_of
-from bench.records import Job, Request, derived_seed, hash_of
+from bench.records import Request, hash_of
 from bench.suites import ViewPreset
-from datasets.camera import Camera
-from datasets.catalogue import list_datasets, open_dataset
-from datasets.cloud import initial_cloud
+from datasets.catalogue import list_datasets
 from datasets.edits import edited
 from datasets.errors import DataError
 from datasets.ground_truth.model import MODEL_VERSION
 from datasets.readers.naming import split
-from datasets.render_views import render_cost, views_of, volume_digest
+from datasets.render_views import views_of, volume_digest
 from datasets.scene import Dataset
 from datasets.transfer import TransferFunction
 from datasets.views import Split, ViewRequest, ViewSet
-from methods.interface import SceneInput
 
 _BINS = 128  # of a drawn transfer function
 _IMAGES = {".png", ".json", ".ply"}
@@ -96,13 +91,6 @@ def views(dataset: Dataset, scene: str, request: Request, split: Split, edit: st
     return views_of(dataset, scene, view_request(request, split), edit=edit_of(scene, edit))
 
 
-def cost_of_views(
-    dataset: Dataset, scene: str, request: Request, split: Split, edit: str = ""
-) -> dict[str, Any] | None:
-    """What rendering the cached views took, whenever that was; None for pre-rendered ones."""
-    return render_cost(dataset, scene, view_request(request, split), edit=edit_of(scene, edit))
-
-
 def drawn_transfer(transfer: TransferFunction, entries: int) -> NDArray[np.float64]:
     """(entries, 4) color, and opacity over one reference length, at equidistant normalised values."""
     table = transfer.classify(np.linspace(0.0, 1.0, entries))
@@ -134,61 +122,6 @@ def shown_transfer(dataset: Dataset, scene: str, edit: str = "") -> dict[str, di
 def view_request(request: Request, split: Split) -> ViewRequest:
     """A job's request, for one split."""
     return ViewRequest(split, request.train_views, request.test_views, request.width, request.height)
-
-
-def scene_inputs(job: Job) -> list[SceneInput]:
-    """The scenes of a fit.
-
-    With ``--split val`` the validation views (every tenth training view) are left out of the fit and
-    given to the method for its choices. With ``--split test`` the fit uses every training view and
-    the method gets no validation views.
-    """
-    dataset = open_dataset(job.dataset)
-    inputs = []
-    for name in job.scenes:
-        scene = dataset.scene(name)
-        if job.split == "val":
-            train = views(dataset, name, job.request, "train")
-            given = views(dataset, name, job.request, "val")
-        else:
-            train = views(dataset, name, job.request, "trainval")
-            given = ViewSet((), train.images[:0], train.background, train.key)
-        seed = derived_seed("cloud", job.dataset_name, name, job.seed)
-        inputs.append(
-            SceneInput(
-                scene=scene,
-                train=train,
-                validation=given,
-                cloud=initial_cloud(dataset, name, job.cloud_points, seed),
-                extent=camera_extent(train.cameras),
-                volume=partial(dataset.volume, scene.variable) if dataset.volumes else None,
-            )
-        )
-    return inputs
-
-
-def camera_extent(cameras: Sequence[Camera]) -> float:
-    """1.1 x the greatest distance of a camera from the mean camera centre (3DGS's scene extent)."""
-    centres = np.stack([camera.position for camera in cameras])
-    return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
-
-
-def camera_to_json(camera: Camera) -> dict[str, Any]:
-    """A camera as JSON values; floats survive exactly."""
-    return {
-        "name": camera.name,
-        "width": camera.width,
-        "height": camera.height,
-        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
-        "camera_to_world": camera.camera_to_world.tolist(),
-    }
-
-
-def camera_from_json(data: dict[str, Any]) -> Camera:
-    """Inverse of :func:`camera_to_json`."""
-    fx, fy, cx, cy = data["intrinsics"]
-    matrix = np.asarray(data["camera_to_world"], dtype=np.float64)
-    return Camera(matrix, fx, fy, cx, cy, data["width"], data["height"], data["name"])
 
 
 def _native_size(folder: Path) -> tuple[int, int]:

@@ -134,7 +134,8 @@ class Planner:
             fit = self._fit(spec, common, group, chosen, views, partition)
             yield fit
             for rate in rates:
-                encode = _job("encode", fit, {"fit": fit.key, "rate": rate}, (fit.id,), rate=rate)
+                needs = (fit.id, *(views[scene].id for scene in group))
+                encode = _job("encode", fit, {"fit": fit.key, "rate": rate}, needs, rate=rate)
                 yield encode
                 for scene in group:
                     encodes[scene, rate] = encode

@@ -154,11 +154,15 @@ class LossPoint(_Model):
 
 
 class ViewsResult(_Model):
-    """``truth``: split -> PNG file names, in the order of the cameras; see ``cameras.json``.
+    """What :mod:`bench.jobs.truth` stored.
 
-    ``cost``: split -> what rendering its views took (:func:`datasets.render_views.render_cost`), as stored
-    with them in the cache; empty for pre-rendered views. ``render_seconds`` is this job's own wait.
-    ``transfer``: part -> what it shows (:func:`bench.inputs.shown_transfer`); empty for pre-rendered views.
+    Attributes:
+        view_keys: split -> content hash of its views.
+        truth: the split that is measured on -> PNG file names, in the order of its cameras.
+        render_seconds: this job's own wait.
+        cost: split -> what rendering its views took (:attr:`datasets.views.ViewSet.cost`), renderer and
+            version among it; empty for pre-rendered views.
+        transfer: part -> what it shows (:func:`bench.inputs.shown_transfer`); empty for pre-rendered views.
     """
 
     view_keys: dict[str, str]

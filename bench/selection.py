@@ -9,7 +9,7 @@ from typing import Any, Literal
 from bench import inputs
 from bench.records import Request, hash_of
 from bench.suites import Suite, ViewPreset
-from datasets.catalogue import list_datasets
+from datasets.catalogue import list_datasets, open_dataset
 from datasets.errors import DataError, UnknownName
 from datasets.names import unknown
 from datasets.scene import Dataset
@@ -84,7 +84,7 @@ def chosen_datasets(selection: Selection, preset: ViewPreset) -> list[Chosen]:
     for name in sources:
         try:
             source = inputs.absolute(name)
-            dataset = inputs.open_dataset(source)
+            dataset = open_dataset(source)
             known = {*(scene.name for scene in dataset.scenes), *dataset.compositions}
             scenes_known |= known
             compositions_known |= set(dataset.compositions)

@@ -21,7 +21,7 @@ from pydantic import ValidationError
 from bench.records import SCHEMA, Record
 from datasets.errors import DataError
 
-_HANDED_ON = {"views": "cameras.json", "fit": "checkpoint", "encode": "model"}
+_HANDED_ON = {"views": "views.json", "fit": "checkpoint", "encode": "model"}
 """Kind of a job -> what other jobs read of its folder; all else is in its record."""
 
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.scene import BasicScene, Dataset, Isosurface
+from datasets.scene import BasicScene, Dataset
 from datasets.transfer import TransferFunction
 from datasets.volume import Volume
 
@@ -42,97 +41,152 @@ class PointCloud:
         return len(self.points)
 
 
+@dataclass(frozen=True, eq=False)
+class CloudSource:
+    """What the initial clouds of a scene are drawn from: its candidates, whatever number and seed.
+
+    Attributes:
+        what: dataset and scene, for messages.
+        values: (n,) float32 normalised values of candidates that take their color from ``scene``.
+        points: (n, 3) float32 positions, scene space; None for samples of a grid.
+        colors: (n, 3) float32 colors of a given cloud; None where ``values`` decide.
+        inside: (nz, ny, nx) bool, True at the n candidates of a grid that was subsampled.
+        placement: (4, 3) low corner and side lengths of the volume's box, its dimensions, and the strides
+            of subsampling, all along x, y, z.
+    """
+
+    what: str
+    values: NDArray[np.float32] | None = None
+    points: NDArray[np.float32] | None = None
+    colors: NDArray[np.float32] | None = None
+    inside: NDArray[np.bool_] | None = None
+    placement: NDArray[np.float64] | None = None
+
+    def draw(self, scene: BasicScene, max_points: int, seed: int) -> PointCloud:
+        """A cloud of at most ``max_points`` (a given cloud: and one more) of the candidates.
+
+        Raises:
+            DataError: no candidate is visible.
+        """
+        generator = np.random.default_rng(seed)
+        if self.points is not None and self.colors is not None:
+            if len(self.points) <= max_points + 1:  # published clouds have 10,001
+                return PointCloud(self.points, self.colors)
+            chosen = np.sort(generator.choice(len(self.points), max_points, replace=False))
+            return PointCloud(self.points[chosen], self.colors[chosen])
+        assert self.values is not None
+        order = generator.permutation(len(self.values))
+        if scene.transfer is None:
+            chosen = order[:max_points]
+            levels = np.array([surface.value for surface in scene.isosurfaces])
+            nearest = np.abs(self.values[chosen, None] - levels).argmin(axis=1)
+            colors = np.array([surface.color for surface in scene.isosurfaces], dtype=np.float64)[nearest]
+        else:
+            chosen = order[: 2 * max_points]
+            classified = scene.transfer.classify(self.values[chosen])
+            visible = classified[:, 3] > 0.0
+            chosen, colors = chosen[visible][:max_points], classified[visible, :3][:max_points]
+        if not len(chosen):
+            raise DataError(
+                self.what,
+                "no voxel has opacity under its transfer function"
+                if scene.transfer
+                else "no voxel lies at its isosurfaces",
+                "Move its bumps or levels to values that occur in the volume",
+            )
+        if self.points is not None:
+            return PointCloud(self.points[chosen], colors.astype(np.float32))
+        assert self.inside is not None
+        assert self.placement is not None
+        low, sides, dims, strides = self.placement
+        places = np.flatnonzero(self.inside)[chosen]
+        grid = np.stack(np.unravel_index(places, self.inside.shape), axis=-1)[:, ::-1] * strides
+        points = low + grid * sides / (dims - 1)
+        return PointCloud(points.astype(np.float32), colors.astype(np.float32))
+
+    def save(self, file: Path) -> None:
+        """Write the source for :meth:`load`."""
+        arrays: dict[str, Any] = {"what": np.array(self.what)}
+        for name in ("values", "points", "colors", "placement"):
+            if (array := getattr(self, name)) is not None:
+                arrays[name] = array
+        if self.inside is not None:
+            arrays |= {"inside": np.packbits(self.inside), "shape": np.array(self.inside.shape)}
+        np.savez_compressed(file, **arrays)
+
+    @classmethod
+    def load(cls, file: Path) -> CloudSource:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            OSError, ValueError, zipfile.BadZipFile: the file is missing or damaged.
+        """
+        with np.load(file, allow_pickle=False) as archive:
+            arrays = dict(archive)
+        if (shape := arrays.pop("shape", None)) is not None:
+            bits = np.unpackbits(arrays["inside"], count=int(np.prod(shape)))
+            arrays["inside"] = bits.view(bool).reshape(shape)
+        return cls(str(arrays.pop("what")), **arrays)
+
+
 def initial_cloud(
     dataset: Dataset, scene: BasicScene | str, max_points: int = 10_000, seed: int = 0
 ) -> PointCloud:
-    """The cloud that training starts from.
-
-    Random voxels of non-zero opacity in transfer function colors, of the volume subsampled to fewer than
-    256 samples an axis (section 10.1 of the method sheet: the paper's initialisation); of meshes, their own
-    vertices. Of isosurfaces, voxels with a neighbour on the other side, in the color of the (nearest) level.
-    ``points3d.ply`` for pre-rendered scenes, thinned at random where it has more points.
+    """The cloud that training starts from: drawn from the :func:`cloud_source`.
 
     Raises:
         DataError: no voxel is visible, or the file is missing or cannot be used.
     """
     scene = dataset.scene(scene) if isinstance(scene, str) else scene
-    generator = np.random.default_rng(seed)
+    return cloud_source(dataset, scene).draw(scene, max_points, seed)
+
+
+def cloud_source(dataset: Dataset, scene: BasicScene) -> CloudSource:
+    """The candidates of a scene's initial clouds.
+
+    Voxels of non-zero opacity, of the volume subsampled to fewer than 256 samples an axis (section 10.1 of
+    the method sheet: the paper's initialisation); of meshes, their own vertices. Of isosurfaces, voxels with
+    a neighbour on the other side. ``points3d.ply`` for pre-rendered scenes.
+
+    Raises:
+        DataError: the scene shows nothing of a volume, or the file is missing or cannot be used.
+    """
+    what = f"{dataset.name}/{scene.name}"
     if scene.views_folder is not None:
         cloud = read_ply(scene.views_folder / "points3d.ply")
-        if len(cloud) <= max_points + 1:  # published clouds have 10,001
-            return cloud
-        chosen = np.sort(generator.choice(len(cloud), max_points, replace=False))
-        return PointCloud(cloud.points[chosen], cloud.colors[chosen])
+        return CloudSource(what, points=cloud.points, colors=cloud.colors)
     if scene.transfer is None and not scene.isosurfaces:
-        what = f"{dataset.name}/{scene.name}"
         raise DataError(what, "the scene has no transfer function", "Give it one in the catalogue")
     volume = dataset.volume(scene.variable)
     if volume.vertices is not None and volume.vertex_values is not None and scene.transfer is not None:
-        at_vertices = volume.normalise(volume.vertex_values)
-        chosen, colors = _of_opacity(scene.transfer, at_vertices, None, generator, max_points)
-        if len(chosen):  # a bump may lie between the values of a coarse mesh's vertices
-            return PointCloud(volume.vertices[chosen], colors.astype(np.float32))
+        values = volume.normalise(volume.vertex_values)
+        visible = _visible(scene.transfer, values)
+        if visible.any():  # a bump may lie between the values of a coarse mesh's vertices
+            return CloudSource(what, values=values[visible], points=volume.vertices[visible])
     strides = [-(-n // _GRID) for n in volume.values.shape]
-    values = volume.values[:: strides[0], :: strides[1], :: strides[2]]
-    coarse = Volume(volume.name, values, volume.spacing, volume.value_range, volume.source)
+    steps = tuple(slice(None, None, stride) for stride in strides)
+    coarse = Volume(volume.name, volume.values[steps], volume.spacing, volume.value_range, volume.source)
     normalised = coarse.normalised()
-    inside = None if volume.mask is None else volume.mask[:: strides[0], :: strides[1], :: strides[2]]
     if scene.transfer is None:
-        chosen, colors = _beside_surfaces(scene.isosurfaces, normalised, inside, generator, max_points)
+        from datasets.ground_truth.occlusion import beside_level
+
+        inside = np.zeros(normalised.shape, dtype=bool)
+        for surface in scene.isosurfaces:
+            inside |= beside_level(normalised, surface.value)
     else:
-        chosen, colors = _of_opacity(scene.transfer, normalised, inside, generator, max_points)
-    if not len(chosen):
-        raise DataError(
-            f"{dataset.name}/{scene.name}",
-            "no voxel has opacity under its transfer function"
-            if scene.transfer
-            else "no voxel lies at its isosurfaces",
-            "Move its bumps or levels to values that occur in the volume",
-        )
-    grid = np.stack(np.unravel_index(chosen, values.shape), axis=-1)[:, ::-1] * np.array(strides[::-1])
-    low, _ = volume.box
-    points = low + grid * volume.extent / (np.array(volume.dims) - 1)
-    return PointCloud(points.astype(np.float32), colors.astype(np.float32))
+        inside = _visible(scene.transfer, normalised)
+    if volume.mask is not None:
+        inside &= volume.mask[steps]
+    placement = np.array([volume.box[0], volume.extent, volume.dims, strides[::-1]], dtype=np.float64)
+    return CloudSource(what, values=normalised[inside], inside=inside, placement=placement)
 
 
-def _of_opacity(
-    transfer: TransferFunction,
-    normalised: NDArray[np.float32],
-    inside: NDArray[np.bool_] | None,
-    generator: np.random.Generator,
-    most: int,
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Flat indices of random voxels of non-zero opacity, and their colors."""
-    # Extinction by table is exact where it matters: a voxel is drawn only if the exact value is above 0.
+def _visible(transfer: TransferFunction, normalised: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Where a transfer function may give opacity; decided by table, so never False where it gives some."""
     steps = 65536
-    visible_steps = transfer.classify(np.arange(steps + 1) / steps)[:, 3] > 0.0
-    visible_steps[:-1] |= visible_steps[1:]
-    visible = visible_steps[(normalised * steps).astype(np.int32)]
-    candidates = np.flatnonzero(visible if inside is None else visible & inside)
-    chosen = candidates[generator.permutation(len(candidates))[: 2 * most]]
-    classified = transfer.classify(normalised.reshape(-1)[chosen])
-    seen = classified[:, 3] > 0.0
-    return chosen[seen][:most], classified[seen, :3][:most]
-
-
-def _beside_surfaces(
-    surfaces: Sequence[Isosurface],
-    normalised: NDArray[np.float32],
-    inside: NDArray[np.bool_] | None,
-    generator: np.random.Generator,
-    most: int,
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Flat indices of random voxels at isosurfaces, and the colors of the nearest levels."""
-    from datasets.ground_truth.occlusion import beside_level
-
-    near = np.zeros(normalised.shape, dtype=bool)
-    for surface in surfaces:
-        near |= beside_level(normalised, surface.value)
-    candidates = np.flatnonzero(near if inside is None else near & inside)
-    chosen = candidates[generator.permutation(len(candidates))[:most]]
-    levels = np.array([surface.value for surface in surfaces])
-    nearest = np.abs(normalised.reshape(-1)[chosen, None] - levels).argmin(axis=1)
-    return chosen, np.array([surface.color for surface in surfaces], dtype=np.float64)[nearest]
+    table = transfer.classify(np.arange(steps + 1) / steps)[:, 3] > 0.0
+    table[:-1] |= table[1:]
+    return np.asarray(table[(normalised * steps).astype(np.int32)])
 
 
 def random_cloud(n: int, half_extent: float, seed: int = 0) -> PointCloud:

@@ -86,29 +86,10 @@ def views_of(
         images, record = work.render(progress)
         views = CachedViews(cache.put(work.key, images, record), record)
     if len(work.chosen) == len(work.cameras):
-        return ViewSet(work.cameras, views.images, background, work.key)
+        return ViewSet(work.cameras, views.images, background, work.key, views.record)
     cameras = tuple(work.cameras[i] for i in work.chosen)
-    return ViewSet(cameras, views.images[work.chosen], background, f"{work.key}-{request.split}")
-
-
-def render_cost(
-    dataset: Dataset,
-    scene_name: str,
-    request: ViewRequest,
-    *,
-    edit: Mapping[str, Edit] | None = None,
-    renderer: Renderer = "auto",
-    cache: ViewCache | None = None,
-) -> dict[str, Any] | None:
-    """What rendering the cached views of a scene or composition cost; None if none are cached.
-
-    ``ms_per_view`` of launches that hold several small views, ``setup_seconds``, renderer and backend, and
-    ``peak_host_bytes``, ``peak_device_bytes`` of the process that rendered them, up to then.
-    """
-    if dataset.kind == "views":
-        return None
-    cache = ViewCache() if cache is None else cache
-    return cache.record(_Work(dataset, _edited(dataset.parts(scene_name), edit), request, renderer).key)
+    key = f"{work.key}-{request.split}"
+    return ViewSet(cameras, views.images[work.chosen], background, key, views.record)
 
 
 def cameras_of(dataset: Dataset, scene_name: str, request: ViewRequest) -> tuple[Camera, ...]:

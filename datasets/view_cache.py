@@ -7,7 +7,6 @@ aside and renamed in place, so it is whole or absent; a checksum finds what was 
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shutil
@@ -22,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
+from datasets.view_files import read_views, rounded, write_views
 
 DEFAULT_MAX_BYTES = 20 * 2**30
-_LEVELS = 65535
 _SCHEMA = 1
 _ABANDONED_AFTER = 3600.0  # seconds without a change: its writer is dead
 
@@ -64,20 +63,12 @@ class ViewCache:
         if entry is None:
             return None
         try:
-            data = (self.folder / key / "images.zst").read_bytes()
-            if hashlib.sha256(data).hexdigest() != entry["sha256"]:
-                raise ValueError("checksum")
-            images = _decode(data, entry["frames"], tuple(entry["shape"]))
+            images = read_views(self.folder / key / "images.zst", entry)
         except (OSError, ValueError, KeyError, TypeError):
             self._discard(self.folder / key)
             return None
         self._touch(key)
         return CachedViews(images, dict(entry["record"]))
-
-    def record(self, key: str) -> dict[str, Any] | None:
-        """The record of an entry without its images; None if there is no entry of the size it should have."""
-        entry = self._entry(key)
-        return None if entry is None else dict(entry["record"])
 
     def put(self, key: str, images: NDArray[np.float32], record: dict[str, Any]) -> NDArray[np.float32]:
         """Store views; two processes may write the same key.
@@ -93,10 +84,9 @@ class ViewCache:
         Raises:
             DataError: the folder cannot be written.
         """
-        import pyarrow
-
-        codec = pyarrow.Codec("zstd", compression_level=1)
         stored = np.empty_like(images)
+        for image, place in zip(images, stored, strict=True):
+            place[:] = rounded(image)
         aside = self.folder / f".partial-{os.getpid()}-{uuid.uuid4().hex[:8]}"
         try:
             aside.mkdir(parents=True)
@@ -105,22 +95,8 @@ class ViewCache:
                 self.folder, f"cannot be written ({error.strerror})", "Set BENCH_CACHE to another folder"
             ) from error
         try:
-            checksum, frames = hashlib.sha256(), []
-            with (aside / "images.zst").open("wb") as file:
-                for i, image in enumerate(images):
-                    levels = np.rint(np.clip(image, 0.0, 1.0) * _LEVELS).astype("<u2")
-                    stored[i] = levels.astype(np.float32) / _LEVELS
-                    frame = codec.compress(levels.tobytes(), asbytes=True)
-                    frames.append(len(frame))
-                    checksum.update(frame)
-                    file.write(frame)
-            entry = {
-                "schema": _SCHEMA,
-                "shape": list(images.shape),
-                "frames": frames,
-                "sha256": checksum.hexdigest(),
-                "record": record,
-            }
+            index = write_views(aside / "images.zst", stored)
+            entry = {"schema": _SCHEMA, **index, "record": record}
             (aside / "entry.json").write_text(json.dumps(entry, indent=1))
             self._place(aside, key)
         finally:
@@ -208,16 +184,3 @@ class ViewCache:
     def _touch(self, key: str) -> None:
         with suppress(OSError):  # a read-only cache, or pruned meanwhile
             os.utime(self.folder / key)
-
-
-def _decode(data: bytes, frames: list[int], shape: tuple[int, ...]) -> NDArray[np.float32]:
-    import pyarrow
-
-    codec = pyarrow.Codec("zstd")
-    images = np.empty(shape, dtype=np.float32)
-    start = 0
-    for i, size in enumerate(frames):
-        raw = codec.decompress(data[start : start + size], int(np.prod(shape[1:])) * 2, asbytes=True)
-        np.divide(np.frombuffer(raw, "<u2").reshape(shape[1:]), np.float32(_LEVELS), out=images[i])
-        start += size
-    return images

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +45,16 @@ class ViewSet:
             premultiplied by alpha, background-free.
         background: the scene's recorded background.
         key: content hash of what made the images (scene, cameras, renderer and its version).
+        cost: what rendering them took, whenever that was: ``ms_per_view`` of launches that hold several small
+            views, ``setup_seconds``, ``peak_host_bytes`` and ``peak_device_bytes`` of the process up to then,
+            renderer, version and backend. None for pre-rendered views.
     """
 
     cameras: tuple[Camera, ...]
     images: NDArray[np.float32]
     background: RGB
     key: str
+    cost: Mapping[str, Any] | None = None
 
     def __len__(self) -> int:
         return len(self.cameras)

@@ -39,9 +39,10 @@ def render(options: Namespace) -> int:
 
 def _render(options: Namespace, dataset_name: str) -> None:
     from bench.edits import parse_edits
-    from bench.inputs import open_dataset, view_request
+    from bench.inputs import view_request
     from bench.metrics import evaluate
     from bench.records import Request
+    from datasets.catalogue import open_dataset
     from datasets.png import write_png
     from datasets.render_views import cameras_of, views_of
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench.jobs.truth import Truth
 from bench.monitor import Progress, Stop
 from bench.records import Job, Record
 from bench.store import Store
@@ -47,4 +48,10 @@ class Context:
         return records
 
     def path_of(self, record: Record) -> Path:
+        """The folder of a finished job."""
         return self.store.jobs / record.job.id
+
+    def truth(self, scene: str) -> Truth:
+        """What the views job of a scene or composition stored."""
+        record = next(record for record in self.all_needed("views") if record.job.shows == scene)
+        return Truth(self.path_of(record))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 
-from bench.inputs import open_dataset, view_request
+from bench.inputs import view_request
 from bench.jobs.context import Context
 from bench.records import DvrResult
 from bench.timing import mean_of, reference_seconds, time_frames
+from datasets.catalogue import open_dataset
 from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
 from datasets.render_views import live_renderer
 

@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Mapping
 
 from bench.checkpoints import read_checkpoint
-from bench.inputs import scene_inputs
 from bench.jobs.context import Context
 from bench.jobs.fit import fit_seed
+from bench.jobs.scenes import scene_inputs
 from bench.records import EncodeResult
 from bench.timing import synchronise
 from methods.interface import Budget, Checkpoint, Model
@@ -38,7 +38,7 @@ def run(context: Context) -> EncodeResult:
     if found is None:
         raise RuntimeError("the fit has no checkpoint")
     context.report(stage="loading")
-    scenes = scene_inputs(job)
+    scenes = scene_inputs(context)
     method = context.method()
     assert job.iterations is not None
     model = method.fit(

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from bench.inputs import scene_inputs
 from bench.jobs.context import Context
-from bench.jobs.views import read_cameras
+from bench.jobs.scenes import scene_inputs
 from bench.monitor import FitMonitor
 from bench.records import FitResult, Job, derived_seed
 from bench.timing import mean_of, reference_seconds, synchronise
+from datasets.prerendered import evenly_spaced
 from datasets.views import ViewSet
 from methods.interface import Budget, MethodSpec, Refused, SceneInput
 
@@ -23,7 +21,7 @@ def run(context: Context) -> FitResult:
     """Train a model, or continue from the checkpoint of an earlier attempt."""
     job = context.job
     context.report(stage="loading")
-    scenes = scene_inputs(job)
+    scenes = scene_inputs(context)
     method = context.method()
     refuse_without_volume(context.spec, scenes)
     assert job.iterations is not None
@@ -61,18 +59,9 @@ def run(context: Context) -> FitResult:
 
 
 def _curve_views(context: Context, scene: str) -> ViewSet:
-    """A few of the views that are measured on, evenly spaced, as the views job stored them."""
-    from datasets.png import read_png  # not in processes that measure memory and read no picture
-    from datasets.prerendered import evenly_spaced
-
-    record = next(one for one in context.all_needed("views") if one.job.shows == scene)
-    assert record.views is not None
-    folder, files = context.path_of(record), record.views.truth[context.job.split]
-    cameras = read_cameras(folder)
-    chosen = evenly_spaced(len(files), CURVE_VIEWS)
-    images = np.stack([read_png(folder / "truth" / files[i]) for i in chosen])
-    key = f"{record.views.view_keys[context.job.split]}-curve"
-    return ViewSet(tuple(cameras[i] for i in chosen), images, record.views.background, key)
+    """A few of the views that are measured on, evenly spaced."""
+    truth, split = context.truth(scene), context.job.split
+    return truth.views(split, evenly_spaced(len(truth.cameras(split)), CURVE_VIEWS))
 
 
 def refuse_without_volume(spec: MethodSpec | None, scenes: Sequence[SceneInput]) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 
 from bench.edits import edit_of
 from bench.jobs.context import Context
-from bench.jobs.views import read_cameras
 from bench.monitor import as_numpy
 from bench.records import MeasureResult, ViewResult
 from bench.timing import (
@@ -45,7 +44,8 @@ def run(context: Context) -> MeasureResult:
         raise Refused(f"{job.method} cannot render models of several groups together ({job.group})")
     shown = context.needed("views")
     assert shown.views is not None
-    cameras = read_cameras(context.path_of(shown))
+    truth = context.truth(job.shows)
+    cameras = truth.cameras(job.split)
     edit = edit_of(job.shows, job.edit)
     background = shown.views.background
     method = context.method()
@@ -70,16 +70,11 @@ def run(context: Context) -> MeasureResult:
     context.peak_host_bytes = peak_host_bytes()
 
     context.report(stage="metrics")
-    from bench.inputs import open_dataset, views
     from bench.metrics import evaluate
     from bench.metrics.image import to_8bit
     from datasets.png import write_png
 
-    truth = views(open_dataset(job.dataset), job.shows, job.request, job.split, job.edit)
-    if truth.key != shown.views.view_keys[job.split]:
-        raise RuntimeError(
-            "the ground truth has changed since its views job; delete that job or use a new store"
-        )
+    views = truth.views(job.split)
     out = context.folder / "renders"
     out.mkdir(exist_ok=True)
     rows: list[ViewResult] = []
@@ -92,7 +87,7 @@ def run(context: Context) -> MeasureResult:
             raise FloatingPointError(
                 f"the loaded model renders values that are not finite in view {camera.name}"
             )
-        values, reasons = evaluate(truth.images[index], rgb, alpha, background, metrics)
+        values, reasons = evaluate(views.images[index], rgb, alpha, background, metrics)
         missing.update(reasons)
         file = f"{index:04d}.png"
         write_png(out / file, premultiplied(rgb, alpha, background))
@@ -100,7 +95,7 @@ def run(context: Context) -> MeasureResult:
             ViewResult(
                 view=camera.name or f"{index:04d}",
                 metrics=values,
-                identical=bool(np.array_equal(to_8bit(rgb), to_8bit(truth.composited(index)))),
+                identical=bool(np.array_equal(to_8bit(rgb), to_8bit(views.composited(index)))),
                 truth_file=f"jobs/{shown.job.id}/truth/{shown.views.truth[job.split][index]}",
                 render_file=f"jobs/{job.id}/renders/{file}",
             )

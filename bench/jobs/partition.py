@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
-from bench.inputs import scene_inputs
 from bench.jobs.context import Context
+from bench.jobs.scenes import scene_inputs
 from bench.records import PartitionResult
 from bench.timing import synchronise
 
@@ -13,7 +13,7 @@ from bench.timing import synchronise
 def run(context: Context) -> PartitionResult:
     """Let the method choose groups that hold each scene once."""
     job = context.job
-    scenes = scene_inputs(job)
+    scenes = scene_inputs(context)
     method = context.method()
     context.report(stage="partition")
     start = time.perf_counter()

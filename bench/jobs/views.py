@@ -1,64 +1,54 @@
-"""The views job: ground truth of a scene, rendered or read, for all jobs after it."""
+"""The views job: renders (or reads) the ground truth of a scene and stores it for all jobs after it."""
 
 from __future__ import annotations
 
-import json
 import time
-from pathlib import Path
-from typing import Any
 
-from bench.inputs import camera_from_json, camera_to_json
+from bench.inputs import shown_transfer, views
 from bench.jobs.context import Context
+from bench.jobs.truth import write_truth
 from bench.records import ViewsResult
-from bench.store import write_text
+from datasets.catalogue import open_dataset
+from datasets.cloud import cloud_source
 from datasets.errors import DataError
-from datasets.views import Split
+from datasets.png import write_png
+from datasets.views import Split, ViewSet
 
 
 def run(context: Context) -> ViewsResult:
-    """Render (or find in the cache) the views, and keep those that are measured on as PNG files."""
-    from bench.inputs import cost_of_views, open_dataset, shown_transfer, views
-    from datasets.png import write_png
+    """Store the views of a scene, of compositions and edited scenes only those that are measured on.
 
+    Raises:
+        DataError: the dataset cannot be used, or the split is empty.
+    """
     job = context.job
     dataset = open_dataset(job.dataset)
-    measured: Split = job.split
-    keys: dict[str, str] = {}
-    cost: dict[str, dict[str, Any]] = {}
+    splits: tuple[Split, ...] = ("train", "val") if job.split == "val" else ("trainval", "test")
+    basic = not (job.composition or job.edit)
     start = time.perf_counter()
-    # Nobody trains on a composition or an edited scene.
-    only = job.composition or job.edit
-    wanted: tuple[Split, ...] = (measured,) if only else ("trainval", measured)
-    for split in wanted:
+    sets: dict[Split, ViewSet] = {}
+    for split in splits if basic else (job.split,):
         context.report(stage=f"views: {split}")
-        found = views(dataset, job.shows, job.request, split, job.edit)
-        keys[split] = found.key
-        if (spent := cost_of_views(dataset, job.shows, job.request, split, job.edit)) is not None:
-            cost[split] = spent
+        sets[split] = views(dataset, job.shows, job.request, split, job.edit)
     seconds = time.perf_counter() - start
-    if len(found) == 0:
+    measured = sets[job.split]
+    if len(measured) == 0:
         raise DataError(
-            f"{job.dataset_name}/{job.shows}", f"no views in split {measured!r}", "Use another split"
+            f"{job.dataset_name}/{job.shows}", f"no views in split {job.split!r}", "Use another split"
         )
+    context.report(stage="storing")
+    scene = dataset.scene(job.shows) if basic else None
+    write_truth(context.folder, sets, scene, None if scene is None else cloud_source(dataset, scene))
     folder = context.folder / "truth"
     folder.mkdir(exist_ok=True)
-    names = []
-    for index, image in enumerate(found.images):
-        names.append(f"{index:04d}.png")
-        write_png(folder / names[-1], image)
-    cameras = [camera_to_json(camera) for camera in found.cameras]
-    write_text(context.folder / "cameras.json", json.dumps(cameras))
-    background = tuple(float(c) for c in found.background)
+    names = [f"{index:04d}.png" for index in range(len(measured))]
+    for name, image in zip(names, measured.images, strict=True):
+        write_png(folder / name, image)
     return ViewsResult(
-        view_keys=keys,
-        background=background,  # type: ignore[arg-type]
-        truth={measured: names},
+        view_keys={split: one.key for split, one in sets.items()},
+        background=measured.background,
+        truth={job.split: names},
         render_seconds=seconds,
-        cost=cost,
+        cost={split: dict(one.cost) for split, one in sets.items() if one.cost is not None},
         transfer=shown_transfer(dataset, job.shows, job.edit),
     )
-
-
-def read_cameras(folder: Path) -> list[Any]:
-    """Cameras that a views job stored."""
-    return [camera_from_json(c) for c in json.loads((folder / "cameras.json").read_text(encoding="utf-8"))]

@@ -21,7 +21,7 @@ from typing import Any
 import torch
 
 import methods.econgs.training as training
-from bench.inputs import camera_extent
+from bench.jobs.scenes import camera_extent
 from datasets.catalogue import open_dataset
 from datasets.cloud import initial_cloud
 from datasets.render_views import views_of

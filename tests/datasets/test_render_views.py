@@ -15,7 +15,7 @@ from datasets import render_views
 from datasets.edits import Edit
 from datasets.errors import DataError
 from datasets.ground_truth import probe
-from datasets.render_views import render_cost, views_of
+from datasets.render_views import views_of
 from datasets.scene import BasicScene, Dataset, Isosurface, Light
 from datasets.transfer import Bump, TransferFunction
 from datasets.view_cache import ViewCache
@@ -56,7 +56,6 @@ def no_backend(monkeypatch):
 
 def test_splits_share_one_rendering(cache, monkeypatch):
     data = dataset()
-    assert render_cost(data, "s", TRAIN, cache=cache) is None
     train = views_of(data, "s", TRAIN, cache=cache)
     monkeypatch.setattr(render_views._Work, "render", None)  # all else comes from the cache
     val = views_of(data, "s", replace(TRAIN, split="val"), cache=cache)
@@ -76,9 +75,10 @@ def test_a_hit_equals_the_rendering_and_a_damaged_entry_is_made_again(cache):
     second = views_of(dataset(), "s", TRAIN, cache=cache)
     np.testing.assert_array_equal(first.images, second.images)
     (entry,) = cache.folder.iterdir()
+    size = (entry / "images.zst").stat().st_size
     (entry / "images.zst").write_bytes(b"rubbish")
-    assert render_cost(dataset(), "s", TRAIN, cache=cache) is None
     np.testing.assert_array_equal(views_of(dataset(), "s", TRAIN, cache=cache).images, first.images)
+    assert (entry / "images.zst").stat().st_size == size
 
 
 def key_of(data, request=TRAIN, renderer="auto"):
@@ -154,7 +154,7 @@ def test_a_composition_has_views_cost_and_a_key_of_its_own(cache):
     np.testing.assert_allclose(
         both.images[..., 3], 1.0 - (1.0 - alphas[0]) * (1.0 - alphas[1]), atol=1e-4
     )  # Extinctions add.
-    assert render_cost(data, "both", TRAIN, cache=cache)["views"] == 12
+    assert both.cost["views"] == 12
     reference = views_of(data, "both", TRAIN, renderer="reference", cache=cache)
     np.testing.assert_allclose(both.images, reference.images, atol=1e-3)
 
@@ -180,7 +180,7 @@ def test_edits_have_views_of_their_own_and_any_background(cache):
     np.testing.assert_allclose(gone.images, views_of(data, "s", TRAIN, cache=cache).images, atol=2e-5)
     with pytest.raises(DataError, match="edited scene 'x'"):
         views_of(data, "both", TRAIN, edit={"x": Edit(opacity=0.5)}, cache=cache)
-    assert render_cost(data, "both", TRAIN, edit={"t": Edit(opacity=0.0)}, cache=cache)["views"] == 12
+    assert gone.cost["views"] == 12
 
 
 def test_renderers_agree(cache):
@@ -194,13 +194,15 @@ def test_renderers_agree(cache):
 
 def test_progress_and_cost(cache):
     seen = []
-    views_of(dataset(), "s", TRAIN, renderer="reference", cache=cache, progress=lambda *a: seen.append(a))
+    views = views_of(
+        dataset(), "s", TRAIN, renderer="reference", cache=cache, progress=lambda *a: seen.append(a)
+    )
     assert seen == [(i, 12) for i in range(1, 13)]
-    cost = render_cost(dataset(), "s", TRAIN, renderer="reference", cache=cache)
+    cost = views.cost
     assert cost["renderer"] == "reference"
     assert cost["views"] == 12
     assert 0.0 < cost["ms_per_view"] < 1e5
-    assert render_cost(dataset(), "s", TRAIN, renderer="mitsuba", cache=cache) is None
+    assert key_of(dataset(), renderer="mitsuba") != views.key.removesuffix("-train")
 
 
 def test_requests_that_cannot_be_met_are_refused(cache):
@@ -222,7 +224,7 @@ def test_without_libllvm_the_reference_renders_with_a_notice(no_backend, cache, 
         views = views_of(dataset(), "s", TRAIN, cache=cache)
         views_of(dataset(), "s", replace(TRAIN, split="test"), cache=cache)
     assert views.images[..., 3].max() > 0.3
-    assert render_cost(dataset(), "s", TRAIN, cache=cache)["renderer"] == "reference"
+    assert views.cost["renderer"] == "reference"
     (notice,) = [r.getMessage() for r in caplog.records]
     for word in ("/nonsense/libLLVM.so does not exist", "libllvm19", "DRJIT_LIBLLVM_PATH", "reference"):
         assert word in notice

@@ -414,7 +414,7 @@ def test_folded_embeddings_make_the_same_pictures_in_fewer_bytes(tiny, scene, tm
 def test_an_edited_palette_looks_like_the_edited_scene():
     """Against the renderer: the picture that was never trained is nearly as good as those that were."""
     from bench.edits import edit_of
-    from bench.inputs import camera_extent
+    from bench.jobs.scenes import camera_extent
     from datasets.catalogue import open_dataset
     from datasets.cloud import initial_cloud
     from datasets.render_views import views_of

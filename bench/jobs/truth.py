@@ -1,0 +1,130 @@
+"""Ground truth as a views job stores it and all later jobs read it.
+
+views.json     the scene; of each split its cameras and the index of its pictures
+SPLIT.zst      pictures, bit for bit as they were rendered or read
+cloud.npz      what initial clouds are drawn from (scenes that methods train on)
+truth/*.png    the views that are measured on, in 8 bits: for pages and people
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bench.store import write_text
+from datasets.camera import Camera
+from datasets.errors import DataError
+from datasets.view_files import read_views, write_views
+from datasets.views import Split, ViewSet
+
+if TYPE_CHECKING:
+    from datasets.cloud import CloudSource, PointCloud
+    from datasets.scene import BasicScene
+
+INDEX = "views.json"
+_CLOUD = "cloud.npz"
+
+
+def write_truth(
+    folder: Path, sets: dict[Split, ViewSet], scene: BasicScene | None, cloud: CloudSource | None
+) -> None:
+    """Store views by split, and the definition and cloud source of a scene that methods train on."""
+    index: dict[str, Any] = {
+        "scene": None if scene is None else _definitions().dump_python(scene, mode="json")
+    }
+    index["splits"] = {
+        split: {
+            "key": views.key,
+            "background": views.background,
+            "cameras": [_camera_to_json(camera) for camera in views.cameras],
+            "pictures": write_views(folder / f"{split}.zst", views.images),
+        }
+        for split, views in sets.items()
+    }
+    if cloud is not None:
+        cloud.save(folder / _CLOUD)
+    write_text(folder / INDEX, json.dumps(index))
+
+
+class Truth:
+    """Reads the folder of a views job.
+
+    Raises:
+        DataError: a file is missing or damaged; so do all methods.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._index: dict[str, Any] = self._read(
+            INDEX, lambda file: json.loads(file.read_text(encoding="utf-8"))
+        )
+
+    def cameras(self, split: Split) -> tuple[Camera, ...]:
+        """Cameras of a split, without its pictures."""
+        return tuple(_camera_from_json(camera) for camera in self._index["splits"][split]["cameras"])
+
+    def views(self, split: Split, which: Sequence[int] | None = None) -> ViewSet:
+        """Views of a split, all or those at some positions."""
+        stored = self._index["splits"][split]
+        cameras = self.cameras(split)
+        images = self._read(f"{split}.zst", lambda file: read_views(file, stored["pictures"], which))
+        if which is not None:
+            cameras = tuple(cameras[place] for place in which)
+        return ViewSet(cameras, images, tuple(stored["background"]), stored["key"])
+
+    def scene(self) -> BasicScene:
+        """Definition of the basic scene."""
+        scene: BasicScene = _definitions().validate_python(self._index["scene"])
+        return scene
+
+    def cloud(self, points: int, seed: int) -> PointCloud:
+        """An initial cloud of the basic scene (:meth:`datasets.cloud.CloudSource.draw`)."""
+        from datasets.cloud import CloudSource
+
+        source: CloudSource = self._read(_CLOUD, CloudSource.load)
+        return source.draw(self.scene(), points, seed)
+
+    def _read(self, name: str, reader: Callable[[Path], Any]) -> Any:
+        from zipfile import BadZipFile
+
+        try:
+            return reader(self._folder / name)
+        except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
+            raise DataError(
+                self._folder / name,
+                f"the stored ground truth cannot be read ({error})",
+                "Delete its folder, and bench run makes it again",
+            ) from error
+
+
+def _camera_to_json(camera: Camera) -> dict[str, Any]:
+    """A camera as JSON values; floats survive exactly."""
+    return {
+        "name": camera.name,
+        "width": camera.width,
+        "height": camera.height,
+        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "camera_to_world": camera.camera_to_world.tolist(),
+    }
+
+
+def _camera_from_json(data: dict[str, Any]) -> Camera:
+    """Inverse of :func:`_camera_to_json`."""
+    fx, fy, cx, cy = data["intrinsics"]
+    matrix = np.asarray(data["camera_to_world"], dtype=np.float64)
+    return Camera(matrix, fx, fy, cx, cy, data["width"], data["height"], data["name"])
+
+
+@cache
+def _definitions() -> Any:
+    """Converts scenes to JSON values and back."""
+    from pydantic import TypeAdapter
+
+    from datasets.scene import BasicScene
+
+    return TypeAdapter(BasicScene)

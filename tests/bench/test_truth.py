@@ -1,0 +1,139 @@
+"""The views job owns the truth: what it stored is what every later job reads, whatever is installed then."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench.jobs import scenes
+from bench.jobs.context import Context
+from bench.jobs.truth import Truth, write_truth
+from bench.monitor import Stop
+from bench.records import Record, derived_seed
+from bench.store import Store
+from datasets.camera import Camera
+from datasets.catalogue import open_dataset
+from datasets.cloud import cloud_source, initial_cloud
+from datasets.errors import DataError
+from datasets.render_views import views_of
+from datasets.views import ViewRequest, ViewSet
+
+from .test_compositions import plan, suite  # noqa: F401
+
+REQUEST = {"train_views": 12, "test_views": 4, "width": 16, "height": 16}
+
+
+@pytest.fixture
+def no_dataset(monkeypatch):
+    """From here on no dataset can be opened by a job."""
+
+    def absent(name: str):
+        raise FileNotFoundError(f"{name} is gone")
+
+    return lambda: monkeypatch.setattr(scenes, "open_dataset", absent)
+
+
+@pytest.mark.parametrize("split", ["test", "val"])
+def test_a_fit_reads_what_was_rendered_bit_for_bit_and_opens_no_dataset(
+    suite,  # noqa: F811
+    tmp_path,
+    monkeypatch,
+    no_dataset,
+    split,
+) -> None:
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
+    jobs = plan(suite(), scenes=("shock",), split=split)
+    views, fit = jobs[0], jobs[1]
+    dataset = open_dataset(views.dataset)
+    splits = ("train", "val") if split == "val" else ("trainval", "test")
+    sets = {name: views_of(dataset, "shock", ViewRequest(name, **REQUEST)) for name in splits}
+    store = Store(tmp_path / "runs", create=True)
+    folder = store.partial / views.id
+    folder.mkdir()
+    write_truth(folder, sets, dataset.scene("shock"), cloud_source(dataset, dataset.scene("shock")))
+    store.finish(Record(job=views, status="ok", started="2026", finished="2026", wall_seconds=0.0), folder)
+
+    no_dataset()
+    context = Context(fit, tmp_path, store, None, lambda: None, Stop(), lambda **state: None)
+    (scene,) = scenes.scene_inputs(context)
+    assert scene.scene == dataset.scene("shock")
+    train, other = (sets[name] for name in splits)
+    np.testing.assert_array_equal(scene.train.images, train.images)
+    assert len(scene.validation) == (1 if split == "val" else 0)
+    cloud = initial_cloud(dataset, "shock", 10_000, derived_seed("cloud", fit.dataset_name, "shock", 0))
+    np.testing.assert_array_equal(scene.cloud.points, cloud.points)
+    np.testing.assert_array_equal(scene.cloud.colors, cloud.colors)
+    measured = context.truth("shock").views(split)
+    np.testing.assert_array_equal(measured.images, other.images)
+    for camera, rendered in zip(measured.cameras, other.cameras, strict=True):
+        np.testing.assert_array_equal(camera.camera_to_world, rendered.camera_to_world)
+        assert (camera.fx, camera.cy, camera.name) == (rendered.fx, rendered.cy, rendered.name)
+    assert measured.background == other.background
+    with pytest.raises(FileNotFoundError, match="is gone"):
+        scene.volume()  # what a method asks for that reads the volume itself
+
+
+def test_pictures_that_16_bits_do_not_hold_survive_and_some_can_be_read_alone(tmp_path) -> None:
+    camera = Camera.with_fov(np.eye(4), 0.6, 5, 3)
+    images = np.random.default_rng(0).random((4, 3, 5, 4), dtype=np.float32)
+    views = ViewSet((camera,) * 4, images, (0.1, 0.2, 1 / 3), "key")
+    write_truth(tmp_path, {"test": views}, None, None)
+    back = Truth(tmp_path).views("test")
+    np.testing.assert_array_equal(back.images, images)
+    assert back.background == views.background
+    np.testing.assert_array_equal(Truth(tmp_path).views("test", [1, 3]).images, images[[1, 3]])
+
+
+@pytest.mark.parametrize("name", ["views.json", "test.zst"])
+@pytest.mark.parametrize("damage", [lambda data: data[:-9], lambda data: b"", None])
+def test_damaged_truth_is_an_error_that_names_the_file(tmp_path, name, damage) -> None:
+    views = ViewSet(
+        (Camera.with_fov(np.eye(4), 0.6, 4, 4),), np.zeros((1, 4, 4, 4), np.float32), (1, 1, 1), "k"
+    )
+    write_truth(tmp_path, {"test": views}, None, None)
+    file = tmp_path / name
+    if damage is None:
+        file.unlink()
+    else:
+        file.write_bytes(damage(file.read_bytes()))
+    with pytest.raises(DataError, match=f"{name}.*bench run makes it again"):
+        Truth(tmp_path).views("test")
+
+
+def test_a_renderer_that_comes_or_goes_between_two_jobs_changes_nothing(bench, suite) -> None:  # noqa: F811
+    """Fits that failed, another method and another rate go on with the views that are there."""
+    common = (
+        "run",
+        suite(),
+        "--plugins",
+        bench.plugins,
+        "--out",
+        bench.store,
+        "--no-report",
+        "--scene",
+        "shock",
+    )
+    cure = bench.store.parent / "cure"
+    wrong = ("--method", "fake", "--set", "fake.behaviour=raise", "--set", f"fake.file={cure}")
+    assert bench(*common, *wrong).returncode == 1
+    (before,) = bench.of_kind("views")
+
+    bench.environment |= {
+        "DRJIT_LIBLLVM_PATH": str(bench.store.parent / "none" / "libLLVM.so"),
+        "CUDA_VISIBLE_DEVICES": "-1",
+        "BENCH_CACHE": str(bench.store.parent / "another cache"),
+    }
+    cure.touch()
+    done = bench(*common, *wrong, "--retry")
+    assert done.returncode == 0, done.stderr
+    done = bench(*common, "--method", "fake-joint")
+    assert done.returncode == 0, done.stderr
+    assert bench.of_kind("views") == [before]
+    assert not (bench.store.parent / "another cache" / "views").exists()  # nothing was rendered
+    assert all(record.ok for record in bench.records().values())
+    measures = bench.of_kind("measure")
+    assert {record.job.method for record in measures} == {"fake", "fake-joint"}
+    for record in measures:
+        (fit,) = [fit for fit in bench.of_kind("fit") if fit.job.method == record.job.method]
+        # The four views of the curve are those that are measured on: from one truth, so the same number.
+        assert fit.fit.curve[-1].psnr["shock"] == pytest.approx(record.measure.metrics["psnr"], abs=1e-9)
