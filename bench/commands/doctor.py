@@ -80,9 +80,13 @@ def _native() -> Finding:
 
 
 def _ground_truth() -> Finding:
+    from datasets.errors import DataError
     from datasets.ground_truth.probe import REMEDY, find_backend
 
-    backend = find_backend()
+    try:
+        backend = find_backend()
+    except DataError as error:
+        return Finding("Mitsuba", "lacks", f"{error.what}: {error.reason}", error.remedy)
     if backend.name == "none":
         return Finding(
             "Mitsuba", "lacks", f"no working backend: {backend.reason}; slow reference marcher", REMEDY

@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
+from datasets.errors import DataError
 from datasets.view_cache import cache_root
 
 REMEDY = (
@@ -37,6 +39,7 @@ _PATTERNS = (
     "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
     "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
 )
+_PATIENCE = 120.0  # seconds; a trial takes one on a machine that is not busy
 # The literal in the kernel differs each time, so that no kernel cached on disk hides a compiler that fails.
 _TRIAL = """
 import sys
@@ -65,7 +68,11 @@ class Backend:
 
 @cache
 def find_backend() -> Backend:
-    """The backend to use, CUDA first; the first call on a machine takes about a second, later ones none."""
+    """The backend to use, CUDA first; the first call on a machine takes about a second, later ones none.
+
+    Raises:
+        DataError: a candidate could not be tried, so that nothing is decided.
+    """
     if _has_cuda_driver() and not _trial_failure("cuda", ""):
         return Backend("cuda")
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH", "")
@@ -118,14 +125,17 @@ def _trial_failure(backend: str, library: str) -> str:
         return str(json.loads(record.read_text())["failure"])
     except (OSError, ValueError, KeyError, TypeError):
         pass
-    failure, lasting = _try(backend, library)
-    if lasting:
-        _remember(record, key, failure)
+    failure = _try(backend, library)
+    _remember(record, key, failure)
     return failure
 
 
-def _try(backend: str, library: str) -> tuple[str, bool]:
-    """Run a kernel in a subprocess: what went wrong, and whether it would again."""
+def _try(backend: str, library: str) -> str:
+    """Run a kernel in a subprocess: empty if it worked, else what went wrong and would again.
+
+    Raises:
+        DataError: the machine ended the trial, so that it decides nothing.
+    """
     environment = dict(os.environ)
     if library:
         environment["DRJIT_LIBLLVM_PATH"] = library
@@ -137,17 +147,33 @@ def _try(backend: str, library: str) -> tuple[str, bool]:
             env=environment,
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=_PATIENCE,
             check=False,
         )
-    except (subprocess.TimeoutExpired, OSError) as error:
-        return f"could not be tried ({type(error).__name__})", False
+    except subprocess.TimeoutExpired as error:
+        raise _undecided(backend, library, f"did not end within {_PATIENCE:g} s") from error
+    except OSError as error:
+        raise _undecided(backend, library, f"cannot start ({error})") from error
+    if done.returncode in (-signal.SIGKILL, -signal.SIGTERM):
+        raise _undecided(backend, library, f"was killed (signal {-done.returncode})")
     if done.returncode == 0 and done.stdout.endswith("works"):
-        return "", True
+        return ""
     if done.returncode < 0:
-        return f"aborts the process when Dr.Jit compiles with it (signal {-done.returncode})", True
+        return f"aborts the process when Dr.Jit compiles with it (signal {-done.returncode})"
     lines = done.stderr.strip().splitlines()
-    return f"cannot be used by Dr.Jit ({lines[-1] if lines else f'exit status {done.returncode}'})", True
+    return f"cannot be used by Dr.Jit ({lines[-1] if lines else f'exit status {done.returncode}'})"
+
+
+def _undecided(backend: str, library: str, reason: str) -> DataError:
+    """No other renderer takes over: pictures of one run would come from two."""
+    choice = 'CUDA_VISIBLE_DEVICES="" hides the GPU from it'
+    if library:
+        choice = 'DRJIT_LIBLLVM_PATH names another libLLVM, or with "none" the slow reference marcher'
+    return DataError(
+        f"Mitsuba with {library or backend}",
+        f"its trial {reason}",
+        f"Run again when the machine is less busy; {choice}",
+    )
 
 
 def _remember(record: Path, key: str, failure: str) -> None:

@@ -260,6 +260,37 @@ def test_a_library_that_is_none_is_found_out_once(tmp_path):
     assert trial(library, tmp_path / "cache").startswith("none 1 ")
 
 
+def _times_out(*arguments, **options):
+    raise subprocess.TimeoutExpired("python", 120.0)
+
+
+def _is_killed(*arguments, **options):
+    return subprocess.CompletedProcess("python", -9, "", "")
+
+
+def _cannot_start(*arguments, **options):
+    raise OSError("no memory")
+
+
+@pytest.mark.parametrize("outcome", [_times_out, _is_killed, _cannot_start])
+def test_a_trial_that_decides_nothing_is_an_error_and_no_other_renderer(
+    monkeypatch, tmp_path, cache, outcome
+):
+    library = tmp_path / "libLLVM.so"
+    library.touch()
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(probe, "_has_cuda_driver", lambda: False)
+    monkeypatch.setattr(probe.subprocess, "run", outcome)
+    probe.find_backend.cache_clear()
+    for _ in range(2):
+        with pytest.raises(DataError, match=r"libLLVM.so.*less busy.*DRJIT_LIBLLVM_PATH"):
+            views_of(dataset(), "s", TRAIN, cache=cache)
+    assert not (tmp_path / "cache" / "probe").exists()
+    assert views_of(dataset(), "s", TRAIN, cache=cache, renderer="reference").cost["renderer"] == "reference"
+    probe.find_backend.cache_clear()
+
+
 def test_a_libllvm_that_aborts_is_survived(tmp_path):
     found = [p for p in probe.libllvm_candidates() if "libLLVM-15" in p or "libLLVM-16" in p]
     if not found:
