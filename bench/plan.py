@@ -225,7 +225,7 @@ class Planner:
             "variant": settings.variant,
             "preset": self._preset_name,
             "seed": seed,
-            "options": settings.options,
+            "options": settings.values,
             "iterations": settings.iterations,
             "device": self._selection.device,
             "cloud_points": self._preset.cloud_points,

@@ -13,7 +13,6 @@ from datasets.errors import DataError
 from datasets.names import unknown
 
 FOLDER = Path(__file__).parent / "suites"
-PRESETS = ("quick", "standard", "paper")
 SAMPLED = 100
 """Primitives of each scene whose attributes are recorded, unless a suite wants more."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, cast, runtime_checkable
 
 from datasets.edits import Edit as Edit
 
@@ -24,17 +24,23 @@ if TYPE_CHECKING:
     from datasets.volume import Volume
 
 OptionValue = bool | int | float | str
+OPTION = "option"  # where the metadata of a dataclass field hold its Option
+V = TypeVar("V", bound=OptionValue)
 
 
 # --------------------------------------------------------------------------- declaration
 
 
+PRESETS = ("quick", "standard", "paper")
+"""How long a method trains: every method declares its iterations for these, at least."""
+
+
 @dataclass(frozen=True)
 class Option:
-    """One setting of a method.
+    """One setting of a method, as its dataclass of options declares it.
 
     Attributes:
-        default: its value when nothing is said; its type is the option's type.
+        default: value of the spec; its type is the option's type.
         doc: one line for people, with the unit.
         minimum, maximum: inclusive range of numbers.
         choices: the only values allowed, if not empty.
@@ -45,6 +51,21 @@ class Option:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[OptionValue, ...] = ()
+
+
+def option(default: V, doc: str, *, minimum: float | None = None, maximum: float | None = None) -> V:
+    """A field of a dataclass of options; the arguments are attributes of :class:`Option`.
+
+    The field's annotation is the option's type: ``bool``, ``int``, ``float``, ``str``, or ``Literal[...]`` of
+    the choices. Example: ``voxel: float = option(0.001, "lattice, scene units", minimum=1e-5)``
+    """
+    declared: Any = field(default=default, metadata={OPTION: Option(default, doc, minimum, maximum)})
+    return cast("V", declared)
+
+
+@dataclass(frozen=True)
+class NoOptions:
+    """Options of a method that has none."""
 
 
 @dataclass(frozen=True)
@@ -100,10 +121,9 @@ class MethodSpec:
         needs_volume: reads the volume itself, not only views and cloud.
         uses_alpha: how it uses the alpha of training views, for people.
         devices: "cpu", "cuda".
-        options: name -> option.
-        presets: preset name -> option values that differ from the defaults; at least "quick",
-            "standard", "paper".
-        iterations: preset name -> training iterations per group.
+        iterations: preset name -> training iterations per group; every one of :data:`PRESETS`, at least.
+        options: frozen dataclass whose fields are declared by :func:`option`.
+        presets: preset name -> option values that differ from the defaults.
         rate_knobs: empty if the method has one size only.
         configurations: name -> settings, chosen like an option (``--set name.configuration=paper``).
     """
@@ -120,9 +140,9 @@ class MethodSpec:
     needs_volume: bool
     uses_alpha: str
     devices: tuple[str, ...]
-    options: Mapping[str, Option]
-    presets: Mapping[str, Mapping[str, OptionValue]]
     iterations: Mapping[str, int]
+    options: type[Any] = NoOptions
+    presets: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
     rate_knobs: tuple[RateKnob, ...] = ()
     configurations: Mapping[str, Configuration] = field(default_factory=dict)
     same_results: tuple[str, ...] = ()
@@ -279,15 +299,13 @@ class HasAttributes(Protocol):
 class Method(Protocol):
     """The implementation behind a spec."""
 
-    def partition(
-        self, scenes: Sequence[SceneInput], options: Mapping[str, OptionValue]
-    ) -> list[list[SceneInput]]:
+    def partition(self, scenes: Sequence[SceneInput], options: Any) -> list[list[SceneInput]]:
         """Split the scenes of a dataset into groups that are fitted together."""
 
     def fit(
         self,
         group: Sequence[SceneInput],
-        options: Mapping[str, OptionValue],
+        options: Any,
         budget: Budget,
         seed: int,
         device: str,
@@ -298,7 +316,7 @@ class Method(Protocol):
 
         Args:
             group: the scenes to train together.
-            options: every option of the spec, resolved and validated.
+            options: an instance of the spec's dataclass of options, resolved and validated.
             budget: how long.
             seed: the only source of randomness.
             device: "cpu" or "cuda".

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from datasets.errors import DataError
 from datasets.names import unknown
-from methods.interface import MethodSpec, Option, OptionValue
+from methods.interface import OPTION, MethodSpec, Option, OptionValue
 
 ITERATIONS = "iterations"
 """Settable for every method like an option: the budget, which a preset otherwise gives."""
@@ -25,15 +26,42 @@ class Settings:
     """Everything that decides how a method is fitted, apart from scene and seed.
 
     Attributes:
-        options: every option of the spec.
+        options: an instance of the spec's dataclass of options.
         iterations: training iterations per group.
         variant: what was set beyond the preset, as "option=value" sorted and joined by commas;
             "" for the preset's own.
     """
 
-    options: dict[str, OptionValue]
+    options: Any
     iterations: int
     variant: str
+
+    @property
+    def values(self) -> dict[str, OptionValue]:
+        """Name -> value of every option, as records hold them."""
+        return asdict(self.options)
+
+
+def declared(options: type[Any]) -> dict[str, Option]:
+    """Name -> option of a dataclass of options, in the order of its fields.
+
+    Raises:
+        TypeError: it is no frozen dataclass, or a field is not declared by ``option`` or has a default of
+            another type than its annotation.
+    """
+    parameters = getattr(options, "__dataclass_params__", None)
+    if parameters is None or not parameters.frozen:
+        raise TypeError(f"{options!r} is no frozen dataclass")
+    types, found = get_type_hints(options), {}
+    for one in fields(options):
+        if OPTION not in one.metadata:
+            raise TypeError(f"the field {one.name!r} is not declared by methods.interface.option")
+        choices = get_args(types[one.name]) if get_origin(types[one.name]) is Literal else ()
+        kind = type(choices[0]) if choices else types[one.name]
+        if type(one.default) is not kind or kind not in _KINDS:
+            raise TypeError(f"the default of {one.name!r}, {one.default!r}, is not of its type {kind!r}")
+        found[one.name] = replace(one.metadata[OPTION], choices=choices)
+    return found
 
 
 def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] | None = None) -> Settings:
@@ -49,10 +77,11 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
         UnknownName: no such preset, configuration or option; near matches are listed.
         DataError: a value of the wrong type, out of range or not among the choices.
     """
-    if preset not in spec.presets:
-        raise unknown("preset", preset, spec.presets, of=f"method {spec.name}")
-    options = {name: option.default for name, option in spec.options.items()}
-    options.update(spec.presets[preset])
+    if preset not in spec.iterations:
+        raise unknown("preset", preset, spec.iterations, of=f"method {spec.name}")
+    declarations = declared(spec.options)
+    options = {name: option.default for name, option in declarations.items()}
+    options.update(spec.presets.get(preset, {}))
     iterations = spec.iterations[preset]
     changed: dict[str, OptionValue] = {}
     wanted = dict(overrides or {})
@@ -71,16 +100,16 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
             if value != iterations:
                 changed[name] = value
                 iterations = int(value)
-        elif name in spec.options:
-            value = check(spec.name, name, spec.options[name], given)
+        elif name in declarations:
+            value = check(spec.name, name, declarations[name], given)
             if value != options[name]:
                 changed[name] = value
                 options[name] = value
         else:
-            known = [*spec.options, ITERATIONS, *([CONFIGURATION] if spec.configurations else [])]
+            known = [*declarations, ITERATIONS, *([CONFIGURATION] if spec.configurations else [])]
             raise unknown("option", name, known, of=f"method {spec.name}")
     variant = ",".join(f"{name}={_text(changed[name])}" for name in sorted(changed))
-    return Settings(options, iterations, variant)
+    return Settings(spec.options(**options), iterations, variant)
 
 
 def parse_assignments(texts: Iterable[str]) -> dict[str, dict[str, OptionValue]]:

@@ -19,14 +19,13 @@ from typing import TYPE_CHECKING, Any, cast
 import methods
 from datasets.errors import DataError
 from datasets.names import unknown
-from methods.interface import MethodSpec
-from methods.options import CONFIGURATION, ITERATIONS, check
+from methods.interface import PRESETS, MethodSpec
+from methods.options import CONFIGURATION, ITERATIONS, check, declared
 
 if TYPE_CHECKING:
     from methods.interface import Method
 
 GROUP = "econgs_bench.methods"
-PRESETS = ("quick", "standard", "paper")
 
 
 @dataclass(frozen=True)
@@ -152,33 +151,37 @@ def check_spec(spec: Any, origin: str) -> None:
         raise wrong(f"method name {spec.name!r}", "Use lower-case letters, digits, - and _")
     if not re.fullmatch(r"[\w.]+:\w+", spec.implementation):
         raise wrong(f"implementation {spec.implementation!r}", "Write it as module:attribute")
-    missing = [p for p in PRESETS if p not in spec.presets]
+    missing = [preset for preset in (*PRESETS, *spec.presets) if preset not in spec.iterations]
     if missing:
-        raise wrong(f"no preset {', '.join(missing)}", f"Declare {', '.join(PRESETS)}")
-    if set(spec.iterations) != set(spec.presets) or min(spec.iterations.values()) < 1:
-        raise wrong("iterations do not cover the presets", "Give each preset a number of iterations >= 1")
-    if ITERATIONS in spec.options:
+        raise wrong(f"no iterations of preset {', '.join(missing)}", f"Declare {', '.join(PRESETS)}")
+    if min(spec.iterations.values()) < 1:
+        raise wrong("a preset without iterations", "Give each preset a number of iterations >= 1")
+    try:
+        options = declared(spec.options)
+    except TypeError as error:
+        raise wrong(f"options: {error}", "Declare each field with methods.interface.option") from error
+    if ITERATIONS in options:
         raise wrong(f"an option called {ITERATIONS!r}", "Leave it out: the budget is settable as it is")
-    if CONFIGURATION in spec.options:
+    if CONFIGURATION in options:
         raise wrong(f"an option called {CONFIGURATION!r}", "Declare MethodSpec.configurations")
-    for name, option in spec.options.items():
+    for name, option in options.items():
         check(spec.name, name, option, option.default)
     overlays = {f"preset {name}": values for name, values in spec.presets.items()}
     overlays |= {f"configuration {name}": one.options for name, one in spec.configurations.items()}
     for overlay, values in overlays.items():
         for name, value in values.items():
-            if name not in spec.options:
-                raise unknown("option", name, spec.options, of=f"{overlay} of {spec.name}")
-            check(spec.name, name, spec.options[name], value)
+            if name not in options:
+                raise unknown("option", name, options, of=f"{overlay} of {spec.name}")
+            check(spec.name, name, options[name], value)
     for name, one in spec.configurations.items():
         for preset, iterations in one.iterations.items():
-            if preset not in spec.presets:
-                raise unknown("preset", preset, spec.presets, of=f"configuration {name} of {spec.name}")
+            if preset not in spec.iterations:
+                raise unknown("preset", preset, spec.iterations, of=f"configuration {name} of {spec.name}")
             if iterations < 1:
                 raise wrong(f"{iterations} iterations in configuration {name}", "Give it at least 1")
     for knob in spec.rate_knobs:
-        if knob.refit and knob.name not in spec.options:
-            raise unknown("rate knob", knob.name, spec.options, of=f"method {spec.name}")
+        if knob.refit and knob.name not in options:
+            raise unknown("rate knob", knob.name, options, of=f"method {spec.name}")
 
 
 def _built_in() -> Iterator[_Found]:

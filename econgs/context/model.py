@@ -9,9 +9,8 @@ it is trained, attributes carry uniform noise of one step; afterwards they are r
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -48,6 +47,21 @@ class Attributes(NamedTuple):
         return Attributes(features, scalings, offsets)
 
 
+class CodingOptions(Protocol):
+    """Options of a method that codes its anchors."""
+
+    @property
+    def feature_step(self) -> float: ...
+    @property
+    def scaling_step(self) -> float: ...
+    @property
+    def offset_step(self) -> float: ...
+    @property
+    def offsets(self) -> int: ...
+    @property
+    def grid(self) -> str: ...
+
+
 @dataclass(frozen=True)
 class ContextConfig:
     """Sizes of a context model.
@@ -77,11 +91,11 @@ class ContextConfig:
             raise ValueError(f"a hidden layer of 1 to {MOST_INPUTS} is possible")
 
     @classmethod
-    def of(cls, options: Mapping[str, bool | int | float | str], features: int, hidden: int) -> ContextConfig:
+    def of(cls, options: CodingOptions, features: int, hidden: int) -> ContextConfig:
         """With the steps, ``offsets`` and ``grid`` of a method's options."""
-        scaling = float(options["scaling_step"])
-        steps = (float(options["feature_step"]), scaling, scaling, float(options["offset_step"]))
-        return cls(features, int(options["offsets"]), steps, GRIDS[str(options["grid"])], hidden)
+        scaling = options.scaling_step
+        steps = (options.feature_step, scaling, scaling, options.offset_step)
+        return cls(features, options.offsets, steps, GRIDS[options.grid], hidden)
 
     @property
     def widths(self) -> tuple[int, int, int, int]:

@@ -23,6 +23,7 @@ from datasets.camera import Camera
 from datasets.errors import DataError
 from methods.contract.scene import away, cameras, tiny_scene
 from methods.interface import (
+    PRESETS,
     Budget,
     Checkpoint,
     Edit,
@@ -33,8 +34,8 @@ from methods.interface import (
     Refused,
     SceneInput,
 )
-from methods.options import CONFIGURATION, resolve
-from methods.registry import PRESETS, check_spec
+from methods.options import CONFIGURATION, declared, resolve
+from methods.registry import check_spec
 
 TOLERANCE = 1e-6  # of colors and alpha: a model must not depend on the process that renders it
 EDITS: Mapping[str, tuple[Edit, ...]] = {
@@ -200,7 +201,7 @@ def specification(subject: Subject) -> str:
             if knob.refit:
                 for value in knob.values:
                     resolve(spec, preset, {knob.name: value})
-    return f"{len(spec.options)} options, {len(spec.configurations)} configurations"
+    return f"{len(declared(spec.options))} options, {len(spec.configurations)} configurations"
 
 
 def partition(subject: Subject) -> str:

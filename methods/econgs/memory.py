@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
+from methods.econgs.spec import EcongsOptions
 from methods.econgs.start import starting_points
-from methods.interface import OptionValue, Refused, SceneInput
+from methods.interface import Refused, SceneInput
 
 MIB = 2**20
 PROCESS = 600 * MIB
@@ -17,26 +18,24 @@ COPIES = 6
 """Value, gradient, two moments, the visible rows and their noisy copy."""
 
 
-def group_bytes(group: Sequence[SceneInput], options: Mapping[str, OptionValue]) -> int:
+def group_bytes(group: Sequence[SceneInput], options: EcongsOptions) -> int:
     """Peak host memory of training a group: its views, its anchors and what belongs to them, one frame."""
-    values = int(options["features"]) + 6 + 3 * int(options["offsets"])
+    values = options.features + 6 + 3 * options.offsets
     views = sum(scene.train.images.nbytes + scene.validation.images.nbytes for scene in group)
     anchors = [_anchors(scene, options) for scene in group]
     held = sum(anchors) * values * 4 * COPIES
     # One frame decodes and splats the Gaussians of one scene: about 200 bytes each with their gradients.
-    frame = max(anchors) * int(options["offsets"]) * 200
+    frame = max(anchors) * options.offsets * 200
     return int(PROCESS + views + held + frame)
 
 
-def fit_to_memory(
-    groups: Sequence[Sequence[SceneInput]], options: Mapping[str, OptionValue]
-) -> list[list[SceneInput]]:
+def fit_to_memory(groups: Sequence[Sequence[SceneInput]], options: EcongsOptions) -> list[list[SceneInput]]:
     """Groups that will not fit are halved, in the order of their scenes, until they do.
 
     Raises:
         Refused: a scene that does not fit alone; names the estimate.
     """
-    limit = int(options["group_memory_mb"]) * MIB or available()
+    limit = options.group_memory_mb * MIB or available()
     fitting: list[list[SceneInput]] = []
     waiting = [list(group) for group in reversed(groups)]
     while waiting:
@@ -67,10 +66,10 @@ def available() -> int:
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
-def _anchors(scene: SceneInput, options: Mapping[str, OptionValue]) -> int:
-    if options["start"] == "random" or len(scene.cloud) == 0:  # who starts from no cloud is refused later
-        start = int(options["random_points"])
+def _anchors(scene: SceneInput, options: EcongsOptions) -> int:
+    if options.start == "random" or len(scene.cloud) == 0:  # who starts from no cloud is refused later
+        start = options.random_points
     else:
         start = len(starting_points(scene, options, 0)[0])
-    limit = int(options["max_anchors"])
+    limit = options.max_anchors
     return min(int(GROWTH * start), limit) if limit else int(GROWTH * start)

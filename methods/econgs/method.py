@@ -2,42 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from econgs.grouping import chamfer_distances, cluster
 from methods.econgs.memory import fit_to_memory
 from methods.econgs.model import EcongsModel, load_model
+from methods.econgs.spec import EcongsOptions
 from methods.econgs.training import Trainer
-from methods.interface import Budget, Checkpoint, Model, Monitor, OptionValue, Refused, SceneInput
+from methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
 
 
 class Econgs:
     """Neural editable Gaussians of anchors, learned jointly and entropy-coded (Tang and Wang)."""
 
-    def partition(
-        self, scenes: Sequence[SceneInput], options: Mapping[str, OptionValue]
-    ) -> list[list[SceneInput]]:
+    def partition(self, scenes: Sequence[SceneInput], options: EcongsOptions) -> list[list[SceneInput]]:
         """Scenes whose clouds are near each other share a group, as far as memory allows.
 
         Raises:
             Refused: a scene without an initial cloud, or one that does not fit into memory.
         """
-        if not options["joint"] or len(scenes) < 2:
+        if not options.joint or len(scenes) < 2:
             return fit_to_memory([[scene] for scene in scenes], options)
         empty = [scene.name for scene in scenes if len(scene.cloud) == 0]
         if empty:
             raise Refused(f"no initial cloud to compare scene {empty[0]!r} by; set joint=false")
-        distances = chamfer_distances(
-            [scene.cloud.points for scene in scenes], direction=str(options["chamfer"])
-        )
-        groups = cluster(distances, float(options["threshold"]), str(options["linkage"]))
+        distances = chamfer_distances([scene.cloud.points for scene in scenes], direction=options.chamfer)
+        groups = cluster(distances, options.threshold, options.linkage)
         return fit_to_memory([[scenes[i] for i in group] for group in groups], options)
 
     def fit(
         self,
         group: Sequence[SceneInput],
-        options: Mapping[str, OptionValue],
+        options: EcongsOptions,
         budget: Budget,
         seed: int,
         device: str,

@@ -1,6 +1,115 @@
 """ECoNGS: what it can do and how it is set."""
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, Option, RateKnob
+from dataclasses import dataclass
+from typing import Literal
+
+from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
+
+
+@dataclass(frozen=True)
+class EcongsOptions:
+    """Options of ECoNGS."""
+
+    # Start
+    start: Literal["cloud", "positions", "random"] = option(
+        "cloud",
+        "first anchors: the cloud, palette its mean color; its positions, palette gray; random points",
+    )
+    cloud_points: int = option(0, "points drawn from the initial cloud; 0 = all", minimum=0)
+    random_points: int = option(10_000, "number of points of a random start", minimum=1, maximum=10_000_000)
+    start_spacing: float = option(
+        3.0,
+        "the cloud is thinned to one point per cell of this many pixels of the training views; 0 = off",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    random_half_extent: float = option(
+        0.5, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
+    )
+    # Joint learning
+    joint: bool = option(True, "learn similar scenes of a dataset together")
+    threshold: float = option(0.01, "Chamfer distance up to which clusters of scenes merge", minimum=0.0)
+    linkage: Literal["average", "single", "complete"] = option("average", "linkage of the clustering")
+    chamfer: Literal["mean", "sum"] = option("mean", "how the two directions of the Chamfer distance combine")
+    minibatch: Literal["view", "scenes"] = option(
+        "view", "what a step of the optimiser sees: one view of one scene, or one of every scene of the group"
+    )
+    group_memory_mb: int = option(
+        0, "groups estimated to need more host memory are split (MiB); 0 = what is free", minimum=0
+    )
+    # Representation
+    features: int = option(32, "values of an anchor's feature", minimum=4, maximum=256)
+    offsets: int = option(10, "Gaussians of an anchor (K)", minimum=1, maximum=64)
+    embedding: int = option(50, "values of a scene's TF embedding", minimum=0, maximum=256)
+    hidden: int = option(
+        0, "hidden units of each decoder; 0: one per 50 first anchors, 25 to 50", minimum=0, maximum=256
+    )
+    view_direction: bool = option(True, "decoders see the viewing direction")
+    direction_start: float = option(
+        0.0,
+        "factor on the direction's first weights: 0 starts from colors that are the same from everywhere",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    storage: Literal["hybrid", "implicit", "partial", "explicit"] = option(
+        "hybrid",
+        "what anchors store: offsets; nothing but the feature; also normals; also all of the shading",
+    )
+    offset_color: Literal["sigmoid", "tanh"] = option("tanh", "activation of offset colors")
+    shading_bias: float = option(
+        0.5, "first value of the ambient and diffuse coefficients", minimum=0.0, maximum=1.0
+    )
+    voxel: float = option(0.001, "lattice of anchors, scene units", minimum=1e-5, maximum=0.1)
+    init_factor: int = option(16, "coarsest growth cell, in lattice cells", minimum=16, maximum=4096)
+    growth_gradient: float = option(
+        3e-4, "mean screen-space gradient (NDC) from which an offset grows an anchor", minimum=0.0
+    )
+    growth_stop: float = option(
+        0.5, "share of the budget after which nothing grows", minimum=0.0, maximum=1.0
+    )
+    max_anchors: int = option(200_000, "growth of a scene stops at this number; 0 = no limit", minimum=0)
+    # Losses
+    ssim_weight: float = option(0.2, "weight of 1 - SSIM against L1", minimum=0.0, maximum=1.0)
+    scale_loss: Literal["mean", "sum"] = option(
+        "mean", "regulariser of the product of scales over drawn Gaussians"
+    )
+    scale_weight: float = option(0.01, "its weight (the paper's 0.001 belongs to the sum)", minimum=0.0)
+    alpha_weight: float = option(
+        0.05,
+        "weight of the mean absolute error of alpha, where training views are transparent anywhere",
+        minimum=0.0,
+    )
+    color_weight: float = option(
+        0.01, "weight of offset colors squared, ten times as much beyond black and white", minimum=0.0
+    )
+    palette_lr: float = option(1e-4, "learning rate of palette colors", minimum=0.0, maximum=1.0)
+    # Context model
+    context: bool = option(True, "second stage with the context model")
+    rate_weight: float = option(1e-4, "weight of the estimated bits (lambda_e)", minimum=0.0, maximum=1.0)
+    grid: Literal["small", "hac"] = option("small", "size of the binary hash grids")
+    context_hidden: int = option(
+        0, "hidden units of the context model; 0: one per 100 first anchors, 4 to 50", minimum=0, maximum=256
+    )
+    feature_step: float = option(0.1, "quantisation step Q of features", minimum=1e-6)
+    scaling_step: float = option(0.001, "quantisation step Q of scalings", minimum=1e-8)
+    offset_step: float = option(0.2, "quantisation step Q of offsets", minimum=1e-6)
+    decoder_precision: Literal["float32", "float16", "int8"] = option(
+        "int8", "precision of stored decoder weights"
+    )
+    # No more than the scene needs
+    fold_embeddings: bool = option(True, "store TF embeddings as biases where a group has few scenes")
+    rent: float = option(
+        0.01, "PSNR (dB) that may go with anchors that add least, twice in a fit", minimum=0.0, maximum=10.0
+    )
+    target_bytes: int = option(
+        0, "size per scene that lambda_e is steered to, shared parts included; 0 = none", minimum=0
+    )
+    target_psnr: float = option(
+        0.0,
+        "PSNR (dB) on validation (else training) views that lambda_e is steered to; 0 = none",
+        minimum=0.0,
+    )
+
 
 SPEC = MethodSpec(
     name="econgs",
@@ -18,120 +127,9 @@ SPEC = MethodSpec(
     needs_volume=False,
     uses_alpha="views are composited on the scene's background; alpha is also a target of its own",
     devices=("cpu", "cuda"),
-    options={
-        # Start
-        "start": Option(
-            "cloud",
-            "first anchors: the cloud and its mean color as the palette; its positions, the palette gray; "
-            "random points",
-            choices=("cloud", "positions", "random"),
-        ),
-        "cloud_points": Option(0, "points drawn from the initial cloud; 0 = all", minimum=0),
-        "random_points": Option(10_000, "number of points of a random start", minimum=1, maximum=10_000_000),
-        "start_spacing": Option(
-            3.0,
-            "the cloud is thinned to one point per cell of this many pixels of the training views; 0 = off",
-            minimum=0.0,
-            maximum=100.0,
-        ),
-        "random_half_extent": Option(
-            0.5, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
-        ),
-        # Joint learning
-        "joint": Option(True, "learn similar scenes of a dataset together"),
-        "threshold": Option(0.01, "Chamfer distance up to which clusters of scenes merge", minimum=0.0),
-        "linkage": Option("average", "linkage of the clustering", choices=("average", "single", "complete")),
-        "chamfer": Option(
-            "mean", "how the two directions of the Chamfer distance combine", choices=("mean", "sum")
-        ),
-        "minibatch": Option(
-            "view",
-            "what a step of the optimiser sees: one view of one scene, or one of every scene of the group",
-            choices=("view", "scenes"),
-        ),
-        "group_memory_mb": Option(
-            0, "groups estimated to need more host memory are split (MiB); 0 = what is free", minimum=0
-        ),
-        # Representation
-        "features": Option(32, "values of an anchor's feature", minimum=4, maximum=256),
-        "offsets": Option(10, "Gaussians of an anchor (K)", minimum=1, maximum=64),
-        "embedding": Option(50, "values of a scene's TF embedding", minimum=0, maximum=256),
-        "hidden": Option(
-            0, "hidden units of each decoder; 0: one per 50 first anchors, 25 to 50", minimum=0, maximum=256
-        ),
-        "view_direction": Option(True, "decoders see the viewing direction"),
-        "direction_start": Option(
-            0.0,
-            "factor on the direction's first weights: 0 starts from colors that are the same from everywhere",
-            minimum=0.0,
-            maximum=1.0,
-        ),
-        "storage": Option(
-            "hybrid",
-            "what anchors store: offsets; nothing but the feature; also normals; also all of the shading",
-            choices=("hybrid", "implicit", "partial", "explicit"),
-        ),
-        "offset_color": Option("tanh", "activation of offset colors", choices=("sigmoid", "tanh")),
-        "shading_bias": Option(
-            0.5, "first value of the ambient and diffuse coefficients", minimum=0.0, maximum=1.0
-        ),
-        "voxel": Option(0.001, "lattice of anchors, scene units", minimum=1e-5, maximum=0.1),
-        "init_factor": Option(16, "coarsest growth cell, in lattice cells", minimum=16, maximum=4096),
-        "growth_gradient": Option(
-            3e-4, "mean screen-space gradient (NDC) from which an offset grows an anchor", minimum=0.0
-        ),
-        "growth_stop": Option(0.5, "share of the budget after which nothing grows", minimum=0.0, maximum=1.0),
-        "max_anchors": Option(200_000, "growth of a scene stops at this number; 0 = no limit", minimum=0),
-        # Losses
-        "ssim_weight": Option(0.2, "weight of 1 - SSIM against L1", minimum=0.0, maximum=1.0),
-        "scale_loss": Option(
-            "mean", "regulariser of the product of scales over drawn Gaussians", choices=("mean", "sum")
-        ),
-        "scale_weight": Option(0.01, "its weight (the paper's 0.001 belongs to the sum)", minimum=0.0),
-        "alpha_weight": Option(
-            0.05,
-            "weight of the mean absolute error of alpha, where training views are transparent anywhere",
-            minimum=0.0,
-        ),
-        "color_weight": Option(
-            0.01, "weight of offset colors squared, ten times as much beyond black and white", minimum=0.0
-        ),
-        "palette_lr": Option(1e-4, "learning rate of palette colors", minimum=0.0, maximum=1.0),
-        # Context model
-        "context": Option(True, "second stage with the context model"),
-        "rate_weight": Option(1e-4, "weight of the estimated bits (lambda_e)", minimum=0.0, maximum=1.0),
-        "grid": Option("small", "size of the binary hash grids", choices=("small", "hac")),
-        "context_hidden": Option(
-            0,
-            "hidden units of the context model; 0: one per 100 first anchors, 4 to 50",
-            minimum=0,
-            maximum=256,
-        ),
-        "feature_step": Option(0.1, "quantisation step Q of features", minimum=1e-6),
-        "scaling_step": Option(0.001, "quantisation step Q of scalings", minimum=1e-8),
-        "offset_step": Option(0.2, "quantisation step Q of offsets", minimum=1e-6),
-        "decoder_precision": Option(
-            "int8", "precision of stored decoder weights", choices=("float32", "float16", "int8")
-        ),
-        # No more than the scene needs
-        "fold_embeddings": Option(True, "store TF embeddings as biases where a group has few scenes"),
-        "rent": Option(
-            0.01,
-            "PSNR (dB) that may go with anchors that add least, twice in a fit",
-            minimum=0.0,
-            maximum=10.0,
-        ),
-        "target_bytes": Option(
-            0, "size per scene that lambda_e is steered to, shared parts included; 0 = none", minimum=0
-        ),
-        "target_psnr": Option(
-            0.0,
-            "PSNR (dB) on validation (else training) views that lambda_e is steered to; 0 = none",
-            minimum=0.0,
-        ),
-    },
+    options=EcongsOptions,
     # So short a fit cannot train as many anchors: half of them, for 0.15 to 0.3 dB (docs/concepts/econgs.md).
-    presets={"quick": {"growth_gradient": 6e-4, "alpha_weight": 0.2}, "standard": {}, "paper": {}},
+    presets={"quick": {"growth_gradient": 6e-4, "alpha_weight": 0.2}},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={
         "fair": Configuration(),

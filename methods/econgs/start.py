@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.camera import Camera
 from datasets.cloud import random_cloud
-from methods.interface import OptionValue, Refused, SceneInput
+from methods.econgs.spec import EcongsOptions
+from methods.interface import Refused, SceneInput
 
 
 def starting_points(
-    given: SceneInput, options: Mapping[str, OptionValue], seed: int
+    given: SceneInput, options: EcongsOptions, seed: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Points that become anchors, and the first palette color.
 
@@ -26,19 +27,19 @@ def starting_points(
     Raises:
         Refused: the cloud is empty.
     """
-    cloud, start = given.cloud, options["start"]
+    cloud, start = given.cloud, options.start
     if start == "random":
-        cloud = random_cloud(int(options["random_points"]), float(options["random_half_extent"]), seed)
+        cloud = random_cloud(options.random_points, options.random_half_extent, seed)
     if len(cloud) == 0:
         raise Refused(f"the initial cloud of scene {given.name!r} is empty; set start=random")
     points = np.array(cloud.points, dtype=np.float32)
     color = np.array(cloud.colors, dtype=np.float32).mean(axis=0)
     if start == "random":
         return points, color
-    many = int(options["cloud_points"])
+    many = options.cloud_points
     if 0 < many < len(points):
         points = points[np.random.default_rng(seed).permutation(len(points))[:many]]
-    side = float(options["start_spacing"]) * pixel_size(given.train.cameras, points)
+    side = options.start_spacing * pixel_size(given.train.cameras, points)
     points = one_per_cell(points, side)
     return points, np.full(3, 0.5, np.float32) if start == "positions" else color
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 import torch
@@ -17,11 +16,11 @@ from econgs.anchors.anchor_set import AnchorSet
 from econgs.anchors.coding import Coding
 from econgs.anchors.colors import offset_colors
 from econgs.anchors.decode import decode, visible_anchors
-from econgs.anchors.decoders import Decoders, OffsetColor, Storage
+from econgs.anchors.decoders import Decoders
 from econgs.anchors.folding import fold_embeddings
 from econgs.anchors.gaussians import ViewGaussians, draw
 from econgs.anchors.growing import AnchorRules
-from econgs.context.arrays import Precision, round_arrays
+from econgs.context.arrays import round_arrays
 from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
 from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, round_group
@@ -32,8 +31,9 @@ from methods.econgs.control import STEPS, RateControl
 from methods.econgs.model import EcongsModel, Group, decoders_metadata
 from methods.econgs.rent import contributions, some_views, who_stays
 from methods.econgs.schedule import Schedule
+from methods.econgs.spec import EcongsOptions
 from methods.econgs.start import starting_points
-from methods.interface import Checkpoint, OptionValue, Refused, SceneInput
+from methods.interface import Checkpoint, Refused, SceneInput
 from methods.shared.training import CHECK_EVERY, TrainingLoop, to_numpy, under
 
 
@@ -75,7 +75,7 @@ class _Scene:
         key: str,
         given: SceneInput,
         start: tuple[NDArray[np.float32], NDArray[np.float32]],
-        options: Mapping[str, OptionValue],
+        options: EcongsOptions,
         decoders: Decoders,
         generator: torch.Generator,
         device: str,
@@ -85,7 +85,7 @@ class _Scene:
         self.anchors = AnchorSet(
             key,
             torch.from_numpy(points),
-            voxel=float(options["voxel"]),
+            voxel=options.voxel,
             features=decoders.width,
             offsets=decoders.offsets,
             fallback=0.01 * given.extent,
@@ -119,29 +119,29 @@ class Trainer(TrainingLoop):
     def __init__(
         self,
         group: Sequence[SceneInput],
-        options: Mapping[str, OptionValue],
+        options: EcongsOptions,
         iterations: int,
         seed: int,
         device: str,
     ) -> None:
         super().__init__(seed, device)
         self.options = options
-        self.schedule = Schedule(iterations, float(options["growth_stop"]), bool(options["context"]))
-        bias = float(options["shading_bias"])
+        self.schedule = Schedule(iterations, options.growth_stop, options.context)
+        bias = options.shading_bias
         for given in group:
             if len(given.train) == 0:
                 raise Refused(f"scene {given.name!r} has no training views")
         starts = [starting_points(given, options, seed) for given in group]
         first = sum(len(points) for points, _ in starts)
         self.decoders = Decoders(
-            int(options["features"]),
-            int(options["offsets"]),
-            int(options["embedding"]),
-            hidden=int(options["hidden"]) or _units(first, 50, 25),
-            view_direction=bool(options["view_direction"]),
-            direction_start=float(options["direction_start"]),
-            offset_color=cast("OffsetColor", options["offset_color"]),
-            storage=cast("Storage", options["storage"]),
+            options.features,
+            options.offsets,
+            options.embedding,
+            hidden=options.hidden or _units(first, 50, 25),
+            view_direction=options.view_direction,
+            direction_start=options.direction_start,
+            offset_color=options.offset_color,
+            storage=options.storage,
             shading_bias=(bias, bias, 0.0, 0.0),
             generator=self.generator,
         ).to(device)
@@ -151,32 +151,30 @@ class Trainer(TrainingLoop):
             for i, (given, start) in enumerate(zip(group, starts, strict=True))
         ]
         self.rules = AnchorRules(
-            voxel=float(options["voxel"]),
-            init_factor=int(options["init_factor"]),
-            gradient=float(options["growth_gradient"]),
+            voxel=options.voxel,
+            init_factor=options.init_factor,
+            gradient=options.growth_gradient,
             offset_visits=self.schedule.visits(40.0),
             anchor_visits=self.schedule.visits(80.0),
-            limit=int(options["max_anchors"]),
+            limit=options.max_anchors,
         )
-        self.batch = len(self.scenes) if options["minibatch"] == "scenes" else 1
+        self.batch = len(self.scenes) if options.minibatch == "scenes" else 1
         self.fresh = True  # no gradients wait for the rest of a batch
         groups: dict[str, Tensor | Sequence[Tensor]] = {}
         for scene in self.scenes:
             groups |= scene.anchors.groups()
-            embedding = torch.randn(int(options["embedding"]), generator=self.generator)
+            embedding = torch.randn(options.embedding, generator=self.generator)
             groups[f"{scene.key}/palette"] = scene.palette.to(device)
             groups[f"{scene.key}/embedding"] = (_EMBEDDING_SPREAD * embedding).to(device)
         groups |= {name: list(self.decoders.network(name).tensors()) for name in self.decoders.names}
         self.coding = None
         if self.schedule.context:
-            hidden = int(options["context_hidden"]) or _units(first, 100, 4)
+            hidden = options.context_hidden or _units(first, 100, 4)
             config = ContextConfig.of(options, self.decoders.width, hidden)
             self.coding = Coding(config, self.schedule, self.generator, device)
             groups |= self.coding.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
-        self.control = RateControl(
-            float(options["target_bytes"]) * len(self.scenes), float(options["target_psnr"])
-        )
+        self.control = RateControl(options.target_bytes * len(self.scenes), options.target_psnr)
 
     @property
     def count(self) -> int:
@@ -226,11 +224,11 @@ class Trainer(TrainingLoop):
         offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
         splats = draw([decoded], camera, offset)
         image = over(splats.features, splats.alpha, scene.given.train.background)
-        parts = {"image": photometric_loss(image, target, float(self.options["ssim_weight"]))}
+        parts = {"image": photometric_loss(image, target, self.options.ssim_weight)}
         if self._asks_alpha(scene):
             parts["alpha"] = self._alpha_loss(splats.alpha, truth[..., 3])
         parts["scale"] = self._scale_loss(decoded.scales)
-        if self.options["color_weight"]:
+        if self.options.color_weight:
             parts["color"] = self._color_loss(scene, camera, positions, values.features)
         if rate is not None:
             parts["rate"] = self._rate_weight * (rate.attributes + rate.grid)
@@ -269,7 +267,7 @@ class Trainer(TrainingLoop):
     @property
     def _rate_weight(self) -> float:
         """Present lambda_e."""
-        return float(self.options["rate_weight"]) * self.control.factor
+        return self.options.rate_weight * self.control.factor
 
     def _decode(self, scene: _Scene, camera: Camera, positions: Tensor, values: Attributes) -> ViewGaussians:
         """Gaussians of these anchors of a scene."""
@@ -290,7 +288,7 @@ class Trainer(TrainingLoop):
 
     def _asks_alpha(self, scene: _Scene) -> bool:
         """Whether alpha is a target: opaque pictures have their background in them."""
-        return scene.transparent and bool(self.options["alpha_weight"])
+        return scene.transparent and self.options.alpha_weight > 0.0
 
     def _alpha_loss(self, alpha: Tensor, truth: Tensor) -> Tensor:
         """Mean absolute error of alpha: what has the background's color looks right without being there.
@@ -298,7 +296,7 @@ class Trainer(TrainingLoop):
         It counts more while most is missing: a scene that is as pale as its background starts too dark, is
         dimmed for that, and once all opacities are negative no gradient brings it back.
         """
-        weight = float(self.options["alpha_weight"])
+        weight = self.options.alpha_weight
         if float(alpha.detach().sum()) < VANISHING * float(truth.sum()):
             weight = max(weight, RESCUE)
         return weight * (alpha - truth).abs().mean()
@@ -308,8 +306,8 @@ class Trainer(TrainingLoop):
         products = scales.prod(dim=1)
         if not len(products):
             return scales.new_zeros(())
-        total = products.mean() if self.options["scale_loss"] == "mean" else products.sum()
-        return float(self.options["scale_weight"]) * total
+        total = products.mean() if self.options.scale_loss == "mean" else products.sum()
+        return self.options.scale_weight * total
 
     def _color_loss(self, scene: _Scene, camera: Camera, positions: Tensor, features: Tensor) -> Tensor:
         """The regulariser of offset colors, over a sample of the anchors in view.
@@ -327,7 +325,7 @@ class Trainer(TrainingLoop):
         offsets = offset_colors(self.decoders, positions, features, embedding, eye)
         base = palette.detach()[:, None] + offsets
         beyond = (base - base.clamp(0.0, 1.0)).square().mean()
-        return float(self.options["color_weight"]) * (offsets.square().mean() + BEYOND * beyond)
+        return self.options.color_weight * (offsets.square().mean() + BEYOND * beyond)
 
     def _round(self) -> list[tuple[int, int]]:
         """Pairs of scene and view; with a minibatch of every scene, scenes take turns."""
@@ -342,7 +340,7 @@ class Trainer(TrainingLoop):
 
     def _settle_rent(self) -> None:
         """Anchors whose removal the pictures hardly show go; what is left learns to do without them."""
-        allowance = float(self.options["rent"])
+        allowance = self.options.rent
         if not allowance:
             return
         for scene in self.scenes:
@@ -404,7 +402,7 @@ class Trainer(TrainingLoop):
             rates[scene.anchors.name(parameter)] = now(rate)
         rates[scene.anchors.name("offsets")] = now(OFFSET_RATE, scene.given.extent)
         rates[f"{scene.key}/embedding"] = now(EMBEDDING_RATE)
-        rates[f"{scene.key}/palette"] = float(self.options["palette_lr"])
+        rates[f"{scene.key}/palette"] = self.options.palette_lr
         if self.coding is not None:
             rates["grid"] = rates["head"] = now(CONTEXT_RATE)
 
@@ -435,7 +433,7 @@ class Trainer(TrainingLoop):
         positions = np.concatenate([to_numpy(scene.anchors.positions) for scene in self.scenes])
         embeddings = [now[f"{scene.key}/embedding"].detach() for scene in self.scenes]
         decoders = self.decoders
-        if self.options["fold_embeddings"]:
+        if self.options.fold_embeddings:
             decoders, embeddings = fold_embeddings(decoders, embeddings)
         scenes = tuple(
             SceneAttributes(
@@ -450,10 +448,10 @@ class Trainer(TrainingLoop):
             for scene, embedding in zip(self.scenes, embeddings, strict=True)
         )
         coded = self.coding is not None and self.schedule.coded(self.iteration)
-        precision = cast("Precision", self.options["decoder_precision"])
+        precision = self.options.decoder_precision
         group = GroupAttributes(
             scenes,
-            PositionGrid.lattice(float(self.options["voxel"]), positions),
+            PositionGrid.lattice(self.options.voxel, positions),
             context=CodedContext.of(self.coding.model) if coded and self.coding is not None else None,
             decoders=round_arrays(
                 {name: to_numpy(v) for name, v in decoders.state_dict().items()}, precision

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import torch
 
 from econgs.points import neighbour_distances
 from methods.gaussian_splatting.model import SH_REST
-from methods.interface import OptionValue, Refused, SceneInput
+from methods.gaussian_splatting.spec import GaussianOptions
+from methods.interface import Refused, SceneInput
 
 SH_C0 = 0.28209479177387814
 INITIAL_OPACITY = 0.1
 
 
 def initial_parameters(
-    scene: SceneInput, options: Mapping[str, OptionValue], generator: torch.Generator
+    scene: SceneInput, options: GaussianOptions, generator: torch.Generator
 ) -> dict[str, torch.Tensor]:
     """Parameters of the first Gaussians, on the CPU (shapes as in ``model.SceneGaussians``).
 
     Raises:
         Refused: no points to start from, or more than ``max_gaussians``.
     """
-    if options["start"] == "random":
-        half = float(options["random_half_extent"])
-        points = (torch.rand((int(options["random_points"]), 3), generator=generator) * 2.0 - 1.0) * half
+    if options.start == "random":
+        half = options.random_half_extent
+        points = (torch.rand((options.random_points, 3), generator=generator) * 2.0 - 1.0) * half
         colors = torch.full_like(points, 0.5)
     else:
         points = torch.from_numpy(np.array(scene.cloud.points, dtype=np.float32))
@@ -33,7 +32,7 @@ def initial_parameters(
     n = len(points)
     if n == 0:
         raise Refused(f"the initial cloud of scene {scene.name!r} is empty; set start=random")
-    limit = int(options["max_gaussians"])
+    limit = options.max_gaussians
     if 0 < limit < n:
         raise Refused(f"{n} initial points are more than max_gaussians = {limit}")
     quats = torch.zeros((n, 4))

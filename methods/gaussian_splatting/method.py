@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from methods.gaussian_splatting.model import GaussianModel, load_model
+from methods.gaussian_splatting.spec import GaussianOptions
 from methods.gaussian_splatting.training import Trainer
-from methods.interface import Model, OptionValue, SceneInput
+from methods.interface import Model, SceneInput
 from methods.shared.method import PerScene
 
 
@@ -17,7 +18,7 @@ class GaussianSplatting(PerScene[GaussianModel]):
     name = "3dgs"
 
     def trainer(
-        self, scene: SceneInput, options: Mapping[str, OptionValue], iterations: int, seed: int, device: str
+        self, scene: SceneInput, options: GaussianOptions, iterations: int, seed: int, device: str
     ) -> Trainer:
         """A fit at its beginning."""
         return Trainer(scene, options, iterations, seed, device)

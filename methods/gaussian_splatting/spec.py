@@ -1,9 +1,50 @@
 """3D Gaussian splatting: what it can do and how it is set."""
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, Option, OptionValue
+from dataclasses import dataclass
+from typing import Literal
+
+from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
 
 PUBLISHED: dict[str, OptionValue] = {"start": "random", "sh_rest_lr": 1.25e-4}
 """How the released code starts on scenes without a cloud of their own, and its rate of SH at every preset."""
+
+
+@dataclass(frozen=True)
+class GaussianOptions:
+    """Options of 3DGS, and the first of the methods that begin like it."""
+
+    start: Literal["cloud", "random"] = option("cloud", "where the first Gaussians come from")
+    random_points: int = option(100_000, "number of points of a random start", minimum=1, maximum=10_000_000)
+    random_half_extent: float = option(
+        1.3, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
+    )
+    background: Literal["scene", "white", "black", "random"] = option(
+        "scene", "what training views are composited on: the scene's own, or another"
+    )
+    sh_degree: int = option(3, "final degree of the spherical harmonics", minimum=0, maximum=3)
+    ssim_weight: float = option(0.2, "weight of 1 - SSIM against L1 in the loss", minimum=0.0, maximum=1.0)
+    position_lr: float = option(
+        1.6e-4, "first learning rate of positions, x extent", minimum=0.0, maximum=1.0
+    )
+    opacity_lr: float = option(5e-2, "learning rate of opacity logits", minimum=0.0, maximum=1.0)
+    sh_rest_lr: float = option(
+        1.25e-4,
+        "learning rate of SH coefficients above DC; the published one is too slow for short schedules",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    growth_gradient: float = option(
+        2e-4, "mean screen-space gradient (NDC) from which a Gaussian is cloned or split", minimum=0.0
+    )
+    dense_fraction: float = option(
+        0.01, "largest scale, as a fraction of the extent, that is cloned and not split", minimum=0.0
+    )
+    prune_opacity: float = option(0.005, "opacity under which a Gaussian is pruned", minimum=0.0, maximum=1.0)
+    opacity_reset: bool = option(True, "reset opacities to 0.01 periodically while growing")
+    max_gaussians: int = option(
+        0, "growth stops at this number (reported as a stage); 0 = no limit", minimum=0
+    )
+
 
 SPEC = MethodSpec(
     name="3dgs",
@@ -28,43 +69,10 @@ SPEC = MethodSpec(
     needs_volume=False,
     uses_alpha="views are composited on the training background; alpha is no target of its own",
     devices=("cpu", "cuda"),
-    options={
-        "start": Option("cloud", "where the first Gaussians come from", choices=("cloud", "random")),
-        "random_points": Option(100_000, "number of points of a random start", minimum=1, maximum=10_000_000),
-        "random_half_extent": Option(
-            1.3, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
-        ),
-        "background": Option(
-            "scene",
-            "what training views are composited on: the scene's own, or another",
-            choices=("scene", "white", "black", "random"),
-        ),
-        "sh_degree": Option(3, "final degree of the spherical harmonics", minimum=0, maximum=3),
-        "ssim_weight": Option(0.2, "weight of 1 - SSIM against L1 in the loss", minimum=0.0, maximum=1.0),
-        "position_lr": Option(1.6e-4, "first learning rate of positions, x extent", minimum=0.0, maximum=1.0),
-        "opacity_lr": Option(5e-2, "learning rate of opacity logits", minimum=0.0, maximum=1.0),
-        "sh_rest_lr": Option(
-            1.25e-4,
-            "learning rate of SH coefficients above DC; the published one is too slow for short schedules",
-            minimum=0.0,
-            maximum=1.0,
-        ),
-        "growth_gradient": Option(
-            2e-4, "mean screen-space gradient (NDC) from which a Gaussian is cloned or split", minimum=0.0
-        ),
-        "dense_fraction": Option(
-            0.01, "largest scale, as a fraction of the extent, that is cloned and not split", minimum=0.0
-        ),
-        "prune_opacity": Option(0.005, "opacity under which a Gaussian is pruned", minimum=0.0, maximum=1.0),
-        "opacity_reset": Option(True, "reset opacities to 0.01 periodically while growing"),
-        "max_gaussians": Option(
-            0, "growth stops at this number (reported as a stage); 0 = no limit", minimum=0
-        ),
-    },
+    options=GaussianOptions,
     presets={
         "quick": {"sh_rest_lr": 1e-3},
         "standard": {"sh_rest_lr": 5e-4},
-        "paper": {},
     },
     iterations={"quick": 1_200, "standard": 7_000, "paper": 30_000},
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},

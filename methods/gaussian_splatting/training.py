@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import torch
 
 from datasets.camera import Camera
@@ -17,7 +15,8 @@ from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, ca
 from methods.gaussian_splatting.initialise import initial_parameters
 from methods.gaussian_splatting.model import GaussianModel, SceneGaussians
 from methods.gaussian_splatting.schedule import Schedule
-from methods.interface import Checkpoint, OptionValue, Refused, SceneInput
+from methods.gaussian_splatting.spec import GaussianOptions
+from methods.interface import Checkpoint, Refused, SceneInput
 from methods.shared.training import CHECK_EVERY, TrainingLoop, under
 
 PARAMETERS = ("means", "log_scales", "quats", "logits", "sh_dc", "sh_rest")
@@ -48,21 +47,21 @@ class Trainer(TrainingLoop):
     schedule: Schedule
 
     def __init__(
-        self, scene: SceneInput, options: Mapping[str, OptionValue], iterations: int, seed: int, device: str
+        self, scene: SceneInput, options: GaussianOptions, iterations: int, seed: int, device: str
     ) -> None:
         if len(scene.train) == 0:
             raise Refused(f"scene {scene.name!r} has no training views")
         super().__init__(seed, device)
         self.scene, self.options = scene, options
-        choice = str(options["background"])
+        choice = options.background
         self.background = scene.train.background if choice == "scene" else _BACKGROUNDS.get(choice)
         self.schedule = self._schedule(iterations)
         self.rules = GrowthRules(
-            gradient=float(options["growth_gradient"]),
-            dense_scale=float(options["dense_fraction"]) * scene.extent,
-            prune_opacity=float(options["prune_opacity"]),
+            gradient=options.growth_gradient,
+            dense_scale=options.dense_fraction * scene.extent,
+            prune_opacity=options.prune_opacity,
             extent=scene.extent,
-            limit=int(options["max_gaussians"]),
+            limit=options.max_gaussians,
         )
         self.images = torch.from_numpy(scene.train.images)
         parameters, rates = self._start()
@@ -72,8 +71,8 @@ class Trainer(TrainingLoop):
     def _schedule(self, iterations: int) -> Schedule:
         return Schedule(
             iterations,
-            sh_degree=int(self.options["sh_degree"]),
-            resets=bool(self.options["opacity_reset"]),
+            sh_degree=self.options.sh_degree,
+            resets=self.options.opacity_reset,
             early_reset=self.background == WHITE,
         )
 
@@ -82,8 +81,8 @@ class Trainer(TrainingLoop):
         parameters = initial_parameters(self.scene, self.options, self.generator)
         rates = LEARNING_RATES | {
             "means": 0.0,
-            "logits": float(self.options["opacity_lr"]),
-            "sh_rest": float(self.options["sh_rest_lr"]),
+            "logits": self.options.opacity_lr,
+            "sh_rest": self.options.sh_rest_lr,
         }
         return {name: parameters[name] for name in PARAMETERS}, rates
 
@@ -169,7 +168,7 @@ class Trainer(TrainingLoop):
     ) -> torch.Tensor:
         """Loss of premultiplied colors over the background."""
         target = over(truth[..., :3], truth[..., 3], back)
-        return photometric_loss(over(colors, alpha, back), target, float(self.options["ssim_weight"]))
+        return photometric_loss(over(colors, alpha, back), target, self.options.ssim_weight)
 
     def _record(self, gradients: torch.Tensor, radii: torch.Tensor, camera: Camera) -> None:
         """Keep what densification wants to know of a view."""
@@ -188,7 +187,7 @@ class Trainer(TrainingLoop):
 
     def _set_rates(self) -> None:
         """Learning rates of this iteration, as far as they change."""
-        first = float(self.options["position_lr"]) * self.scene.extent
+        first = self.options.position_lr * self.scene.extent
         self.optimiser.rates["means"] = self.schedule.decayed(self.iteration, first, POSITION_DECAY * first)
 
     def _grow(self, also: torch.Tensor | None = None) -> None:

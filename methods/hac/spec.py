@@ -1,7 +1,27 @@
 """HAC: what it can do and how it is set."""
 
-from methods.interface import Configuration, MethodSpec, Option, RateKnob
-from methods.scaffold_gs.spec import OPTIONS, PUBLISHED, SOURCE
+from dataclasses import dataclass
+from typing import Literal
+
+from methods.interface import Configuration, MethodSpec, RateKnob, option
+from methods.scaffold_gs.spec import PUBLISHED, SOURCE, ScaffoldOptions
+
+
+@dataclass(frozen=True)
+class HacOptions(ScaffoldOptions):
+    """Options of Scaffold-GS, and those of quantisation and coding."""
+
+    features: int = option(
+        50, "values of an anchor's feature, and hidden units of each decoder", minimum=4, maximum=256
+    )
+    rate_weight: float = option(1e-3, "weight of the estimated bits (lambda)", minimum=0.0, maximum=1.0)
+    mask_weight: float = option(5e-4, "weight of the mean mask of the offsets", minimum=0.0, maximum=1.0)
+    grid: Literal["small", "hac"] = option("hac", "size of the binary hash grids")
+    context_hidden: int = option(100, "hidden units of the context model", minimum=8, maximum=256)
+    feature_step: float = option(0.4, "quantisation step Q of features (published: 1)", minimum=1e-6)
+    scaling_step: float = option(0.001, "quantisation step Q of scalings", minimum=1e-8)
+    offset_step: float = option(0.2, "quantisation step Q of offsets", minimum=1e-6)
+
 
 SPEC = MethodSpec(
     name="hac",
@@ -21,20 +41,7 @@ SPEC = MethodSpec(
     needs_volume=False,
     uses_alpha="views are composited on the training background; alpha is no target of its own",
     devices=("cpu", "cuda"),
-    options={
-        **OPTIONS,
-        "features": Option(
-            50, "values of an anchor's feature, and hidden units of each decoder", minimum=4, maximum=256
-        ),
-        "rate_weight": Option(1e-3, "weight of the estimated bits (lambda)", minimum=0.0, maximum=1.0),
-        "mask_weight": Option(5e-4, "weight of the mean mask of the offsets", minimum=0.0, maximum=1.0),
-        "grid": Option("hac", "size of the binary hash grids", choices=("small", "hac")),
-        "context_hidden": Option(100, "hidden units of the context model", minimum=8, maximum=256),
-        "feature_step": Option(0.4, "quantisation step Q of features (published: 1)", minimum=1e-6),
-        "scaling_step": Option(0.001, "quantisation step Q of scalings", minimum=1e-8),
-        "offset_step": Option(0.2, "quantisation step Q of offsets", minimum=1e-6),
-    },
-    presets={"quick": {}, "standard": {}, "paper": {}},
+    options=HacOptions,
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     rate_knobs=(RateKnob("rate_weight", (5e-4, 1e-3, 2e-3, 3e-3, 4e-3), refit=True),),
     configurations={

@@ -13,6 +13,7 @@ from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
 from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, round_group
 from methods.hac.model import HacModel, metadata_of
+from methods.hac.spec import HacOptions
 from methods.interface import Checkpoint
 from methods.scaffold_gs import training as scaffold_gs
 from methods.scaffold_gs.training import Prepared
@@ -28,14 +29,14 @@ MASK_RATE, CONTEXT_RATE = (1e-2, 1e-4), (5e-3, 1e-5)
 class Trainer(scaffold_gs.Trainer):
     """State of a fit; see :class:`methods.scaffold_gs.training.Trainer`."""
 
+    options: HacOptions
     distance = True
     quantised = True
     masks = True
 
     def groups(self) -> dict[str, Tensor | Sequence[Tensor]]:
         """What the optimiser trains; the context model is made here, after the decoders."""
-        features, hidden = (int(self.options[name]) for name in ("features", "context_hidden"))
-        config = ContextConfig.of(self.options, features, hidden)
+        config = ContextConfig.of(self.options, self.options.features, self.options.context_hidden)
         self.coding = Coding(config, self.schedule, self.generator, self.device, margin=BOX_MARGIN)
         return {**super().groups(), **self.coding.groups()}
 
@@ -67,8 +68,8 @@ class Trainer(scaffold_gs.Trainer):
         if rate is not None and total:
             valid = float(hard.any(1).float().mean())
             bits = rate.attributes * valid + rate.grid
-            losses["rate"] = float(self.options["rate_weight"]) * bits
-            losses["masks"] = float(self.options["mask_weight"]) * soft.mean()
+            losses["rate"] = self.options.rate_weight * bits
+            losses["masks"] = self.options.mask_weight * soft.mean()
         return Prepared(values, masks, losses)
 
     def grow(self) -> None:

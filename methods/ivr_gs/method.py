@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from methods.interface import Model, OptionValue, SceneInput
+from methods.interface import Model, SceneInput
 from methods.ivr_gs.model import IvrModel, load_model
+from methods.ivr_gs.spec import IvrOptions
 from methods.ivr_gs.training import IvrTrainer
 from methods.shared.method import PerScene
 
@@ -17,7 +18,7 @@ class IvrGs(PerScene[IvrModel]):
     name = "ivr-gs"
 
     def trainer(
-        self, scene: SceneInput, options: Mapping[str, OptionValue], iterations: int, seed: int, device: str
+        self, scene: SceneInput, options: IvrOptions, iterations: int, seed: int, device: str
     ) -> IvrTrainer:
         """A fit at its beginning."""
         return IvrTrainer(scene, options, iterations, seed, device)

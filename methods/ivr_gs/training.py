@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -17,7 +16,7 @@ from econgs.splat.composite import MIN_ALPHA
 from econgs.splat.rasterise import SplatImages
 from methods.gaussian_splatting.densify import GrowthStatistics
 from methods.gaussian_splatting.training import LEARNING_RATES, Trainer
-from methods.interface import Checkpoint, OptionValue, SceneInput
+from methods.interface import Checkpoint, SceneInput
 from methods.ivr_gs.losses import mean_over, normal_loss, smoothness_loss
 from methods.ivr_gs.model import (
     IvrModel,
@@ -28,6 +27,7 @@ from methods.ivr_gs.model import (
     ready,
 )
 from methods.ivr_gs.schedule import IvrSchedule
+from methods.ivr_gs.spec import IvrOptions
 
 GEOMETRY = ("means", "log_scales", "quats", "logits", "normals")
 SHADING = ("offset_color", "ambient", "diffuse", "specular", "shininess")
@@ -43,12 +43,13 @@ class IvrTrainer(Trainer):
     fresh optimiser, no spherical harmonics, and learns what shades each Gaussian.
     """
 
+    options: IvrOptions
     schedule: IvrSchedule
 
     def __init__(
-        self, scene: SceneInput, options: Mapping[str, OptionValue], iterations: int, seed: int, device: str
+        self, scene: SceneInput, options: IvrOptions, iterations: int, seed: int, device: str
     ) -> None:
-        self.with_codebooks = attributes_with_codebooks(str(options["quantised"]))
+        self.with_codebooks = attributes_with_codebooks(options.quantised)
         super().__init__(scene, options, iterations, seed, device)
         self.normal_gradients = torch.zeros(self.count, device=device)
         self.palette = _mean_color(self.images).to(device)
@@ -58,10 +59,10 @@ class IvrTrainer(Trainer):
     def _schedule(self, iterations: int) -> IvrSchedule:
         return IvrSchedule(
             iterations,
-            sh_degree=int(self.options["sh_degree"]),
-            resets=bool(self.options["opacity_reset"]),
+            sh_degree=self.options.sh_degree,
+            resets=self.options.opacity_reset,
             early_reset=self.background == WHITE,
-            grows_shaded=bool(self.options["shaded_growth"]),
+            grows_shaded=self.options.shaded_growth,
         )
 
     def _start(self) -> tuple[dict[str, Tensor], dict[str, float]]:
@@ -95,7 +96,7 @@ class IvrTrainer(Trainer):
         def full(value: float, width: int = 1) -> Tensor:
             return torch.full((count, width), value, device=self.device)
 
-        first = float(self.options["shading_start"])
+        first = self.options.shading_start
         shading = {
             "offset_color": full(0.0, 3),
             "ambient": full(first),
@@ -104,8 +105,8 @@ class IvrTrainer(Trainer):
             "shininess": full(FIRST_SHININESS),
         }
         plain = {name: LEARNING_RATES[name] for name in ("log_scales", "quats")}
-        rates = plain | {"means": 0.0, "logits": float(self.options["opacity_lr"]), "normals": NORMAL_RATE}
-        rates |= dict.fromkeys(SHADING, float(self.options["shading_lr"]))
+        rates = plain | {"means": 0.0, "logits": self.options.opacity_lr, "normals": NORMAL_RATE}
+        rates |= dict.fromkeys(SHADING, self.options.shading_lr)
         self.optimiser = Adam(geometry | shading, rates)
         self._forget()
 
@@ -149,7 +150,7 @@ class IvrTrainer(Trainer):
         return losses
 
     def _weight(self, part: str) -> float:
-        return float(self.options[f"{part}_weight"])
+        return float(getattr(self.options, f"{part}_weight"))
 
     def _columns(self) -> dict[str, Tensor]:
         """The second stage's parameters as columns of the model."""
@@ -178,7 +179,7 @@ class IvrTrainer(Trainer):
             self.normal_gradients += torch.linalg.vector_norm(normals, dim=1)
 
     def _grow(self, also: Tensor | None = None) -> None:
-        least = float(self.options["shaded_normal_gradient" if self.shading else "normal_gradient"])
+        least = self.options.shaded_normal_gradient if self.shading else self.options.normal_gradient
         super()._grow(self.normal_gradients / self.statistics.visits.clamp(min=1.0) > least)
         self._forget()
 
@@ -218,7 +219,7 @@ class IvrTrainer(Trainer):
             self.optimiser["means"].detach()[seen],
             raw,
             self.with_codebooks,
-            int(self.options["codebook_size"]),
+            self.options.codebook_size,
         )
         return IvrModel([ready(stored.coded, self.device)], [stored])
 

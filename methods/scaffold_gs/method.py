@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from methods.interface import Model, OptionValue, SceneInput
+from methods.interface import Model, SceneInput
 from methods.scaffold_gs.model import ScaffoldModel, load_model
+from methods.scaffold_gs.spec import ScaffoldOptions
 from methods.scaffold_gs.training import Trainer
 from methods.shared.method import PerScene
 
@@ -17,7 +18,7 @@ class ScaffoldGS(PerScene[ScaffoldModel]):
     name = "scaffold-gs"
 
     def trainer(
-        self, scene: SceneInput, options: Mapping[str, OptionValue], iterations: int, seed: int, device: str
+        self, scene: SceneInput, options: ScaffoldOptions, iterations: int, seed: int, device: str
     ) -> Trainer:
         """A fit at its beginning."""
         return Trainer(scene, options, iterations, seed, device)

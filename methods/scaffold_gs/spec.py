@@ -1,43 +1,47 @@
 """Scaffold-GS: what it can do and how it is set."""
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, Option, OptionValue
+from dataclasses import dataclass
+from typing import Literal
 
-OPTIONS = {
+from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
+
+
+@dataclass(frozen=True)
+class ScaffoldOptions:
+    """Options of Scaffold-GS, and the first of HAC's."""
+
     # Start
-    "start": Option("cloud", "where the first anchors come from", choices=("cloud", "random")),
-    "random_points": Option(10_000, "number of points of a random start", minimum=1, maximum=10_000_000),
-    "random_half_extent": Option(
+    start: Literal["cloud", "random"] = option("cloud", "where the first anchors come from")
+    random_points: int = option(10_000, "number of points of a random start", minimum=1, maximum=10_000_000)
+    random_half_extent: float = option(
         1.3, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
-    ),
-    "background": Option(
-        "scene",
-        "what training views are composited on: the scene's own, or another",
-        choices=("scene", "white", "black", "random"),
-    ),
+    )
+    background: Literal["scene", "white", "black", "random"] = option(
+        "scene", "what training views are composited on: the scene's own, or another"
+    )
     # Representation
-    "features": Option(
+    features: int = option(
         32, "values of an anchor's feature, and hidden units of each decoder", minimum=4, maximum=256
-    ),
-    "offsets": Option(10, "Gaussians of an anchor (K)", minimum=1, maximum=64),
-    "voxel": Option(
+    )
+    offsets: int = option(10, "Gaussians of an anchor (K)", minimum=1, maximum=64)
+    voxel: float = option(
         0.001,
         "lattice of anchors, scene units; 0 = median distance to the nearest point",
         minimum=0.0,
         maximum=0.1,
-    ),
-    "init_factor": Option(16, "coarsest growth cell, in lattice cells", minimum=1, maximum=4096),
-    "growth_levels": Option(
+    )
+    init_factor: int = option(16, "coarsest growth cell, in lattice cells", minimum=1, maximum=4096)
+    growth_levels: int = option(
         3, "number of growth cell sizes, each a quarter of the one before", minimum=1, maximum=3
-    ),
-    "growth_gradient": Option(
+    )
+    growth_gradient: float = option(
         2e-4, "mean screen-space gradient (NDC) from which an offset grows an anchor", minimum=0.0
-    ),
-    "max_anchors": Option(200_000, "growth stops at this number; 0 = no limit", minimum=0),
+    )
+    max_anchors: int = option(200_000, "growth stops at this number; 0 = no limit", minimum=0)
     # Losses
-    "ssim_weight": Option(0.2, "weight of 1 - SSIM against L1", minimum=0.0, maximum=1.0),
-    "scale_weight": Option(0.01, "weight of the mean product of scales of drawn Gaussians", minimum=0.0),
-}
-"""What HAC has in common with it."""
+    ssim_weight: float = option(0.2, "weight of 1 - SSIM against L1", minimum=0.0, maximum=1.0)
+    scale_weight: float = option(0.01, "weight of the mean product of scales of drawn Gaussians", minimum=0.0)
+
 
 SOURCE = ("methods.scaffold_gs", "methods.gaussian_splatting.ply", *SHARED_SOURCE, "datasets.cloud")
 
@@ -70,8 +74,7 @@ SPEC = MethodSpec(
     needs_volume=False,
     uses_alpha="views are composited on the training background; alpha is no target of its own",
     devices=("cpu", "cuda"),
-    options=OPTIONS,
-    presets={"quick": {}, "standard": {}, "paper": {}},
+    options=ScaffoldOptions,
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={
         "fair": Configuration(),

@@ -22,9 +22,10 @@ from econgs.losses import photometric_loss
 from econgs.optim import Adam
 from econgs.points import median_neighbour_distance
 from econgs.splat.composite import over
-from methods.interface import Checkpoint, Model, OptionValue, Refused, SceneInput
+from methods.interface import Checkpoint, Model, Refused, SceneInput
 from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
+from methods.scaffold_gs.spec import ScaffoldOptions
 from methods.shared.training import CHECK_EVERY, TrainingLoop, to_numpy, under
 
 Rate = tuple[float, float]
@@ -72,7 +73,7 @@ class Trainer(TrainingLoop):
     def __init__(
         self,
         scene: SceneInput,
-        options: Mapping[str, OptionValue],
+        options: ScaffoldOptions,
         iterations: int,
         seed: int,
         device: str,
@@ -83,26 +84,26 @@ class Trainer(TrainingLoop):
         self.scene, self.options = scene, options
         self.schedule = Schedule(iterations, self.quantised)
         points = torch.from_numpy(_start(scene, options, seed))
-        voxel = float(options["voxel"]) or median_neighbour_distance(points, 0.01 * scene.extent)
+        voxel = options.voxel or median_neighbour_distance(points, 0.01 * scene.extent)
         self.anchors = AnchorSet(
             "scene",
             points,
             voxel=voxel,
-            features=int(options["features"]),
-            offsets=int(options["offsets"]),
+            features=options.features,
+            offsets=options.offsets,
             fallback=0.01 * scene.extent,
             masks=self.masks,
             device=device,
         )
-        limit = int(options["max_anchors"])
+        limit = options.max_anchors
         if 0 < limit < len(self.anchors):
             raise Refused(f"{len(self.anchors)} initial anchors are more than max_anchors = {limit}")
         try:
             self.rules = AnchorRules(
                 voxel=voxel,
-                init_factor=int(options["init_factor"]),
-                levels=int(options["growth_levels"]),
-                gradient=float(options["growth_gradient"]),
+                init_factor=options.init_factor,
+                levels=options.growth_levels,
+                gradient=options.growth_gradient,
                 offset_visits=self.schedule.visits(40.0),
                 anchor_visits=self.schedule.visits(80.0),
                 limit=limit,
@@ -110,12 +111,12 @@ class Trainer(TrainingLoop):
         except ValueError as error:  # options that are possible one by one
             raise Refused(str(error)) from error
         self.decoders = ColorDecoders(
-            int(options["features"]),
-            int(options["offsets"]),
+            options.features,
+            options.offsets,
             distance=self.distance,
             generator=self.generator,
         ).to(device)
-        self.background = _background(scene, str(options["background"]))
+        self.background = _background(scene, options.background)
         self.images = torch.from_numpy(scene.train.images)
         groups = self.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
@@ -218,9 +219,9 @@ class Trainer(TrainingLoop):
         offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
         splats = draw([decoded], camera, offset)
         image = over(splats.features, splats.alpha, background)
-        losses = {"image": photometric_loss(image, target, float(self.options["ssim_weight"]))}
+        losses = {"image": photometric_loss(image, target, self.options.ssim_weight)}
         if len(decoded.scales):
-            losses["scale"] = float(self.options["scale_weight"]) * decoded.scales.prod(dim=1).mean()
+            losses["scale"] = self.options.scale_weight * decoded.scales.prod(dim=1).mean()
         losses |= prepared.losses
         shown = self._shown(losses)
         loss = torch.stack(list(losses.values())).sum()
@@ -288,10 +289,10 @@ class Trainer(TrainingLoop):
         self.anchors.load_state(under("anchors/", self.arrays(checkpoint)))
 
 
-def _start(scene: SceneInput, options: Mapping[str, OptionValue], seed: int) -> NDArray[np.float32]:
+def _start(scene: SceneInput, options: ScaffoldOptions, seed: int) -> NDArray[np.float32]:
     cloud = scene.cloud
-    if options["start"] == "random":
-        cloud = random_cloud(int(options["random_points"]), float(options["random_half_extent"]), seed)
+    if options.start == "random":
+        cloud = random_cloud(options.random_points, options.random_half_extent, seed)
     if len(cloud) == 0:
         raise Refused(f"the initial cloud of scene {scene.name!r} is empty; set start=random")
     return np.array(cloud.points, dtype=np.float32)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
-from methods.interface import Budget, Checkpoint, Model, Monitor, OptionValue, Refused, SceneInput
+from methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
 
 M = TypeVar("M", bound=Model)
 
@@ -33,7 +33,7 @@ class PerScene(ABC, Generic[M]):
 
     @abstractmethod
     def trainer(
-        self, scene: SceneInput, options: Mapping[str, OptionValue], iterations: int, seed: int, device: str
+        self, scene: SceneInput, options: Any, iterations: int, seed: int, device: str
     ) -> SceneTrainer:
         """A fit at its beginning."""
 
@@ -49,16 +49,14 @@ class PerScene(ABC, Generic[M]):
     def owns(self, model: Model) -> bool:
         """Whether a model is of this method."""
 
-    def partition(
-        self, scenes: Sequence[SceneInput], options: Mapping[str, OptionValue]
-    ) -> list[list[SceneInput]]:
+    def partition(self, scenes: Sequence[SceneInput], options: Any) -> list[list[SceneInput]]:
         """One group per scene."""
         return [[scene] for scene in scenes]
 
     def fit(
         self,
         group: Sequence[SceneInput],
-        options: Mapping[str, OptionValue],
+        options: Any,
         budget: Budget,
         seed: int,
         device: str,

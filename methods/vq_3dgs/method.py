@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from methods.interface import Model, OptionValue, SceneInput
+from methods.interface import Model, SceneInput
 from methods.shared.method import PerScene
 from methods.vq_3dgs.model import VqModel, load_model
+from methods.vq_3dgs.spec import VqOptions
 from methods.vq_3dgs.training import VqTrainer
 
 
@@ -17,7 +18,7 @@ class VectorQuantised(PerScene[VqModel]):
     name = "vq-3dgs"
 
     def trainer(
-        self, scene: SceneInput, options: Mapping[str, OptionValue], iterations: int, seed: int, device: str
+        self, scene: SceneInput, options: VqOptions, iterations: int, seed: int, device: str
     ) -> VqTrainer:
         """A fit at its beginning."""
         return VqTrainer(scene, options, iterations, seed, device)

@@ -1,12 +1,30 @@
 """vq-3dgs: what it can do and how it is set."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 from methods.gaussian_splatting.spec import SPEC as PLAIN
-from methods.interface import Option, RateKnob
+from methods.gaussian_splatting.spec import GaussianOptions
+from methods.interface import RateKnob, option
 
-SIZES = (16, 64, 256, 1024)
+Size = Literal[16, 64, 256, 1024]
+SIZES: tuple[int, ...] = get_args(Size)
 """Codebook sizes that one fit prepares."""
+
+
+@dataclass(frozen=True)
+class VqOptions(GaussianOptions):
+    """Options of 3DGS, and those of its codebooks."""
+
+    codebook_size: Size = option(256, "words of each codebook, where no rate is asked for")
+    stages: int = option(2, "residual codebooks per group of attributes", minimum=1, maximum=8)
+    tuning: float = option(
+        0.2, "share of the budget that fine-tunes codebooks, all sizes in turn", minimum=0.0, maximum=0.9
+    )
+    tuning_lr: float = option(
+        1.0, "learning rates of words, as a share of those of 3DGS", minimum=0.0, maximum=10.0
+    )
+
 
 SPEC = replace(
     PLAIN,
@@ -25,19 +43,6 @@ SPEC = replace(
         "econgs.context.coder",
         *PLAIN.source[1:],
     ),
-    options={
-        **PLAIN.options,
-        "codebook_size": Option(256, "words of each codebook, where no rate is asked for", choices=SIZES),
-        "stages": Option(2, "residual codebooks per group of attributes", minimum=1, maximum=8),
-        "tuning": Option(
-            0.2,
-            "share of the budget that fine-tunes codebooks, all sizes in turn",
-            minimum=0.0,
-            maximum=0.9,
-        ),
-        "tuning_lr": Option(
-            1.0, "learning rates of words, as a share of those of 3DGS", minimum=0.0, maximum=10.0
-        ),
-    },
+    options=VqOptions,
     rate_knobs=(RateKnob("codebook size", SIZES, refit=False),),
 )

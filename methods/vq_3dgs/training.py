@@ -16,10 +16,10 @@ from econgs.splat.rasterise import rasterise
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.model import SceneGaussians
 from methods.gaussian_splatting.training import LEARNING_RATES, PARAMETERS, Trainer
-from methods.interface import Checkpoint, OptionValue, SceneInput
+from methods.interface import Checkpoint, SceneInput
 from methods.shared.quantised_scene import QuantisedScene
 from methods.vq_3dgs.model import GROUPS, VqModel, gaussians, quantised
-from methods.vq_3dgs.spec import SIZES
+from methods.vq_3dgs.spec import SIZES, VqOptions
 
 _LAST = 0.1  # words end at this share of their first learning rates
 
@@ -31,14 +31,14 @@ class VqTrainer(Trainer):
     of one size, in turn: what is saved at any size was trained at that size.
     """
 
+    options: VqOptions
+
     def __init__(
-        self, scene: SceneInput, options: Mapping[str, OptionValue], iterations: int, seed: int, device: str
+        self, scene: SceneInput, options: VqOptions, iterations: int, seed: int, device: str
     ) -> None:
         self.total, self.seed = iterations, seed
         self.coded: dict[int, QuantisedScene] = {}
-        super().__init__(
-            scene, options, max(1, round((1.0 - float(options["tuning"])) * iterations)), seed, device
-        )
+        super().__init__(scene, options, max(1, round((1.0 - options.tuning) * iterations)), seed, device)
 
     @property
     def iterations(self) -> int:
@@ -89,7 +89,7 @@ class VqTrainer(Trainer):
         return SceneGaussians(self.scene.name, self.scene.train.background, self.schedule.sh_degree, **values)
 
     def _quantised(self, size: int) -> QuantisedScene:
-        return quantised(self._plain(), size, int(self.options["stages"]), self.seed)
+        return quantised(self._plain(), size, self.options.stages, self.seed)
 
     def _place(self, coded: Mapping[int, QuantisedScene]) -> None:
         """Begin to optimise the words of these codebooks, and nothing else."""
@@ -103,9 +103,9 @@ class VqTrainer(Trainer):
         self.optimiser = Adam(words, self._word_rates())
 
     def _word_rates(self) -> dict[str, float]:
-        plain = LEARNING_RATES | {"sh_rest": float(self.options["sh_rest_lr"])}
+        plain = LEARNING_RATES | {"sh_rest": self.options.sh_rest_lr}
         of_group = {"color": "sh_dc", "scale": "log_scales", "rotation": "quats"}
-        share = float(self.options["tuning_lr"])
+        share = self.options.tuning_lr
         return {
             _name(size, group, stage): share * plain[of_group.get(group, "sh_rest")]
             for size, scene in self.coded.items()
@@ -128,7 +128,7 @@ class VqTrainer(Trainer):
 
     def model(self) -> VqModel:  # type: ignore[override]
         """The present state: as 3DGS until it is quantised, then as it will be stored."""
-        first = int(self.options["codebook_size"])
+        first = self.options.codebook_size
         sizes = [first, *(size for size in SIZES if size != first)]
         if self.coded:
             return VqModel.of([[_rounded(self._now(size)) for size in sizes]], self.device)
@@ -158,7 +158,7 @@ class VqTrainer(Trainer):
         """A coded scene of a checkpoint."""
         columns: dict[str, tuple[Codebook, ...]] = {}
         for group in ("opacity", *GROUPS):
-            stages = int(self.options["stages"]) if group in GROUPS else 1
+            stages = self.options.stages if group in GROUPS else 1
             books = []
             for stage in range(stages):
                 name = _name(size, group, stage)
