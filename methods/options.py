@@ -108,7 +108,7 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
         else:
             known = [*declarations, ITERATIONS, *([CONFIGURATION] if spec.configurations else [])]
             raise unknown("option", name, known, of=f"method {spec.name}")
-    variant = ",".join(f"{name}={_text(changed[name])}" for name in sorted(changed))
+    variant = ",".join(f"{name}={written(changed[name])}" for name in sorted(changed))
     return Settings(spec.options(**options), iterations, variant)
 
 
@@ -141,12 +141,12 @@ def check(method: str, name: str, option: Option, value: OptionValue) -> OptionV
         DataError: wrong type, out of range or not among the choices.
     """
     what = f"option {method}.{name} = {value!r}"
-    remedy = f"{option.doc[:1].upper()}{option.doc[1:]}; default {_text(option.default)}"
+    remedy = f"{option.doc[:1].upper()}{option.doc[1:]}; default {written(option.default)}"
     converted = _convert(option.default, value)
     if converted is None:
         raise DataError(what, f"not {_KINDS[type(option.default)]}", remedy)
     if option.choices and converted not in option.choices:
-        raise DataError(what, f"not one of {', '.join(_text(c) for c in option.choices)}", remedy)
+        raise DataError(what, f"not one of {', '.join(written(c) for c in option.choices)}", remedy)
     if isinstance(converted, int | float) and not isinstance(converted, bool):
         if option.minimum is not None and converted < option.minimum:
             raise DataError(what, f"below the minimum {option.minimum:g}", remedy)
@@ -180,7 +180,8 @@ def _convert(like: OptionValue, value: OptionValue) -> OptionValue | None:
     return int(number) if number == int(number) else None
 
 
-def _text(value: OptionValue) -> str:
+def written(value: OptionValue) -> str:
+    """A value as people write it."""
     if isinstance(value, bool):
         return "true" if value else "false"
     return f"{value:g}" if isinstance(value, float) else str(value)

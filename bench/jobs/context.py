@@ -35,6 +35,13 @@ class Context:
     peak_host_bytes: int | None = None
     peak_device_bytes: int | None = None
 
+    @property
+    def options(self) -> Any:
+        """The method's options, typed."""
+        if self.spec is None:
+            raise RuntimeError(f"{self.job.id} is of no method")
+        return self.spec.options(**self.job.options)
+
     def needed(self, kind: str) -> Record:
         """The finished job of that kind that this one builds on."""
         return self.all_needed(kind)[0]

@@ -42,7 +42,7 @@ def run(context: Context) -> EncodeResult:
     method = context.method()
     assert job.iterations is not None
     model = method.fit(
-        scenes, job.options, Budget(job.iterations), fit_seed(job), job.device, SilentMonitor(), found[0]
+        scenes, context.options, Budget(job.iterations), fit_seed(job), job.device, SilentMonitor(), found[0]
     )
     folder = context.folder / "model"
     if folder.exists():

@@ -34,7 +34,7 @@ def run(context: Context) -> FitResult:
     context.stop.deferred = True
     monitor.start()
     model = method.fit(
-        scenes, job.options, Budget(job.iterations), fit_seed(job), job.device, monitor, resume
+        scenes, context.options, Budget(job.iterations), fit_seed(job), job.device, monitor, resume
     )
     synchronise(job.device)
     monitor.stop()

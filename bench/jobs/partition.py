@@ -17,7 +17,7 @@ def run(context: Context) -> PartitionResult:
     method = context.method()
     context.report(stage="partition")
     start = time.perf_counter()
-    groups = method.partition(scenes, job.options)
+    groups = method.partition(scenes, context.options)
     synchronise(job.device)
     seconds = time.perf_counter() - start
     names = [[scene.name for scene in group] for group in groups]

@@ -281,8 +281,8 @@ def test_what_is_not_finite_is_called_diverged(kind, scene):
 
 def test_configurations_are_chosen_like_an_option(kind):
     fair, paper = (resolve(kind.spec, "paper", {"configuration": name}) for name in ("fair", "paper"))
-    assert (fair.variant, fair.options["start"], fair.iterations) == ("", "cloud", 20_000)
-    assert (paper.variant, paper.options["start"], paper.iterations) == (
+    assert (fair.variant, fair.options.start, fair.iterations) == ("", "cloud", 20_000)
+    assert (paper.variant, paper.options.start, paper.iterations) == (
         "configuration=paper",
         "random",
         30_000,

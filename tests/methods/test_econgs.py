@@ -16,7 +16,7 @@ from datasets.scene import Light
 from econgs.anchors.colors import offset_colors
 from methods.econgs.memory import group_bytes
 from methods.econgs.method import Econgs
-from methods.econgs.spec import SPEC
+from methods.econgs.spec import SPEC, EcongsOptions
 from methods.econgs.training import Trainer
 from methods.interface import Budget, Diverged, Edit, HasAttributes, Refused, SceneInput
 from methods.options import resolve
@@ -272,7 +272,7 @@ def test_memory_is_estimated_from_the_points_that_become_anchors(tiny, scene):
     crowded = tiny.with_cloud(scene, rng.uniform(-0.2, 0.2, (20_000, 3)))
     all_of_it, thinned = (
         group_bytes([crowded], options(start_spacing=spacing))
-        for spacing in (0.0, SPEC.options["start_spacing"].default)
+        for spacing in (0.0, EcongsOptions().start_spacing)
     )
     assert thinned < all_of_it
 
@@ -391,7 +391,7 @@ def test_folded_embeddings_make_the_same_pictures_in_fewer_bytes(tiny, scene, tm
     while trainer.iteration < 60:
         trainer.step()
     whole = trainer.model()
-    trainer.options = {**trainer.options, "fold_embeddings": True}
+    trainer.options = replace(trainer.options, fold_embeddings=True)
     folded = trainer.model()
     for name in ("tiny", "second"):
         for one, other in zip(

@@ -106,12 +106,12 @@ def test_parts_of_the_loss_carry_their_weights(tiny, scene):
     for option, name in names.items():
         values = []
         for weight in (0.5, 1.0):
-            trainer.options = {**trainer.options, f"{option}_weight": weight}
+            trainer.options = replace(trainer.options, **{f"{option}_weight": weight})
             found, _, _ = trainer._losses(camera, trainer.images[0], back)
             values.append(float(found[name].detach()))
         assert values[1] == pytest.approx(2.0 * values[0])
         assert values[1] > 0.0
-    trainer.options = {**trainer.options, "alpha_weight": 0.0, "normal_weight": 0.0}
+    trainer.options = replace(trainer.options, alpha_weight=0.0, normal_weight=0.0)
     found, _, _ = trainer._losses(camera, trainer.images[0], back)
     assert set(found) == {"image", "offset colors", "smoothness", "opacity"}
 

@@ -1,28 +1,44 @@
+import json
+from pathlib import Path
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from datasets.errors import DataError, UnknownName
-from methods.gaussian_splatting.spec import SPEC
+from methods import reference
+from methods.gaussian_splatting.spec import SPEC, GaussianOptions
 from methods.interface import Option
-from methods.options import check, parse_assignments, resolve
+from methods.options import check, declared, parse_assignments, resolve
+from methods.vq_3dgs.spec import VqOptions
 
 
 def test_preset_overlays_defaults_and_the_user_overlays_the_preset():
-    assert SPEC.options["sh_rest_lr"].default == 1.25e-4
+    assert GaussianOptions().sh_rest_lr == 1.25e-4
     quick = resolve(SPEC, "quick")
-    assert (quick.options["sh_rest_lr"], quick.iterations, quick.variant) == (1e-3, 1_200, "")
+    assert (quick.options.sh_rest_lr, quick.iterations, quick.variant) == (1e-3, 1_200, "")
     own = resolve(SPEC, "quick", {"sh_rest_lr": "0.002", "iterations": "7_000", "sh_degree": "3"})
-    assert (own.options["sh_rest_lr"], own.iterations) == (0.002, 7_000)
+    assert (own.options.sh_rest_lr, own.iterations) == (0.002, 7_000)
     assert own.variant == "iterations=7000,sh_rest_lr=0.002", "what equals the preset is no variant"
-    assert set(own.options) == set(SPEC.options)
+    assert set(own.values) == set(declared(GaussianOptions))
 
 
-def test_resolving_leaves_the_spec_as_it_was():
-    before = {name: option.default for name, option in SPEC.options.items()}
-    resolve(SPEC, "quick", {"background": "black"})
-    assert {name: option.default for name, option in SPEC.options.items()} == before
-    assert resolve(SPEC, "quick").options["background"] == "scene"
+def test_declarations_carry_range_and_choices():
+    options = declared(VqOptions)
+    assert options["sh_degree"] == Option(3, "final degree of the spherical harmonics", 0, 3)
+    assert options["background"].choices == ("scene", "white", "black", "random")
+    assert options["codebook_size"].choices == (16, 64, 256, 1024)
+    assert options["tuning"].maximum == 0.9
+
+
+def test_records_hold_numbers_of_the_declared_types():
+    values = resolve(SPEC, "quick", {"prune_opacity": "0", "max_gaussians": "5.0", "start": "random"}).values
+    assert [repr(values[name]) for name in ("prune_opacity", "max_gaussians", "start")] == [
+        "0.0",
+        "5",
+        "'random'",
+    ]
+    assert SPEC.options(**json.loads(json.dumps(values))) == SPEC.options(**values)
 
 
 def test_unknown_names_come_with_near_matches():
@@ -62,7 +78,7 @@ def test_bad_values_are_refused_with_option_reason_and_meaning(name, value, reas
     ("text", "value"), [("true", True), ("Yes", True), ("1", True), ("off", False), ("0", False)]
 )
 def test_texts_of_truth(text, value):
-    assert resolve(SPEC, "quick", {"opacity_reset": text}).options["opacity_reset"] is value
+    assert resolve(SPEC, "quick", {"opacity_reset": text}).options.opacity_reset is value
 
 
 @settings(deadline=None)
@@ -96,3 +112,10 @@ def test_one_option_set_twice_is_refused():
     assert parse_assignments(["m.o=1", "m.o=1"]) == {"m": {"o": "1"}}
     with pytest.raises(DataError, match="already set"):
         parse_assignments(["m.o=1", "m.o=2"])
+
+
+def test_the_page_of_options_is_current():
+    page = Path(__file__).parents[2] / "docs" / "reference" / "options.md"
+    assert page.read_text(encoding="utf-8") == reference.page(), (
+        "python -m methods.reference > docs/reference/options.md"
+    )

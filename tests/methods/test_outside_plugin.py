@@ -22,7 +22,7 @@ def bench(tmp_path_factory):
         copy.write_bytes(file.read_bytes())
     install = ["-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--target", target, source]
     subprocess.run([sys.executable, *map(str, install)], check=True)
-    environment = os.environ | {"PYTHONPATH": str(target)}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(target), str(TOY.parents[1])])}
 
     def run(*arguments):
         done = subprocess.run(

@@ -13,16 +13,22 @@ from methods.registry import Registry, load_method
 ROOT = Path(methods.__file__).parents[1]
 
 PLUGIN = """
-from methods.interface import MethodSpec, Option
+from dataclasses import dataclass
+from methods.interface import MethodSpec, option
+
+@dataclass(frozen=True)
+class Options:
+    size: int = option(3, "how much", minimum=1)
+
 SPEC = MethodSpec(
     name={name!r}, title="A toy", reference="", version="1",
     implementation="{module}:Toy", source=("{module}",),
     joint=False, composable=False, edits=frozenset(), needs_volume=False, uses_alpha="no", devices=("cpu",),
-    options={{"size": Option(3, "how much", minimum=1)}},
-    presets={{"quick": {{}}, "standard": {{}}, "paper": {preset}}},
+    options=Options, presets={{"paper": {preset}}},
     iterations={{"quick": 1, "standard": 2, "paper": 3}},
 )
 """
+AGAIN, SO = "from dataclasses import replace\n", "SPEC = replace(SPEC, options=A)\n"
 
 
 @pytest.fixture
@@ -127,6 +133,12 @@ def test_a_plugin_hidden_by_another_module_is_refused(folder):
         ({"preset": "{'size': 0}"}, "below the minimum"),
         ({"name": "To y"}, "method name"),
         ({"extra": "SPEC = 3\n"}, "SPEC is a int"),
+        ({"extra": f"{AGAIN}@dataclass\nclass A:\n    a: int = option(1, '')\n{SO}"}, "no frozen dataclass"),
+        ({"extra": f"{AGAIN}@dataclass(frozen=True)\nclass A:\n    a: int = 1\n{SO}"}, "'a' is not declared"),
+        (
+            {"extra": f"{AGAIN}@dataclass(frozen=True)\nclass A:\n    a: float = option(1, '')\n{SO}"},
+            "not of its type",
+        ),
         ({"extra": "import no_such_module_here\n"}, "no_such_module_here"),
     ],
 )

@@ -47,7 +47,7 @@ class Trainer:
         self.positions = torch.from_numpy(scene.cloud.points.copy()).half().float().to(device)
         values = torch.full((len(scene.cloud), 4), 0.1)
         values[:, :3] = torch.from_numpy(scene.cloud.colors.copy()).clamp(0.05, 0.95)
-        self.optimiser = Adam({"logits": values.logit().to(device)}, {"logits": options["rate"]})
+        self.optimiser = Adam({"logits": values.logit().to(device)}, {"logits": options.rate})
         self.generator = torch.Generator().manual_seed(seed)
         self.images = torch.from_numpy(scene.train.images)
         self.iteration = 0
@@ -73,12 +73,12 @@ class Trainer:
 
     def blobs(self):
         values = self.optimiser["logits"].sigmoid()
-        return {"positions": self.positions, "values": values, "size": self.options["size"]}
+        return {"positions": self.positions, "values": values, "size": self.options.size}
 
     def model(self):
         """As it will be stored: 8 bits per value."""
         levels = (255.0 * self.blobs()["values"].detach()).round().to(torch.uint8)
-        scene = {"background": self.scene.train.background, "size": self.options["size"]}
+        scene = {"background": self.scene.train.background, "size": self.options.size}
         return ToyModel({self.scene.name: scene | {"positions": self.positions, "levels": levels}})
 
     def checkpoint(self):

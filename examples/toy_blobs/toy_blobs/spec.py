@@ -1,6 +1,17 @@
 """What the method can do and how it is set. Pure data: nothing heavy is imported here."""
 
-from methods.interface import MethodSpec, Option
+from dataclasses import dataclass
+
+from methods.interface import MethodSpec, option
+
+
+@dataclass(frozen=True)
+class ToyOptions:
+    """Options of toy-blobs."""
+
+    size: float = option(0.03, "standard deviation of a blob, scene units", minimum=1e-4, maximum=1.0)
+    rate: float = option(0.05, "learning rate", minimum=0.0, maximum=1.0)
+
 
 SPEC = MethodSpec(
     name="toy-blobs",
@@ -15,10 +26,6 @@ SPEC = MethodSpec(
     needs_volume=False,
     uses_alpha="views are composited on the scene's background",
     devices=("cpu", "cuda"),
-    options={
-        "size": Option(0.03, "standard deviation of a blob, scene units", minimum=1e-4, maximum=1.0),
-        "rate": Option(0.05, "learning rate", minimum=0.0, maximum=1.0),
-    },
-    presets={"quick": {}, "standard": {}, "paper": {}},
+    options=ToyOptions,
     iterations={"quick": 300, "standard": 2_000, "paper": 10_000},
 )

@@ -6,17 +6,27 @@ import copy
 import json
 import os
 import time
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from methods.interface import Checkpoint, Diverged, MethodSpec, Option, RateKnob, Refused, edits_by_scene
+from methods.interface import Checkpoint, Diverged, MethodSpec, RateKnob, Refused, edits_by_scene, option
 
-BEHAVIOURS = (
+Behaviour = Literal[
     "good", "refuse", "diverge", "nan", "raise", "abort", "exit", "hog", "sleep", "ledger", "no-checkpoint",
     "hold", "apart",
-)  # fmt: skip
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Options:
+    behaviour: Behaviour = option("good", "what it does wrong, in the fit")
+    only: str = option("", "name of the one scene on which it does wrong")
+    pace: float = option(0.0, "seconds per iteration", minimum=0.0)
+    file: str = option("", "if this file exists, all is well")
 
 
 def _spec(name: str, joint: bool) -> MethodSpec:
@@ -33,13 +43,7 @@ def _spec(name: str, joint: bool) -> MethodSpec:
         needs_volume=False,
         uses_alpha="no",
         devices=("cpu",),
-        options={
-            "behaviour": Option("good", "what it does wrong, in the fit", choices=BEHAVIOURS),
-            "only": Option("", "name of the one scene on which it does wrong"),
-            "pace": Option(0.0, "seconds per iteration", minimum=0.0),
-            "file": Option("", "if this file exists, all is well"),
-        },
-        presets={"quick": {}, "standard": {}, "paper": {}},
+        options=Options,
         iterations={"quick": 20, "standard": 200, "paper": 2000},
         rate_knobs=(RateKnob("digits", (2.0, 6.0), refit=False),),
     )
@@ -111,8 +115,8 @@ class Single:
                 colors[name] = [
                     float(c + 0.1 * (t - c) + n) for c, t, n in zip(colors[name], target, noise, strict=True)
                 ]
-            if options["pace"]:
-                time.sleep(options["pace"])
+            if options.pace:
+                time.sleep(options.pace)
             loss = float(sum(np.abs(np.subtract(colors[n], targets[n])).mean() for n in targets))
             half = iteration == max(2, budget.iterations // 2)
             if half:
@@ -148,11 +152,11 @@ def _target(images: np.ndarray) -> np.ndarray:
 
 
 def _behaviour(options, group) -> str:
-    if options["file"] and os.path.exists(options["file"]):
+    if options.file and os.path.exists(options.file):
         return "good"
-    if options["only"] and options["only"] not in [s.name for s in group]:
+    if options.only and options.only not in [s.name for s in group]:
         return "good"
-    return options["behaviour"]
+    return options.behaviour
 
 
 def _misbehave(behaviour: str, loss: float) -> float:

@@ -1,0 +1,64 @@
+"""The page of options: ``python -m methods.reference > docs/reference/options.md``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from methods.interface import MethodSpec, Option
+from methods.options import declared, written
+from methods.registry import Registry
+
+_HEAD = """# Options of the methods
+
+`python -m methods.reference > docs/reference/options.md` writes this page from the specs of the methods
+(`methods/*/spec.py`). `--set METHOD.OPTION=VALUE` sets an option; it also sets `iterations`, the budget, and
+`configuration`, a named set of options. Presets and configurations change the defaults as each section lists."""
+
+
+def page() -> str:
+    """The whole page, as Markdown: a table for each built-in method."""
+    registry = Registry()
+    own = [spec for spec in registry if registry.origin(spec.name).startswith("built in")]
+    return "\n\n".join([_HEAD, *(part for spec in own for part in _section(spec))]) + "\n"
+
+
+def _section(spec: MethodSpec) -> Iterator[str]:
+    yield f"## {spec.name}"
+    rows = [
+        f"| `{name}` | {written(option.default)} | {_values(option)} | {option.doc} |"
+        for name, option in declared(spec.options).items()
+    ]
+    yield "\n".join(["| option | default | values | meaning |", "|---|---|---|---|", *rows])
+    lines = [
+        f"- preset `{name}`: {_settings({'iterations': count, **spec.presets.get(name, {})})}"
+        for name, count in spec.iterations.items()
+    ]
+    for name, one in spec.configurations.items():
+        budgets = {f"iterations of `{preset}`": count for preset, count in one.iterations.items()}
+        if one.options or budgets:
+            lines.append(f"- configuration `{name}`: {_settings({**one.options, **budgets})}")
+    for knob in spec.rate_knobs:
+        how = "one fit each" if knob.refit else "all from one fit"
+        lines.append(f"- rates: {knob.name} = {', '.join(map(written, knob.values))} ({how})")
+    yield "\n".join(lines)
+
+
+def _values(option: Option) -> str:
+    if option.choices:
+        return ", ".join(map(written, option.choices))
+    if isinstance(option.default, bool):
+        return "true, false"
+    if isinstance(option.default, str):
+        return "text"
+    low, high = (None if bound is None else written(bound) for bound in (option.minimum, option.maximum))
+    if low is not None and high is not None:
+        return f"{low} to {high}"
+    return f"≥ {low}" if low is not None else f"≤ {high}" if high is not None else "any"
+
+
+def _settings(values: dict[str, bool | int | float | str]) -> str:
+    return ", ".join(f"{name} = {written(value)}" for name, value in values.items())
+
+
+if __name__ == "__main__":
+    print(page(), end="")
