@@ -12,7 +12,7 @@ _HEAD = """# Options of the methods
 
 `python -m methods.reference > docs/reference/options.md` writes this page from the specs of the methods
 (`methods/*/spec.py`). `--set METHOD.OPTION=VALUE` sets an option; it also sets `iterations`, the budget, and
-`configuration`, a named set of options. Presets and configurations change the defaults as each section lists."""
+`configuration`, a named set of options. Each section ends with what presets and configurations change."""
 
 
 def page() -> str:
