@@ -23,24 +23,24 @@ from datasets.scene import Dataset
 from datasets.transfer import TransferFunction
 from datasets.views import Split, ViewRequest, ViewSet
 
-_BINS = 128  # of a drawn transfer function
+_BINS = 128  # of a recorded transfer function
 _IMAGES = {".png", ".json", ".ply"}
 
 
 def absolute(name_or_path: str) -> str:
-    """A catalogue name as it is, a path (with what is chosen of the file) so that any process finds it."""
+    """A catalogue name unchanged; a path (and its choices within the file) made absolute, for any process."""
     path, choices = split(name_or_path)
-    known = {info.name for info in list_datasets()}
-    if name_or_path.partition("@")[0] in known or not path.exists():
+    names = {info.name for info in list_datasets()}
+    if name_or_path.partition("@")[0] in names or not path.exists():
         return name_or_path
     return f"{path.resolve()}:{choices}" if choices else str(path.resolve())
 
 
 def fingerprint(dataset: Dataset, scene_name: str) -> str:
-    """Hash of all that decides how a scene looks: its definition and the data behind it.
+    """Hash of all that decides the pictures of a scene: its definition and its data.
 
     Raises:
-        DataError: the data cannot be read (found here, before any job starts).
+        DataError: the data cannot be read.
     """
     scene = dataset.scene(scene_name)
     identity: dict[str, Any] = {
@@ -55,7 +55,7 @@ def fingerprint(dataset: Dataset, scene_name: str) -> str:
 
 
 def request(dataset: Dataset, scene_name: str, preset: ViewPreset) -> Request:
-    """The views that a preset wants of a dataset.
+    """The views of a dataset that a preset asks for.
 
     Raises:
         DataError: its pre-rendered views cannot be read, or have no size that the preset can use.
@@ -91,32 +91,32 @@ def views(dataset: Dataset, scene: str, request: Request, split: Split, edit: st
     return views_of(dataset, scene, view_request(request, split), edit=edit_of(scene, edit))
 
 
-def drawn_transfer(transfer: TransferFunction, entries: int) -> NDArray[np.float64]:
+def transfer_table(transfer: TransferFunction, entries: int) -> NDArray[np.float64]:
     """(entries, 4) color, and opacity over one reference length, at equidistant normalised values."""
     table = transfer.classify(np.linspace(0.0, 1.0, entries))
     table[:, 3] = -np.expm1(-table[:, 3] * transfer.reference_length)
     return table
 
 
-def shown_transfer(dataset: Dataset, scene: str, edit: str = "") -> dict[str, dict[str, list[list[float]]]]:
-    """Basic scene -> what of it is drawn beside pictures, for a scene (edited or not) or a composition.
+def transfer_summary(dataset: Dataset, scene: str, edit: str = "") -> dict[str, dict[str, list[list[float]]]]:
+    """Basic scene -> its transfer function and isosurfaces, for a scene (edited or not) or a composition.
 
     "transfer": color and opacity (of the reference length) of :data:`_BINS` equal bins of normalised values,
     at the highest opacity in each; "levels": normalised value and color of each isosurface. Empty for scenes
     that were rendered elsewhere.
     """
     changes = edit_of(scene, edit)
-    found = {}
+    summary = {}
     for part in dataset.parts(scene) if dataset.kind == "volume" else ():
-        shown = edited(part, changes[part.name]) if part.name in changes else part
+        scene_part = edited(part, changes[part.name]) if part.name in changes else part
         bins: list[list[float]] = []
-        if shown.transfer is not None:
-            fine = drawn_transfer(shown.transfer, _BINS * 16).reshape(_BINS, 16, 4)
+        if scene_part.transfer is not None:
+            fine = transfer_table(scene_part.transfer, _BINS * 16).reshape(_BINS, 16, 4)
             peaks = fine[np.arange(_BINS), fine[..., 3].argmax(axis=1)]
             bins = [[float(value) for value in row] for row in peaks.round(3)]
-        levels = [[float(level.value), *map(float, level.color)] for level in shown.isosurfaces]
-        found[part.name] = {"transfer": bins, "levels": levels}
-    return found
+        levels = [[float(level.value), *map(float, level.color)] for level in scene_part.isosurfaces]
+        summary[part.name] = {"transfer": bins, "levels": levels}
+    return summary
 
 
 def view_request(request: Request, split: Split) -> ViewRequest:

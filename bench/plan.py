@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from bench.records import Job, hash_of
-from bench.selection import Chosen, Selection, chosen_datasets
+from bench.selection import Selection, Subset, subsets
 from bench.store import Store
 from bench.suites import SAMPLED
 from datasets.names import unknown
@@ -38,12 +38,12 @@ class Planner:
             raise unknown("preset", preset, suite.presets, of=f"suite {suite.name}")
         self._preset_name, self._preset = preset, suite.presets[preset]
         self._seeds = selection.seeds or suite.seeds
-        self._specs = self._chosen_methods()
-        self._settings = list(self._chosen_settings())
-        self._datasets = chosen_datasets(selection, self._preset)
+        self._specs = self._methods()
+        self._settings = list(self._variants())
+        self._subsets = subsets(selection, self._preset)
 
     def jobs(self, store: Store | None) -> list[Job]:
-        """All jobs known so far, in an order in which they can run."""
+        """All jobs that can be planned so far, in an order in which they can run."""
         jobs: dict[str, Job] = {}
         for job in self._all(store):
             jobs.setdefault(job.id, job)
@@ -51,7 +51,7 @@ class Planner:
 
     # ------------------------------------------------------------------ choices
 
-    def _chosen_methods(self) -> list[MethodSpec]:
+    def _methods(self) -> list[MethodSpec]:
         if self._selection.methods:
             names: list[str] = list(self._selection.methods)
         else:
@@ -63,15 +63,15 @@ class Planner:
                 raise unknown("method", name, names, of="this run (--set)")
         return specs
 
-    def _chosen_settings(self) -> Iterator[tuple[MethodSpec, Settings, list[float | None]]]:
+    def _variants(self) -> Iterator[tuple[MethodSpec, Settings, list[float | None]]]:
         """Method, resolved options and rates, for each variant; equal ones once."""
-        seen = set()
+        variants = set()
         for spec in self._specs:
             for variant in self._selection.suite.variants:
                 overrides = {**variant.get(spec.name, {}), **self._selection.overrides.get(spec.name, {})}
                 for settings, rates in self._with_rates(spec, overrides):
-                    if (spec.name, settings.variant) not in seen:
-                        seen.add((spec.name, settings.variant))
+                    if (spec.name, settings.variant) not in variants:
+                        variants.add((spec.name, settings.variant))
                         yield spec, settings, rates
 
     def _with_rates(
@@ -91,47 +91,47 @@ class Planner:
     # ------------------------------------------------------------------ graph
 
     def _all(self, store: Store | None) -> Iterator[Job]:
-        for chosen in self._datasets:
-            if self._selection.suite.dvr and chosen.kind == "volume":
-                for name in (*chosen.hashes, *chosen.compositions):
-                    yield self._of_scene("dvr", chosen, name)
+        for subset in self._subsets:
+            if self._selection.suite.dvr and subset.kind == "volume":
+                for name in (*subset.hashes, *subset.compositions):
+                    yield self._of_scene("dvr", subset, name)
             if not self._settings:
                 continue
             views = {
-                name: self._of_scene("views", chosen, name) for name in (*chosen.hashes, *chosen.compositions)
+                name: self._of_scene("views", subset, name) for name in (*subset.hashes, *subset.compositions)
             }
-            edited = self._edited_views(chosen)
+            edited = self._edited_views(subset)
             yield from (*views.values(), *edited.values())
             for spec, settings, rates in self._settings:
                 for seed in self._seeds:
-                    common = self._common(chosen, spec, settings, seed)
-                    yield from self._of_method(store, spec, common, chosen, views, edited, rates)
+                    common = self._common(subset, spec, settings, seed)
+                    yield from self._of_method(store, spec, common, subset, views, edited, rates)
 
     def _of_method(
         self,
         store: Store | None,
         spec: MethodSpec,
         common: dict[str, Any],
-        chosen: Chosen,
+        subset: Subset,
         views: dict[str, Job],
         edited: dict[tuple[str, str], Job],
         rates: list[float | None],
     ) -> Iterator[Job]:
         partition = None
-        groups = [[scene] for scene in chosen.hashes]
+        groups = [[scene] for scene in subset.hashes]
         if spec.joint:
-            partition = self._partition(spec, common, chosen, views)
+            partition = self._partition(spec, common, subset, views)
             yield partition
             record = store.record(partition.id) if store else None
             if record is not None and not record.ok:
-                groups = [list(chosen.hashes)]  # its failure is the failure of every scene
+                groups = [list(subset.hashes)]  # its failure is the failure of every scene
             elif record is None or record.partition is None:
                 return
             else:
                 groups = record.partition.groups
         encodes: dict[tuple[str, float | None], Job] = {}
         for group in groups:
-            fit = self._fit(spec, common, group, chosen, views, partition)
+            fit = self._fit(spec, common, group, subset, views, partition)
             yield fit
             for rate in rates:
                 needs = (fit.id, *(views[scene].id for scene in group))
@@ -143,10 +143,10 @@ class Planner:
                     for edit in self._selection.suite.edits if rate is None else ():
                         if (scene, edit) in edited:
                             yield self._measure([encode], (scene,), edited[scene, edit], edit=edit)
-        for name, parts in chosen.compositions.items():
+        for name, parts in subset.compositions.items():
             for rate in rates:
-                needed = list({encodes[part, rate].id: encodes[part, rate] for part in parts}.values())
-                yield self._measure(needed, parts, views[name], name)
+                models = list({encodes[part, rate].id: encodes[part, rate] for part in parts}.values())
+                yield self._measure(models, parts, views[name], name)
 
     def _measure(
         self,
@@ -183,18 +183,18 @@ class Planner:
             sampled=sampled,
         )
 
-    def _edited_views(self, chosen: Chosen) -> dict[tuple[str, str], Job]:
+    def _edited_views(self, subset: Subset) -> dict[tuple[str, str], Job]:
         """Scene and edit -> the views of the edited scene, where scenes can be rendered."""
-        edits = self._selection.suite.edits if chosen.kind == "volume" else ()
+        edits = self._selection.suite.edits if subset.kind == "volume" else ()
         return {
-            (scene, edit): self._of_scene("views", chosen, scene, edit)
-            for scene in chosen.hashes
+            (scene, edit): self._of_scene("views", subset, scene, edit)
+            for scene in subset.hashes
             for edit in edits
         }
 
-    def _of_scene(self, kind: str, chosen: Chosen, name: str, edit: str = "") -> Job:
+    def _of_scene(self, kind: str, subset: Subset, name: str, edit: str = "") -> Job:
         """A job about a scene or composition itself, of no method: its views, or the cost of rendering it."""
-        identity = {"kind": kind, "scene": chosen.content(name), "request": chosen.request.model_dump()}
+        identity = {"kind": kind, "scene": subset.content(name), "request": subset.request.model_dump()}
         if edit:
             identity["edit"] = edit
         if kind == "views":
@@ -204,22 +204,22 @@ class Planner:
                 "kind": kind,
                 "key": hash_of(identity),
                 "identity": identity,
-                "dataset": chosen.source,
-                "dataset_name": chosen.name,
-                "scenes": chosen.compositions.get(name, (name,)),
-                "composition": name if name in chosen.compositions else "",
+                "dataset": subset.source,
+                "dataset_name": subset.name,
+                "scenes": subset.compositions.get(name, (name,)),
+                "composition": name if name in subset.compositions else "",
                 "edit": edit,
-                "request": chosen.request,
+                "request": subset.request,
                 "split": self._selection.split,
                 "preset": self._preset_name,
             }
         )
 
-    def _common(self, chosen: Chosen, spec: MethodSpec, settings: Settings, seed: int) -> dict[str, Any]:
+    def _common(self, subset: Subset, spec: MethodSpec, settings: Settings, seed: int) -> dict[str, Any]:
         return {
-            "dataset": chosen.source,
-            "dataset_name": chosen.name,
-            "request": chosen.request,
+            "dataset": subset.source,
+            "dataset_name": subset.name,
+            "request": subset.request,
             "split": self._selection.split,
             "method": spec.name,
             "variant": settings.variant,
@@ -250,9 +250,9 @@ class Planner:
         }
 
     def _partition(
-        self, spec: MethodSpec, common: dict[str, Any], chosen: Chosen, views: dict[str, Job]
+        self, spec: MethodSpec, common: dict[str, Any], subset: Subset, views: dict[str, Job]
     ) -> Job:
-        hashes = chosen.hashes
+        hashes = subset.hashes
         identity = {"kind": "partition", **self._identity(spec, common, hashes)}
         return Job.model_validate(
             {
@@ -270,13 +270,13 @@ class Planner:
         spec: MethodSpec,
         common: dict[str, Any],
         group: list[str],
-        chosen: Chosen,
+        subset: Subset,
         views: dict[str, Job],
         partition: Job | None,
     ) -> Job:
         identity = {
             "kind": "fit",
-            **self._identity(spec, common, {scene: chosen.hashes[scene] for scene in group}),
+            **self._identity(spec, common, {scene: subset.hashes[scene] for scene in group}),
             # A group's share of partition time is that of this very partition.
             "partition": partition.key if partition else None,
         }

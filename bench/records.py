@@ -162,7 +162,7 @@ class ViewsResult(_Model):
         render_seconds: this job's own wait.
         cost: split -> what rendering its views took (:attr:`datasets.views.ViewSet.cost`), renderer and
             version among it; empty for pre-rendered views.
-        transfer: part -> what it shows (:func:`bench.inputs.shown_transfer`); empty for pre-rendered views.
+        transfer: part -> what it shows (:func:`bench.inputs.transfer_summary`); empty for pre-rendered views.
     """
 
     view_keys: dict[str, str]

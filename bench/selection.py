@@ -1,4 +1,4 @@
-"""What is asked for, and what it names: datasets opened, checked and hashed before any job starts."""
+"""A selection of datasets, scenes and methods; its datasets are checked and hashed before any job starts."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from datasets.scene import Dataset
 
 @dataclass(frozen=True)
 class Selection:
-    """What is asked for: a suite, narrowed or widened by command-line options.
+    """A suite, narrowed or widened by command-line options.
 
     Attributes:
         scenes: names of basic scenes, or of compositions (which bring their basic scenes along).
-        composed: every composition of the scenes chosen, whatever the suite says.
+        composed: every composition of the scenes, whatever the suite says.
         overrides: method -> option -> value, from ``--set``; on top of the suite's variants.
     """
 
@@ -39,14 +39,14 @@ class Selection:
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """A dataset as a plan needs it; its volumes are not held.
+class Subset:
+    """Scenes and compositions of one dataset as a plan needs them, without the volumes.
 
     Attributes:
         source: name in the catalogue, or absolute path.
         hashes: basic scene -> content hash, in the order of the dataset.
         compositions: composition -> its basic scenes, all of which are in ``hashes``.
-        request: the views wanted of each scene.
+        request: the views of each scene.
     """
 
     source: str
@@ -63,8 +63,8 @@ class Chosen:
         return self.hashes[name]
 
 
-def chosen_datasets(selection: Selection, preset: ViewPreset) -> list[Chosen]:
-    """Open, check and hash every dataset that is asked for; each is let go before the next is opened.
+def subsets(selection: Selection, preset: ViewPreset) -> list[Subset]:
+    """Open, check and hash every dataset of a selection; each is released before the next one is opened.
 
     Raises:
         UnknownName: a dataset or scene that is not there.
@@ -77,23 +77,23 @@ def chosen_datasets(selection: Selection, preset: ViewPreset) -> list[Chosen]:
         raise DataError(
             f"suite {suite.name}", "none of its datasets has data here", "Set BENCH_DATA, or name a --dataset"
         )
-    wanted: Literal["all"] | tuple[str, ...] = "all" if selection.composed else suite.compositions
-    chosen, problems = [], []
-    scenes_known: set[str] = set()
-    compositions_known: set[str] = set()
+    compositions: Literal["all"] | tuple[str, ...] = "all" if selection.composed else suite.compositions
+    result, problems = [], []
+    all_scenes: set[str] = set()
+    all_compositions: set[str] = set()
     for name in sources:
         try:
             source = inputs.absolute(name)
             dataset = open_dataset(source)
-            known = {*(scene.name for scene in dataset.scenes), *dataset.compositions}
-            scenes_known |= known
-            compositions_known |= set(dataset.compositions)
+            names = {*(scene.name for scene in dataset.scenes), *dataset.compositions}
+            all_scenes |= names
+            all_compositions |= set(dataset.compositions)
             choices: Sequence[Sequence[str]] = present.get(name, ((),))
             if selection.scenes:
-                named = [scene for scene in selection.scenes if scene in known]
-                choices = [named] if named else []
-            chosen += [
-                _choose(source, dataset, choice, wanted, replace(preset, train_views=count))
+                choice = [scene for scene in selection.scenes if scene in names]
+                choices = [choice] if choice else []
+            result += [
+                _subset(source, dataset, choice, compositions, replace(preset, train_views=count))
                 for choice in choices
                 for count in suite.train_views or (preset.train_views,)
             ]
@@ -102,12 +102,12 @@ def chosen_datasets(selection: Selection, preset: ViewPreset) -> list[Chosen]:
     if problems:
         raise problems[0] if len(problems) == 1 else _together(problems, len(sources))
     for scene in selection.scenes:
-        if scene not in scenes_known:
-            raise unknown("scene", scene, scenes_known, of=", ".join(sources))
-    for name in () if wanted == "all" or selection.datasets else wanted:
-        if name not in compositions_known:
-            raise unknown("composition", name, compositions_known, of=f"suite {suite.name}")
-    return chosen
+        if scene not in all_scenes:
+            raise unknown("scene", scene, all_scenes, of=", ".join(sources))
+    for name in () if compositions == "all" or selection.datasets else compositions:
+        if name not in all_compositions:
+            raise unknown("composition", name, all_compositions, of=f"suite {suite.name}")
+    return result
 
 
 def _available(suite: Suite) -> set[str]:
@@ -116,23 +116,23 @@ def _available(suite: Suite) -> set[str]:
     return set(suite.datasets) - lacking
 
 
-def _choose(
+def _subset(
     source: str,
     dataset: Dataset,
-    named: Sequence[str],
-    wanted: Literal["all"] | tuple[str, ...],
+    choice: Sequence[str],
+    wish: Literal["all"] | tuple[str, ...],
     preset: ViewPreset,
-) -> Chosen:
-    """The scenes and compositions of one dataset: those named (else all scenes), and what they make up."""
-    names = named or [scene.name for scene in dataset.scenes]
+) -> Subset:
+    """Scenes and compositions of a choice (empty: all scenes), and those of the wish that they make up."""
+    names = choice or [scene.name for scene in dataset.scenes]
     within = {part.name for name in names for part in dataset.parts(name)}
     compositions = {
         name: parts
         for name, parts in dataset.compositions.items()
-        if name in named or ((wanted == "all" or name in wanted) and within.issuperset(parts))
+        if name in choice or ((wish == "all" or name in wish) and within.issuperset(parts))
     }
     scenes = [scene.name for scene in dataset.scenes if scene.name in within]
-    return Chosen(
+    return Subset(
         source,
         dataset.name,
         dataset.kind,
@@ -143,7 +143,7 @@ def _choose(
 
 
 def _together(problems: Sequence[DataError], count: int) -> DataError:
-    """One error that tells what is wrong with each of several datasets."""
+    """One error that names the problem of each of several datasets."""
     kind = UnknownName if all(isinstance(error, UnknownName) for error in problems) else DataError
-    told = "; ".join(f"({number}) {error}" for number, error in enumerate(problems, 1))
-    return kind(f"{len(problems)} of {count} datasets", f"cannot be used: {told}", "Nothing was run")
+    reasons = "; ".join(f"({number}) {error}" for number, error in enumerate(problems, 1))
+    return kind(f"{len(problems)} of {count} datasets", f"cannot be used: {reasons}", "Nothing was run")

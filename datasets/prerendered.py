@@ -14,7 +14,7 @@ from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.png import read_png
 from datasets.scene import BasicScene
-from datasets.views import ViewRequest, ViewSet, split_indices
+from datasets.views import ViewRequest, ViewSet, evenly_spaced, split_indices
 
 _log = logging.getLogger(__name__)
 
@@ -81,19 +81,6 @@ def _chosen(scene: BasicScene, request: ViewRequest) -> tuple[Path, list[tuple[C
             "Use 12 or more training views",
         )
     return path, chosen
-
-
-def evenly_spaced(available: int, wanted: int) -> list[int]:
-    """``wanted`` of ``available`` indices, evenly spread from the first on; all if there are not more.
-
-    Raises:
-        DataError: fewer than one is wanted.
-    """
-    if wanted < 1:
-        raise DataError(f"{wanted} views", "there must be at least one", "Ask for 16 or 92, say")
-    if wanted >= available:
-        return list(range(available))
-    return [i * available // wanted for i in range(wanted)]
 
 
 def area_average(image: NDArray[np.float32], width: int, height: int, file: Path) -> NDArray[np.float32]:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.view_files import read_views, rounded, write_views
+from datasets.view_files import INDEX, read_views, rounded, write_views
 
 DEFAULT_MAX_BYTES = 20 * 2**30
 _SCHEMA = 1
@@ -103,6 +103,21 @@ class ViewCache:
             shutil.rmtree(aside, ignore_errors=True)
         self.prune(self.max_bytes, keep=key)
         return stored
+
+    def link(self, key: str, file: Path) -> dict[str, Any] | None:
+        """Give an entry's pictures a second name, which stays when the entry goes.
+
+        Returns:
+            What :func:`datasets.view_files.read_views` needs, or None if there is no entry or no such link.
+        """
+        entry = self._entry(key)
+        if entry is None:
+            return None
+        try:
+            os.link(self.folder / key / "images.zst", file)
+        except OSError:  # another file system
+            return None
+        return {name: entry[name] for name in INDEX if name in entry}
 
     def prune(self, max_bytes: int, keep: str = "") -> int:
         """Remove least recently used entries until the rest takes at most ``max_bytes``.

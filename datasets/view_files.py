@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 _LEVELS = 65535
 _SIXTEEN_BITS = "<u2"
+INDEX = ("shape", "dtype", "frames", "sha256")
+"""Keys of the index of a file."""
 
 
 def rounded(images: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -39,12 +41,8 @@ def write_views(file: Path, images: NDArray[np.float32]) -> dict[str, Any]:
             frames.append(len(frame))
             checksum.update(frame)
             stream.write(frame)
-    return {
-        "shape": list(images.shape),
-        "dtype": _SIXTEEN_BITS if exact else "<f4",
-        "frames": frames,
-        "sha256": checksum.hexdigest(),
-    }
+    dtype = _SIXTEEN_BITS if exact else "<f4"
+    return dict(zip(INDEX, (list(images.shape), dtype, frames, checksum.hexdigest()), strict=True))
 
 
 def read_views(

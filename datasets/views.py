@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.camera import Camera
+from datasets.errors import DataError
 from datasets.scene import RGB
 
 Split = Literal["train", "val", "trainval", "test"]
@@ -75,3 +76,16 @@ def split_indices(n: int, split: Split) -> list[int]:
     if split in ("trainval", "test"):
         return list(range(n))
     return [i for i in range(n) if (i % 10 == 9) == (split == "val")]
+
+
+def evenly_spaced(available: int, count: int) -> list[int]:
+    """``count`` of ``available`` indices, evenly spread from the first on; all if there are no more.
+
+    Raises:
+        DataError: fewer than one.
+    """
+    if count < 1:
+        raise DataError(f"{count} views", "there must be at least one", "Ask for 16 or 92, say")
+    if count >= available:
+        return list(range(available))
+    return [i * available // count for i in range(count)]

@@ -62,13 +62,13 @@ def _tile(dataset: Dataset, name: str, options: Namespace) -> Tile:
 
 def _curves(dataset: Dataset, scene: BasicScene):  # type: ignore[no-untyped-def]
     """Histogram, transfer function and levels of a basic scene."""
-    from bench.inputs import drawn_transfer
+    from bench.inputs import transfer_table
     from datasets.auto_transfer import statistics
 
     histogram = statistics(dataset.volume(scene.variable)).count
     if scene.transfer is None:
         return histogram, None, tuple((level.value, level.color) for level in scene.isosurfaces)
-    return histogram, drawn_transfer(scene.transfer, _ENTRIES), ()
+    return histogram, transfer_table(scene.transfer, _ENTRIES), ()
 
 
 def _with_automatic(dataset: Dataset) -> Dataset:

@@ -9,8 +9,7 @@ from bench.jobs.scenes import scene_inputs
 from bench.monitor import FitMonitor
 from bench.records import FitResult, Job, derived_seed
 from bench.timing import mean_of, reference_seconds, synchronise
-from datasets.prerendered import evenly_spaced
-from datasets.views import ViewSet
+from datasets.views import ViewSet, evenly_spaced
 from methods.interface import Budget, MethodSpec, Refused, SceneInput
 
 CURVE_VIEWS = 4

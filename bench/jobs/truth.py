@@ -42,13 +42,21 @@ def write_truth(
             "key": views.key,
             "background": views.background,
             "cameras": [_camera_to_json(camera) for camera in views.cameras],
-            "pictures": write_views(folder / f"{split}.zst", views.images),
+            "pictures": _store(folder / f"{split}.zst", views),
         }
         for split, views in sets.items()
     }
     if cloud is not None:
         cloud.save(folder / _CLOUD)
     write_text(folder / INDEX, json.dumps(index))
+
+
+def _store(file: Path, views: ViewSet) -> dict[str, Any]:
+    """The index of a file that holds the pictures: the cache's own under a second name, or a new one."""
+    from datasets.view_cache import ViewCache
+
+    file.unlink(missing_ok=True)  # of an attempt that was killed
+    return ViewCache().link(views.key, file) or write_views(file, views.images)
 
 
 class Truth:

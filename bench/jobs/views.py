@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from bench.inputs import shown_transfer, views
+from bench.inputs import transfer_summary, views
 from bench.jobs.context import Context
 from bench.jobs.truth import write_truth
 from bench.records import ViewsResult
@@ -50,5 +50,5 @@ def run(context: Context) -> ViewsResult:
         truth={job.split: names},
         render_seconds=seconds,
         cost={split: dict(one.cost) for split, one in sets.items() if one.cost is not None},
-        transfer=shown_transfer(dataset, job.shows, job.edit),
+        transfer=transfer_summary(dataset, job.shows, job.edit),
     )

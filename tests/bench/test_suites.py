@@ -29,8 +29,8 @@ def test_every_dataset_of_a_suite_is_known_and_what_is_missing_has_a_stand_in_or
 
 @pytest.mark.parametrize("name", ["design", "storage", "hyperparameters", "threshold", "init-points"])
 def test_variants_of_a_suite_are_options_that_methods_have(name, monkeypatch):
-    monkeypatch.setattr("bench.selection.chosen_datasets", lambda *_: [])
-    monkeypatch.setattr("bench.plan.chosen_datasets", lambda *_: [])
+    monkeypatch.setattr("bench.selection.subsets", lambda *_: [])
+    monkeypatch.setattr("bench.plan.subsets", lambda *_: [])
     suite = load_suite(name)
     planner = Planner(Selection(suite), {})
     assert len(planner._settings) == len(suite.variants)

@@ -16,9 +16,9 @@ from datasets.blender import read_transforms, write_transforms
 from datasets.camera import Camera
 from datasets.camera_paths import training_cameras
 from datasets.errors import DataError
-from datasets.prerendered import evenly_spaced, load_views
+from datasets.prerendered import load_views
 from datasets.scene import BasicScene
-from datasets.views import ViewRequest
+from datasets.views import ViewRequest, evenly_spaced
 
 
 def _folder(folder: Path, n: int = 12, size: int = 8, mode: str = "RGBA") -> BasicScene:

@@ -12,6 +12,7 @@ import pytest
 
 from datasets.png import read_png, write_png
 from datasets.view_cache import ViewCache, cache_root
+from datasets.view_files import read_views
 
 RECORD = {"renderer": "none", "ms_per_view": 1.5}
 
@@ -207,3 +208,14 @@ def test_what_is_no_picture_is_refused_by_name(tmp_path):
         read_png(tmp_path / "a.png")
     with pytest.raises(DataError, match="no such"):
         read_png(tmp_path / "b.png")
+
+
+def test_linked_pictures_outlive_their_entry(cache, tmp_path):
+    stored = cache.put("a", images(), RECORD)
+    file = tmp_path / "pictures.zst"
+    index = cache.link("a", file)
+    assert cache.link("b", tmp_path / "no.zst") is None
+    cache.prune(0)
+    assert cache.get("a") is None
+    np.testing.assert_array_equal(read_views(file, index), stored)
+    np.testing.assert_array_equal(read_views(file, index, [2, 0]), stored[[2, 0]])

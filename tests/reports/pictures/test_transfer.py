@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from bench.inputs import shown_transfer
+from bench.inputs import transfer_summary
 from datasets.catalogue import open_dataset
 from reports.page.document import write_report
 from reports.pictures.transfer import transfer_picture
@@ -55,16 +55,16 @@ def test_nothing_known_is_no_picture(nothing) -> None:
 
 def test_what_a_scene_shows() -> None:
     dataset = open_dataset("shells@16")
-    (part,) = shown_transfer(dataset, "middle").values()
+    (part,) = transfer_summary(dataset, "middle").values()
     bins = np.array(part["transfer"])
     scene = dataset.scene("middle")
     (bump,) = scene.transfer.bumps
     peak = bins[:, 3].argmax() / len(bins)
     assert bump.start <= peak <= bump.end
     assert bins[int(peak * len(bins)), :3] == pytest.approx(bump.color, abs=1e-3)
-    (blue,) = shown_transfer(dataset, "middle", "palette=#0000ff").values()
+    (blue,) = transfer_summary(dataset, "middle", "palette=#0000ff").values()
     assert np.array(blue["transfer"])[int(peak * len(bins)), 2] == pytest.approx(1.0)
-    assert list(shown_transfer(dataset, next(iter(dataset.compositions)))) == [
+    assert list(transfer_summary(dataset, next(iter(dataset.compositions)))) == [
         part.name for part in dataset.parts(next(iter(dataset.compositions)))
     ]
 
