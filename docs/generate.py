@@ -1,0 +1,270 @@
+"""Write the generated blocks of the documentation anew: tables of results, the command line, the bundles.
+
+    python docs/generate.py
+
+A block begins with ``<!-- KIND`` and a description in TOML, and ends with ``<!-- end -->``. The kinds:
+
+``table``    rows of the table ``results`` of one or more bundles. Keys:
+
+    bundles     names in reports/measured, without ".zip"
+    where       a pandas query; default: scenes as trained, at the default rate, by themselves
+    rows        columns that a row of the block stands for, as "method"
+    across      columns whose values set the block's columns apart, as "scene"
+    columns     names of VALUES
+    spread      true: quality with the standard deviation over seeds
+    change      a name of VALUES: a further column, the difference to the first row
+    titles      a value of `across` -> its title
+
+``index``    what each bundle holds; ``commands``: every command of ``bench`` with its options.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import tomllib
+import zipfile
+from collections.abc import Callable, Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from bench.__main__ import _parser
+from bench.records import Record
+from bench.tables import frame, rows
+from reports.style import TITLES
+
+ROOT = Path(__file__).resolve().parents[1]
+MEASURED = ROOT / "reports" / "measured"
+BLOCK = re.compile(r"(<!-- (table|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S)
+METHODS = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")
+BY_ITSELF = "kind == 'basic' and rate.isna()"
+
+
+class Value(NamedTuple):
+    """A column of a block: the column of ``results`` behind it, and how scenes make one number."""
+
+    title: str
+    column: str
+    factor: float
+    over_scenes: str
+    form: str
+
+
+VALUES = {
+    "psnr": Value("PSNR [dB]", "psnr", 1, "mean", ".2f"),
+    "psnr_fg": Value("foreground PSNR [dB]", "psnr_fg", 1, "mean", ".2f"),
+    "ssim": Value("SSIM", "ssim", 1, "mean", ".4f"),
+    "missing": Value("missing alpha [%]", "missing", 100, "mean", ".1f"),
+    "excess": Value("excess alpha [%]", "excess", 100, "mean", ".1f"),
+    "fps": Value("FPS", "fps", 1, "mean", ",.0f"),
+    "seconds": Value("training [s]", "train_seconds", 1, "sum", ",.0f"),
+    "minutes": Value("training [min]", "train_seconds", 1 / 60, "sum", ",.1f"),
+    "mib": Value("size [MiB]", "size_bytes", 2**-20, "sum", ",.2f"),
+    "mib_scene": Value("size per scene [MiB]", "size_bytes", 2**-20, "mean", ",.3f"),
+    "primitives": Value("primitives", "primitives", 1, "sum", ",.0f"),
+    "groups": Value("groups", "group", 1, "nunique", ".0f"),
+    "scenes": Value("scenes", "scene", 1, "nunique", ".0f"),
+}
+
+
+@cache
+def records(bundle: str) -> tuple[Record, ...]:
+    """The records of a bundle in reports/measured."""
+    with zipfile.ZipFile(MEASURED / f"{bundle}.zip") as archive:
+        names = [name for name in archive.namelist() if name.endswith("/record.json")]
+        return tuple(Record.model_validate_json(archive.read(name)) for name in names)
+
+
+@cache
+def tables(bundles: tuple[str, ...]) -> dict[str, pd.DataFrame]:
+    """The tables of several bundles together."""
+    every = {record.job.id: record for bundle in bundles for record in records(bundle)}
+    return {name: frame(name, table) for name, table in rows(every.values()).items()}
+
+
+def table(description: str) -> str:
+    """A table of measured values as Markdown, and a line with the conditions."""
+    block = tomllib.loads(description)
+    results = tables(tuple(block["bundles"]))["results"]
+    results = results.query(block.get("where", BY_ITSELF), engine="python")
+    if results.empty:
+        raise SystemExit(f"no rows for {block}")
+    by = [name for name in _names(block["rows"]) if name != "variant" or (results["variant"] != "").any()]
+    across = _names(block.get("across", ()))
+    rows = _ordered(results, by)
+    groups = _ordered(results, across) if across else [()]
+    cells = [[_label(name, value) for name, value in zip(by, row, strict=True)] for row in rows]
+    sole = across and len(block["columns"]) == 1  # its name then stands once, at the head of the first column
+    titles = [f"{VALUES[block['columns'][0]].title} by {by[0]}", *by[1:]] if sole else list(by)
+    for group in groups:
+        part = _rows(results, across, group)
+        for name in block["columns"]:
+            title = ", ".join(_plain(value, block.get("titles", {})) for value in group)
+            titles.append(" ".join(filter(None, [title, "" if sole else VALUES[name].title])))
+            spread = block.get("spread", False)
+            numbers = [_number(_rows(part, by, row), VALUES[name], spread) for row in rows]
+            for line, (text, _) in zip(cells, numbers, strict=True):
+                line.append(text)
+            if block.get("change") == name:
+                titles.append("change [dB]")
+                for line, (_, number) in zip(cells, numbers, strict=True):
+                    line.append(_change(number, numbers[0][1]))
+    return _markdown(titles, cells) + "\n" + _conditions(results)
+
+
+def _names(names: str | Iterable[str]) -> list[str]:
+    return [names] if isinstance(names, str) else list(names)
+
+
+def _rows(results: pd.DataFrame, names: list[str], values: tuple[Any, ...]) -> pd.DataFrame:
+    for name, value in zip(names, values, strict=True):
+        results = results[results[name] == value]
+    return results
+
+
+def _ordered(results: pd.DataFrame, names: list[str]) -> list[tuple[Any, ...]]:
+    """The values that columns take together: methods as in METHODS, defaults first, numbers by size."""
+
+    def key(values: tuple[Any, ...]) -> list[Any]:
+        return [
+            (METHODS.index(value), []) if value in METHODS else (len(METHODS), _natural(value))
+            for value in values
+        ]
+
+    return sorted(set(results[names].itertuples(index=False, name=None)), key=key)
+
+
+def _natural(value: Any) -> list[Any]:
+    parts = re.split(r"(\d+(?:\.\d+)?)", str(value))
+    return [(0, float(part), "") if i % 2 else (1, 0.0, part) for i, part in enumerate(parts)]
+
+
+def _label(column: str, value: Any) -> str:
+    if column == "variant":
+        return f"`{value}`" if value else "**default**"
+    return f"`{value}`" if column in ("dataset", "scene", "edit") else TITLES.get(value, str(value))
+
+
+def _plain(value: Any, titles: dict[str, str]) -> str:
+    return titles.get(str(value), TITLES.get(value, f"`{value}`" if isinstance(value, str) else str(value)))
+
+
+def _number(results: pd.DataFrame, value: Value, spread: bool) -> tuple[str, float | None]:
+    """Scenes make one number for each seed, and seeds make a mean."""
+    column = results[value.column]
+    if column.isna().any() or column.empty:
+        return "\N{EN DASH}", None
+    seeds = column.groupby(results["seed"]).agg(value.over_scenes) * value.factor
+    text = format(float(seeds.mean()), value.form)
+    if spread and value.over_scenes == "mean" and len(seeds) > 1:
+        text += f" ± {format(float(seeds.std()), value.form)}"
+    return text, float(seeds.mean())
+
+
+def _change(number: float | None, reference: float | None) -> str:
+    if number is None or reference is None:
+        return "\N{EN DASH}"
+    return "" if number is reference else f"{number - reference:+.2f}".replace("-", "\N{MINUS SIGN}")
+
+
+def _conditions(results: pd.DataFrame) -> str:
+    sizes = sorted(set(results[["width", "height"]].dropna().itertuples(index=False, name=None)))
+    parts = [
+        "preset " + ", ".join(sorted(set(results["preset"]))),
+        ", ".join(f"{width}²" if width == height else f"{width} by {height}" for width, height in sizes),
+        "training views " + _series(results["train_views"]),
+        "seed " + _series(results["seed"]),
+    ]
+    fitted = results.dropna(subset=["fit_processor"])
+    machines = {
+        processor: [TITLES.get(name, name) for (name,) in _ordered(group, ["method"])]
+        for processor, group in fitted.groupby("fit_processor")
+    }
+    if len(machines) == 1 or len({tuple(names) for names in machines.values()}) == 1:
+        parts.append("; ".join(machines))
+    else:
+        parts.append("; ".join(f"{name} ({', '.join(methods)})" for name, methods in machines.items()))
+    return f"*{'; '.join(parts)}.*\n"
+
+
+def _series(values: pd.Series) -> str:
+    return ", ".join(f"{value:,}" for value in sorted(set(values.dropna())))
+
+
+def _markdown(titles: list[str], cells: list[list[str]]) -> str:
+    lines = [titles, ["---"] * len(titles), *cells]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def index(_: str) -> str:
+    """What each bundle holds, as Markdown."""
+    titles = ["bundle", "MB", "jobs", "finished", "datasets", "methods", "presets", "seeds"]
+    cells = []
+    for path in sorted(MEASURED.glob("*.zip")):
+        every = records(path.stem)
+        fits = [record.job for record in every if record.job.kind == "fit"]
+        days = sorted({record.finished[:10] for record in every if record.finished})
+        parts = (
+            [f"`{name}`" for name in sorted({job.dataset_name for job in fits}, key=_natural)],
+            [TITLES[name] for name in METHODS if name in {job.method for job in fits}],
+            sorted({job.preset for job in fits}),
+            [str(seed) for seed in sorted({job.seed for job in fits})],
+        )
+        size = f"{path.stat().st_size / 1e6:.1f}"
+        until = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
+        cells.append([f"`{path.name}`", size, str(len(every)), until, *map(", ".join, parts)])
+    return _markdown(titles, cells)
+
+
+def commands(_: str) -> str:
+    """Every command of ``bench`` with its arguments and options, as Markdown."""
+    parser = _parser()
+    (found,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    text = f"{parser.epilog}\n"
+    for name, command in found.choices.items():
+        text += f"\n## bench {name}\n\n{_sentence(command.description)}\n\n"
+        actions = [action for action in command._actions if action.dest not in ("help", "debug")]
+        text += _markdown(["argument", "meaning"], [[_argument(a), _sentence(a.help)] for a in actions])
+    return text
+
+
+def _argument(action: argparse.Action) -> str:
+    what = action.metavar or ("|".join(map(str, action.choices)) if action.choices else action.dest.upper())
+    if not action.option_strings:
+        return _sentence(f"`{what}…`" if action.nargs in ("*", "+") else f"`{what}`")
+    takes = "" if action.nargs == 0 else f" {what}"
+    return _sentence(f"`{action.option_strings[-1]}{takes}`")
+
+
+def _sentence(text: str | None) -> str:
+    return (text or "").replace("|", "\\|").replace("%%", "%")
+
+
+KINDS: dict[str, Callable[[str], str]] = {"table": table, "index": index, "commands": commands}
+
+
+def pages() -> list[Path]:
+    """The pages that may hold generated blocks."""
+    return sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), MEASURED / "README.md"])
+
+
+def generated(text: str) -> str:
+    """A page's text with its blocks written anew."""
+    return BLOCK.sub(lambda match: match[1] + KINDS[match[2]](match[3]) + match[4], text)
+
+
+def main() -> None:
+    """Write all blocks."""
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        new = generated(text)
+        if new != text:
+            page.write_text(new, encoding="utf-8")
+            print(page.relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    main()
