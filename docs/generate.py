@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import tempfile
 import tomllib
 import zipfile
 from collections.abc import Callable, Iterable
@@ -32,8 +33,8 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from bench.__main__ import _parser
-from bench.records import Record
-from bench.tables import frame, rows
+from bench.store import Store
+from bench.tables import build_tables
 from reports.style import TITLES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -71,18 +72,14 @@ VALUES = {
 
 
 @cache
-def records(bundle: str) -> tuple[Record, ...]:
-    """The records of a bundle in reports/measured."""
-    with zipfile.ZipFile(MEASURED / f"{bundle}.zip") as archive:
-        names = [name for name in archive.namelist() if name.endswith("/record.json")]
-        return tuple(Record.model_validate_json(archive.read(name)) for name in names)
-
-
-@cache
 def tables(bundles: tuple[str, ...]) -> dict[str, pd.DataFrame]:
-    """The tables of several bundles together."""
-    every = {record.job.id: record for bundle in bundles for record in records(bundle)}
-    return {name: frame(name, table) for name, table in rows(every.values()).items()}
+    """The tables of a store that holds the records of these bundles."""
+    with tempfile.TemporaryDirectory() as folder:
+        for bundle in bundles:
+            with zipfile.ZipFile(MEASURED / f"{bundle}.zip") as archive:
+                names = [name for name in archive.namelist() if not name.startswith("tables/")]
+                archive.extractall(folder, names)
+        return build_tables(Store(Path(folder)), write=False)
 
 
 def table(description: str) -> str:
@@ -167,7 +164,8 @@ def _number(results: pd.DataFrame, value: Value, spread: bool) -> tuple[str, flo
 def _change(number: float | None, reference: float | None) -> str:
     if number is None or reference is None:
         return "\N{EN DASH}"
-    return "" if number is reference else f"{number - reference:+.2f}".replace("-", "\N{MINUS SIGN}")
+    text = f"{number - reference:+.2f}".replace("-", "\N{MINUS SIGN}")
+    return "" if number is reference else "0" if text.endswith("0.00") else text
 
 
 def _conditions(results: pd.DataFrame) -> str:
@@ -201,21 +199,19 @@ def _markdown(titles: list[str], cells: list[list[str]]) -> str:
 
 def index(_: str) -> str:
     """What each bundle holds, as Markdown."""
-    titles = ["bundle", "MB", "jobs", "finished", "datasets", "methods", "presets", "seeds"]
+    titles = ["bundle", "MB", "rows", "datasets", "methods", "presets", "seeds"]
     cells = []
     for path in sorted(MEASURED.glob("*.zip")):
-        every = records(path.stem)
-        fits = [record.job for record in every if record.job.kind == "fit"]
-        days = sorted({record.finished[:10] for record in every if record.finished})
+        results = tables((path.stem,))["results"]
+        seen = {name: set(results[name].dropna()) for name in ("dataset", "method", "preset", "seed")}
         parts = (
-            [f"`{name}`" for name in sorted({job.dataset_name for job in fits}, key=_natural)],
-            [TITLES[name] for name in METHODS if name in {job.method for job in fits}],
-            sorted({job.preset for job in fits}),
-            [str(seed) for seed in sorted({job.seed for job in fits})],
+            [f"`{name}`" for name in sorted(seen["dataset"], key=_natural)],
+            [TITLES[name] for name in METHODS if name in seen["method"]],
+            sorted(seen["preset"]),
+            map(str, sorted(seen["seed"])),
         )
         size = f"{path.stat().st_size / 1e6:.1f}"
-        until = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
-        cells.append([f"`{path.name}`", size, str(len(every)), until, *map(", ".join, parts)])
+        cells.append([f"`{path.name}`", size, str(len(results)), *map(", ".join, parts)])
     return _markdown(titles, cells)
 
 
