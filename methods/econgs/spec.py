@@ -128,12 +128,12 @@ SPEC = MethodSpec(
     uses_alpha="views are composited on the scene's background; alpha is also a target of its own",
     devices=("cpu", "cuda"),
     options=EcongsOptions,
-    # So short a fit cannot train as many anchors: half of them, for 0.15 to 0.3 dB (docs/concepts/econgs.md).
+    # So short a fit cannot train as many anchors: half of them, for 0.15 to 0.3 dB (docs/results/choices.md).
     presets={"quick": {"growth_gradient": 6e-4, "alpha_weight": 0.2}},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={
         "fair": Configuration(),
-        # What the paper states and what its code base implies where it is silent (docs/concepts/econgs.md).
+        # What the paper states and what its code base implies where it is silent (docs/results/choices.md).
         "paper": Configuration(
             {
                 "feature_step": 1.0,
