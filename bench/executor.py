@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import shutil
@@ -20,6 +19,8 @@ import psutil
 from filelock import Timeout
 
 from bench.plan import Planner
+from bench.processes import Process, Processes, end_session
+from bench.provenance import imports_torch
 from bench.records import Job, Record, Status, Task
 from bench.store import Store, write_text
 from bench.worker import BUSY, STOPPED, last_progress, log_tail, now
@@ -71,7 +72,6 @@ class LocalExecutor:
         retry: run failed jobs again.
         plugins: plugin folders for the workers.
         threads: threads per job, pinned.
-        after: called after each job that has a new record.
     """
 
     def __init__(
@@ -84,7 +84,6 @@ class LocalExecutor:
         limits: Limits | None = None,
         plugins: tuple[str, ...] = (),
         threads: int | None = None,
-        after: Any = None,
     ) -> None:
         self._store = store
         self._planner = planner
@@ -93,7 +92,7 @@ class LocalExecutor:
         self._limits = limits or Limits()
         self._plugins = plugins
         self._threads = threads or available_cores()
-        self._after = after or (lambda record: None)
+        self._processes = Processes(self._environment())
         self._signals = 0
         self._attempted: set[str] = set()
 
@@ -106,6 +105,7 @@ class LocalExecutor:
             while self._pass(outcome) and not self._signals:
                 pass
         finally:
+            self._processes.close()
             for number, handler in before.items():
                 signal.signal(number, handler)
         outcome.stopped = bool(self._signals)
@@ -140,14 +140,14 @@ class LocalExecutor:
                 self._display.end(job, None, note)
                 continue
             else:
+                if job.kind == "views" and any(map(self._forks, jobs)):
+                    self._processes.prepare()  # views are not timed: its imports may run beside
                 self._display.begin(job, number, len(jobs))
                 record, note = self._run_job(job)
                 self._display.end(job, record, note)
                 outcome.ran.append(job.id)
-            if record is not None:
-                self._after(record)
-                if job.kind == "partition":
-                    return True
+            if record is not None and job.kind == "partition":
+                return True
         return False
 
     def _without_files(self, needed: Iterable[Record | None], number: int, total: int) -> str:
@@ -245,21 +245,20 @@ class LocalExecutor:
         except FileNotFoundError:  # another run has just renamed the folder in place
             return BUSY, None
         with log:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "bench.worker", str(folder)],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-                env=self._environment(),
-            )
+            start = self._processes.fork if self._forks(job) else self._processes.start
+            process = start(folder, log)
         try:
             return self._watch(process, folder)
         finally:
             if process.poll() is None:
                 _kill(process)
 
-    def _watch(self, process: subprocess.Popen[bytes], folder: Path) -> tuple[int, tuple[Status, str] | None]:
+    def _forks(self, job: Job) -> bool:
+        """Whether a job is forked from the server: its method uses torch."""
+        uses_torch = job.method is not None and imports_torch(*self._planner.registry.spec(job.method).source)
+        return uses_torch and sys.platform == "linux"
+
+    def _watch(self, process: Process, folder: Path) -> tuple[int, tuple[Status, str] | None]:
         tail = _Tail(folder / "progress.jsonl")
         running_since: float | None = None
         asked: float | None = None
@@ -280,14 +279,14 @@ class LocalExecutor:
                     return STOPPED, None
             elif (ended := self._over_limit(process, running_since)) is not None:
                 _kill(process)
-                return process.returncode, ended
+                return process.wait(), ended
             try:
                 process.wait(POLL_SECONDS)
             except subprocess.TimeoutExpired:
                 continue
         return code, None
 
-    def _over_limit(self, process: subprocess.Popen[bytes], since: float | None) -> tuple[Status, str] | None:
+    def _over_limit(self, process: Process, since: float | None) -> tuple[Status, str] | None:
         limits = self._limits
         if limits.seconds is not None and since is not None and time.monotonic() - since > limits.seconds:
             return "timeout", f"killed after its time limit of {limits.seconds:g} s"
@@ -389,8 +388,7 @@ def resident_bytes(pid: int) -> int:
         return 0
 
 
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a worker and all that it started (it leads a session of its own)."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
+def _kill(process: Process) -> None:
+    """End a worker and all that it started."""
+    end_session(process.pid)
     process.wait()

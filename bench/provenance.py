@@ -6,6 +6,7 @@ import hashlib
 import importlib.util
 import os
 import platform
+import re
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -57,19 +58,30 @@ def source_hash(spec: MethodSpec) -> str:
 
 @cache
 def _module_hash(module: str) -> str:
+    digest = hashlib.sha256(module.encode())
+    for file in _module_files(module):
+        digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()
+
+
+def _module_files(module: str) -> list[Path]:
+    """Python files of a module or package, sorted; none if there is no such module."""
     try:
         found = importlib.util.find_spec(module)
     except ModuleNotFoundError:
         found = None
-    digest = hashlib.sha256(module.encode())
-    if found is not None:
-        roots = [Path(p) for p in found.submodule_search_locations or ()]
-        files = [f for root in roots for f in root.rglob("*.py")] or (
-            [Path(found.origin)] if found.origin else []
-        )
-        for file in sorted(files):
-            digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return digest.hexdigest()
+    if found is None:
+        return []
+    roots = [Path(p) for p in found.submodule_search_locations or ()]
+    files = [f for root in roots for f in root.rglob("*.py")]
+    return sorted(files or ([Path(found.origin)] if found.origin else []))
+
+
+@cache
+def imports_torch(*modules: str) -> bool:
+    """Whether the source of a module names torch in an import statement."""
+    statement = re.compile(rb"^\s*(import|from) torch\b", re.MULTILINE)
+    return any(statement.search(file.read_bytes()) for m in modules for file in _module_files(m))
 
 
 def native_isa() -> str | None:

@@ -34,7 +34,6 @@ def run(options: Namespace) -> int:
         retry=options.retry,
         limits=Limits(options.time_limit, options.memory_limit),
         plugins=_plugins(options),
-        after=lambda record: build_tables(store, sources) if record.job.kind != "views" else None,
     )
     outcome = executor.run()
     tables = build_tables(store, sources)

@@ -93,9 +93,9 @@ class Bench:
         quick = () if report else ("--no-report",)
         return self._finish(self.run_arguments(*quick, *more, scenes=scenes, method=method))
 
-    def start(self, *more: object, scenes: tuple[str, ...] = ("a",)) -> subprocess.Popen[str]:
+    def start(self, *more: object, method: str = "fake") -> subprocess.Popen[str]:
         return subprocess.Popen(
-            self.run_arguments("--no-report", *more, scenes=scenes),
+            self.run_arguments("--no-report", *more, method=method),
             env=self.environment, cwd=self.store.parent, start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip

@@ -14,6 +14,8 @@ import pytest
 
 from bench.store import Store, read_record
 
+METHODS = ("fake", "fake-torch")
+"""Without torch, in an interpreter of its own, and with it, forked."""
 SLOW = ("--set", "fake.pace=0.05", "--set", "fake.iterations=40")
 
 
@@ -34,9 +36,13 @@ def _wait_for(condition, seconds: float = 120.0) -> None:
 
 
 def _workers(process: subprocess.Popen) -> list[psutil.Process]:
+    """Interpreters of their own, and forks of the server."""
     try:
-        children = psutil.Process(process.pid).children(recursive=True)
-        return [p for p in children if "bench.worker" in p.cmdline()]
+        children = psutil.Process(process.pid).children()
+        forks = [
+            fork for child in children if "bench.processes" in child.cmdline() for fork in child.children()
+        ]
+        return [child for child in children if "bench.worker" in child.cmdline()] + forks
     except psutil.Error:
         return []
 
@@ -52,31 +58,35 @@ def _held(store: Path) -> bool:
 class Hold:
     """Options of a fit that stands still half-way until it is let go."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, method: str) -> None:
         self._file = folder / "go on"
-        self.options = ("--set", "fake.behaviour=hold", "--set", f"fake.file={self._file}")
-        self.options += ("--set", "fake.iterations=40")
+        self.method = method
+        options = ("behaviour=hold", f"file={self._file}", "iterations=40")
+        self.options = tuple(part for option in options for part in ("--set", f"{method}.{option}"))
 
     def let_go(self) -> None:
         self._file.touch()
 
 
-@pytest.fixture
-def hold(tmp_path) -> Hold:
-    return Hold(tmp_path)
+@pytest.fixture(params=METHODS)
+def hold(tmp_path, request) -> Hold:
+    return Hold(tmp_path, request.param)
 
 
 @pytest.fixture(scope="module")
 def undisturbed(dataset, tmp_path_factory, make_bench):
-    """Models of a run that nobody touched."""
-    bench = make_bench(tmp_path_factory.mktemp("undisturbed"), dataset)
-    assert bench.run("--set", "fake.iterations=40").returncode == 0
-    return _models(bench.store)
+    """Method -> models of a run that nobody touched."""
+    models = {}
+    for method in METHODS:
+        bench = make_bench(tmp_path_factory.mktemp("undisturbed"), dataset)
+        assert bench.run("--set", f"{method}.iterations=40", method=method).returncode == 0
+        models[method] = _models(bench.store)
+    return models
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> None:
-    process = bench.start(*hold.options)
+    process = bench.start(*hold.options, method=hold.method)
     _wait_for(lambda: _held(bench.store))
     process.send_signal(number)
     output, _ = process.communicate(timeout=120)
@@ -87,15 +97,15 @@ def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> Non
     assert int(checkpoint.name) == 20
 
     hold.let_go()
-    assert bench.run(*hold.options).returncode == 0
+    assert bench.run(*hold.options, method=hold.method).returncode == 0
     (fit,) = bench.of_kind("fit")
     assert fit.fit.resumed == 1
-    assert _models(bench.store) == undisturbed
+    assert _models(bench.store) == undisturbed[hold.method]
     assert not list((bench.store / "partial").iterdir())
 
 
 def test_killing_the_executor_stops_its_worker(bench, hold, undisturbed) -> None:
-    process = bench.start(*hold.options)
+    process = bench.start(*hold.options, method=hold.method)
     _wait_for(lambda: _held(bench.store))
     (worker,) = _workers(process)
     process.kill()
@@ -103,12 +113,12 @@ def test_killing_the_executor_stops_its_worker(bench, hold, undisturbed) -> None
     _wait_for(lambda: not worker.is_running())
     _records_are_whole(bench.store)
     hold.let_go()
-    assert bench.run(*hold.options).returncode == 0
-    assert _models(bench.store) == undisturbed
+    assert bench.run(*hold.options, method=hold.method).returncode == 0
+    assert _models(bench.store) == undisturbed[hold.method]
 
 
 def test_killing_a_worker_is_a_failure_that_retry_resumes(bench, hold, undisturbed) -> None:
-    process = bench.start(*hold.options)
+    process = bench.start(*hold.options, method=hold.method)
     _wait_for(lambda: _held(bench.store))
     (worker,) = _workers(process)
     worker.kill()
@@ -117,10 +127,26 @@ def test_killing_a_worker_is_a_failure_that_retry_resumes(bench, hold, undisturb
     (fit,) = bench.of_kind("fit")
     assert (fit.status, fit.reason) == ("failed", "killed by signal 9 (SIGKILL)")
     hold.let_go()
-    assert bench.run(*hold.options).returncode == 1
-    assert bench.run(*hold.options, "--retry").returncode == 0
-    assert _models(bench.store) == undisturbed
+    assert bench.run(*hold.options, method=hold.method).returncode == 1
+    assert bench.run(*hold.options, "--retry", method=hold.method).returncode == 0
+    assert _models(bench.store) == undisturbed[hold.method]
     assert not list((bench.store / "partial").iterdir())
+
+
+@pytest.mark.parametrize("hold", ["fake-torch"], indirect=True)
+def test_killing_the_server_is_a_failure_of_its_worker(bench, hold, undisturbed) -> None:
+    process = bench.start(*hold.options, method=hold.method)
+    _wait_for(lambda: _held(bench.store))
+    (worker,) = _workers(process)
+    worker.parent().kill()
+    process.communicate(timeout=120)
+    assert process.returncode == 1
+    assert not worker.is_running()
+    (fit,) = bench.of_kind("fit")
+    assert (fit.status, fit.reason) == ("failed", "killed by signal 9 (SIGKILL)")
+    hold.let_go()
+    assert bench.run(*hold.options, "--retry", method=hold.method).returncode == 0
+    assert _models(bench.store) == undisturbed[hold.method]
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.slow) for s in (2, 3, 4))])
@@ -145,7 +171,7 @@ def test_kill_9_at_random_moments(bench, undisturbed, seed: int) -> None:
     assert done.returncode == 0, done.stderr
     assert _records_are_whole(bench.store) == 4
     assert all(record.ok for record in Store(bench.store).records())
-    assert _models(bench.store) == undisturbed
+    assert _models(bench.store) == undisturbed["fake"]
 
 
 def test_two_runs_on_one_store_share_the_work(bench, undisturbed) -> None:
@@ -154,4 +180,4 @@ def test_two_runs_on_one_store_share_the_work(bench, undisturbed) -> None:
         output, _ = process.communicate(timeout=120)
         assert process.returncode == 0, output
     assert _records_are_whole(bench.store) == 4
-    assert _models(bench.store) == undisturbed
+    assert _models(bench.store) == undisturbed["fake"]

@@ -100,8 +100,10 @@ def test_every_tenth_view_is_left_out_with_split_val(bench) -> None:
     assert [view.view for view in measure.measure.views] == ["r_0009"]
 
 
-def test_failures_are_rows_and_the_rest_goes_on(bench) -> None:
-    done = bench.run("--set", "fake.behaviour=abort", "--set", "fake.only=a", scenes=("a", "b"))
+@pytest.mark.parametrize("method", ["fake", "fake-torch"])
+def test_failures_are_rows_and_the_rest_goes_on(bench, method) -> None:
+    wrong = ("--set", f"{method}.behaviour=abort", "--set", f"{method}.only=a")
+    done = bench.run(*wrong, scenes=("a", "b"), method=method)
     assert done.returncode == 1
     assert "killed by signal 6 (SIGABRT)" in done.stderr
     table = build_tables(Store(bench.store), write=False)["results"].set_index("scene")

@@ -29,14 +29,14 @@ class Options:
     file: str = option("", "if this file exists, all is well")
 
 
-def _spec(name: str, joint: bool) -> MethodSpec:
+def _spec(name: str, joint: bool, implementation: str = "") -> MethodSpec:
     return MethodSpec(
         name=name,
         title="A color",
         reference="none",
         version="1",
-        implementation=f"fake:{'Joint' if joint else 'Single'}",
-        source=("fake",),
+        implementation=implementation or f"fake:{'Joint' if joint else 'Single'}",
+        source=(implementation.partition(":")[0] or "fake",),
         joint=joint,
         composable=not joint,
         edits=frozenset({"palette"}),
