@@ -1,4 +1,4 @@
-"""Transfer functions for data that nobody has looked at yet."""
+"""Automatic transfer functions for unknown data."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COLORS = (
     (0.00, 0.45, 0.70),
     (0.94, 0.89, 0.26),
 )
-"""Okabe and Ito's palette: eyes of every kind tell its colors apart."""
+"""Palette of Okabe and Ito, distinct for color-blind readers too."""
 
 _BINS = 256
 _MAX_SAMPLES = 160  # per axis: enough for a histogram, and fast for any volume
@@ -34,13 +34,13 @@ _SURFACE_DEPTH = 1.2  # optical depth of one crossing of a surface: 70 % opaque
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """What is known of each of ``n`` equal bins of normalised values.
+    """Statistics of ``n`` equal bins of normalised values.
 
     Attributes:
         count: (n,) voxels.
         area: (n,) sum of gradient magnitudes: proportional to the area of the bin's isosurface
             (co-area formula), so homogeneous regions weigh nothing, however large they are.
-        gradient: (n,) mean gradient magnitude per unit of scene space; 0 where no voxel is.
+        gradient: (n,) mean gradient magnitude per unit of scene space; 0 in bins without voxels.
         background: bins that belong to the homogeneous surroundings.
     """
 
@@ -59,8 +59,8 @@ def automatic_scenes(volume: Volume, count: int = 3) -> tuple[BasicScene, ...]:
     in its middle (zero, of signed data) becomes a scene of two bumps, one on each side.
 
     Args:
-        volume: any.
-        count: scenes wanted; fewer come back where the values allow no more distinct ones.
+        volume: the volume to show.
+        count: number of scenes; the result has fewer where the values hold fewer distinct parts.
 
     Raises:
         DataError: count < 1.
@@ -116,9 +116,9 @@ def _background(
 ) -> NDArray[np.bool_]:
     """Bins around the commonest value of the volume's border (of all, where the mask leaves no border).
 
-    Where it is common inside as well and homogeneous (its gradients are weak), they reach as far as its
-    noise does. Where less than half of the volume would be left out, they are widened towards the commoner
-    neighbours: what fills the box hides itself.
+    A value that is common inside too and homogeneous (weak gradients) takes its noise with it. While the
+    background covers less than half of the volume, it grows towards the commoner neighbour: values that fill
+    the box would hide everything else.
     """
     number = stats.count
     total = int(number.sum())
@@ -167,27 +167,27 @@ def _cuts(stats: Statistics, count: int) -> list[float]:
     last = min(int(np.searchsorted(share, 0.998)), int(occupied[-1]))
     if last - first < 4 or len(occupied) < 3:
         return _two_valued(stats)
-    wanted = min(count, (last - first + 1) // 4)
+    parts = min(count, (last - first + 1) // 4)
     level = share[first - 1] if first else 0.0
-    targets = level + (share[last] - level) * np.arange(1, wanted) / wanted
+    targets = level + (share[last] - level) * np.arange(1, parts) / parts
     edges = [first, *(int(i) + 1 for i in np.searchsorted(share, targets)), last + 1]
-    for i in range(1, wanted):
+    for i in range(1, parts):
         reach = max(min(edges[i] - edges[i - 1], edges[i + 1] - edges[i]) // 4, 0)
         window = np.arange(edges[i] - reach, min(edges[i] + reach, _BINS - 1) + 1)
         weak = np.where(stats.count[window] > 0, stats.gradient[window], np.inf)
         if np.isfinite(weak).any():
             edges[i] = int(window[weak.argmin()])
-    kept = [edges[0]]
+    ends = [edges[0]]
     for edge in edges[1:]:
-        if edge - kept[-1] >= 3 and stats.count[kept[-1] : edge].sum() > 0:
-            kept.append(edge)
-    kept[-1] = edges[-1]
-    kept = _merged(stats, kept)
-    return [e / _BINS for e in kept] if len(kept) > 1 else _two_valued(stats)
+        if edge - ends[-1] >= 3 and stats.count[ends[-1] : edge].sum() > 0:
+            ends.append(edge)
+    ends[-1] = edges[-1]
+    ends = _merge(stats, ends)
+    return [e / _BINS for e in ends] if len(ends) > 1 else _two_valued(stats)
 
 
-def _merged(stats: Statistics, edges: list[int]) -> list[int]:
-    """Edges without those of parts that hold too few voxels to be seen: these join a neighbour."""
+def _merge(stats: Statistics, edges: list[int]) -> list[int]:
+    """Edges of the parts after each part with too few voxels has joined a neighbour."""
     number = np.where(stats.background, 0, stats.count)
     edges = list(edges)
     while len(edges) > 2:
@@ -201,24 +201,24 @@ def _merged(stats: Statistics, edges: list[int]) -> list[int]:
 
 
 def _without_background(stats: Statistics, low: float, high: float) -> list[tuple[float, float]]:
-    """The pieces of a part below and above the background; the part itself where nothing remains."""
+    """Pieces of a part below and above the background; the part itself if neither holds voxels."""
     first, last = round(low * _BINS), round(high * _BINS)
     inside = np.flatnonzero(stats.background[first:last]) + first
     if not len(inside):
         return [(low, high)]
     pieces = [(low, inside[0] / _BINS), ((inside[-1] + 1) / _BINS, high)]
     number = stats.count
-    kept = [(a, b) for a, b in pieces if b > a and number[round(a * _BINS) : round(b * _BINS)].any()]
+    occupied = [(a, b) for a, b in pieces if b > a and number[round(a * _BINS) : round(b * _BINS)].any()]
     # Slivers beside the background are thinner than a ray's step, and show as dots.
-    wide = [(a, b) for a, b in kept if b - a > 4 / _BINS]
-    kept = wide or kept
-    return kept or [(low, high)]
+    wide = [(a, b) for a, b in occupied if b - a > 4 / _BINS]
+    occupied = wide or occupied
+    return occupied or [(low, high)]
 
 
 def _two_valued(stats: Statistics) -> list[float]:
-    """One bump for a mask, a label or a field with hardly any values: all that lies halfway to the rest.
+    """One bump for a mask, a label or a field of few values; it begins halfway between them.
 
-    Interpolation between the samples passes all values between theirs.
+    Interpolation between two samples passes every value between theirs.
     """
     background = np.flatnonzero(stats.background & (stats.count > 0))
     if len(background):
@@ -236,7 +236,7 @@ def _bump(name: str, stats: Statistics, low: float, high: float, color: tuple[fl
     half = 0.2 * (high - low)
     centre = min(max(centre, low + half), high - half)
     rise, fall = centre - 0.5 * half, centre + 0.5 * half
-    if high >= 1.0 - 1.5 / _BINS:  # nothing lies above: values at the top stay visible
+    if high >= 1.0 - 1.5 / _BINS:  # the top of the range stays visible
         fall = high = 1.0
     if low <= 1.5 / _BINS and not stats.background[:2].any():
         rise = low = 0.0

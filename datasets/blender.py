@@ -1,4 +1,4 @@
-"""Blender-style ``transforms_*.json``: the one place where camera conventions are converted.
+"""Blender-style ``transforms_*.json``: the only place that converts camera conventions.
 
 In these files (as in NeRF's synthetic data) a camera looks along -z with +y up; here it looks along +z
 with +y down. The world is the same.
@@ -30,14 +30,14 @@ def read_transforms(path: Path | str) -> list[tuple[Camera, Path]]:
     path without a suffix. Rotations are made exactly orthonormal.
 
     Raises:
-        DataError: the file cannot be read, lacks something, or a matrix is not a rigid transform.
+        DataError: the file is unreadable or incomplete, or a matrix is no rigid transform.
     """
     path = Path(path)
-    said = _read_json(path)
-    frames = said.get("frames")
+    fields = _read_json(path)
+    frames = fields.get("frames")
     if not (isinstance(frames, list) and frames and all(isinstance(f, dict) for f in frames)):
         raise DataError(path, "has no frames", _REMEDY)
-    return [_frame(path, i, {**said, **frame}) for i, frame in enumerate(frames)]
+    return [_frame(path, i, {**fields, **frame}) for i, frame in enumerate(frames)]
 
 
 def write_transforms(path: Path | str, cameras: Sequence[Camera], files: Sequence[str] | None = None) -> None:
@@ -45,8 +45,7 @@ def write_transforms(path: Path | str, cameras: Sequence[Camera], files: Sequenc
 
     Args:
         path: the file to write, in a folder that exists.
-        cameras: with square, centred pixels (what ``camera_angle_x`` can say) or any intrinsics, which are
-            then written as ``fl_x, fl_y, cx, cy`` per frame as well.
+        cameras: views with any intrinsics; frames hold ``fl_x, fl_y, cx, cy`` beside ``camera_angle_x``.
         files: image paths relative to the file's folder, "/" between parts; default
             ``<split>/<camera name>.png`` with the split from ``transforms_<split>.json``.
     """
@@ -73,34 +72,34 @@ def write_transforms(path: Path | str, cameras: Sequence[Camera], files: Sequenc
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
+        fields = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise DataError(path, "no such file", "Check the folder of pre-rendered views") from error
     except (OSError, ValueError, RecursionError) as error:
         raise DataError(path, f"is not readable JSON ({error})", _REMEDY) from error
-    if not isinstance(said, dict):
+    if not isinstance(fields, dict):
         raise DataError(path, "is no JSON object", _REMEDY)
-    return said
+    return fields
 
 
-def _frame(path: Path, index: int, said: dict[str, Any]) -> tuple[Camera, Path]:
-    file_path = said.get("file_path")
+def _frame(path: Path, index: int, fields: dict[str, Any]) -> tuple[Camera, Path]:
+    file_path = fields.get("file_path")
     if not isinstance(file_path, str) or not file_path:
         raise DataError(path, f"frame {index} has no file_path", _REMEDY)
     image = path.parent / file_path
     if not image.suffix:
         image = image.with_name(image.name + ".png")
-    matrix = _rigid(path, index, said.get("transform_matrix"))
-    width, height = (_number(path, index, said, key) for key in ("w", "h"))
+    matrix = _rigid(path, index, fields.get("transform_matrix"))
+    width, height = (_number(path, index, fields, key) for key in ("w", "h"))
     if width is None or height is None:
         width, height = _image_size(image)
-    fx = _number(path, index, said, "fl_x")
+    fx = _number(path, index, fields, "fl_x")
     if fx is None:
-        angle = _number(path, index, said, "camera_angle_x")
+        angle = _number(path, index, fields, "camera_angle_x")
         if angle is None or not 0.0 < angle < math.pi:
             raise DataError(path, f"frame {index} has neither fl_x nor a camera_angle_x in (0, pi)", _REMEDY)
         fx = 0.5 * width / math.tan(0.5 * angle)
-    fy, cx, cy = (_number(path, index, said, key) for key in ("fl_y", "cx", "cy"))
+    fy, cx, cy = (_number(path, index, fields, key) for key in ("fl_y", "cx", "cy"))
     camera = Camera(
         matrix,
         fx,
@@ -116,8 +115,8 @@ def _frame(path: Path, index: int, said: dict[str, Any]) -> tuple[Camera, Path]:
     return camera, image
 
 
-def _number(path: Path, index: int, said: dict[str, Any], key: str) -> float | None:
-    value = said.get(key)
+def _number(path: Path, index: int, fields: dict[str, Any], key: str) -> float | None:
+    value = fields.get(key)
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
@@ -126,7 +125,7 @@ def _number(path: Path, index: int, said: dict[str, Any], key: str) -> float | N
 
 
 def _rigid(path: Path, index: int, value: Any) -> NDArray[np.float64]:
-    """The OpenCV camera-to-world of a Blender matrix; exporters leave rounding and noise of about 1e-6."""
+    """The OpenCV camera-to-world of a Blender matrix; exporters add rounding noise of about 1e-6."""
     try:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -148,8 +147,8 @@ def _image_size(image: Path) -> tuple[int, int]:
     from PIL import Image
 
     try:
-        with Image.open(image) as opened:
-            return opened.size
+        with Image.open(image) as picture:
+            return picture.size
     except FileNotFoundError as error:
         raise DataError(image, "no such picture", "Check file_path in the transforms file") from error
     except (OSError, ValueError, SyntaxError) as error:

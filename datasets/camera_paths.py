@@ -1,4 +1,4 @@
-"""Where cameras stand: icospheres for training, a spherical spiral for testing."""
+"""Camera positions: icospheres for training, a spherical spiral for testing."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def training_cameras(n: int, bounding_radius: float, width: int, height: int) ->
         height: image height in pixels; the sphere fits the shorter side.
 
     Raises:
-        DataError: no such icosphere exists; the remedy names the nearest numbers.
+        DataError: no icosphere has n vertices; the remedy names the nearest numbers.
     """
     return _looking_inwards(icosphere(n), bounding_radius, width, height, "train")
 
@@ -54,14 +54,14 @@ def test_cameras(n: int, bounding_radius: float, width: int, height: int) -> tup
     return _looking_inwards(spiral(n), bounding_radius, width, height, "test")
 
 
-test_cameras.__test__ = False  # type: ignore[attr-defined]  # no test case, though pytest would think so
+test_cameras.__test__ = False  # type: ignore[attr-defined]  # pytest: no test case
 
 
 def icosphere(n: int) -> NDArray[np.float64]:
     """(n, 3) unit vectors: the octahedron for 6, else 10 f^2 + 2 vertices of the icosphere.
 
     Raises:
-        DataError: n is neither.
+        DataError: no such polyhedron has n vertices.
     """
     if n == 6:
         return np.concatenate([np.eye(3), -np.eye(3)])
@@ -77,7 +77,7 @@ def icosphere(n: int) -> NDArray[np.float64]:
         )
     vertices, faces = _icosahedron()
     points: list[NDArray[np.float64]] = []
-    seen: set[tuple[int, ...]] = set()
+    keys: set[tuple[int, ...]] = set()
     for a, b, c in faces:
         for i in range(frequency + 1):
             for j in range(frequency + 1 - i):
@@ -85,8 +85,8 @@ def icosphere(n: int) -> NDArray[np.float64]:
                 point = weights @ vertices[[a, b, c]]
                 point /= np.linalg.norm(point)
                 key = tuple(np.round(point * 1e6).astype(int))
-                if key not in seen:
-                    seen.add(key)
+                if key not in keys:
+                    keys.add(key)
                     points.append(point)
     return np.array(points)
 

@@ -72,21 +72,21 @@ class CloudSource:
         if self.points is not None and self.colors is not None:
             if len(self.points) <= max_points + 1:  # published clouds have 10,001
                 return PointCloud(self.points, self.colors)
-            chosen = np.sort(generator.choice(len(self.points), max_points, replace=False))
-            return PointCloud(self.points[chosen], self.colors[chosen])
+            indices = np.sort(generator.choice(len(self.points), max_points, replace=False))
+            return PointCloud(self.points[indices], self.colors[indices])
         assert self.values is not None
         order = generator.permutation(len(self.values))
         if scene.transfer is None:
-            chosen = order[:max_points]
+            indices = order[:max_points]
             levels = np.array([surface.value for surface in scene.isosurfaces])
-            nearest = np.abs(self.values[chosen, None] - levels).argmin(axis=1)
+            nearest = np.abs(self.values[indices, None] - levels).argmin(axis=1)
             colors = np.array([surface.color for surface in scene.isosurfaces], dtype=np.float64)[nearest]
         else:
-            chosen = order[: 2 * max_points]
-            classified = scene.transfer.classify(self.values[chosen])
+            indices = order[: 2 * max_points]
+            classified = scene.transfer.classify(self.values[indices])
             visible = classified[:, 3] > 0.0
-            chosen, colors = chosen[visible][:max_points], classified[visible, :3][:max_points]
-        if not len(chosen):
+            indices, colors = indices[visible][:max_points], classified[visible, :3][:max_points]
+        if not len(indices):
             raise DataError(
                 self.what,
                 "no voxel has opacity under its transfer function"
@@ -95,11 +95,11 @@ class CloudSource:
                 "Move its bumps or levels to values that occur in the volume",
             )
         if self.points is not None:
-            return PointCloud(self.points[chosen], colors.astype(np.float32))
+            return PointCloud(self.points[indices], colors.astype(np.float32))
         assert self.inside is not None
         assert self.placement is not None
         low, sides, dims, strides = self.placement
-        places = np.flatnonzero(self.inside)[chosen]
+        places = np.flatnonzero(self.inside)[indices]
         grid = np.stack(np.unravel_index(places, self.inside.shape), axis=-1)[:, ::-1] * strides
         points = low + grid * sides / (dims - 1)
         return PointCloud(points.astype(np.float32), colors.astype(np.float32))
@@ -135,7 +135,7 @@ def initial_cloud(
     """The cloud that training starts from: drawn from the :func:`cloud_source`.
 
     Raises:
-        DataError: no voxel is visible, or the file is missing or cannot be used.
+        DataError: no voxel is visible, or the file is missing or unusable.
     """
     scene = dataset.scene(scene) if isinstance(scene, str) else scene
     return cloud_source(dataset, scene).draw(scene, max_points, seed)
@@ -190,7 +190,7 @@ def _visible(transfer: TransferFunction, normalised: NDArray[np.float32]) -> NDA
 
 
 def random_cloud(n: int, half_extent: float, seed: int = 0) -> PointCloud:
-    """Points (n) with random colors, uniform in the cube [-half_extent, half_extent]^3."""
+    """Cloud of n points with random colors, uniform in the cube [-half_extent, half_extent]^3."""
     generator = np.random.default_rng(seed)
     points = generator.uniform(-half_extent, half_extent, (n, 3)).astype(np.float32)
     return PointCloud(points, generator.random((n, 3)).astype(np.float32))
@@ -218,10 +218,10 @@ def write_ply(path: Path | str, cloud: PointCloud) -> None:
 
 
 def read_ply(path: Path | str) -> PointCloud:
-    """Points and colors of a PLY's vertices, binary of either byte order or ASCII; grey where it has none.
+    """Points and colors of a PLY's vertices (binary of either byte order, or ASCII); grey without colors.
 
     Raises:
-        DataError: missing, no PLY, no x y z, truncated, or a coordinate that is not finite.
+        DataError: the file is missing, truncated or no PLY, or a vertex lacks finite x y z.
     """
     path = Path(path)
     try:
@@ -238,8 +238,8 @@ def read_ply(path: Path | str) -> PointCloud:
     colors = np.full((count, 3), 0.5, dtype=np.float32)
     for channel, name in enumerate(("red", "green", "blue")):
         if name in (vertices.dtype.names or ()):
-            stored = vertices[name].astype(np.float32)
-            colors[:, channel] = stored / 255.0 if vertices.dtype[name].kind in "iu" else stored
+            values = vertices[name].astype(np.float32)
+            colors[:, channel] = values / 255.0 if vertices.dtype[name].kind in "iu" else values
     if not (np.isfinite(colors).all() and colors.min(initial=0.0) >= 0.0 and colors.max(initial=0.0) <= 1.0):
         raise DataError(path, "a color is out of range", _REMEDY)
     return PointCloud(points, colors)
@@ -288,10 +288,10 @@ def _read_vertices(
 ) -> np.ndarray:
     order = ">" if encoding == "binary_big_endian" else "<"
     dtype = np.dtype([(name, order + kind) for name, kind in fields])
-    remaining = path.stat().st_size - file.tell()
-    if count * (dtype.itemsize if encoding != "ascii" else 2 * len(fields) - 1) > remaining:
+    available = path.stat().st_size - file.tell()
+    if count * (dtype.itemsize if encoding != "ascii" else 2 * len(fields) - 1) > available:
         raise DataError(
-            path, f"is truncated: {remaining} bytes do not hold {count} vertices", "Copy it again"
+            path, f"is truncated: {available} bytes do not hold {count} vertices", "Copy it again"
         )
     if encoding != "ascii":
         return np.frombuffer(file.read(count * dtype.itemsize), dtype)

@@ -1,4 +1,4 @@
-"""Edits of a scene at render time, and the scene that is the truth of an edited model."""
+"""Edits of a scene at render time, and the ground-truth scene of an edited model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SAMPLES = 4096
 
 @dataclass(frozen=True)
 class Edit:
-    """Changes to a scene at render time. A value of None leaves what was trained.
+    """Changes to a scene at render time; None keeps the trained value.
 
     Attributes:
         palette: displayed sRGB palette color in [0, 1].
@@ -42,30 +42,30 @@ def edited(scene: BasicScene, edit: Edit) -> BasicScene:
     """The scene whose ground truth an edited model is measured against.
 
     * Palette: the scene's mean color becomes the palette color; every color of the scene moves by the same
-      amount, clipped to [0, 1]. Models hold one palette color per scene and offsets from it, so this is what
-      changing the palette color means to them; a scene of one color takes exactly the color asked for.
+      amount, clipped to [0, 1]. A model that holds one palette color per scene and offsets from it changes in
+      this way; a scene of one color takes exactly the new color.
     * Opacity: factor on the opacities of the transfer function (they stay below 1) or of the isosurfaces.
-    * Light and its coefficients: as they say.
+    * Light: the new direction, and factors on its coefficients.
 
     Raises:
-        DataError: the scene cannot be edited so, or a value is out of range.
+        DataError: the scene does not allow the edit, or a value is out of range.
     """
     _check(scene, edit)
     if edit.palette is not None:
         r, g, b = (new - old for new, old in zip(edit.palette, mean_color(scene), strict=True))
-        scene = _recolored(scene, (r, g, b))
+        scene = _recolor(scene, (r, g, b))
     if edit.opacity is not None:
-        scene = _thinned(scene, edit.opacity)
+        scene = _thin(scene, edit.opacity)
     if scene.light is not None:
-        scene = replace(scene, light=_relit(scene.light, edit))
+        scene = replace(scene, light=_relight(scene.light, edit))
     return scene
 
 
 def mean_color(scene: BasicScene) -> RGB:
     """The mean of a scene's colors.
 
-    Over the values of its transfer function, weighted by extinction; of isosurfaces, weighted by opacity.
-    White for a scene without opacity.
+    Weights are the extinction over the values of a transfer function, or the opacities of isosurfaces.
+    A scene without opacity is white.
     """
     import numpy as np
 
@@ -74,7 +74,7 @@ def mean_color(scene: BasicScene) -> RGB:
         weights = np.array([s.opacity for s in scene.isosurfaces])
     else:
         transfer = _transfer(scene)
-        # Between the corners of bumps sampling is even, so that a narrow one counts as it should.
+        # Even samples between the corners of bumps: a narrow bump gets as many as a wide one.
         edges = sorted({0.0, 1.0, *(x for b in transfer.bumps for x in (b.start, b.rise, b.fall, b.end))})
         middles, widths = [], []
         for low, high in pairwise(edges):
@@ -120,19 +120,21 @@ def _transfer(scene: BasicScene) -> TransferFunction:
     return scene.transfer
 
 
-def _recolored(scene: BasicScene, shift: RGB) -> BasicScene:
-    def moved(color: RGB) -> RGB:
+def _recolor(scene: BasicScene, shift: RGB) -> BasicScene:
+    def recolor(color: RGB) -> RGB:
         r, g, b = (min(max(old + by, 0.0), 1.0) for old, by in zip(color, shift, strict=True))
         return r, g, b
 
     if scene.isosurfaces:
-        return replace(scene, isosurfaces=tuple(replace(s, color=moved(s.color)) for s in scene.isosurfaces))
+        return replace(
+            scene, isosurfaces=tuple(replace(s, color=recolor(s.color)) for s in scene.isosurfaces)
+        )
     transfer = _transfer(scene)
-    bumps = tuple(replace(bump, color=moved(bump.color)) for bump in transfer.bumps)
+    bumps = tuple(replace(bump, color=recolor(bump.color)) for bump in transfer.bumps)
     return replace(scene, transfer=replace(transfer, bumps=bumps))
 
 
-def _thinned(scene: BasicScene, factor: float) -> BasicScene:
+def _thin(scene: BasicScene, factor: float) -> BasicScene:
     if scene.isosurfaces:
         surfaces = tuple(replace(s, opacity=min(factor * s.opacity, 1.0)) for s in scene.isosurfaces)
         return replace(scene, isosurfaces=surfaces)
@@ -141,7 +143,7 @@ def _thinned(scene: BasicScene, factor: float) -> BasicScene:
     return replace(scene, transfer=replace(transfer, bumps=bumps))
 
 
-def _relit(light: Light, edit: Edit) -> Light:
+def _relight(light: Light, edit: Edit) -> Light:
     changes: dict[str, Any] = {
         name: factor * getattr(light, name)
         for name in ("ambient", "diffuse", "specular", "shininess")

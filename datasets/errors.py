@@ -1,4 +1,4 @@
-"""Errors that tell what was wrong, where, and what to do."""
+"""Errors that name the object, the reason and the remedy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from os import PathLike, fspath
 
 
 class DataError(Exception):
-    """Input that cannot be used: names the file (or object), the reason and the remedy.
+    """Unusable input: names the file (or object), the reason and the remedy.
 
     The command line prints ``str(error)`` and no traceback (unless ``--debug``).
 
@@ -27,4 +27,4 @@ class DataError(Exception):
 
 
 class UnknownName(DataError):
-    """A name that is in no catalogue; the remedy lists near matches."""
+    """A name outside its list; the remedy holds near matches."""

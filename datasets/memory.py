@@ -1,4 +1,4 @@
-"""How much memory this process has taken at most."""
+"""Peak memory of this process."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def peak_host_bytes() -> int | None:
-    """High-water mark of this process's resident memory (VmHWM).
+    """High-water mark of this process's resident memory (VmHWM), in bytes; None where unknown.
 
     ``ru_maxrss`` would be inherited across exec from a larger parent.
     """
@@ -21,7 +21,7 @@ def peak_host_bytes() -> int | None:
 
 
 def peak_drjit_device_bytes() -> int | None:
-    """Most memory that Dr.Jit held on a CUDA device; None where it used none."""
+    """Peak memory of Dr.Jit on a CUDA device, in bytes; None if it used none."""
     drjit = sys.modules.get("drjit")
     if drjit is None:
         return None

@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from datasets.errors import UnknownName
 
 
-def unknown(kind: str, name: str, known: Iterable[str], *, of: str = "") -> UnknownName:
-    """The error for a name in no list, with near matches or the whole list as the remedy."""
-    names = sorted(known)
+def unknown(kind: str, name: str, candidates: Iterable[str], *, of: str = "") -> UnknownName:
+    """Error for an unknown name; the remedy holds near matches, else all candidates."""
+    names = sorted(candidates)
     near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     where = f" of {of}" if of else ""
     remedy = f"Did you mean {', '.join(near)}?" if near else f"Known: {', '.join(names) or 'none'}"

@@ -13,7 +13,7 @@ from datasets.errors import DataError
 
 
 def write_png(path: Path, premultiplied: NDArray[np.float32]) -> None:
-    """Write a picture, aside first and then renamed in place.
+    """Write a picture: a temporary file, then renamed.
 
     Args:
         path: the file; its folder exists.
@@ -22,10 +22,10 @@ def write_png(path: Path, premultiplied: NDArray[np.float32]) -> None:
     straight = np.array(premultiplied, dtype=np.float64)
     if straight.shape[-1] == 4:
         alpha = straight[..., 3:]
-        # Divide by the alpha that will be stored, so that reading gives back the premultiplied color.
-        stored = np.rint(np.clip(alpha, 0.0, 1.0) * 255.0) / 255.0
-        straight[..., :3] /= np.where(stored > 0.0, stored, 1.0)
-        straight[..., :3] *= stored > 0.0
+        # Divide by the 8-bit alpha of the file: reading multiplies by it.
+        file_alpha = np.rint(np.clip(alpha, 0.0, 1.0) * 255.0) / 255.0
+        straight[..., :3] /= np.where(file_alpha > 0.0, file_alpha, 1.0)
+        straight[..., :3] *= file_alpha > 0.0
     pixels = np.rint(np.clip(straight, 0.0, 1.0) * 255.0).astype(np.uint8)
     aside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -36,7 +36,7 @@ def write_png(path: Path, premultiplied: NDArray[np.float32]) -> None:
 
 
 def read_png(path: Path) -> NDArray[np.float32]:
-    """(height, width, 4) float32 premultiplied RGBA of an 8-bit picture; alpha is 1 where the file has none.
+    """(height, width, 4) float32 premultiplied RGBA of an 8-bit picture; alpha is 1 in files without.
 
     Raises:
         DataError: the file is missing or not a picture.

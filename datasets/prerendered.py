@@ -1,4 +1,4 @@
-"""Views that were rendered elsewhere: a folder of PNGs with Blender-style cameras."""
+"""Pre-rendered views: a folder of PNGs with Blender-style cameras."""
 
 from __future__ import annotations
 
@@ -22,24 +22,23 @@ _log = logging.getLogger(__name__)
 def load_views(scene: BasicScene, request: ViewRequest) -> ViewSet:
     """The views that a request names.
 
-    Where fewer views are wanted than the folder has, they are picked evenly spaced in file order; where
-    more are wanted, all are taken (the set tells how many). Validation views are every tenth of the
-    training views picked.
+    A request for fewer views than the folder holds takes evenly spaced ones in file order; a request for more
+    takes all. Validation views are every tenth of these training views.
 
     Args:
         scene: pre-rendered, with ``views_folder``.
         request: its size must divide the size of the pictures.
 
     Raises:
-        DataError: the folder, a camera or a picture cannot be used; the size does not divide; or the split
-            is empty.
+        DataError: the folder, a camera or a picture is unusable; the size does not divide; or the split is
+            empty.
     """
-    path, chosen = _chosen(scene, request)
+    path, selection = _selection(scene, request)
     digest = hashlib.sha256(repr((request.width, request.height, scene.background)).encode())
     cameras: list[Camera] = []
-    images = np.empty((len(chosen), request.height, request.width, 4), dtype=np.float32)
+    images = np.empty((len(selection), request.height, request.width, 4), dtype=np.float32)
     opaque = 0
-    for row, (camera, file) in enumerate(chosen):
+    for row, (camera, file) in enumerate(selection):
         image = read_png(file)
         height, width = image.shape[:2]
         if (camera.width, camera.height) != (width, height):
@@ -51,7 +50,7 @@ def load_views(scene: BasicScene, request: ViewRequest) -> ViewSet:
         numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
         digest.update(np.concatenate([camera.camera_to_world.ravel(), numbers]).tobytes())
         digest.update(images[row].tobytes())
-    if opaque == len(chosen):
+    if opaque == len(selection):
         _log.warning("%s: no picture has transparency; its background is taken as part of the scene", path)
     return ViewSet(tuple(cameras), images, scene.background, digest.hexdigest()[:40])
 
@@ -60,34 +59,34 @@ def view_cameras(scene: BasicScene, request: ViewRequest) -> tuple[Camera, ...]:
     """The cameras of :func:`load_views`, without reading pictures.
 
     Raises:
-        DataError: the folder or a camera cannot be used, or the split is empty.
+        DataError: the folder or a camera is unusable, or the split is empty.
     """
-    return tuple(camera.resized(request.width, request.height) for camera, _ in _chosen(scene, request)[1])
+    return tuple(camera.resized(request.width, request.height) for camera, _ in _selection(scene, request)[1])
 
 
-def _chosen(scene: BasicScene, request: ViewRequest) -> tuple[Path, list[tuple[Camera, Path]]]:
-    """The file that lists the views, and the cameras with their pictures that a request names."""
+def _selection(scene: BasicScene, request: ViewRequest) -> tuple[Path, list[tuple[Camera, Path]]]:
+    """The transforms file, and the cameras and pictures of a request."""
     if scene.views_folder is None:
         raise DataError(f"scene {scene.name}", "it has no pre-rendered views", "Render it from its volume")
     test = request.split == "test"
     path = scene.views_folder / f"transforms_{'test' if test else 'train'}.json"
     views = read_transforms(path)
-    picked = evenly_spaced(len(views), request.test_views if test else request.train_views)
-    chosen = [views[picked[i]] for i in split_indices(len(picked), request.split)]
-    if not chosen:
+    indices = evenly_spaced(len(views), request.test_views if test else request.train_views)
+    selection = [views[indices[i]] for i in split_indices(len(indices), request.split)]
+    if not selection:
         raise DataError(
-            f"{request.split} split of {len(picked)} views of {path}",
+            f"{request.split} split of {len(indices)} views of {path}",
             "it is empty (every tenth training view is validation)",
             "Use 12 or more training views",
         )
-    return path, chosen
+    return path, selection
 
 
 def area_average(image: NDArray[np.float32], width: int, height: int, file: Path) -> NDArray[np.float32]:
     """Mean over blocks of a premultiplied picture.
 
     Raises:
-        DataError: the wanted size does not divide the picture's.
+        DataError: the size does not divide the picture's.
     """
     rows, columns = image.shape[:2]
     if (columns, rows) == (width, height):

@@ -1,4 +1,4 @@
-"""Scenes and datasets: what a method is asked to represent."""
+"""Scenes and datasets: the objects that methods represent."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class Isosurface:
     """A level set drawn as a surface.
 
     Attributes:
-        name: what it shows.
+        name: structure of the surface ("skin").
         value: normalised value of the level set, in (0, 1).
         color: displayed sRGB color, three values in [0, 1].
-        opacity: of one crossing, in (0, 1]; does not depend on the ray step.
+        opacity: opacity of one crossing, in (0, 1], whatever the ray step.
     """
 
     name: str
@@ -58,11 +58,11 @@ class BasicScene:
 
     Attributes:
         name: identifier within the dataset.
-        variable: name of the volume it shows ("" for pre-rendered scenes).
+        variable: name of its volume ("" for pre-rendered scenes).
         transfer: None for pre-rendered scenes and for isosurfaces.
         light: None renders unshaded (emission-absorption).
         isosurfaces: level sets drawn instead of a transfer function; empty otherwise.
-        depth_enhancement: strength in [0, 1] of the darkening of what lies deep inside or behind
+        depth_enhancement: strength in [0, 1] of the darkening of deep or hidden parts
             (:mod:`datasets.ground_truth.model`); 0 is off.
         views_folder: folder with ``transforms_{train,test}.json`` for pre-rendered scenes.
     """
@@ -84,7 +84,7 @@ class Dataset:
     Attributes:
         name: identifier in the catalogue, or a stem made from a file name.
         title: one line for people.
-        kind: "volume" renders its ground truth; "views" was rendered elsewhere.
+        kind: "volume" renders its ground truth; "views" holds pre-rendered pictures.
         scenes: basic scenes by order of the catalogue.
         compositions: name -> names of basic scenes; empty for "views".
         volumes: variable -> function that reads it; empty for "views".
@@ -102,7 +102,7 @@ class Dataset:
         """The basic scene of that name.
 
         Raises:
-            UnknownName: no scene has it; near matches are listed.
+            UnknownName: no scene has this name; the remedy lists near matches.
         """
         for scene in self.scenes:
             if scene.name == name:
@@ -110,10 +110,10 @@ class Dataset:
         raise unknown("scene", name, [s.name for s in self.scenes], of=self.name)
 
     def parts(self, name: str) -> tuple[BasicScene, ...]:
-        """The basic scenes that a name shows: one, or those of a composition.
+        """The basic scene of that name, or the basic scenes of that composition.
 
         Raises:
-            UnknownName: neither a basic scene nor a composition has it; near matches are listed.
+            UnknownName: neither a basic scene nor a composition has it; the remedy lists near matches.
         """
         if name in self.compositions:
             return tuple(self.scene(part) for part in self.compositions[name])
@@ -127,7 +127,7 @@ class Dataset:
 
         Raises:
             UnknownName: the dataset has no such variable.
-            DataError: its file cannot be used.
+            DataError: its file is unusable.
         """
         if variable not in self._loaded:
             if variable not in self.volumes:

@@ -16,7 +16,7 @@ class Bump:
     and returns to 0 at ``end``; start <= rise <= fall <= end, all in [0, 1].
 
     Attributes:
-        name: what the bump shows ("bone").
+        name: structure of the bump ("bone").
         color: displayed sRGB color, three values in [0, 1].
         opacity: opacity in [0, 1) accumulated over one reference length of a ray (see
             :class:`TransferFunction`).
@@ -40,7 +40,7 @@ class TransferFunction:
 
     Attributes:
         name: identifier within the dataset ("bone").
-        bumps: at least one.
+        bumps: one or more.
         reference_length: scene-space length over which ``opacity`` is reached; positive.
     """
 
@@ -56,7 +56,7 @@ class TransferFunction:
 
         Returns:
             values.shape + (4,): color in [0, 1] (straight, not premultiplied) and extinction >= 0
-            per unit of scene space. Color where opacity is 0 is that of the nearest bump, so that
+            per unit of scene space. A value without opacity has the color of the nearest bump, so that
             interpolation of tables does not darken edges.
         """
         x = np.asarray(values, dtype=np.float64)
@@ -73,8 +73,8 @@ class TransferFunction:
             closer = distance < best
             best = np.where(closer, distance, best)
             nearest = np.where(closer[..., None], color, nearest)
-        seen = opacity > 0.0
-        color = np.where(seen[..., None], weighted / np.where(seen, opacity, 1.0)[..., None], nearest)
+        visible = opacity > 0.0
+        color = np.where(visible[..., None], weighted / np.where(visible, opacity, 1.0)[..., None], nearest)
         extinction = -np.log1p(-np.minimum(opacity, 0.9999)) / self.reference_length
         return np.concatenate([color, extinction[..., None]], axis=-1)
 

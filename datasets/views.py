@@ -18,15 +18,15 @@ Split = Literal["train", "val", "trainval", "test"]
 
 @dataclass(frozen=True)
 class ViewRequest:
-    """Which views of a scene are wanted.
+    """Selection of a scene's views.
 
     Attributes:
         split: "train" (without validation), "val" (every tenth training view), "trainval" (both,
             in camera order) or "test".
         train_views: number of training cameras before the validation split (6, 12, 42, 92).
         test_views: number of cameras on the test path (181 in the paper).
-        width, height: pixels. Pre-rendered views are area-averaged down to it where it divides
-            their size, and the request is refused otherwise.
+        width, height: image size in pixels. It must divide the size of pre-rendered views, which are
+            averaged over areas.
     """
 
     split: Split
@@ -45,7 +45,7 @@ class ViewSet:
         images: (n, height, width, 4) float32, RGB in [0, 1] as displayed (sRGB-encoded)
             premultiplied by alpha, background-free.
         background: the scene's recorded background.
-        key: content hash of what made the images (scene, cameras, renderer and its version).
+        key: content hash of the images' inputs (scene, cameras, renderer and its version).
         cost: what rendering them took, whenever that was: ``ms_per_view`` of launches that hold several small
             views, ``setup_seconds``, ``peak_host_bytes`` and ``peak_device_bytes`` of the process up to then,
             renderer, version and backend. None for pre-rendered views.
@@ -72,7 +72,7 @@ def over(premultiplied: NDArray[np.float32], background: RGB) -> NDArray[np.floa
 
 
 def split_indices(n: int, split: Split) -> list[int]:
-    """Which of n training (or test) cameras belong to a split: every tenth training view is validation."""
+    """Indices of the n training (or test) cameras that belong to a split; every tenth is validation."""
     if split in ("trainval", "test"):
         return list(range(n))
     return [i for i in range(n) if (i % 10 == 9) == (split == "val")]

@@ -20,13 +20,13 @@ class Volume:
         values: (nz, ny, nx) array, x fastest, finite; integer or floating type as stored.
         spacing: physical distance between samples along x, y, z; positive.
         value_range: (low, high) data values mapped to 0 and 1 before the transfer function.
-        source: file or generator that the values came from, for error messages and records.
-        mask: (nz, ny, nx) bool, False where the data say nothing (outside a mesh): never visible there,
-            whatever ``values`` hold. None: everywhere valid. ``values`` just outside are extrapolated from
-            inside, so that interpolation and gradients at the border see no jump.
-        vertices: (n, 3) float32 scene-space positions of a mesh's own vertices, from which initial
-            clouds are drawn; None for grids.
-        vertex_values: (n,) data values there, in the units of ``values``; with ``vertices``.
+        source: file or generator of the values, for error messages and records.
+        mask: (nz, ny, nx) bool, False for samples without data (outside a mesh), which are never visible;
+            None: all samples are valid. ``values`` just outside continue those inside, so that
+            interpolation and gradients at the border see no jump.
+        vertices: (n, 3) float32 scene-space positions of a mesh's own vertices (for initial clouds); None
+            for grids.
+        vertex_values: (n,) data values of ``vertices``, in the units of ``values``.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Volume:
     def normalised(self) -> NDArray[np.float32]:
         """(nz, ny, nx) float32 values with ``value_range`` mapped to [0, 1] and clipped.
 
-        Made slice by slice, so that no second copy is held; starts at a multiple of 64 bytes.
+        Works slice by slice, without a second copy; the result starts at a multiple of 64 bytes.
         """
         room = np.empty(4 * self.values.size + 64, dtype=np.uint8)
         start = -room.ctypes.data % 64

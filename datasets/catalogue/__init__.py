@@ -1,6 +1,6 @@
-"""The catalogue: known datasets by name, and any volume file or folder of views by path.
+"""The catalogue: datasets by name, and any volume file or folder of views by path.
 
-Each entry is a TOML file in this package. The real files are found by searching the folders of
+Each entry is a TOML file in this package. A search for the real files goes through the folders of
 ``BENCH_DATA`` (separated as in ``PATH``), then ``econgs-bench`` in the user's data folder.
 """
 

@@ -1,4 +1,4 @@
-"""What the catalogue's TOML files say, and where their data lie. Imports nothing heavy."""
+"""Entries of the catalogue (TOML files) and the places of their data. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ENVIRONMENT = "BENCH_DATA"
 
 @dataclass(frozen=True)
 class DatasetInfo:
-    """What ``bench list datasets`` tells of a dataset.
+    """One dataset of ``bench list datasets``.
 
     Attributes:
         name: identifier for ``--dataset``.
@@ -24,9 +24,9 @@ class DatasetInfo:
         dims: samples along x, y, z; None for "views".
         variables: names of its volumes; empty for "views".
         scenes: names of its basic scenes.
-        compositions: name -> basic scenes shown together.
-        available: its files are there (always, for procedural ones).
-        where: the folder or "built in"; if not available, what is missing and how to get it.
+        compositions: name -> basic scenes rendered together.
+        available: whether its files exist (always, for procedural ones).
+        where: the folder or "built in"; for an unavailable one, the missing files and their source.
     """
 
     name: str
@@ -42,8 +42,8 @@ class DatasetInfo:
 
 def names() -> list[str]:
     """Names of all entries, procedural ones first."""
-    found = sorted(path.stem for path in Path(__file__).parent.glob("*.toml"))
-    return sorted(found, key=lambda name: entry(name)["kind"] != "procedural")
+    places = sorted(path.stem for path in Path(__file__).parent.glob("*.toml"))
+    return sorted(places, key=lambda name: entry(name)["kind"] != "procedural")
 
 
 @cache
@@ -53,20 +53,20 @@ def entry(name: str) -> dict[str, Any]:
 
 
 def list_datasets(data_dirs: Sequence[Path | str] | None = None) -> list[DatasetInfo]:
-    """Every entry of the catalogue, with where its data lie or how to get them."""
+    """Every entry of the catalogue, with the place or the source of its data."""
     return [_info(name, data_folders(data_dirs)) for name in names()]
 
 
 def data_folders(data_dirs: Sequence[Path | str] | None = None) -> list[Path]:
-    """The folders searched, in order: those given, else ``BENCH_DATA`` and the user's data folder."""
+    """Folders to search, in order: the arguments, else ``BENCH_DATA`` and the user's data folder."""
     if data_dirs is not None:
         return [Path(folder).expanduser() for folder in data_dirs]
-    said = [Path(part).expanduser() for part in os.environ.get(ENVIRONMENT, "").split(os.pathsep) if part]
-    return [*said, user_folder()]
+    table = [Path(part).expanduser() for part in os.environ.get(ENVIRONMENT, "").split(os.pathsep) if part]
+    return [*table, user_folder()]
 
 
 def user_folder() -> Path:
-    """Where downloads go, and the last folder searched."""
+    """Folder for downloads, the last one of a search."""
     from platformdirs import user_data_path
 
     return user_data_path("econgs-bench", appauthor=False)
@@ -81,50 +81,50 @@ def locate(relative: str, folders: Sequence[Path]) -> Path | None:
     return None
 
 
-def paths_of(said: dict[str, Any]) -> list[str]:
-    """Relative paths of what an entry needs."""
-    if said["kind"] == "views":
-        return [f"{said['folder']}/{scene['name']}/transforms_train.json" for scene in said["scenes"]]
-    return list(dict.fromkeys(file["path"] for file in said.get("files", [])))
+def paths_of(table: dict[str, Any]) -> list[str]:
+    """Relative paths of an entry's files."""
+    if table["kind"] == "views":
+        return [f"{table['folder']}/{scene['name']}/transforms_train.json" for scene in table["scenes"]]
+    return list(dict.fromkeys(file["path"] for file in table.get("files", [])))
 
 
-def remedy(said: dict[str, Any], folders: Sequence[Path]) -> str:
+def remedy(table: dict[str, Any], folders: Sequence[Path]) -> str:
     """How to get the files of an entry."""
     searched = ", ".join(str(folder) for folder in folders) or "none"
-    wanted = ", ".join(paths_of(said)[:4])
-    text = f"Set {ENVIRONMENT} to the folder that holds {wanted} (searched: {searched})"
-    for file in said.get("files", []):
+    files = ", ".join(paths_of(table)[:4])
+    text = f"Set {ENVIRONMENT} to the folder that holds {files} (searched: {searched})"
+    for file in table.get("files", []):
         if "url" in file:
             text += f"; public file: {file['url']} (sha512 {file['sha512']})"
-    if not any("url" in file for file in said.get("files", [])):
-        text += f"; source: {said['acknowledgement']}"
+    if not any("url" in file for file in table.get("files", [])):
+        text += f"; source: {table['acknowledgement']}"
     return text
 
 
-def compositions_of(said: dict[str, Any]) -> dict[str, tuple[str, ...]]:
-    """Those named in the entry, and "all"; none where no ground truth can be rendered."""
-    scenes = tuple(scene["name"] for scene in said["scenes"])
-    if said["kind"] == "views" or len(scenes) < 2:
+def compositions_of(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
+    """Compositions of the entry, and "all"; none for pre-rendered views, which have no joint ground truth."""
+    scenes = tuple(scene["name"] for scene in table["scenes"])
+    if table["kind"] == "views" or len(scenes) < 2:
         return {}
-    named = {name: tuple(parts) for name, parts in said.get("compositions", {}).items()}
-    return {"all": scenes, **named}
+    compositions = {name: tuple(parts) for name, parts in table.get("compositions", {}).items()}
+    return {"all": scenes, **compositions}
 
 
 def _info(name: str, folders: Sequence[Path]) -> DatasetInfo:
-    said = entry(name)
-    found = [(path, locate(path, folders)) for path in paths_of(said)]
-    missing = [path for path, at in found if at is None]
-    if said["kind"] == "procedural":
-        nx, ny, nz = said.get("dims", (64, 64, 64))
+    table = entry(name)
+    places = [(path, locate(path, folders)) for path in paths_of(table)]
+    missing = [path for path, at in places if at is None]
+    if table["kind"] == "procedural":
+        nx, ny, nz = table.get("dims", (64, 64, 64))
         dims: tuple[int, int, int] | None = (nx, ny, nz)
-        variables = tuple(dict.fromkeys(scene["variable"] for scene in said["scenes"]))
+        variables = tuple(dict.fromkeys(scene["variable"] for scene in table["scenes"]))
         where = f"built in, at any resolution ({name}@128)"
     else:
-        dims = (said["dims"][0], said["dims"][1], said["dims"][2]) if "dims" in said else None
-        variables = tuple(file["variable"] for file in said.get("files", []))
-        where = f"missing {', '.join(missing)}. {remedy(said, folders)}" if missing else str(found[0][1])
-    scenes = tuple(scene["name"] for scene in said["scenes"])
-    compositions = compositions_of(said)
+        dims = (table["dims"][0], table["dims"][1], table["dims"][2]) if "dims" in table else None
+        variables = tuple(file["variable"] for file in table.get("files", []))
+        where = f"missing {', '.join(missing)}. {remedy(table, folders)}" if missing else str(places[0][1])
+    scenes = tuple(scene["name"] for scene in table["scenes"])
+    compositions = compositions_of(table)
     return DatasetInfo(
-        name, said["title"], said["kind"], dims, variables, scenes, compositions, not missing, where
+        name, table["title"], table["kind"], dims, variables, scenes, compositions, not missing, where
     )

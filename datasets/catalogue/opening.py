@@ -29,25 +29,25 @@ def open_dataset(
 
     Args:
         name_or_path: "vis_male"; "vortices" or "vortices@128"; a volume file, which gets automatic transfer
-            functions ("PATH:variable=T,step=3,resolution=256" chooses what is read of it); or a folder with
+            functions ("PATH:variable=T,step=3,resolution=256" selects a part of it); or a folder with
             ``transforms_train.json``, in itself or in one subfolder per scene.
         data_dirs: folders to search instead of ``BENCH_DATA`` and the user's data folder.
         resolution: samples per axis of a procedural volume (default 64).
-        download: fetch missing files that are public into the user's data folder (checked by sha512).
+        download: fetch missing public files into the user's data folder (checked by sha512).
 
     Raises:
-        UnknownName: neither a name nor a path; near matches are listed.
-        DataError: its files are missing or cannot be used.
+        UnknownName: neither a name nor a path; the remedy lists near matches.
+        DataError: its files are missing or unusable.
     """
     text = str(name_or_path)
     base, _, at = text.partition("@")
     if base in entries.names() and not isinstance(name_or_path, Path):
-        said = entries.entry(base)
-        if said["kind"] == "procedural":
-            return _procedural(base, said, _resolution(text, at) if at else resolution)
+        table = entries.entry(base)
+        if table["kind"] == "procedural":
+            return _procedural(base, table, _resolution(text, at) if at else resolution)
         if resolution is not None or "@" in text:
             raise DataError(text, "only procedural volumes have a choice of resolution", f"Ask for {base}")
-        return _known(base, said, entries.data_folders(data_dirs), download)
+        return _from_catalogue(base, table, entries.data_folders(data_dirs), download)
     path = Path(text).expanduser()
     try:
         is_folder, exists = path.is_dir(), path.exists()
@@ -70,11 +70,11 @@ def _resolution(text: str, at: str) -> int:
     return int(at)
 
 
-def _procedural(name: str, said: dict[str, Any], resolution: int | None) -> Dataset:
+def _procedural(name: str, table: dict[str, Any], resolution: int | None) -> Dataset:
     from datasets import procedural
     from datasets.scene import Dataset
 
-    field = said.get("field", name)  # several entries may show one field
+    field = table.get("field", name)  # several entries may show one field
     n = procedural.check_resolution(field, resolution)
     full = name if n == procedural.default_resolution(field) else f"{name}@{n}"
 
@@ -85,32 +85,32 @@ def _procedural(name: str, said: dict[str, Any], resolution: int | None) -> Data
     volumes: dict[str, Callable[[], Volume]] = {
         variable: partial(_one, together, variable) for variable in procedural.FIELDS[field]
     }
-    return Dataset(full, said["title"], "volume", _scenes(said), entries.compositions_of(said), volumes)
+    return Dataset(full, table["title"], "volume", _scenes(table), entries.compositions_of(table), volumes)
 
 
 def _one(volumes: Callable[[], dict[str, Volume]], variable: str) -> Volume:
     return volumes()[variable]
 
 
-def _known(name: str, said: dict[str, Any], folders: Sequence[Path], download: bool) -> Dataset:
+def _from_catalogue(name: str, table: dict[str, Any], folders: Sequence[Path], download: bool) -> Dataset:
     from datasets.scene import BasicScene, Dataset
 
-    found: dict[str, Path] = {}
-    for path in entries.paths_of(said):
+    paths: dict[str, Path] = {}
+    for path in entries.paths_of(table):
         at = entries.locate(path, folders)
         if at is None and download:
-            at = _fetch(name, next((f for f in said.get("files", []) if f["path"] == path), {}))
+            at = _fetch(name, next((f for f in table.get("files", []) if f["path"] == path), {}))
         if at is None:
-            raise DataError(f"dataset {name}", f"{path} was not found", entries.remedy(said, folders))
-        found[path] = at
-    if said["kind"] == "views":
+            raise DataError(f"dataset {name}", f"{path} was not found", entries.remedy(table, folders))
+        paths[path] = at
+    if table["kind"] == "views":
         scenes = tuple(
-            BasicScene(Path(path).parent.name, views_folder=at.parent) for path, at in found.items()
+            BasicScene(Path(path).parent.name, views_folder=at.parent) for path, at in paths.items()
         )
-        return Dataset(name, said["title"], "views", scenes)
-    spacing = tuple(said["spacing"]) if "spacing" in said else None
-    volumes = {f["variable"]: _reader(found[f["path"]], f, spacing) for f in said["files"]}
-    return Dataset(name, said["title"], "volume", _scenes(said), entries.compositions_of(said), volumes)
+        return Dataset(name, table["title"], "views", scenes)
+    spacing = tuple(table["spacing"]) if "spacing" in table else None
+    volumes = {f["variable"]: _reader(paths[f["path"]], f, spacing) for f in table["files"]}
+    return Dataset(name, table["title"], "volume", _scenes(table), entries.compositions_of(table), volumes)
 
 
 def _reader(path: Path, file: dict[str, Any], spacing: Any) -> Callable[[], Volume]:
@@ -125,7 +125,7 @@ def _reader(path: Path, file: dict[str, Any], spacing: Any) -> Callable[[], Volu
 
 
 def _fetch(name: str, file: dict[str, Any]) -> Path | None:
-    """Download a public file into the user's data folder; None if none is published under a fixed URL."""
+    """Download a public file into the user's data folder; None for a file without a fixed URL."""
     if "url" not in file:
         return None
     import pooch
@@ -140,12 +140,12 @@ def _fetch(name: str, file: dict[str, Any]) -> Path | None:
     return target
 
 
-def _scenes(said: dict[str, Any]) -> tuple[BasicScene, ...]:
+def _scenes(table: dict[str, Any]) -> tuple[BasicScene, ...]:
     from datasets.scene import WHITE, BasicScene, Light
     from datasets.transfer import TransferFunction
 
     scenes = []
-    for scene in said["scenes"]:
+    for scene in table["scenes"]:
         transfer = None
         if "bumps" in scene:
             bumps = tuple(_bump(bump) for bump in scene["bumps"])
@@ -168,17 +168,17 @@ def _scenes(said: dict[str, Any]) -> tuple[BasicScene, ...]:
     return tuple(scenes)
 
 
-def _bump(said: dict[str, Any]) -> Bump:
+def _bump(table: dict[str, Any]) -> Bump:
     from datasets.transfer import Bump
 
-    start, rise, fall, end = said["range"]
-    return Bump(said["name"], start, rise, fall, end, tuple(said["color"]), said["opacity"])
+    start, rise, fall, end = table["range"]
+    return Bump(table["name"], start, rise, fall, end, tuple(table["color"]), table["opacity"])
 
 
-def _isosurface(said: dict[str, Any]) -> Isosurface:
+def _isosurface(table: dict[str, Any]) -> Isosurface:
     from datasets.scene import Isosurface
 
-    return Isosurface(said["name"], said["value"], tuple(said["color"]), said.get("opacity", 1.0))
+    return Isosurface(table["name"], table["value"], tuple(table["color"]), table.get("opacity", 1.0))
 
 
 def _views_folder(path: Path) -> Dataset:

@@ -1,4 +1,4 @@
-"""Empty-space bricks: which blocks are invisible in a scene, and how far to leap."""
+"""Empty-space bricks: invisible blocks of a scene, and the leaps over them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ BRICK = 4
 
 
 class Bricks:
-    """Value ranges of the bricks of a field; made once per volume.
+    """Value ranges of the bricks of a field, computed once per volume.
 
-    Brick b along an axis covers grid indices [4 b, 4 b + 4] and its range takes in one voxel more on
-    either side, so that rounding at a border can never hide a visible sample.
+    Brick b along an axis covers grid indices [4 b, 4 b + 4]; its range includes one more voxel on either
+    side, so that rounding at a border never hides a visible sample.
 
     Args:
         values: (nz, ny, nx) normalised to [0, 1].
-        mask: (nz, ny, nx) bool, where the values count; None: everywhere.
+        mask: (nz, ny, nx) bool, True for valid values; None: all are valid.
     """
 
     def __init__(self, values: NDArray[np.float32], mask: NDArray[np.bool_] | None = None) -> None:
@@ -30,25 +30,25 @@ class Bricks:
         self._outside = None if mask is None else ~_blockwise(mask, np.logical_or)
 
     def empty(self, extinction: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Which bricks are invisible under a transfer function.
+        """Mask of the bricks that are invisible under a transfer function.
 
         Args:
             extinction: (S,) table over [0, 1], linear in between.
 
         Returns:
-            Array of the bricks' shape (z, y, x).
+            Bool array of the bricks' shape (z, y, x).
         """
         size = len(extinction)
         visible_below = np.concatenate([[0], np.cumsum(extinction > 0.0)])
         first = np.floor(self.low * np.float64(size - 1)).astype(np.int64)
         last = np.minimum(np.ceil(self.high * np.float64(size - 1)).astype(np.int64), size - 1)
-        # One entry more on either side: look-ups run in float32.
+        # One more entry on either side: look-ups run in float32.
         first, last = np.maximum(first - 1, 0), np.minimum(last + 1, size - 1)
         return self._or_outside(visible_below[last + 1] == visible_below[first])
 
     def uncrossed(self, levels: Iterable[float]) -> NDArray[np.bool_]:
-        """Which bricks hold none of these levels."""
-        margin = 1e-6  # of interpolation in float32
+        """Mask of the bricks that hold none of these levels."""
+        margin = 1e-6  # interpolation in float32
         crossed = np.zeros(self.low.shape, dtype=bool)
         for level in levels:
             crossed |= (self.low - margin <= level) & (level <= self.high + margin)
@@ -59,7 +59,7 @@ class Bricks:
 
 
 def leaps(empty: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Chebyshev distance in bricks to the nearest brick that is visible (0: this one is).
+    """Chebyshev distance in bricks to the nearest visible brick (0: this one).
 
     A ray in a brick with distance d > 0 meets nothing within d - 1 bricks on any side.
     """
@@ -69,7 +69,7 @@ def leaps(empty: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def _blockwise(values: NDArray[Any], pick: np.ufunc) -> NDArray[Any]:
-    """Reduction over each brick with one voxel more on either side."""
+    """Reduction over each brick and one more voxel on either side."""
     for axis in range(3):
         n = values.shape[axis]
         bricks = max(1, -(-(n - 1) // BRICK))

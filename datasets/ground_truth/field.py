@@ -1,6 +1,6 @@
-"""Grids of values in Dr.Jit, fetched trilinearly.
+"""Grids of values in Dr.Jit with trilinear interpolation.
 
-min and max are written as select throughout: LLVM 15 and 16 cannot compile Dr.Jit's own.
+select stands for min and max throughout: LLVM 15 and 16 fail to compile Dr.Jit's own.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 
 class Field:
-    """A grid of values, and where they count.
+    """A grid of values with an optional mask.
 
-    Each value is stored with its neighbour along x, at twice the memory: both are needed, and Dr.Jit fetches
-    two adjacent floats faster than one, without a branch for each ray.
+    Memory holds each value with its neighbour along x, which doubles it: interpolation needs both, and Dr.Jit
+    fetches two adjacent floats faster than one, without a branch for each ray.
 
     Args:
         slices: (ny, nx) values for each z.
         shape: nz, ny, nx.
-        mask: of that shape, or None.
+        mask: bool array of that shape, or None.
 
     Attributes:
         values: (nz, ny, nx) view of the values.
@@ -41,7 +41,7 @@ class Field:
             out[:, :-1, 1] = values[:, 1:]
             out[:, -1, 1] = values[:, -1]
         self.values = pairs[..., 0]
-        self.pairs = mi.Float(aligned(pairs))  # Dr.Jit reads it where it lies
+        self.pairs = mi.Float(aligned(pairs))  # Dr.Jit reads it in place
         self.mask = None if mask is None else _bytes()(aligned(mask.view(np.uint8)))
         self.dims = [dr.opaque(mi.Int32, n) for n in reversed(shape)]
         self.stride = [
@@ -74,7 +74,7 @@ class Cell:
         self._corners = [value for row in (mi.Int32(0), y, z, y + z) for value in self._fetch(row)]
 
     def _fetch(self, offset: Any) -> Any:
-        """The value there and its neighbour along x."""
+        """The value at an offset and its neighbour along x."""
         return dr.gather(mi.Vector2f, self._field.pairs, mi.UInt32(self._base + offset))
 
     def value(self) -> Any:
@@ -100,8 +100,8 @@ class Cell:
     def gradient(self) -> Any:
         """Half of f(x + 1) - f(x - 1) along each axis, in values per grid index.
 
-        As interpolation is linear, both terms need only the corners of this cell and of its neighbours:
-        16 fetches more instead of 24.
+        Interpolation is linear, so both terms need only the corners of this cell and of its neighbours:
+        16 more fetches instead of 24.
         """
         _, y, z = self._field.stride
         result = []
@@ -132,20 +132,20 @@ def _bytes() -> Any:
 
 
 def lerp(a: Any, b: Any, w: Any) -> Any:
-    """From a to b."""
+    """Linear interpolation from a to b."""
     return dr.fma(b - a, w, a)
 
 
 def bilinear(values: Sequence[Any], first: Any, second: Any) -> Any:
-    """Of four values, ``first`` being the weight along the faster axis."""
+    """Bilinear interpolation of four values; ``first`` is the weight along the faster axis."""
     return lerp(lerp(values[0], values[1], first), lerp(values[2], values[3], first), second)
 
 
 def aligned(array: NDArray[Any]) -> NDArray[Any]:
-    """The array flat, starting at a multiple of 64 bytes; copied unless it does.
+    """The flat array at an address that is a multiple of 64 bytes; a copy where necessary.
 
-    Dr.Jit maps numpy's memory where it lies, and compiles other code for memory that lies unaligned: without
-    this, chance would decide whether a launch finds its kernel compiled.
+    Dr.Jit maps numpy's memory in place and compiles other code for unaligned memory: without alignment,
+    chance would decide whether a launch finds its compiled kernel.
     """
     if array.ctypes.data % 64 == 0 and array.flags.c_contiguous:
         return array.reshape(-1)
@@ -155,7 +155,7 @@ def aligned(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def aligned_empty(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-    """An array that starts at a multiple of 64 bytes."""
+    """A new array at an address that is a multiple of 64 bytes."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     room = np.empty(size + 64, dtype=np.uint8)
     start = -room.ctypes.data % 64

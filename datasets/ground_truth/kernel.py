@@ -1,8 +1,8 @@
 """The loops along the rays, traced by Dr.Jit: :mod:`datasets.ground_truth.model` in float32.
 
-Everything that differs between scenes and cameras enters as data (or as an opaque scalar), so that a kernel
-is compiled once for each number and kind of layers. Branches on what a scene has at all (a light, a mask) are
-taken while tracing and cost nothing where it has not.
+All differences between scenes and cameras enter as data (or as opaque scalars), so that each number and kind
+of layers needs one compilation. Branches on the parts of a scene (a light, a mask) happen while tracing and
+cost nothing in a scene without them.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ def march(scene: SceneData, start: Any, step: Any, whole: Any, rest: Any, view: 
     """Premultiplied color and transmittance of rays.
 
     Args:
-        scene: what they meet.
-        start: where each enters the box, in grid indices.
+        scene: volumes, tables and lights along the rays.
+        start: entry point of each ray into the box, in grid indices.
         step: one ray step, in grid indices.
         whole: number of whole steps (-1: the ray misses).
-        rest: part of a step that remains.
+        rest: remaining part of a step.
         view: unit vector to the camera (scene space).
     """
     loop = _march_with_surfaces if scene.surfaces else _march
@@ -69,7 +69,7 @@ def _march_with_surfaces(scene: Any, start: Any, step: Any, whole: Any, rest: An
         part = dr.select(i < whole, 1.0, rest)
         first = dr.fma(step, mi.Float(i), start)
         distance, leap = scene.leap(first, step)
-        leap -= 1  # steps that end in what is empty: one that leaves it may cross a surface
+        leap -= 1  # steps that end in empty space: one that leaves it may cross a surface
         if (distance > 0) & (leap > 0):
             i += leap
         else:
@@ -144,10 +144,10 @@ def _cross(
     scene: Any, layer: Any, first: Any, last: Any, view: Any, depth: Any, sample: Any, color: Any,
     transmitted: Any, done: Any,
 ) -> Any:  # fmt: skip
-    """Composite the crossings of one layer within a segment, and what the volumes hold before them.
+    """Composite the crossings of one layer within a segment, and the volumes before them.
 
-    The volumes have optical depth ``depth`` and color ``sample`` in the whole segment, of which the share
-    ``done`` has been composited.
+    The volumes have optical depth ``depth`` and color ``sample`` in the whole segment; the share ``done`` of
+    it is in the composite already.
     """
     before, after = layer.field.cell(first).value(), layer.field.cell(last).value()
     k = mi.Int32(0)
@@ -187,12 +187,12 @@ def _cross(
 
 
 class SceneData:
-    """What the kernel reads of a scene.
+    """A scene as the kernel reads it.
 
     Args:
-        layers: one, or those of a composition.
-        fields: the field of each.
-        tables: transfer function table of each; None for isosurfaces.
+        layers: one layer, or the layers of a composition.
+        fields: field of each layer.
+        tables: transfer function table of each layer; None for isosurfaces.
         leaps: distances in bricks.
         dt: ray step in scene space.
         indices_per_voxel: grid indices in one smallest voxel side, x y z.
@@ -253,14 +253,14 @@ class SceneData:
         return color, transmitted, done
 
     def enhance(self, layer: _Lit, color: Any, at: Any) -> Any:
-        """Darken by the occlusion at a position, by the layer's strength."""
+        """Darken a color by the occlusion at a position and the layer's strength."""
         if self._occlusion is None:
             return color
         there = mi.Vector3f(*(dr.fma(x, self._scale, self._offset) for x in at))
         return color * (1.0 - layer.strength * self._occlusion.cell(there).value())
 
     def leap(self, at: Any, step: Any) -> tuple[Any, Any]:
-        """Distance in bricks to the nearest visible one, and the steps to just beyond what is known empty."""
+        """Distance in bricks to the nearest visible one, and the steps to the end of the empty space."""
         brick = [
             dr.select(b < n, dr.select(b > 0, b, 0), n - 1)
             for b, n in zip([mi.Int32(dr.floor(x * (1.0 / BRICK))) for x in at], self._bricks, strict=True)
@@ -295,7 +295,7 @@ class _Lit:
         )
 
     def shade(self, color: Any, gradient: Any, view: Any) -> Any:
-        """Two-sided Blinn-Phong or Phong, blended with the color of no gradient where it vanishes."""
+        """Two-sided Blinn-Phong or Phong; it fades to the unshaded color as the gradient vanishes."""
         gradient = gradient * self._per_voxel
         square = dr.dot(gradient, gradient)
         normal = gradient * dr.select(square > 0.0, dr.rsqrt(square), 0.0)
@@ -322,14 +322,14 @@ class VolumeLayer(_Lit):
         super().__init__(layer, field, per_voxel)
         self._table = mi.Float(aligned(table))
         self._last = dr.opaque(mi.Float, float(len(table) - 1))
-        seen = np.flatnonzero(table[:, 3] > 0.0)
-        # Two entries more on either side: one is interpolated from, one is for rounding.
-        low, high = (seen[0] - 2, seen[-1] + 2) if len(seen) else (2 * len(table), -1)
+        visible = np.flatnonzero(table[:, 3] > 0.0)
+        # Two more entries on either side: one for interpolation, one for rounding.
+        low, high = (visible[0] - 2, visible[-1] + 2) if len(visible) else (2 * len(table), -1)
         self._low = dr.opaque(mi.Float, float(low / (len(table) - 1)))
         self._high = dr.opaque(mi.Float, float(high / (len(table) - 1)))
 
     def may_show(self, value: Any) -> Any:
-        """False where there is no opacity for certain."""
+        """False for values that certainly have no opacity."""
         return (value >= self._low) & (value <= self._high)
 
     def classify(self, value: Any) -> Any:
@@ -348,7 +348,7 @@ class SurfaceLayer(_Lit):
     def __init__(self, layer: Layer, field: Field, per_voxel: Any) -> None:
         super().__init__(layer, field, per_voxel)
         table = [(*surface.color, surface.opacity) for _, surface in layer.levels]
-        # One more that is never looked at: of a single one Dr.Jit would make another kernel.
+        # One more, never used: Dr.Jit would compile another kernel for a single level.
         levels = [*(level for level, _ in layer.levels), 2.0]
         self.count = dr.opaque(mi.Int32, len(table))
         self.levels = mi.Float(aligned(np.array(levels, dtype=np.float32)))

@@ -1,8 +1,7 @@
 """Ray marcher on Mitsuba 3 / Dr.Jit: one kernel for all views, transfer functions and lights.
 
-The kernel is traced anew for each launch but compiled once, and Dr.Jit keeps compiled kernels on disk. What
-keeps it fast is leaping over empty bricks and fetching neighbours for the gradient only where something is
-visible.
+The kernel is traced anew for each launch but compiled once, and Dr.Jit keeps compiled kernels on disk. Its
+speed comes from leaps over empty bricks, and from gradients only at visible samples.
 Set the variant (:func:`datasets.ground_truth.probe.activate`) before importing this module.
 """
 
@@ -20,27 +19,25 @@ from datasets.camera import Camera
 from datasets.ground_truth.bricks import Bricks, leaps
 from datasets.ground_truth.field import Field, aligned
 from datasets.ground_truth.kernel import SceneData, march
-from datasets.ground_truth.model import Draw, Layer, MarchSettings, Progress, index_transform, same_grid
+from datasets.ground_truth.model import Draw, Layer, Marcher, MarchSettings, Progress, index_transform
 from datasets.ground_truth.occlusion import bake
-from datasets.scene import Light
-from datasets.transfer import TransferFunction
 from datasets.volume import Volume
 
 _RAYS_PER_LAUNCH = 2**20
 _TILE = 16
-"""Pixels along the side of a tile: rays that run together share what they fetch."""
+"""Pixels along the side of a tile: neighbouring rays share their fetches."""
 
 _CAMERA_WIDTH = 16  # position, rotation, focal lengths, principal point
 
 
-class MitsubaMarcher:
-    """Evaluates :mod:`datasets.ground_truth.model` in float32, ray set-up in float64.
+class MitsubaMarcher(Marcher):
+    """Evaluation of :mod:`datasets.ground_truth.model` in float32, ray set-up in float64.
 
     Args:
-        volume: the field, or those of a composition; their normalised values and the value ranges of their
-            bricks are held.
+        volume: the field, or the fields of a composition. The marcher keeps their normalised values and
+            the value ranges of their bricks.
         settings: step and table size.
-        leap: leap over empty bricks; the pictures are the same bit for bit without.
+        leap: leap over empty bricks; pictures without leaps are the same bit for bit.
 
     Raises:
         DataError: the volumes differ in grid or box.
@@ -52,8 +49,7 @@ class MitsubaMarcher:
         settings: MarchSettings = MarchSettings(),  # noqa: B008  (frozen)
         leap: bool = True,
     ) -> None:
-        self._volumes = same_grid((volume,) if isinstance(volume, Volume) else volume)
-        self._settings = settings
+        super().__init__(volume, settings)
         self._leap = leap
         self._bricks, self._fields = [], []
         for each in self._volumes:
@@ -64,24 +60,6 @@ class MitsubaMarcher:
         first = self._volumes[0]
         self._scale, self._offset = index_transform(first)
         self._half = 0.5 * first.extent
-        self._voxel = first.voxel
-        self._dt = settings.step_voxels * first.voxel
-
-    def render(
-        self,
-        cameras: tuple[Camera, ...],
-        transfer: TransferFunction,
-        light: Light | None,
-        progress: Progress | None = None,
-    ) -> NDArray[np.float32]:
-        """See :class:`datasets.ground_truth.model.Marcher`."""
-        return self.compose(cameras, (Layer(self._volumes[0], transfer, light),), progress)
-
-    def compose(
-        self, cameras: tuple[Camera, ...], layers: Sequence[Layer], progress: Progress | None = None
-    ) -> NDArray[np.float32]:
-        """See :class:`datasets.ground_truth.model.Marcher`."""
-        return self.prepare(layers)(cameras, progress)
 
     def prepare(self, layers: Sequence[Layer]) -> Draw:
         """See :class:`datasets.ground_truth.model.Marcher`."""
@@ -102,12 +80,12 @@ class MitsubaMarcher:
         for start in range(0, len(cameras), batch):
             part = cameras[start : start + batch]
             with dr.suspend_grad():
-                pixel, shown, *rays = self._rays(part)
+                pixel, inside, *rays = self._rays(part)
                 color, transmitted = march(data, *rays)
-                # The kernel puts pixels in their places: NumPy would take longer than a sparse scene's rays.
+                # The kernel scatters pixels: in NumPy this takes longer than the rays of a sparse scene.
                 picture = dr.zeros(mi.Float, len(part) * width * height * 4)
-                seen = mi.Vector4f(color.x, color.y, color.z, 1.0 - transmitted)
-                dr.scatter(picture, seen, pixel, shown)
+                rgba = mi.Vector4f(color.x, color.y, color.z, 1.0 - transmitted)
+                dr.scatter(picture, rgba, pixel, inside)
             images[start : start + batch] = np.array(picture).reshape(-1, height, width, 4)
             if progress:
                 progress(start + len(part), len(cameras))
@@ -115,7 +93,7 @@ class MitsubaMarcher:
 
     def _scene(self, layers: Sequence[Layer]) -> SceneData:
         """Tables, leaps and occlusion of layers."""
-        numbers = [next(i for i, v in enumerate(self._volumes) if v is layer.volume) for layer in layers]
+        numbers = self._numbers(layers)
         size = self._settings.table_size
         tables = [None if layer.transfer is None else layer.transfer.table(size) for layer in layers]
         empty = np.full(self._bricks[0].low.shape, self._leap)
@@ -135,12 +113,12 @@ class MitsubaMarcher:
         """Rays of all pixels in grid indices, tile by tile.
 
         Returns:
-            pixel: its number in the pictures; shown: whether there is one (tiles reach over the border);
-            start: where the ray enters the box; step: one ray step; whole: number of whole steps (-1: the
-            ray misses); rest: part of a step that remains; view: unit vector to the camera (scene space).
+            pixel: number of the pixel in the pictures; inside: whether it lies within them (tiles reach over
+            the border); start: entry point into the box; step: one ray step; whole: number of whole steps
+            (-1: the ray misses); rest: remaining part of a step; view: unit vector to the camera.
         """
         width, height = cameras[0].width, cameras[0].height
-        packed = np.stack([_pack(c) for c in cameras])
+        camera_rows = np.stack([_pack(c) for c in cameras])
         opaque_width, opaque_height = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
         across, down = _tiles(width), _tiles(height)
         opaque_across, opaque_down = dr.opaque(mi.UInt32, across), dr.opaque(mi.UInt32, down)
@@ -152,8 +130,8 @@ class MitsubaMarcher:
         within = dr.gather(mi.UInt32, mi.UInt32(aligned(_ORDER)), index % _TILE**2)
         row = row * _TILE + within // _TILE
         column = column * _TILE + within % _TILE
-        shown = (column < opaque_width) & (row < opaque_height)
-        camera = mi.Float64(aligned(packed))
+        inside = (column < opaque_width) & (row < opaque_height)
+        camera = mi.Float64(aligned(camera_rows))
         entry = [dr.gather(mi.Float64, camera, number * _CAMERA_WIDTH + k) for k in range(_CAMERA_WIDTH)]
 
         x = (mi.Float64(column) + 0.5 - entry[14]) / entry[12]
@@ -170,7 +148,7 @@ class MitsubaMarcher:
             enter, leave = dr.select(swapped, other, one), dr.select(swapped, one, other)
             near, far = dr.select(enter > near, enter, near), dr.select(leave < far, leave, far)
         dt = dr.opaque(mi.Float64, self._dt)
-        steps = dr.select(shown & (far > near), (far - near) / dt, -1.0)
+        steps = dr.select(inside & (far > near), (far - near) / dt, -1.0)
         whole = dr.floor(steps)
         scale = [dr.opaque(mi.Float64, float(s)) for s in self._scale]
         offset = [dr.opaque(mi.Float64, float(o)) for o in self._offset]
@@ -178,7 +156,7 @@ class MitsubaMarcher:
         step = [dt * direction[a] * scale[a] for a in range(3)]
         return (
             (number * opaque_height + row) * opaque_width + column,
-            shown,
+            inside,
             mi.Vector3f(*(mi.Float(s) for s in start)),
             mi.Vector3f(*(mi.Float(s) for s in step)),
             mi.Int32(whole),

@@ -1,4 +1,4 @@
-"""Baked occlusion for depth enhancement; the formula stands in :mod:`datasets.ground_truth.model`."""
+"""Baked occlusion for depth enhancement; formula in :mod:`datasets.ground_truth.model`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.ndimage import uniform_filter
 from datasets.ground_truth.model import Layer
 
 RADII = (1 / 64, 1 / 32, 1 / 16, 1 / 8)
-"""Half-sides of the neighbourhoods; the longest side of the box is 1."""
+"""Half-sides of the neighbourhoods in scene space."""
 
 _MOST = 128  # cubes an axis: occlusion is smooth
 
@@ -45,10 +45,10 @@ def bake(
     """Occlusion by all layers together.
 
     Args:
-        layers: those of one scene or composition, on one grid.
-        fields: normalised values (nz, ny, nx) of the volume of each.
+        layers: layers of one scene or composition, on one grid.
+        fields: normalised values (nz, ny, nx) of each layer's volume.
         table_size: entries of transfer function tables.
-        most: cubes along an axis at most.
+        most: maximum number of cubes along an axis.
     """
     volume = layers[0].volume
     cube = -(-max(volume.dims) // most)
@@ -101,7 +101,7 @@ def _surfaces(layer: Layer, values: NDArray[np.float32], here: slice) -> NDArray
 
 
 def beside_level(values: NDArray[np.float32], level: float) -> NDArray[np.bool_]:
-    """Which voxels have a neighbour along an axis on the other side of a level."""
+    """Mask of the voxels with a neighbour along an axis on the other side of a level."""
     inside = values >= np.float32(level)
     beside = np.zeros(values.shape, dtype=bool)
     for axis in range(3):

@@ -19,10 +19,10 @@ from datasets.ground_truth.model import (
     PHONG_FLOOR,
     Draw,
     Layer,
+    Marcher,
     MarchSettings,
     Progress,
     index_transform,
-    same_grid,
 )
 from datasets.ground_truth.occlusion import bake
 from datasets.scene import Light
@@ -34,7 +34,7 @@ _SAMPLES_AT_ONCE = 2**20
 
 @dataclass(eq=False)
 class _Part:
-    """A layer made ready: its grids, and its table or its levels (value, color, opacity; rising)."""
+    """A layer as tensors: its grids, and its table or its levels (value, color, opacity; ascending)."""
 
     layer: Layer
     values: Tensor
@@ -53,7 +53,7 @@ class _Scene:
 
 @dataclass(eq=False)
 class _Hits:
-    """Crossings of isosurfaces: in which segment, where in it (share), and what is seen there."""
+    """Crossings of isosurfaces: segment, place within it (share), opacity and color."""
 
     segment: Tensor
     share: Tensor
@@ -61,11 +61,11 @@ class _Hits:
     color: Tensor
 
 
-class ReferenceMarcher:
-    """Evaluates :mod:`datasets.ground_truth.model` in the plainest way.
+class ReferenceMarcher(Marcher):
+    """The plainest evaluation of :mod:`datasets.ground_truth.model`.
 
     Args:
-        volume: the field, or those of a composition.
+        volume: the field, or the fields of a composition.
         settings: step and table size.
         dtype: torch.float64 for the oracle, torch.float32 for speed.
 
@@ -79,9 +79,8 @@ class ReferenceMarcher:
         settings: MarchSettings = MarchSettings(),  # noqa: B008  (frozen)
         dtype: torch.dtype = torch.float64,
     ) -> None:
-        self._volumes = same_grid((volume,) if isinstance(volume, Volume) else volume)
+        super().__init__(volume, settings)
         self._dtype = dtype
-        self._settings = settings
         self._normalised = [each.normalised() for each in self._volumes]
         self._values = [torch.from_numpy(values).to(dtype) for values in self._normalised]
         self._masks = [None if v.mask is None else self._tensor(v.mask) for v in self._volumes]
@@ -89,24 +88,6 @@ class ReferenceMarcher:
         scale, offset = index_transform(first)
         self._scale, self._offset = self._tensor(scale), self._tensor(offset)
         self._lower, self._upper = (self._tensor(corner) for corner in first.box)
-        self._voxel = first.voxel
-        self._dt = settings.step_voxels * first.voxel
-
-    def render(
-        self,
-        cameras: tuple[Camera, ...],
-        transfer: TransferFunction,
-        light: Light | None,
-        progress: Progress | None = None,
-    ) -> NDArray[np.float32]:
-        """See :class:`datasets.ground_truth.model.Marcher`."""
-        return self.compose(cameras, (Layer(self._volumes[0], transfer, light),), progress)
-
-    def compose(
-        self, cameras: tuple[Camera, ...], layers: Sequence[Layer], progress: Progress | None = None
-    ) -> NDArray[np.float32]:
-        """See :class:`datasets.ground_truth.model.Marcher`."""
-        return self.prepare(layers)(cameras, progress)
 
     def prepare(self, layers: Sequence[Layer]) -> Draw:
         """See :class:`datasets.ground_truth.model.Marcher`."""
@@ -131,7 +112,7 @@ class ReferenceMarcher:
         return self._image(camera, self._scene(layers))
 
     def _scene(self, layers: Sequence[Layer]) -> _Scene:
-        numbers = [next(i for i, v in enumerate(self._volumes) if v is layer.volume) for layer in layers]
+        numbers = self._numbers(layers)
         size = self._settings.table_size
         parts = []
         for layer, n in zip(layers, numbers, strict=True):
@@ -176,42 +157,42 @@ class ReferenceMarcher:
         ray, step = torch.nonzero(length > 0.0, as_tuple=True)
         start, length = start[ray, step], length[ray, step]
         middle = (origin + (start + 0.5 * length)[:, None] * rays[ray]) * self._scale + self._offset
-        seen, extinction, color = self._sample(scene, middle, rays, ray)
-        depth = extinction * length[seen]
+        visible, extinction, color = self._sample(scene, middle, rays, ray)
+        depth = extinction * length[visible]
         if not any(part.levels for part in scene.parts):
-            return _composite(ray[seen], -torch.expm1(-depth), color, len(rays))
+            return _composite(ray[visible], -torch.expm1(-depth), color, len(rays))
         first = (origin + start[:, None] * rays[ray]) * self._scale + self._offset
         hits = self._hits(scene, first, length[:, None] * rays[ray] * self._scale, rays, ray)
-        segment, depth, opacity, color = _split(hits, seen, depth, color, len(ray))
+        segment, depth, opacity, color = _split(hits, visible, depth, color, len(ray))
         alpha = torch.where(torch.isnan(opacity), -torch.expm1(-depth), opacity)
         return _composite(ray[segment], alpha, color, len(rays))
 
     def _sample(self, scene: _Scene, index: Tensor, rays: Tensor, ray: Tensor) -> tuple[Tensor, ...]:
-        """Which of the grid indices (S, 3) show anything; the layers' extinction and color (., 3) there."""
+        """Indices of visible samples among the grid indices (S, 3), their extinction and color (., 3)."""
         total = torch.zeros(len(index), dtype=self._dtype)
-        found = []
+        parts = []
         for part in scene.parts:
             if part.table is None:
                 continue
             classified = _classify(_value(part.values, index), part.table)
-            seen = torch.nonzero(classified[:, 3] > 0.0)[:, 0]
-            weight, color, at = classified[seen, 3], classified[seen, :3], index[seen]
+            visible = torch.nonzero(classified[:, 3] > 0.0)[:, 0]
+            weight, color, at = classified[visible, 3], classified[visible, :3], index[visible]
             if part.mask is not None:
                 weight = weight * _value(part.mask, at)
-            color = self._shade(scene, part, color, at, -rays[ray[seen]])
-            total[seen] += weight
-            found.append((seen, weight, color))
-        if len(found) == 1:
-            return found[0]
-        shown = torch.nonzero(total > 0.0)[:, 0]
+            color = self._shade(scene, part, color, at, -rays[ray[visible]])
+            total[visible] += weight
+            parts.append((visible, weight, color))
+        if len(parts) == 1:
+            return parts[0]
+        union = torch.nonzero(total > 0.0)[:, 0]
         mixed = torch.zeros(len(index), 3, dtype=self._dtype)
-        for seen, weight, color in found:
-            mixed[seen] += weight[:, None] * color
-        return shown, total[shown], mixed[shown] / total[shown, None]
+        for visible, weight, color in parts:
+            mixed[visible] += weight[:, None] * color
+        return union, total[union], mixed[union] / total[union, None]
 
     def _hits(self, scene: _Scene, first: Tensor, stride: Tensor, rays: Tensor, ray: Tensor) -> _Hits:
         """Crossings in segments, by segment, layer and order along the ray."""
-        found = []
+        crossings = []
         for n, part in enumerate(scene.parts):
             if not part.levels:
                 continue
@@ -232,8 +213,8 @@ class ReferenceMarcher:
                 if part.mask is not None:
                     alpha = torch.where(_value(part.mask, at) < 0.5, 0.0, alpha)
                 shaded = self._shade(scene, part, color.expand(len(at), 3), at, -rays[ray[segment]])
-                found.append((segment, torch.full_like(segment, n), share, alpha, shaded))
-        segment, number, share, alpha, shaded = (torch.cat(column) for column in zip(*found, strict=True))
+                crossings.append((segment, torch.full_like(segment, n), share, alpha, shaded))
+        segment, number, share, alpha, shaded = (torch.cat(column) for column in zip(*crossings, strict=True))
         order = torch.from_numpy(np.lexsort((share.numpy(), number.numpy(), segment.numpy())))
         return _Hits(segment[order], share[order], alpha[order], shaded[order])
 
@@ -290,28 +271,28 @@ def _classify(values: Tensor, table: Tensor) -> Tensor:
 
 
 def _split(
-    hits: _Hits, seen: Tensor, depth: Tensor, color: Tensor, n: int
+    hits: _Hits, visible: Tensor, depth: Tensor, color: Tensor, n: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Segments cut at their crossings.
+    """Cut segments at their crossings.
 
     Args:
-        hits: sorted by segment.
-        seen: which segments hold volume.
-        depth: optical depth of each of these.
-        color: (., 3) of each of these.
+        hits: crossings, sorted by segment.
+        visible: indices of the segments with volume.
+        depth: optical depth of each of them.
+        color: (., 3) color of each of them.
         n: number of all segments.
 
     Returns:
         By segment and order along the ray: number of the segment, optical depth of the piece, opacity of the
         crossing (NaN for pieces of volume), color.
     """
-    depth = torch.zeros(n, dtype=depth.dtype).index_copy(0, seen, depth)
-    color = torch.zeros(n, 3, dtype=color.dtype).index_copy(0, seen, color)
+    depth = torch.zeros(n, dtype=depth.dtype).index_copy(0, visible, depth)
+    color = torch.zeros(n, 3, dtype=color.dtype).index_copy(0, visible, color)
     done = torch.zeros_like(depth)
     rank = torch.arange(len(hits.segment)) - torch.searchsorted(hits.segment, hits.segment)
     before = torch.zeros_like(hits.share)
     most = int(rank.max()) + 1 if len(rank) else 0
-    for r in range(most):  # crossings of a segment one after the other
+    for r in range(most):  # one crossing of every segment at a time
         now = torch.nonzero(rank == r)[:, 0]
         there = hits.segment[now]
         before[now] = (hits.share[now] - done[there]).clamp_min(0.0)
@@ -327,16 +308,16 @@ def _split(
 
 
 def _composite(ray: Tensor, alpha: Tensor, color: Tensor, rays: int) -> Tensor:
-    """(R, 4) premultiplied RGBA of what lies along rays: sorted by ray and from front to back."""
-    seen = torch.nonzero(alpha > 0.0)[:, 0]
-    ray, alpha, color = ray[seen], alpha[seen], color[seen]
+    """(R, 4) premultiplied RGBA of samples along rays, sorted by ray and from front to back."""
+    visible = torch.nonzero(alpha > 0.0)[:, 0]
+    ray, alpha, color = ray[visible], alpha[visible], color[visible]
     image = torch.zeros(rays, 4, dtype=alpha.dtype)
-    if not len(seen):
+    if not len(visible):
         return image
     rank = torch.arange(len(ray)) - torch.searchsorted(ray, ray)
-    passed = torch.ones(rays, int(rank.max()) + 1, dtype=alpha.dtype)
-    passed[ray, rank] = 1.0 - alpha
-    transmitted = torch.cumprod(passed, dim=1)
+    through = torch.ones(rays, int(rank.max()) + 1, dtype=alpha.dtype)
+    through[ray, rank] = 1.0 - alpha
+    transmitted = torch.cumprod(through, dim=1)
     before = torch.cat([torch.ones_like(transmitted[:, :1]), transmitted[:, :-1]], dim=1)
     image[:, :3].index_add_(0, ray, (before[ray, rank] * alpha)[:, None] * color)
     image[:, 3] = 1.0 - transmitted[:, -1]

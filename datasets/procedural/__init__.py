@@ -1,4 +1,4 @@
-"""Volumes made from formulas: deterministic, at any resolution the same field sampled more finely."""
+"""Volumes made from formulas: deterministic; a higher resolution samples the same field more finely."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Family:
     """A procedural set.
 
     Attributes:
-        variables: names of its volumes.
+        variables: names of the volumes.
         make: seed -> function from the positions of a slice to values in 0...1 of every variable.
-        sides: of the box, x y z; the longest is 1.
-        default: samples along the longest side if none are asked for.
+        sides: side lengths of the box, x y z; the longest is 1.
+        default: default number of samples along the longest side.
     """
 
     variables: tuple[str, ...]
@@ -43,7 +43,7 @@ class Family:
         return nx, ny, nz
 
 
-# Whole cubes at once: their values stand in recorded figures.
+# Whole cubes at once: recorded figures depend on their values.
 _CUBES: dict[str, Callable[[int, int], Array]] = {
     "vortices": spectral_sets.vortices,
     "shells": spectral_sets.shells,
@@ -56,7 +56,7 @@ _FAMILIES: dict[str, Family] = {
     "argon_bubble_like": Family(("argon_bubble_like",), single.ArgonBubble, (1.0, 0.4, 0.4), 96),
     "beetle_like": Family(("beetle_like",), single.Beetle, (1.0, 1.0, 494 / 864), 96),
     **{
-        # Sixteen blobs across want eight samples each.
+        # Sixteen blobs across need eight samples each.
         f"blobs_{across**3}": Family(
             (f"blobs_{across**3}",), partial(single.Blobs, across=across), default=max(64, 8 * across)
         )
@@ -71,7 +71,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
 
 
 def default_resolution(name: str) -> int:
-    """Samples along the longest side if none are asked for."""
+    """Default number of samples along the longest side."""
     return _FAMILIES[name].default if name in _FAMILIES else DEFAULT_RESOLUTION
 
 
@@ -84,12 +84,12 @@ def make_volumes(name: str, resolution: int | None = None, seed: int = 0) -> dic
     """Every variable of a procedural set, with ``resolution`` samples along the longest side.
 
     Values are rounded to uint16, so that they do not depend on the last bits of a machine's arithmetic.
-    The fields are evaluated slice by slice: memory is that of the results.
+    Evaluation goes slice by slice: memory is that of the results.
 
     Args:
         name: one of :data:`FIELDS`.
-        resolution: 8 to 1024; default that of the set.
-        seed: of the random modes.
+        resolution: 8 to 1024; default: that of the set.
+        seed: seed of the random modes.
 
     Raises:
         UnknownName: no such set.
@@ -101,7 +101,7 @@ def make_volumes(name: str, resolution: int | None = None, seed: int = 0) -> dic
     source = f"procedural {name}@{n}, seed {seed}"
     full = (0.0, float(_LEVELS))
     if name in _CUBES:
-        values = _rounded(_CUBES[name](n, seed))
+        values = _levels(_CUBES[name](n, seed))
         return {name: Volume(name, values, (1.0, 1.0, 1.0), full, source)}
     family = _FAMILIES[name]
     nx, ny, nz = family.dims(n)
@@ -112,17 +112,17 @@ def make_volumes(name: str, resolution: int | None = None, seed: int = 0) -> dic
     field = family.make(seed)
     for k, depth in enumerate(z):
         for variable, picture in field(Slice(x, y, float(depth))).items():
-            results[variable][k] = _rounded(picture)
+            results[variable][k] = _levels(picture)
     spacing = (float(x[1] - x[0]), float(y[1] - y[0]), float(z[1] - z[0]))
     return {v: Volume(v, values, spacing, full, f"{source}, {v}") for v, values in results.items()}
 
 
-def _rounded(field: Array) -> NDArray[np.uint16]:
+def _levels(field: Array) -> NDArray[np.uint16]:
     return np.rint(np.clip(field, 0.0, 1.0) * _LEVELS).astype(np.uint16)
 
 
 def check_resolution(name: str, resolution: int | None) -> int:
-    """The resolution asked for, or the default.
+    """The given resolution, or the default.
 
     Raises:
         DataError: it is out of range.

@@ -9,7 +9,7 @@ from datasets.procedural.space import Array, Slice, Waves, gradient, vector
 SIDES = (2 / 3, 1.0, 1 / 6)
 VARIABLES = ("MF", "CHI", "HR", "VORT", "OH")
 _STOICHIOMETRIC = -0.1  # of MF in -1...1
-_CHI, _VORT = 2500.0, 60.0  # values shown as 1
+_CHI, _VORT = 2500.0, 60.0  # values that map to 1
 
 
 class JetFlame:
@@ -40,7 +40,7 @@ class JetFlame:
         width = 0.06 + 0.07 * along + 0.03 * rough * self._eddies[1](at)
         distance = np.sqrt((at.columns + shift) ** 2 + 1e-4)
         core = np.tanh((width - distance) / (0.035 + 0.055 * along))
-        # Fine eddies mix only where there is something to mix.
+        # Fine eddies act only where fuel and oxidiser meet.
         fine = 0.3 * rough * (1.0 - core**2) * self._fine(at)
         return np.asarray(np.tanh(1.2 * core + fine) / np.tanh(1.2))
 

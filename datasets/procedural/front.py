@@ -12,7 +12,7 @@ _HYDROGEN = 0.76  # part of the mass
 
 
 class IonisationFront:
-    """Light from the left ionises gas; clumps shade what lies behind them, so that fingers stay neutral.
+    """Light from the left ionises gas; clumps shade the gas behind them, so that fingers stay neutral.
 
     Mass fractions of H, H+, H2 sum to 0.76, those of He, He+ and He++ (which is not written) to 0.24. Dense
     clumps recombine, and near the source helium is ionised twice. Temperature follows the ionised part and
@@ -32,12 +32,12 @@ class IonisationFront:
         return np.asarray(at.columns - 0.02 + reach)
 
     def __call__(self, at: Slice) -> dict[str, Array]:
-        """Values in 0...1 of each variable; fractions of mass are themselves."""
+        """Values in 0...1 of each variable; mass fractions keep their values."""
         behind = self.depth(at)
         clumps = self._clumps(at)
         front = 1.0 - smoothstep(behind, -0.03, 0.03)
         ionised = front * (1.0 - 0.35 * smoothstep(clumps, 0.5, 2.5))
-        # Harder light is needed: helium lags, the second time by more.
+        # Helium needs harder light: it lags, the second ionisation more.
         once = 1.0 - smoothstep(behind + 0.03 * clumps, -0.16, 0.0)
         twice = 1.0 - smoothstep(behind + 0.04 * clumps, -0.42, -0.16)
         molecular = 0.8 * smoothstep(behind + 0.03 * clumps, 0.05, 0.25)

@@ -85,7 +85,7 @@ def _to_segment(x: Array, y: Array, z: float, a: tuple[float, ...], b: tuple[flo
 
 
 class Blobs:
-    """A jittered lattice of Gaussian blobs: the ladder of complexity has 1, 8, 64, 512, 4096 of them.
+    """A jittered lattice of Gaussian blobs: the ladder of complexity has 1, 8, 64, 512 and 4096 blobs.
 
     Radii shrink with the lattice, so that the sets fill the same part of the box and each blob stands alone.
     """

@@ -1,4 +1,4 @@
-"""What the fields are made of: positions of one slice, random waves, derivatives."""
+"""Parts of the procedural fields: positions of one slice, random waves, derivatives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _STEP = 1e-4
-"""Of central differences, in scene space: the same at every resolution."""
+"""Step of central differences in scene space, the same at every resolution."""
 
 
 @dataclass(frozen=True)
@@ -21,19 +21,19 @@ class Slice:
     y: Array
     z: float
 
-    def moved(self, axis: int, by: float) -> Slice:
-        """Shifted along x, y or z."""
+    def shift(self, axis: int, by: float) -> Slice:
+        """The slice at positions shifted along x, y or z."""
         shift = [by if axis == i else 0.0 for i in range(3)]
         return Slice(self.x + shift[0], self.y + shift[1], self.z + shift[2])
 
     @property
     def columns(self) -> Array:
-        """(1, nx) x, to broadcast."""
+        """(1, nx) x positions, for broadcasting."""
         return self.x[None, :]
 
     @property
     def rows(self) -> Array:
-        """(ny, 1) y, to broadcast."""
+        """(ny, 1) y positions, for broadcasting."""
         return self.y[:, None]
 
 
@@ -44,10 +44,10 @@ class Waves:
     """A random field of plane waves with unit variance, evaluated as a product of one factor per axis.
 
     Args:
-        seed: of directions, lengths, phases.
+        seed: seed of directions, lengths and phases.
         low, high: shortest and longest wave vector, in periods per longest side.
         slope: amplitudes fall as length ** -slope.
-        count: of waves.
+        count: number of waves.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ def gradient(field: Scalar, at: Slice) -> tuple[Array, Array, Array]:
     """Derivatives along x, y, z by central differences of a fixed small step."""
 
     def along(axis: int) -> Array:
-        return np.asarray((field(at.moved(axis, _STEP)) - field(at.moved(axis, -_STEP))) / (2.0 * _STEP))
+        return np.asarray((field(at.shift(axis, _STEP)) - field(at.shift(axis, -_STEP))) / (2.0 * _STEP))
 
     return along(0), along(1), along(2)
 
@@ -87,5 +87,5 @@ def smoothstep(value: Array, low: float, high: float) -> Array:
 
 
 def vector(seed: int, low: float, high: float, slope: float = 11.0 / 6.0) -> tuple[Waves, Waves, Waves]:
-    """Three independent components."""
+    """Three independent random fields: the components of a vector field."""
     return tuple(Waves(seed * 31 + i, low, high, slope) for i in range(3))  # type: ignore[return-value]

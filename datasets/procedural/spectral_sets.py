@@ -1,4 +1,4 @@
-"""The two first sets, whose values stand in recorded figures: tangled vortex lines and dented shells."""
+"""The two oldest sets (recorded figures depend on them): tangled vortex lines and dented shells."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 _MODES = 8
 """Largest wave number, in periods per box."""
 _CORE = 0.02
-"""Radius of a vortex core where its value has fallen to one half, as a part of the box."""
+"""Radius at which the value of a vortex core is one half, as a part of the box."""
 
 
 def vortices(n: int, seed: int) -> NDArray[np.float64]:
@@ -44,7 +44,7 @@ def _square(modes: NDArray[np.complex128], waves: NDArray[np.complex128]) -> NDA
     planes = np.swapaxes(np.swapaxes(rows, 1, 2) @ waves.T, 1, 2)  # (kz, y, x)
     out = np.empty((len(waves),) * 3)
     flat = planes.reshape(len(modes), -1)
-    for z, wave in enumerate(waves):  # slice by slice, to hold no complex volume
+    for z, wave in enumerate(waves):  # slice by slice, without a complex volume in memory
         field = wave @ flat
         out[z] = (field.real**2 + field.imag**2).reshape(out.shape[1:])
     return out

@@ -1,8 +1,8 @@
 """Volume files: one reader per format, chosen by the file's suffix.
 
 ``.raw`` and ``.raw.gz`` (:mod:`~datasets.readers.raw`), ``.npy``, NRRD and NIfTI hold one field. ``.npz``,
-HDF5, NetCDF, VTK's files and Exodus meshes hold variables by name, some with time steps. Whatever is wrong
-with a file becomes one :class:`~datasets.errors.DataError` that names file, reason and remedy.
+HDF5, NetCDF, VTK's files and Exodus meshes hold variables by name, some with time steps. Every fault of a
+file becomes one :class:`~datasets.errors.DataError` that names file, reason and remedy.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SINGLE = {
     ".nii": "nifti",
     ".nii.gz": "nifti",
 }
-_NAMED = {
+_CONTAINERS = {
     ".npz": "npz",
     ".h5": "hdf5",
     ".hdf5": "hdf5",
@@ -42,20 +42,20 @@ _NAMED = {
     ".exo": "exodus",
     ".e": "exodus",
 }
-_FORMATS = _SINGLE | _NAMED
+_FORMATS = _SINGLE | _CONTAINERS
 
 
 def suffix_of(path: Path) -> str:
-    """The suffix that names a known volume format ("" if none does)."""
+    """The suffix of a known volume format, else ""."""
     name = path.name.lower()
     return max((s for s in _FORMATS if name.endswith(s)), key=len, default="")
 
 
 def list_variables(path: Path | str) -> tuple[Variable, ...]:
-    """The variables of a file by name, with dims and time steps; empty for formats of one unnamed field.
+    """The variables of a file with dims and time steps; empty for formats of one unnamed field.
 
     Raises:
-        DataError: the file cannot be used.
+        DataError: the file is unusable.
     """
     path = Path(path)
     if _suffix(path) in _SINGLE:
@@ -79,21 +79,21 @@ def read_volume(
 
     Args:
         path: the file. ``.raw`` needs dims and type in its name or in a sidecar (see ``raw``).
-        variable: the name to give to the field; default its name in the file, else "value".
-        array: its name in the file, for files of variables by name; default ``variable``. Of a vector the
-            magnitude is read; its components are named ``name.x``, ``name.y``, ``name.z``.
-        step: time step, from 0; default the first.
-        resolution: meshes only: samples along the longest side (default 128).
-        spacing: sample distances along x, y, z; default what the file says, else 1.
+        variable: name of the result; default: its name in the file, else "value".
+        array: name in the file, for files of named variables; default: ``variable``. A vector gives its
+            magnitude; its components are ``name.x``, ``name.y``, ``name.z``.
+        step: time step, from 0; default: the first.
+        resolution: samples along the longest side, for meshes only (default 128).
+        spacing: sample distances along x, y, z; default: those of the file, else 1.
 
     Returns:
         The volume; ``value_range`` is its finite minimum and maximum (of a mesh, that at its points).
 
     Raises:
-        UnknownName: the file has no such variable; near matches are listed.
-        DataError: the file cannot be used: missing, unreadable, a folder, truncated, of another size
-            than promised, not three-dimensional, of unknown type, not finite, or constant; or it has no such
-            time step, or is a grid and a resolution was asked for.
+        UnknownName: the file has no such variable; the remedy lists near matches.
+        DataError: the file is missing, unreadable, a folder, truncated, of another size than its header
+            promises, not three-dimensional, of unknown type, not finite, or constant; or it has no such time
+            step, or is a grid, which takes no resolution.
     """
     path = Path(path)
     suffix = _suffix(path)
@@ -103,8 +103,8 @@ def read_volume(
     try:
         if suffix in _SINGLE:
             _refuse_choice(path, array, step, resolution)
-            values, stored_spacing = _read_single(path, _SINGLE[suffix])
-            return finish.make_volume(variable or "value", values, spacing or stored_spacing, path)
+            values, file_spacing = _read_single(path, _SINGLE[suffix])
+            return finish.make_volume(variable or "value", values, spacing or file_spacing, path)
         from datasets.readers.fields import choose
 
         source = _source(path)
@@ -126,8 +126,8 @@ def _suffix(path: Path) -> str:
 
 def _refuse_choice(path: Path, array: str | None, step: int | None, resolution: int | None) -> None:
     if array is not None or step or resolution is not None:
-        asked = "variable" if array is not None else "step" if step else "resolution"
-        raise DataError(path, f"its format holds one field: it has no choice of {asked}", "Leave it out")
+        key = "variable" if array is not None else "step" if step else "resolution"
+        raise DataError(path, f"its format holds one field: it has no choice of {key}", "Leave it out")
 
 
 def _read_single(path: Path, kind: str) -> tuple[NDArray[np.generic], tuple[float, float, float]]:
@@ -143,7 +143,7 @@ def _read_single(path: Path, kind: str) -> tuple[NDArray[np.generic], tuple[floa
 
 
 def _source(path: Path) -> Source:
-    kind = _NAMED[suffix_of(path)]
+    kind = _CONTAINERS[suffix_of(path)]
     if kind == "vtk_xml":
         from datasets.readers.vtk_xml import XmlFile
 
@@ -189,7 +189,7 @@ def _volume(
     name: str | None,
     spacing: tuple[float, float, float] | None,
 ) -> Volume:
-    """What a source gives, checked."""
+    """The volume of a source's field, checked."""
     from datasets.readers import finish
     from datasets.readers.fields import plain
     from datasets.volume import Volume
@@ -198,8 +198,8 @@ def _volume(
     size = spacing or field.spacing
     values = finish.checked_grid(field.values, size, path)
     bounds = field.value_range or finish.value_range(values, path)
-    known = name or plain(choice.name)
-    return Volume(known, values, size, bounds, str(path), field.mask, field.vertices, field.vertex_values)
+    label = name or plain(choice.name)
+    return Volume(label, values, size, bounds, str(path), field.mask, field.vertices, field.vertex_values)
 
 
 def _check_file(path: Path) -> None:

@@ -1,7 +1,7 @@
 """Fields among named arrays: the conventions shared by NetCDF, HDF5 and ``.npz`` files.
 
-The last three axes of an array are z, y, x; a leading one is time. Arrays without named dimensions whose
-last axis has 2 to 4 entries (and that have an axis to spare) hold vectors. Positions come from coordinate
+The last three axes of an array are z, y, x; a leading one is time. Arrays without named dimensions hold
+vectors if they have a fourth axis and the last axis has 2 to 4 entries. Positions come from coordinate
 variables (NetCDF's, HDF5's dimension scales, or arrays ``x``, ``y``, ``z`` of fitting length). Missing values
 become the volume's mask: NaN of NetCDF and HDF5 files, ``_FillValue``, ``missing_value``, NetCDF's default
 fill, values outside ``valid_range``. ``scale_factor`` and ``add_offset`` are applied.
@@ -33,24 +33,24 @@ class Arrays:
     """The three-dimensional fields of a container of arrays.
 
     Args:
-        path: for messages.
+        path: the file, for messages.
         container: the open file.
-        missing: NaN and NetCDF's default fill values mean that there are no data.
+        missing: whether NaN and NetCDF's default fill values mean missing data.
     """
 
     def __init__(self, path: Path, container: Container, missing: bool) -> None:
         self.path, self._file, self._missing = path, container, missing
         self._shapes: dict[str, tuple[tuple[int, ...], int]] = {}  # leading axes and components
-        found = []
+        variables = []
         for array in list(container.arrays.values())[:_MOST]:
             variable = self._variable(array)
             if variable is not None:
-                found.append(variable)
-        self.variables = tuple(found)
-        if not found:
-            held = ", ".join(f"{a.name} {list(a.shape)}" for a in list(container.arrays.values())[:8])
+                variables.append(variable)
+        self.variables = tuple(variables)
+        if not variables:
+            shapes = ", ".join(f"{a.name} {list(a.shape)}" for a in list(container.arrays.values())[:8])
             reason = "holds no three-dimensional numeric array"
-            raise DataError(path, reason, f"It holds {held or 'no arrays'}; write one of shape (z, y, x)")
+            raise DataError(path, reason, f"It holds {shapes or 'no arrays'}; write one of shape (z, y, x)")
 
     def read(self, choice: Choice) -> Field:
         """The values of one choice."""
@@ -68,17 +68,17 @@ class Arrays:
         return place(values, self._axes(array, components), self.path, mask)
 
     def _variable(self, array: Array) -> Variable | None:
-        """What a field is called and has; None for arrays that are none."""
+        """Name, dims and steps of a field; None for an array that is no field."""
         if array.dtype.kind not in "iufb" or array.dtype.itemsize > 8 or len(array.shape) < 3:
             return None
-        shape, named = array.shape, any(array.dims)
+        shape, has_names = array.shape, any(array.dims)
         components = 1
-        if not named and len(shape) > 3 and 2 <= shape[-1] <= 4:
+        if not has_names and len(shape) > 3 and 2 <= shape[-1] <= 4:
             components, shape = shape[-1], shape[:-1]
         leading, inner = shape[:-3], shape[-3:]
         if min(shape) < 1 or min(inner) < 2 or math.prod(leading) != max(leading, default=1):
             return None
-        if named and self._is_time(array, len(leading)):
+        if has_names and self._is_time(array, len(leading)):
             return None  # a series of pictures
         self._shapes[array.name] = (leading, components)
         return Variable(array.name, (inner[2], inner[1], inner[0]), max(leading, default=1), components)
@@ -98,16 +98,16 @@ class Arrays:
         return values
 
     def _valid(self, values: NDArray[Any], array: Array) -> NDArray[np.bool_] | None:
-        """Where there are data; None if everywhere."""
-        said = array.attributes
-        fills = [*_numbers(said.get("_FillValue")), *_numbers(said.get("missing_value"))]
+        """Mask of the valid values; None if all are."""
+        attributes = array.attributes
+        fills = [*_numbers(attributes.get("_FillValue")), *_numbers(attributes.get("missing_value"))]
         kind = values.dtype.str[1:]
-        if self._missing and "_FillValue" not in said and kind in _DEFAULT_FILL and any(array.dims):
+        if self._missing and "_FillValue" not in attributes and kind in _DEFAULT_FILL and any(array.dims):
             fills.append(_DEFAULT_FILL[kind])
-        low, high = (*_numbers(said.get("valid_range")), -math.inf, math.inf)[:2]
-        low = max([low, *_numbers(said.get("valid_min"))])
-        high = min([high, *_numbers(said.get("valid_max"))])
-        if kind in ("f2", "f4"):  # as they are stored
+        low, high = (*_numbers(attributes.get("valid_range")), -math.inf, math.inf)[:2]
+        low = max([low, *_numbers(attributes.get("valid_min"))])
+        high = min([high, *_numbers(attributes.get("valid_max"))])
+        if kind in ("f2", "f4"):  # as in the file
             with np.errstate(over="ignore"):
                 fills = [float(np.dtype(kind).type(fill)) for fill in fills]
         mask = np.ones(values.shape, dtype=bool)
@@ -120,24 +120,24 @@ class Arrays:
         return None if mask.all() else mask
 
     def _axes(self, array: Array, components: int) -> list[NDArray[Any] | None]:
-        """Positions along x, y, z; None where the file says nothing."""
+        """Positions along x, y, z; None for an axis without coordinates."""
         shape = array.shape[: len(array.shape) - (components > 1)][-3:]
         if any(array.dims):
             names = list(array.dims[-3:])
         else:
             group = array.name.rpartition("/")[0]
             names = [f"{group}/{axis}".lstrip("/") for axis in "zyx"]
-        known = [self._file.arrays.get(name) for name in names]
+        coordinates = [self._file.arrays.get(name) for name in names]
         fits = [
             a is not None and a.shape == (n,) and a.dtype.kind in "iuf"
-            for a, n in zip(known, shape, strict=True)
+            for a, n in zip(coordinates, shape, strict=True)
         ]
         if not all(fits) and not any(array.dims):
             return [None, None, None]
         axes = [self._file.read(name) if fit else None for name, fit in zip(names, fits, strict=True)]
-        units = {_unit(a) for a, fit in zip(known, fits, strict=True) if fit and a is not None}
+        units = {_unit(a) for a, fit in zip(coordinates, fits, strict=True) if fit and a is not None}
         if len(units) > 1 or (any(fits) and not all(fits)):
-            # Degrees beside metres say nothing about shape: only the unevenness of each axis is kept.
+            # Degrees and metres have no common scale: only the unevenness of each axis counts.
             text = "%s: axes of %s have different units or no positions; mean sample distances are taken as 1"
             _log.info(text, self.path, array.name)
             axes = [None if axis is None else _by_mean_distance(axis) for axis in axes]
@@ -155,14 +155,14 @@ def _by_mean_distance(axis: NDArray[Any]) -> NDArray[Any]:
     return positions * ((len(positions) - 1) / span) if math.isfinite(span) and span > 0.0 else positions
 
 
-def _numbers(said: Any) -> list[float]:
-    """An attribute's numbers; none of texts."""
-    entries = said if isinstance(said, list) else [said]
+def _numbers(value: Any) -> list[float]:
+    """An attribute's numbers; empty for text."""
+    entries = value if isinstance(value, list) else [value]
     return [float(n) for n in entries if isinstance(n, int | float)]
 
 
 def _unpacked(values: NDArray[Any], array: Array) -> NDArray[Any]:
-    """Values by CF's ``scale_factor`` and ``add_offset``."""
+    """Values after CF's ``scale_factor`` and ``add_offset``."""
     scale = (_numbers(array.attributes.get("scale_factor")) or [1.0])[0]
     offset = (_numbers(array.attributes.get("add_offset")) or [0.0])[0]
     if scale == 1.0 and offset == 0.0:

@@ -1,4 +1,4 @@
-"""Sample positions along the axes: uniform ones become a spacing, others are resampled."""
+"""Sample positions along the axes: uniform ones become a spacing, others need resampling."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from datasets.readers.fields import Field
 from datasets.readers.finish import value_range
 
 CAP = 512
-"""Most samples that a non-uniform axis is resampled to (its own number where it has more)."""
+"""Maximum number of samples of a resampled axis (its own number if that is larger)."""
 
 _UNEVEN = 1e-3
-"""Deviation from uniform positions, in sample distances, that is taken for rounding."""
+"""Deviation from uniform positions, in sample distances, that counts as rounding."""
 
 _log = logging.getLogger(__name__)
 
@@ -31,16 +31,16 @@ def place(
     path: Path,
     mask: NDArray[np.bool_] | None = None,
 ) -> Field:
-    """A field whose samples lie at given positions, on a uniform grid.
+    """A field with samples at given positions, on a uniform grid.
 
-    Uniform axes are used as they are, descending ones are turned round. Others are resampled linearly at
-    their finest spacing, to at most ``CAP`` samples an axis, with a notice in the log.
+    Uniform axes stay, descending ones are reversed. Others are resampled linearly at their finest spacing, to
+    at most ``CAP`` samples an axis, with a notice in the log.
 
     Args:
         values: (nz, ny, nx).
         axes: positions along x, y, z; None for unit spacing.
-        path: for messages.
-        mask: (nz, ny, nx), False where there are no data: values there continue those beside them.
+        path: the file, for messages.
+        mask: (nz, ny, nx), False for missing values: they become continuations of their neighbours.
 
     Raises:
         DataError: positions are not finite, or neither ascending nor descending.
@@ -79,7 +79,7 @@ def place(
             uneven[2 - i] = np.interp(uniform, positions, np.arange(len(positions)))
     size = (spacing[0], spacing[1], spacing[2])
     if bounds is None and uneven:
-        bounds = value_range(values, path)  # before differences are formed of what is not finite
+        bounds = value_range(values, path)  # refuses NaN before differences are formed
     if not uneven:
         return Field(values, size, mask, bounds)
     before = " x ".join(str(n) for n in reversed(values.shape))
@@ -95,7 +95,7 @@ def place(
 
 @cache
 def _notice(text: str) -> None:
-    """Say it once for all variables of a file."""
+    """Log a notice once for all variables of a file."""
     _log.warning("%s", text)
 
 
@@ -134,12 +134,12 @@ def fill_outside(values: NDArray[np.generic], mask: NDArray[np.bool_], rest: flo
     """
     for part, valid in zip(values, mask, strict=True):
         part[~valid] = rest
-    known = mask.copy()
+    reached = mask.copy()
     for _ in range(2):
         for axis in range(3):
-            here, ahead = _shifted(axis)
+            here, ahead = _neighbours(axis)
             for block in _blocks(values.shape, axis):
-                value, valid = values[block], known[block]
+                value, valid = values[block], reached[block]
                 up, down = valid[here] > valid[ahead], valid[here] < valid[ahead]
                 value[ahead][up] = value[here][up]
                 value[here][down] = value[ahead][down]
@@ -148,7 +148,7 @@ def fill_outside(values: NDArray[np.generic], mask: NDArray[np.bool_], rest: flo
 
 
 def _blocks(shape: tuple[int, ...], axis: int) -> Iterator[tuple[slice, ...]]:
-    """Parts of a grid that hold whole lines along an axis, so that what is formed of each is small."""
+    """Parts of a grid with whole lines along an axis, so that temporary arrays are small."""
     across = 1 if axis == 0 else 0
     step = max(1, (1 << 20) * shape[across] // math.prod(shape))
     for start in range(0, shape[across], step):
@@ -156,7 +156,7 @@ def _blocks(shape: tuple[int, ...], axis: int) -> Iterator[tuple[slice, ...]]:
         yield (slice(None), part) if across else (part,)
 
 
-def _shifted(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+def _neighbours(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
     here = tuple(slice(None, -1) if a == axis else slice(None) for a in range(3))
     ahead = tuple(slice(1, None) if a == axis else slice(None) for a in range(3))
     return here, ahead

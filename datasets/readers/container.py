@@ -1,4 +1,4 @@
-"""What NetCDF, HDF5 and ``.npz`` files have in common: named arrays."""
+"""The common form of NetCDF, HDF5 and ``.npz`` files: named arrays."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class Array:
     """A named array of a file.
 
     Attributes:
-        name: in the file.
-        shape: slowest axis first.
-        dtype: as stored.
-        dims: names of its dimensions; "" where one has none.
+        name: name in the file.
+        shape: lengths of the axes, slowest first.
+        dtype: type in the file.
+        dims: names of its dimensions; "" for one without a name.
         attributes: strings, and lists of numbers.
     """
 

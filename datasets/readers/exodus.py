@@ -21,7 +21,7 @@ _ELEMENTS = {
 """Exodus's element type (three letters) and nodes -> VTK's cell type."""
 _WEDGE15 = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 13, 14, 9, 10, 11])
 _HEX20 = np.array([*range(12), 16, 17, 18, 19, 12, 13, 14, 15])
-"""VTK counts the mid-edge nodes of the top before the vertical ones, Exodus after them."""
+"""Order of nodes: VTK counts the mid-edge nodes of the top before the vertical ones, Exodus after them."""
 
 
 class Exodus:
@@ -36,11 +36,11 @@ class Exodus:
         if steps < 1:
             raise DataError(path, "has no time steps", "Write results with it, not the mesh alone")
         self._where: dict[str, tuple[bool, int]] = {}  # variable -> of cells, number from 1
-        for of_cells, listed in ((False, "name_nod_var"), (True, "name_elem_var")):
-            for number, name in enumerate(self._names(listed), start=1):
+        for of_cells, names in ((False, "name_nod_var"), (True, "name_elem_var")):
+            for number, name in enumerate(self._names(names), start=1):
                 if name:
-                    known = f"{name}_cells" if name in self._where else name
-                    self._where[known] = (of_cells, number)
+                    label = f"{name}_cells" if name in self._where else name
+                    self._where[label] = (of_cells, number)
         self.variables = tuple(Variable(name, None, steps) for name in self._where)
         if not self.variables:
             raise DataError(path, "holds no variables", "Write results with it, not the mesh alone")
@@ -65,13 +65,13 @@ class Exodus:
             )
         return resampled(mesh, values, of_cells, choice.resolution, self.path)
 
-    def _names(self, listed: str) -> list[str]:
-        if listed not in self._file.arrays:
+    def _names(self, names: str) -> list[str]:
+        if names not in self._file.arrays:
             return []
-        array = self._file.arrays[listed]
+        array = self._file.arrays[names]
         if array.dtype.kind != "S" or len(array.shape) != 2:
-            raise DataError(self.path, f"{listed} is damaged", _REMEDY)
-        letters = self._file.read(listed)
+            raise DataError(self.path, f"{names} is damaged", _REMEDY)
+        letters = self._file.read(names)
         return [row.tobytes().split(b"\0")[0].decode("utf-8", "replace").strip() for row in letters]
 
     def _points(self) -> NDArray[Any]:
@@ -102,14 +102,14 @@ class Exodus:
         if not flat and (kind, nodes) not in _ELEMENTS:
             remedy = f"Readable are {', '.join(f'{k} of {n} nodes' for k, n in _ELEMENTS)}"
             raise DataError(self.path, f"has elements {kind or 'without type'} of {nodes} nodes", remedy)
-        found = self._file.read(name).astype(np.int64) - 1
+        points = self._file.read(name).astype(np.int64) - 1
         if (kind, nodes) == ("HEX", 20):
-            found = found[:, _HEX20]
+            points = points[:, _HEX20]
         elif (kind, nodes) == ("WED", 15):
-            found = found[:, _WEDGE15]
+            points = points[:, _WEDGE15]
         ends = nodes * np.arange(1, cells + 1, dtype=np.int64)
         types = np.full(cells, 2 if flat else _ELEMENTS[kind, nodes], np.uint8)
-        return found.reshape(-1), ends, types
+        return points.reshape(-1), ends, types
 
     def _nodal(self, number: int, step: int) -> NDArray[Any]:
         arrays = self._file.arrays

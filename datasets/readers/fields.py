@@ -1,4 +1,4 @@
-"""What files of several variables offer, and what is read from them."""
+"""Files of several variables: their contents, a choice among them, and its values."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Variable:
-    """What a file tells of one of its variables before any value is read.
+    """One variable of a file, before any value is read.
 
     Attributes:
         name: its name in the file.
-        dims: samples along x, y, z; None for a mesh, whose grid depends on the resolution asked for.
+        dims: samples along x, y, z; None for a mesh, whose grid depends on the resolution.
         steps: number of time steps.
         components: 1 for scalars. A vector is read as its magnitude; its components are the variables
             ``name.x``, ``name.y``, ``name.z`` (``name.0``, ``name.1``... where there are not three).
@@ -46,10 +46,10 @@ class Choice:
     """One scalar field of a file.
 
     Attributes:
-        variable: one of the file's.
-        component: of a vector; None for the magnitude of a vector and for scalars.
+        variable: variable of the file.
+        component: component of a vector; None for the magnitude of a vector and for scalars.
         step: time step, from 0.
-        resolution: meshes only: samples along the longest side; None for the default.
+        resolution: samples along the longest side, for meshes only; None for the default.
     """
 
     variable: Variable
@@ -87,39 +87,39 @@ class Source(Protocol):
 def choose(
     path: Path, variables: Iterable[Variable], name: str | None, step: int | None, resolution: int | None
 ) -> Choice:
-    """The choice that a name, a step and a resolution make.
+    """The choice of a name, a step and a resolution.
 
     Args:
-        path: for messages.
-        variables: of the file.
-        name: of a variable or of a component, exactly or with the characters that
-            :func:`plain` replaces; None where the file has one variable only.
+        path: the file, for messages.
+        variables: variables of the file.
+        name: name of a variable or a component, as in the file or as :func:`plain` makes it; None for the
+            only variable of a file.
         step: None for the first.
         resolution: None for the default.
 
     Raises:
-        UnknownName: no such variable; near matches are listed.
+        UnknownName: no such variable; the remedy lists near matches.
         DataError: several variables and no name, no such step, or a resolution for a grid.
     """
-    known: dict[str, tuple[Variable, int | None]] = {}
+    parts: dict[str, tuple[Variable, int | None]] = {}
     for variable in variables:
         if variable.components > 1:
             for i in range(variable.components):
-                known.setdefault(variable.part(i), (variable, i))
+                parts.setdefault(variable.part(i), (variable, i))
     for variable in variables:
-        known[variable.name] = (variable, None)
+        parts[variable.name] = (variable, None)
     whole = [variable.name for variable in variables]
     if name is None:
         if len(whole) > 1:
             remedy = f"Name one: {', '.join(whole[:20])}"
             raise DataError(path, f"holds {len(whole)} variables", remedy)
         name = whole[0]
-    if name not in known:
-        same = [k for k in known if plain(k) == plain(name)]
+    if name not in parts:
+        same = [k for k in parts if plain(k) == plain(name)]
         if not same:
-            raise unknown("variable", name, known, of=str(path))
+            raise unknown("variable", name, parts, of=str(path))
         name = same[0]
-    variable, component = known[name]
+    variable, component = parts[name]
     if step is not None and not 0 <= step < variable.steps:
         steps = "one time step, 0" if variable.steps == 1 else f"time steps 0 to {variable.steps - 1}"
         raise DataError(path, f"has no time step {step}", f"{variable.name!r} has {steps}")
@@ -130,27 +130,27 @@ def choose(
 
 def plain(name: str) -> str:
     """A name with letters, digits and ``_.-`` only, for tables and command lines."""
-    kept = "".join(c if c.isascii() and (c.isalnum() or c in ".-") else " " for c in name)
-    return "_".join(kept.split())
+    characters = "".join(c if c.isascii() and (c.isalnum() or c in ".-") else " " for c in name)
+    return "_".join(characters.split())
 
 
 def scalar(values: NDArray[np.generic], component: int | None) -> NDArray[np.generic]:
-    """One component (last axis) of an array of vectors, or their magnitudes (float32; float64 of doubles)."""
+    """One component (last axis) of an array of vectors, or their magnitudes (float32, float64 of doubles)."""
     if component is not None:
         return values[..., component]
     out = np.empty(values.shape[:-1], np.float64 if values.dtype.itemsize > 4 else np.float32)
     step = max(1, _CHUNK * len(values) // max(values.nbytes, 1))
-    for start in range(0, len(values), step):  # part by part: no second copy of all components
+    for start in range(0, len(values), step):  # in parts: no second copy of all components
         part = values[start : start + step].astype(out.dtype)
         np.sqrt(np.einsum("...c,...c->...", part, part), out=out[start : start + step])
     return out
 
 
 def need(package: str, path: Path) -> None:
-    """Refuse at once where an optional package is missing.
+    """Check that an optional package is installed.
 
     Raises:
-        DataError: it is; the remedy says how to install it.
+        DataError: it is not; the remedy is its installation.
     """
     if find_spec(package) is None:
         remedy = "Run: pip install 'econgs-bench[io]'"

@@ -1,4 +1,4 @@
-"""What every reader ends with: checks that hold for any format, and bounded decompression."""
+"""Last steps of every reader: checks for any format, and bounded decompression."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Spacing = tuple[float, float, float]
 UNIT: Spacing = (1.0, 1.0, 1.0)
 
 _DEFLATE_LIMIT = 1032
-"""No deflate stream expands by more than this factor."""
+"""Maximum expansion of a deflate stream."""
 _CHUNK = 1 << 24
 
 
@@ -26,8 +26,8 @@ def make_volume(name: str, values: NDArray[np.generic], spacing: Spacing, path: 
     """The volume of an array (nz, ny, nx), checked; native byte order, booleans as uint8.
 
     Raises:
-        DataError: not three axes of at least two samples, not real numbers, NaN or Inf, constant, or a
-            spacing that is not positive.
+        DataError: the array has not three axes of at least two samples, or holds NaN, Inf, no real numbers or
+            one value only; or the spacing is not positive.
     """
     values = checked_grid(values, spacing, path)
     spacing = (float(spacing[0]), float(spacing[1]), float(spacing[2]))
@@ -38,7 +38,7 @@ def checked_grid(values: NDArray[np.generic], spacing: Spacing, path: Path | str
     """The values, in native byte order and booleans as uint8, if they and their spacing make a grid.
 
     Raises:
-        DataError: not three axes of at least two samples, not real numbers, or a spacing not positive.
+        DataError: not three axes of at least two samples, no real numbers, or a spacing that is not positive.
     """
     shape = " x ".join(str(n) for n in reversed(values.shape)) or "a single number"
     if 0 in values.shape:
@@ -66,7 +66,7 @@ def value_range(
     """Minimum and maximum of valid values, slice by slice: a memory-mapped file is never in memory twice.
 
     Raises:
-        DataError: one is NaN or infinite, none is valid, or they are constant or beyond single precision.
+        DataError: a value is NaN or infinite, none is valid, or all are equal or beyond single precision.
     """
     slices = max(1, (_CHUNK >> 3) // values[0].nbytes)
     low, high, bad = math.inf, -math.inf, 0
@@ -90,10 +90,10 @@ def value_range(
 
 
 def check_range(low: float, high: float, path: Path | str) -> None:
-    """Refuse what no transfer function can show.
+    """Check that a transfer function can show the values.
 
     Raises:
-        DataError: beyond single precision, or constant.
+        DataError: they exceed single precision, or are constant.
     """
     if high - low > 1e38 or max(abs(low), abs(high)) > 1e38:
         raise DataError(path, f"values from {low:g} to {high:g} exceed single precision", "Rescale them")
@@ -103,7 +103,7 @@ def check_range(low: float, high: float, path: Path | str) -> None:
 
 
 def positive_dims(dims: tuple[int, ...], path: Path) -> None:
-    """Refuse sizes that are not three positive numbers, before anything is allocated for them."""
+    """Check for three positive numbers before any allocation."""
     text = " x ".join(str(n) for n in dims)
     if len(dims) != 3:
         remedy = "Write one scalar field on a 3-D grid (one time step, one component)"
@@ -112,18 +112,18 @@ def positive_dims(dims: tuple[int, ...], path: Path) -> None:
         raise DataError(path, f"has no samples (size {text})", "Write it again with positive dims")
 
 
-def wrong_size(path: Path, expected: int, found: str, dims: tuple[int, ...], dtype: str) -> DataError:
-    """The error for a file that does not hold what its dims and type promise."""
+def wrong_size(path: Path, expected: int, actual: str, dims: tuple[int, ...], dtype: str) -> DataError:
+    """Error for a file of another size than its dims and type need."""
     text = " x ".join(str(n) for n in dims)
     return DataError(
         path,
-        f"holds {found} where {text} values of {dtype} need {expected} bytes",
+        f"holds {actual} where {text} values of {dtype} need {expected} bytes",
         "Check dims and type, or copy the file again if it is truncated",
     )
 
 
 def check_expansion(path: Path, compressed: int, expected: int, dims: tuple[int, ...], dtype: str) -> None:
-    """Refuse to allocate what no compressed file of that size can hold."""
+    """Check, before allocation, that a compressed file of that size can hold so many bytes."""
     if expected > compressed * _DEFLATE_LIMIT + 1024:
         raise wrong_size(path, expected, f"{compressed} compressed bytes", dims, dtype)
 
@@ -131,7 +131,7 @@ def check_expansion(path: Path, compressed: int, expected: int, dims: tuple[int,
 def gunzip(
     file: BinaryIO, path: Path, compressed: int, skip: int, dims: tuple[int, ...], dtype: np.dtype
 ) -> bytearray:
-    """Decompress exactly what dims and type need from a gzip stream, and never more than that.
+    """Decompress a gzip stream to exactly the bytes that dims and type need.
 
     Raises:
         DataError: the stream is damaged, ends early, or holds more.
@@ -151,6 +151,6 @@ def gunzip(
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise DataError(path, f"its gzip stream is damaged ({error})", "Copy or download it again") from error
     if len(data) != expected:
-        found = f"more than {expected} bytes" if len(data) > expected else f"{len(data)} bytes"
-        raise wrong_size(path, expected, found, dims, dtype.name)
+        actual = f"more than {expected} bytes" if len(data) > expected else f"{len(data)} bytes"
+        raise wrong_size(path, expected, actual, dims, dtype.name)
     return data

@@ -1,6 +1,6 @@
-"""HDF5 files (NetCDF-4 ones are such), read by a process of their own (:mod:`datasets.readers.hdf5_child`).
+"""HDF5 files (NetCDF-4 too), read by a separate process (:mod:`datasets.readers.hdf5_child`).
 
-Contiguous arrays are memory-mapped here; others come through a pipe straight into their place.
+This process maps contiguous arrays into memory; others arrive through a pipe.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from datasets.readers.container import Array
 from datasets.readers.fields import need
 
 _PATIENCE = 60.0
-"""Seconds without a sign of life after which a file is given up."""
+"""Seconds without an answer until a file counts as damaged."""
 _REMEDY = "Copy it again, or write it again with h5py or netCDF4"
 
 
@@ -43,23 +43,25 @@ class Hdf5:
         )
         weakref.finalize(self, _end, self._child)
         self.arrays: dict[str, Array] = {}
-        for said in self._ask({"list": True})["arrays"]:
-            attributes = said["attributes"]
-            shape, dtype = tuple(said["shape"]), np.dtype(said["dtype"])
+        for answer in self._ask({"list": True})["arrays"]:
+            attributes = answer["attributes"]
+            shape, dtype = tuple(answer["shape"]), np.dtype(answer["dtype"])
             if "no positions" not in attributes:
-                self.arrays[said["name"]] = Array(said["name"], shape, dtype, tuple(said["dims"]), attributes)
+                self.arrays[answer["name"]] = Array(
+                    answer["name"], shape, dtype, tuple(answer["dims"]), attributes
+                )
 
     def read(self, name: str, first: int | None = None) -> NDArray[Any]:
         """An array, or its part at one index of its first dimension."""
-        said = self._ask({"read": name, "first": first})
-        shape, dtype = tuple(said["shape"]), np.dtype(said["dtype"])
+        answer = self._ask({"read": name, "first": first})
+        shape, dtype = tuple(answer["shape"]), np.dtype(answer["dtype"])
         size = math.prod(shape) * dtype.itemsize
         if size == 0:
             return np.empty(shape, dtype)
-        if "offset" in said:
-            if said["offset"] + size > self.path.stat().st_size:
+        if "offset" in answer:
+            if answer["offset"] + size > self.path.stat().st_size:
                 raise DataError(self.path, f"is truncated: {name!r} ends beyond its end", "Copy it again")
-            return np.memmap(self.path, dtype, mode="r", offset=said["offset"], shape=shape)
+            return np.memmap(self.path, dtype, mode="r", offset=answer["offset"], shape=shape)
         values: NDArray[Any] = np.empty(size, np.uint8)
         view, fill = values.data, 0
         while fill < size:
@@ -68,20 +70,20 @@ class Hdf5:
 
     def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
         assert self._child.stdin is not None
-        with suppress(BrokenPipeError):  # its answer says why, if it lived to give one
+        with suppress(BrokenPipeError):  # its answer holds the reason, unless it crashed
             self._child.stdin.write(json.dumps(request).encode() + b"\n")
         line = bytearray()
         byte = memoryview(bytearray(1))
         while not line.endswith(b"\n"):
             self._wait_into(byte)
             line += byte
-        said: dict[str, Any] = json.loads(line)
-        if "error" in said:
-            raise DataError(self.path, f"cannot be read as HDF5 ({said['error']})", _REMEDY)
-        return said
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise DataError(self.path, f"cannot be read as HDF5 ({answer['error']})", _REMEDY)
+        return answer
 
     def _wait_into(self, view: memoryview) -> int:
-        """Read what has come, at least one byte."""
+        """Read the bytes that have arrived, at least one."""
         pipe = self._child.stdout
         assert pipe is not None
         if not select.select([pipe], [], [], _PATIENCE)[0]:

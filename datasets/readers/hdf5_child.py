@@ -1,6 +1,6 @@
 """The process that reads an HDF5 file for :mod:`datasets.readers.hdf5`, run as a script.
 
-HDF5's library can crash, hang or allocate without bound on a damaged file: that must not happen to the user's
+HDF5's library can crash, hang or allocate without bound on a damaged file: this must not affect the user's
 process. Requests come as lines of JSON on stdin; each answer is a line of JSON on stdout, followed by the raw
 values where it announces ``bytes``.
 """
@@ -26,7 +26,7 @@ def main() -> None:
     """Serve the file named on the command line until stdin ends."""
     _limit_memory()
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever libraries print must not get among the answers
+    os.dup2(2, 1)  # output of libraries must not mix with the answers
     try:
         with h5py.File(sys.argv[1], "r", locking=False) as file:
             for line in sys.stdin:
@@ -50,8 +50,8 @@ def _limit_memory() -> None:
         pass  # not Linux
 
 
-def _answer(answers: BinaryIO, said: dict[str, Any]) -> None:
-    answers.write(json.dumps(said).encode() + b"\n")
+def _answer(answers: BinaryIO, answer: dict[str, Any]) -> None:
+    answers.write(json.dumps(answer).encode() + b"\n")
     answers.flush()
 
 
@@ -107,7 +107,7 @@ def _send(answers: BinaryIO, item: h5py.Dataset, first: int | None) -> None:
     size = count * item.dtype.itemsize
     offset = item.id.get_offset()
     if offset is not None and item.chunks is None and not item.external and not item.compression:
-        # Contiguous: the other side maps it into memory itself.
+        # Contiguous: the other side maps it into memory.
         start = offset + (0 if first is None else first * size)
         _answer(answers, {"offset": start, "shape": shape, "dtype": item.dtype.str})
         return
@@ -120,7 +120,7 @@ def _send(answers: BinaryIO, item: h5py.Dataset, first: int | None) -> None:
     try:
         _send_values(answers, item, first, shape, size)
     except Exception:
-        os._exit(UNREADABLE)  # no error message among the values
+        os._exit(UNREADABLE)  # without an error message among the values
 
 
 def _send_values(
@@ -131,7 +131,7 @@ def _send_values(
         answers.flush()
         return
     rows = max(1, _SLAB * shape[0] // size)
-    if item.chunks is not None:  # whole chunks: none is decompressed twice
+    if item.chunks is not None:  # whole chunks: each is decompressed once
         along = item.chunks[0 if first is None else 1]
         rows = -(-rows // along) * along
     for start in range(0, shape[0], rows):

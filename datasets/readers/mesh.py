@@ -21,10 +21,10 @@ CELL_NODES = {
     10: 4, 11: 8, 12: 8, 13: 6, 14: 5, 15: 10, 16: 12,  # linear
     24: 10, 25: 20, 26: 15, 27: 13, 29: 27, 32: 18, 33: 24, 37: 19,  # quadratic
 }  # fmt: skip
-"""Nodes of each of VTK's three-dimensional cell types that is understood."""
+"""Nodes per cell of VTK's supported three-dimensional cell types."""
 
 _FLAT = frozenset({0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 21, 22, 23, 28, 30, 34, 35, 36})
-"""Cell types without a volume: left out."""
+"""Cell types without a volume; readers drop them."""
 _MAX_RESOLUTION = 2048
 _OVERLAP = 64.0
 _REMEDY = "Copy it again, or write it again with VTK or ParaView"
@@ -32,11 +32,11 @@ _REMEDY = "Copy it again, or write it again with VTK or ParaView"
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Cells by their points.
+    """Unstructured cells.
 
     Attributes:
         points: (n, 3) positions.
-        connectivity: (m,) int64 points of all cells, one cell after the other.
+        connectivity: (m,) int64 point indices of all cells, cell by cell.
         ends: (cells,) int64 end of each cell in ``connectivity``.
         types: (cells,) uint8, VTK's cell types.
     """
@@ -94,15 +94,15 @@ def resampled(
 ) -> Field:
     """A mesh's field on a grid over its bounding box.
 
-    Values between points are VTK's interpolation in the cell that holds the sample. Outside the mesh the mask
-    is False and values continue those inside.
+    VTK interpolates in the cell around each sample. Outside the mesh the mask is False and values continue
+    those inside.
 
     Args:
-        mesh: checked.
-        values: (points,) or, of cells, (cells,), which are averaged to the points.
-        of_cells: what ``values`` belong to.
+        mesh: result of :meth:`Mesh.joined`.
+        values: (points,), or (cells,), averaged to the points.
+        of_cells: whether ``values`` belong to cells.
         resolution: samples along the longest side; None for the default.
-        path: for messages.
+        path: the file, for messages.
 
     Raises:
         DataError: no cell has a volume, values are not finite, the mesh is flat, or no sample lies inside.
@@ -178,7 +178,7 @@ def _check_overlap(
     dims: NDArray[np.int_],
     path: Path,
 ) -> None:
-    """Refuse meshes whose cells' boxes hold the samples many times over: probing them would not end."""
+    """Refuse meshes whose cells overlap many times: probing them would take hours."""
     nodes = points[connectivity]
     low = np.minimum.reduceat(nodes, offsets[:-1])
     high = np.maximum.reduceat(nodes, offsets[:-1])
@@ -220,8 +220,8 @@ def _probe(
     probe.SetInputData(image)
     probe.SetSourceData(grid)
     probe.Update()
-    found = probe.GetOutput().GetPointData()
+    output = probe.GetOutput().GetPointData()
     shape = tuple(int(n) for n in reversed(dims))
-    sampled = vtk_to_numpy(found.GetArray("field")).reshape(shape).copy()
-    valid = vtk_to_numpy(found.GetArray(probe.GetValidPointMaskArrayName())).reshape(shape) != 0
+    sampled = vtk_to_numpy(output.GetArray("field")).reshape(shape).copy()
+    valid = vtk_to_numpy(output.GetArray(probe.GetValidPointMaskArrayName())).reshape(shape) != 0
     return sampled, valid

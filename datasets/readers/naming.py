@@ -1,4 +1,4 @@
-"""How one field of a file is named on a command line: ``PATH:variable=T,step=3,resolution=256``."""
+"""Names of fields on a command line: ``PATH:variable=T,step=3,resolution=256``."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _CHOICES = re.compile(r"(.+?):((?:[A-Za-z_]+=).*)", re.DOTALL)
 
 @dataclass(frozen=True)
 class FileName:
-    """A file and what is wanted of it; None where nothing is said.
+    """A file and a choice in it; None stands for the default.
 
     Attributes:
         path: the file.
         variable: name in the file.
         step: time step, from 0.
-        resolution: meshes only: samples along the longest side.
+        resolution: samples along the longest side, for meshes only.
     """
 
     path: Path
@@ -32,34 +32,34 @@ class FileName:
 
     @staticmethod
     def parse(text: str) -> FileName:
-        """The parts of a name; a file of exactly that name is taken as it is.
+        """The parts of a name; an existing file of exactly that name has no further parts.
 
         Raises:
-            UnknownName: an unknown key; near matches are listed.
-            DataError: a key twice, without value, or a number that is none.
+            UnknownName: an unknown key; the remedy lists near matches.
+            DataError: a key occurs twice or without value, or a number is malformed.
         """
         path, choices = split(text)
         if not choices:
             return FileName(path)
-        said: dict[str, str] = {}
+        values: dict[str, str] = {}
         for part in re.split(r",(?=[A-Za-z_]+=)", choices):  # names may hold commas
             key, _, value = part.partition("=")
             if key not in KEYS:
                 raise unknown("key", key, KEYS, of=text)
-            if key in said or not value:
+            if key in values or not value:
                 raise DataError(text, f"{key} is given twice or empty", f"Write {path}:{key}=... once")
-            said[key] = value
+            values[key] = value
         numbers: dict[str, int] = {}
         for key in ("step", "resolution"):
-            if key in said and not re.fullmatch(r"[0-9]{1,9}", said[key]):
-                raise DataError(text, f"{key} {said[key]!r} is no number", f"Write {key}=3, say")
-            if key in said:
-                numbers[key] = int(said[key])
-        return FileName(path, said.get("variable"), **numbers)
+            if key in values and not re.fullmatch(r"[0-9]{1,9}", values[key]):
+                raise DataError(text, f"{key} {values[key]!r} is no number", f"Write {key}=3, say")
+            if key in values:
+                numbers[key] = int(values[key])
+        return FileName(path, values.get("variable"), **numbers)
 
 
 def split(text: str) -> tuple[Path, str]:
-    """The path, and what follows its colon ("" if nothing does); not checked."""
+    """The path, and the text after its colon (else ""), unchecked."""
     match = _CHOICES.fullmatch(text)
     try:
         if match is None or Path(text).expanduser().exists():

@@ -1,4 +1,4 @@
-"""NetCDF classic files (CDF-1, CDF-2, CDF-5): parsed here, memory-mapped."""
+"""NetCDF classic files (CDF-1, CDF-2, CDF-5): parsed here and memory-mapped."""
 
 from __future__ import annotations
 
@@ -104,8 +104,8 @@ class NetCdf3:
 
     def _list(self, tag: int) -> int:
         """Number of elements of a list that must have this tag, or be absent."""
-        found, count = self._integer(">i4"), self._integer(self._count)
-        if found not in (0, tag) or count < 0 or (found == 0 and count) or count > len(self._bytes):
+        actual, count = self._integer(">i4"), self._integer(self._count)
+        if actual not in (0, tag) or count < 0 or (actual == 0 and count) or count > len(self._bytes):
             raise ValueError("a list has the wrong tag")
         return count
 

@@ -16,7 +16,7 @@ _REMEDY = "Copy it again, or write it with nibabel as one 3-D scalar image"
 
 
 def read_nifti(path: Path) -> tuple[NDArray[np.generic], Spacing]:
-    """Values (nz, ny, nx) and voxel sizes; axes are kept as stored (the affine is not applied)."""
+    """Values (nz, ny, nx) and voxel sizes; axes as in the file (the affine is not applied)."""
     import nibabel
 
     try:
@@ -45,7 +45,7 @@ def read_nifti(path: Path) -> tuple[NDArray[np.generic], Spacing]:
     except Exception as error:  # a truncated or damaged stream
         raise DataError(path, f"its values cannot be read ({error})", _REMEDY) from error
     if values.dtype == np.float64 and dtype.itemsize < 4:
-        # Slope and intercept made float64 of small integers: single precision holds all their values.
+        # Slope and intercept turned small integers into float64: single precision holds all their values.
         values = values.astype(np.float32)
     x, y, z = (zoom if zoom > 0.0 and math.isfinite(zoom) else 1.0 for zoom in zooms[:3])
     return values.reshape(dims, order="F").transpose(2, 1, 0), (x, y, z)

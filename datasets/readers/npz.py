@@ -1,4 +1,4 @@
-"""NumPy ``.npz`` archives: arrays stored without compression are memory-mapped."""
+"""NumPy ``.npz`` archives: uncompressed arrays are memory-mapped."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DAMAGE = (
     zipfile.BadZipFile, zlib.error, EOFError, ValueError, NotImplementedError, RuntimeError, struct.error,
     SyntaxError, TypeError, KeyError, IndexError, OverflowError, AttributeError,
 )  # fmt: skip
-"""What zipfile and NumPy's header parser raise on damaged files."""
+"""Exceptions of zipfile and NumPy's header parser for damaged files."""
 
 
 class Npz:
@@ -106,5 +106,5 @@ def _read_into(file: BinaryIO | Any, out: NDArray[np.uint8]) -> int:
             break
         out[fill : fill + len(chunk)] = np.frombuffer(chunk, np.uint8)
         fill += len(chunk)
-    file.read(1)  # to the end, where the checksum is compared
+    file.read(1)  # the checksum is compared at the end
     return fill

@@ -1,4 +1,4 @@
-"""NRRD: pynrrd parses the header; raw and gzip data are read here, so that sizes are checked first."""
+"""NRRD: pynrrd parses the header; this module reads raw and gzip data after checking sizes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _REMEDY = "Write it again, for example with pynrrd: one scalar field, raw or gzi
 
 
 def read_nrrd(path: Path) -> tuple[NDArray[np.generic], Spacing]:
-    """Values (nz, ny, nx) and spacing; axes are kept as stored (orientation is not applied)."""
+    """Values (nz, ny, nx) and spacing; axes as in the file (orientation is not applied)."""
     import nrrd
 
     with path.open("rb") as file:
@@ -71,7 +71,7 @@ def _dtype(kind: str, big: bool, path: Path) -> np.dtype:
 
 
 def _spacing(header: dict[str, Any], axes: int) -> Spacing:
-    """Length of each space direction, or the plain spacings; 1 where an axis has neither."""
+    """Length of each space direction, or the plain spacings; 1 for an axis without either."""
     if "space directions" in header:
         rows = [np.asarray(row, dtype=np.float64) for row in header["space directions"]]
         lengths = [float(np.linalg.norm(row)) for row in rows]
@@ -79,7 +79,7 @@ def _spacing(header: dict[str, Any], axes: int) -> Spacing:
         lengths = [float(s) for s in header["spacings"]]
     else:
         return UNIT
-    if axes > 3:  # which axes vanish is known by their size only
+    if axes > 3:  # only their size tells which axes vanish
         lengths = [s for s, n in zip(lengths, header["sizes"], strict=True) if n > 1]
     x, y, z = (s if math.isfinite(s) else 1.0 for s in lengths)
     return abs(x), abs(y), abs(z)

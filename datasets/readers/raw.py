@@ -1,13 +1,13 @@
 """Headerless ``.raw`` and ``.raw.gz``: x fastest, dims and type in the name or in a sidecar.
 
 Name: ``fuel_64x64x64_uint8.raw`` (x, y, z; little endian unless ``_be`` follows the type).
-Sidecar ``fuel.raw.toml`` beside ``fuel.raw`` (it leads where both exist)::
+Sidecar ``fuel.raw.toml`` beside ``fuel.raw`` (it wins over the name)::
 
     dims = [64, 64, 64]        # x, y, z
     dtype = "uint8"
     endian = "little"          # or "big"
     spacing = [1.0, 1.0, 1.0]
-    header_bytes = 0           # skipped before the first value
+    header_bytes = 0           # bytes before the first value
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _KEYS = ("dims", "dtype", "endian", "spacing", "header_bytes")
 
 @dataclass(frozen=True)
 class Layout:
-    """What a raw file does not say itself."""
+    """Layout of a raw file: dims, type, spacing and offset."""
 
     dims: tuple[int, ...]
     dtype: np.dtype
@@ -55,8 +55,8 @@ def read_raw(path: Path) -> tuple[NDArray[np.generic], Spacing]:
             data = gunzip(file, path, size, layout.header_bytes, dims, layout.dtype)
         return np.frombuffer(data, layout.dtype).reshape(shape), layout.spacing
     if size != expected + layout.header_bytes:
-        found = f"{size - layout.header_bytes} bytes"
-        raise wrong_size(path, expected, found, dims, layout.dtype.name)
+        actual = f"{size - layout.header_bytes} bytes"
+        raise wrong_size(path, expected, actual, dims, layout.dtype.name)
     values = np.memmap(path, layout.dtype, mode="r", offset=layout.header_bytes, shape=shape)
     return values, layout.spacing
 
@@ -65,7 +65,7 @@ def layout_of(path: Path) -> Layout:
     """Dims, type, spacing and offset from the sidecar or the name.
 
     Raises:
-        DataError: neither says them, or what they say makes no sense.
+        DataError: neither holds them, or they are invalid.
     """
     sidecar = path.with_name(path.name + ".toml")
     if sidecar.is_file():
@@ -92,26 +92,26 @@ def _dtype(name: str, big: bool, path: Path) -> np.dtype:
 def _from_sidecar(path: Path) -> Layout:
     remedy = f"It may hold {', '.join(_KEYS)}; dims = [x, y, z] and dtype are needed"
     try:
-        said: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(path, f"is not TOML ({error})", remedy) from error
-    if strange := [key for key in said if key not in _KEYS]:
+    if strange := [key for key in table if key not in _KEYS]:
         raise DataError(path, f"unknown key {strange[0]!r}", remedy)
-    dims = said.get("dims")
+    dims = table.get("dims")
     if not (isinstance(dims, list) and dims and all(type(n) is int for n in dims)):
         raise DataError(path, "dims are not a list of integers", remedy)
-    if not isinstance(said.get("dtype"), str):
+    if not isinstance(table.get("dtype"), str):
         raise DataError(path, "no dtype", remedy)
-    endian = said.get("endian", "little")
+    endian = table.get("endian", "little")
     if endian not in ("little", "big"):
         raise DataError(path, f"endian {endian!r} is neither little nor big", remedy)
-    spacing = said.get("spacing", [1.0, 1.0, 1.0])
+    spacing = table.get("spacing", [1.0, 1.0, 1.0])
     if not (
         isinstance(spacing, list) and len(spacing) == 3 and all(type(s) in (int, float) for s in spacing)
     ):
         raise DataError(path, "spacing is not three numbers", remedy)
-    skip = said.get("header_bytes", 0)
+    skip = table.get("header_bytes", 0)
     if type(skip) is not int or skip < 0:
         raise DataError(path, "header_bytes is not a number of bytes", remedy)
-    dtype = _dtype(said["dtype"], endian == "big", path)
+    dtype = _dtype(table["dtype"], endian == "big", path)
     return Layout(tuple(dims), dtype, (float(spacing[0]), float(spacing[1]), float(spacing[2])), skip)

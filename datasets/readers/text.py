@@ -15,10 +15,10 @@ _CHUNK = 1 << 20
 def numbers(
     text: bytes | memoryview, dtype: np.dtype, count: int, path: Path, start: int = 0
 ) -> NDArray[np.generic]:
-    """Exactly so many numbers, separated by white space.
+    """Exactly ``count`` numbers, separated by white space.
 
     Raises:
-        DataError: there are fewer, or one is not understood.
+        DataError: the text holds fewer, or one is malformed.
     """
     return numbers_until(text, dtype, count, path, start)[0]
 
@@ -26,7 +26,7 @@ def numbers(
 def numbers_until(
     text: bytes | memoryview, dtype: np.dtype, count: int, path: Path, start: int = 0
 ) -> tuple[NDArray[np.generic], int]:
-    """So many numbers from ``start`` on, and the position after them; the text is parsed chunk by chunk."""
+    """``count`` numbers from ``start`` on, and the position after them; parsing goes chunk by chunk."""
     remedy = "Copy it again, or write it in binary"
     if 2 * count - 1 > len(text) - start:
         raise DataError(
@@ -44,7 +44,7 @@ def numbers_until(
         words = part.split(None, count - fill)[: count - fill]
         if words:
             try:
-                out[fill : fill + len(words)] = _parsed(words, dtype)
+                out[fill : fill + len(words)] = _parse(words, dtype)
             except (ValueError, OverflowError) as error:
                 raise DataError(path, f"a number is not understood ({error})", remedy) from error
         fill += len(words)
@@ -58,7 +58,7 @@ def numbers_until(
     return out, at
 
 
-def _parsed(words: list[bytes], dtype: np.dtype) -> NDArray[np.generic]:
+def _parse(words: list[bytes], dtype: np.dtype) -> NDArray[np.generic]:
     if dtype.kind == "f":
         return np.array(words).astype(dtype)
     wide = np.array(words).astype(np.uint64 if dtype.kind == "u" else np.int64)

@@ -1,6 +1,6 @@
 """VTK's legacy files (``.vtk``), ASCII and binary: structured points, rectilinear and unstructured grids.
 
-Parsed here, not by VTK (see :mod:`datasets.readers.vtk_xml`); binary values are memory-mapped.
+This module parses them without VTK (see :mod:`datasets.readers.vtk_xml`); binary values are memory-mapped.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _KINDS = ("STRUCTURED_POINTS", "RECTILINEAR_GRID", "UNSTRUCTURED_GRID")
 _REMEDY = "Copy it again, or write it again with VTK or ParaView"
 _COMPONENTS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
 _COLORS = {True: "unsigned_char", False: "colors in text"}
-"""What VTK writes unsigned characters as, in binary and (from 0 to 1) as text."""
+"""VTK's type of unsigned characters in binary files, and in text (numbers from 0 to 1)."""
 
 
 @dataclass(frozen=True)
 class _Array:
-    """Where an array lies."""
+    """Place and type of an array in the file."""
 
     of_cells: bool
     start: int
@@ -176,8 +176,8 @@ class LegacyFile:
     def _check_tuples(self) -> None:
         if self._kind == "UNSTRUCTURED_GRID":
             types = self._cells.get("types")
-            held = types if self._of_cells else self._points
-            expected = 0 if held is None else len(held)
+            items = types if self._of_cells else self._points
+            expected = 0 if items is None else len(items)
         else:
             expected = math.prod(self._sample_dims(self._of_cells)) if self._dims else 0
         if self._tuples != expected:
@@ -236,7 +236,7 @@ class LegacyFile:
                 self._at = before
 
     def _skip(self, name: str, kind: str, components: int, tuples: int | None = None) -> None:
-        """Note where an array lies, and go on behind it."""
+        """Record an array's place and skip it."""
         tuples = self._tuples if tuples is None else tuples
         if kind.lower() in ("bit", "string", "vtkvariant") or tuples < 0 or components < 1:
             raise ValueError(f"an array of type {kind}")
@@ -247,10 +247,10 @@ class LegacyFile:
         else:
             _, self._at = self._numbers(start, dtype, tuples * components)
         if name and self._tuples >= 0:
-            name = _decoded(name)
-            listed = f"{name}_cells" if name in self._arrays else name
+            name = _decode(name)
+            label = f"{name}_cells" if name in self._arrays else name
             colors = kind == _COLORS[False]
-            self._arrays[listed] = _Array(self._of_cells, start, dtype, components, tuples, colors)
+            self._arrays[label] = _Array(self._of_cells, start, dtype, components, tuples, colors)
 
     def _take(self, kind: str, count: int) -> NDArray[np.generic]:
         values, self._at = self._numbers(self._at, self._dtype(kind), count)
@@ -280,7 +280,7 @@ class LegacyFile:
         return int(word)
 
     def _line(self) -> list[str] | None:
-        """Words of the next line that has any; None at the end."""
+        """Words of the next non-empty line; None at the end."""
         while self._at < len(self._bytes):
             words = self._raw_line().split()
             if words:
@@ -307,8 +307,8 @@ class LegacyFile:
         return Mesh.joined([mesh], self.path)
 
 
-def _decoded(name: str) -> str:
-    """Names are percent-encoded."""
+def _decode(name: str) -> str:
+    """Decode the percent-encoding of names."""
     from urllib.parse import unquote
 
     return unquote(name)

@@ -1,8 +1,8 @@
 """VTK's XML files of grids and meshes: ``.vti``, ``.vtr``, ``.vtu``.
 
-Parsed here, not by VTK: sizes are checked against the file before anything is allocated, a damaged file
-cannot take the process down, and uncompressed appended data are memory-mapped. Cell data of grids are samples
-at the cells' centres (no value is invented); those of meshes are averaged to the points.
+This module parses them without VTK: it checks sizes against the file before any allocation, a damaged file
+cannot crash the process, and uncompressed appended data are memory-mapped. Cell data of grids become samples
+at the cells' centres; those of meshes are averaged to the points.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _COMPRESSORS = {
     "vtkLZMADataCompressor": 8192,
     "vtkLZ4DataCompressor": 256,
 }
-"""Most that each can expand its input by."""
+"""Maximum expansion of each compressor."""
 _REMEDY = "Copy it again, or write it again with VTK or ParaView"
 _CHUNK = 1 << 20  # a multiple of 4: whole groups of base64
 _MASKS = ("vtkGhostType", "vtkValidPointMask")
@@ -57,17 +57,17 @@ class XmlFile:
             raise DataError(path, f"header {header} or compressor {self._compressor!r} is unknown", _REMEDY)
         self._header = np.dtype(self._order + _TYPES[header])
         kind = root.get("type", "")
-        found = root.find(kind) if kind in ("ImageData", "RectilinearGrid", "UnstructuredGrid") else None
-        if found is None:
+        grid = root.find(kind) if kind in ("ImageData", "RectilinearGrid", "UnstructuredGrid") else None
+        if grid is None:
             remedy = (
                 "Readable are ImageData, RectilinearGrid and UnstructuredGrid; resample others in ParaView"
             )
             raise DataError(path, f"holds {kind or 'no type'!r}", remedy)
-        self._grid, self._kind = found, kind
-        self._pieces = found.findall("Piece")
+        self._grid, self._kind = grid, kind
+        self._pieces = grid.findall("Piece")
         if not self._pieces:
             raise DataError(path, "has no Piece", _REMEDY)
-        self._whole = () if kind == "UnstructuredGrid" else self._extent(found, "WholeExtent")
+        self._whole = () if kind == "UnstructuredGrid" else self._extent(grid, "WholeExtent")
         self._arrays: dict[str, tuple[str, str]] = {}  # variable -> section and name
         self._masks: dict[str, list[str]] = {"PointData": [], "CellData": []}
         self.variables = tuple(self._variables())
@@ -86,7 +86,7 @@ class XmlFile:
         return place(values[..., 0] if values.ndim == 4 else values, axes, self.path, mask)
 
     def _parse(self) -> tuple[ElementTree.Element, int, bool]:
-        """The XML without the appended data, where these start, and whether they are base64."""
+        """The XML without the appended data, their start, and whether they are base64."""
         head = bytes(self.bytes[:64]).lstrip()
         if not head.startswith(b"<"):
             raise DataError(self.path, "is not a VTK XML file", _REMEDY)
@@ -108,9 +108,9 @@ class XmlFile:
         except (ElementTree.ParseError, ValueError, LookupError) as error:
             raise DataError(self.path, f"is damaged ({error})", _REMEDY) from error
 
-    def _find(self, wanted: bytes) -> int:
+    def _find(self, pattern: bytes) -> int:
         for start in range(0, len(self.bytes), _CHUNK):
-            at = self.bytes[start : start + _CHUNK + len(wanted)].tobytes().find(wanted)
+            at = self.bytes[start : start + _CHUNK + len(pattern)].tobytes().find(pattern)
             if at >= 0:
                 return start + at
         return -1
@@ -132,7 +132,7 @@ class XmlFile:
         return x, y, z
 
     def _variables(self) -> list[Variable]:
-        found = []
+        variables = []
         for section in self._masks:
             dims = None if not self._whole else self._dims(self._whole, section)
             for element in self._elements(self._pieces[0], section):
@@ -140,10 +140,10 @@ class XmlFile:
                 if name in _MASKS:
                     self._masks[section].append(name)
                 elif name and kind in _TYPES and (section, name) not in self._arrays.values():
-                    listed = f"{name}_cells" if name in self._arrays else name
-                    self._arrays[listed] = (section, name)
-                    found.append(Variable(listed, dims, 1, self._components(element)))
-        return found
+                    label = f"{name}_cells" if name in self._arrays else name
+                    self._arrays[label] = (section, name)
+                    variables.append(Variable(label, dims, 1, self._components(element)))
+        return variables
 
     def _elements(self, piece: ElementTree.Element, section: str) -> list[ElementTree.Element]:
         inside = piece.find(section)
@@ -168,15 +168,15 @@ class XmlFile:
             if not inside:
                 raise DataError(self.path, f"a piece {extent} lies outside {self._whole}", _REMEDY)
             dims = self._dims(extent, section)
-            element = self._named(piece, section, name)
+            element = self._element(piece, section, name)
             part = self.array(element, math.prod(dims))
             tail = () if part.ndim == 1 else part.shape[1:]
             part = part.reshape(*reversed(dims), *tail)
             if extent == self._whole:
                 return part
             if whole is None:
-                held = sum(math.prod(self._dims(self._extent(p, "Extent"), section)) for p in self._pieces)
-                if held < nx * ny * nz:  # also keeps a damaged extent from being allocated
+                size = sum(math.prod(self._dims(self._extent(p, "Extent"), section)) for p in self._pieces)
+                if size < nx * ny * nz:  # also refuses a damaged extent before allocation
                     raise DataError(self.path, "its pieces do not fill its extent", _REMEDY)
                 whole = np.empty((nz, ny, nx, *tail), part.dtype)
             x, y, z = (extent[2 * a] - self._whole[2 * a] for a in range(3))
@@ -187,14 +187,14 @@ class XmlFile:
             raise DataError(self.path, "has no Piece", _REMEDY)
         return whole
 
-    def _named(self, piece: ElementTree.Element, section: str, name: str) -> ElementTree.Element:
+    def _element(self, piece: ElementTree.Element, section: str, name: str) -> ElementTree.Element:
         for element in self._elements(piece, section):
             if element.get("Name") == name:
                 return element
         raise DataError(self.path, f"a piece has no {name!r}", _REMEDY)
 
     def _mask(self, section: str) -> NDArray[np.bool_] | None:
-        """False where VTK's blanking or its resampling says that there is no data."""
+        """Mask from VTK's blanking or resampling: False for missing data."""
         mask: NDArray[np.bool_] | None = None
         for name in self._masks[section]:
             flags = self._assembled(section, name)
@@ -252,19 +252,19 @@ class XmlFile:
             element = None if inside is None else inside.find("DataArray")
             if element is None or topology is None:
                 raise DataError(self.path, "a piece has no points or cells", _REMEDY)
-            named = {e.get("Name"): e for e in topology.findall("DataArray")}
-            if not {"connectivity", "offsets", "types"} <= set(named):
+            arrays = {e.get("Name"): e for e in topology.findall("DataArray")}
+            if not {"connectivity", "offsets", "types"} <= set(arrays):
                 raise DataError(self.path, "a piece has no connectivity, offsets or types", _REMEDY)
-            ends = self.array(named["offsets"], cells).astype(np.int64)
+            ends = self.array(arrays["offsets"], cells).astype(np.int64)
             mesh = Mesh(
                 self.array(element, points),
-                self.array(named["connectivity"], int(ends[-1])).astype(np.int64),
+                self.array(arrays["connectivity"], int(ends[-1])).astype(np.int64),
                 ends,
-                self.array(named["types"], cells).astype(np.uint8),
+                self.array(arrays["types"], cells).astype(np.uint8),
             )
             pieces.append(mesh)
             values.append(
-                self.array(self._named(piece, section, name), points if section == "PointData" else cells)
+                self.array(self._element(piece, section, name), points if section == "PointData" else cells)
             )
         if not pieces:
             raise DataError(self.path, "has no cells", _REMEDY)
@@ -281,71 +281,71 @@ class XmlFile:
         """The values of a DataArray: (tuples,), or (tuples, components) of vectors.
 
         Raises:
-            DataError: it does not hold that many.
+            DataError: it holds another number.
         """
         kind, components = element.get("type", ""), self._components(element)
         if kind not in _TYPES or tuples < 0:
             raise DataError(self.path, f"an array of type {kind!r} is no field", _REMEDY)
         dtype = np.dtype(self._order + _TYPES[kind])
-        wanted = _Wanted(dtype, tuples * components)
+        need = _Extent(dtype, tuples * components)
         text = element.get("format", "ascii")
         if text == "appended":
             offset = element.get("offset", "")
             if not (offset.isascii() and offset.isdigit() and len(offset) < 20):
                 raise DataError(self.path, f"an array has offset {offset!r}", _REMEDY)
-            values = self._decoded(self.bytes[self._appended :], int(offset), self._base64, wanted)
+            values = self._decode(self.bytes[self._appended :], int(offset), self._base64, need)
         elif text == "binary":
             inline = np.frombuffer((element.text or "").strip().encode("ascii", "replace"), np.uint8)
-            values = self._decoded(inline, 0, True, wanted)
+            values = self._decode(inline, 0, True, need)
         elif text == "ascii":
             values = numbers(
                 (element.text or "").encode("ascii", "replace"),
                 dtype.newbyteorder("="),
-                wanted.count,
+                need.count,
                 self.path,
             )
         else:
             raise DataError(self.path, f"an array has format {text!r}", _REMEDY)
         return values if components == 1 else values.reshape(tuples, components)
 
-    def _decoded(
-        self, data: NDArray[np.uint8], start: int, base64: bool, wanted: _Wanted
+    def _decode(
+        self, data: NDArray[np.uint8], start: int, base64: bool, need: _Extent
     ) -> NDArray[np.generic]:
         size = self._header.itemsize
         if not self._compressor:
             if not base64:
                 declared = int(self._headers(data, start, 1, False)[0][0])
-                self._check(declared, wanted, len(data) - start - size)
-                return data[start + size : start + size + wanted.nbytes].view(wanted.dtype)
+                self._check(declared, need, len(data) - start - size)
+                return data[start + size : start + size + need.nbytes].view(need.dtype)
             (declared,), at = self._headers(data, start, 1, True)
-            self._check(int(declared), wanted, (len(data) - start) * 3 // 4)
-            if bytes(data[at - 1 : at]) == b"=":  # written apart from its values
-                return self._plain(data[at:], 0, wanted)
-            return self._plain(data[start:], size, wanted)
+            self._check(int(declared), need, (len(data) - start) * 3 // 4)
+            if bytes(data[at - 1 : at]) == b"=":  # encoded apart from its values
+                return self._plain(data[at:], 0, need)
+            return self._plain(data[start:], size, need)
         (blocks, block, last), at = self._headers(data, start, 3, base64)
         if blocks * size > len(data) or block < 0 or last > block:
             raise DataError(self.path, "its compressed data are damaged", _REMEDY)
         (_, _, _, *sizes), at = self._headers(data, start, 3 + blocks, base64)
         declared = block * (blocks - (last > 0)) + last
         compressed = sum(sizes)
-        self._check(declared, wanted, compressed * _COMPRESSORS[self._compressor] + 64)
+        self._check(declared, need, compressed * _COMPRESSORS[self._compressor] + 64)
         packed = data[at : at + (-(-compressed // 3) * 4 if base64 else compressed)]
         if base64:
             packed = np.frombuffer(self._unbase64(packed), np.uint8)
         if len(packed) < compressed:
             raise DataError(self.path, "its compressed data are cut off", _REMEDY)
-        out = np.empty(wanted.nbytes, np.uint8)
+        out = np.empty(need.nbytes, np.uint8)
         begin = fill = 0
         for number, length in enumerate(sizes):
             expected = last if last and number == blocks - 1 else block
             out[fill : fill + expected] = self._expanded(packed[begin : begin + length], expected)
             begin, fill = begin + length, fill + expected
-        return out.view(wanted.dtype)
+        return out.view(need.dtype)
 
     def _headers(
         self, data: NDArray[np.uint8], start: int, count: int, base64: bool
     ) -> tuple[list[int], int]:
-        """That many header integers from a position on, and the position after them."""
+        """``count`` header integers from a position on, and the position after them."""
         size = count * self._header.itemsize
         length = -(-size // 3) * 4 if base64 else size
         raw = data[start : start + length].tobytes()
@@ -355,9 +355,9 @@ class XmlFile:
             raise DataError(self.path, "an array lies beyond the end of the file", _REMEDY)
         return [int(n) for n in np.frombuffer(raw, self._header)], start + length
 
-    def _plain(self, data: NDArray[np.uint8], skip: int, wanted: _Wanted) -> NDArray[np.generic]:
+    def _plain(self, data: NDArray[np.uint8], skip: int, need: _Extent) -> NDArray[np.generic]:
         """Uncompressed values from base64, chunk by chunk."""
-        out = np.empty(skip + wanted.nbytes, np.uint8)
+        out = np.empty(skip + need.nbytes, np.uint8)
         fill, total = 0, -(-len(out) // 3) * 4
         for at in range(0, total, _CHUNK):
             part = self._unbase64(data[at : min(at + _CHUNK, total)])[: len(out) - fill]
@@ -365,7 +365,7 @@ class XmlFile:
             fill += len(part)
         if fill != len(out):
             raise DataError(self.path, "an array is cut off", _REMEDY)
-        return out[skip:].view(wanted.dtype)
+        return out[skip:].view(need.dtype)
 
     def _unbase64(self, data: NDArray[np.uint8]) -> bytes:
         try:
@@ -373,9 +373,9 @@ class XmlFile:
         except binascii.Error as error:
             raise DataError(self.path, f"its base64 data are damaged ({error})", _REMEDY) from error
 
-    def _check(self, declared: int, wanted: _Wanted, available: int) -> None:
-        if declared != wanted.nbytes:
-            raise DataError(self.path, f"an array holds {declared} bytes where {wanted} are needed", _REMEDY)
+    def _check(self, declared: int, need: _Extent, available: int) -> None:
+        if declared != need.nbytes:
+            raise DataError(self.path, f"an array holds {declared} bytes where {need} are needed", _REMEDY)
         if declared > available:
             raise DataError(
                 self.path, f"is truncated: an array of {declared} bytes has {max(available, 0)}", _REMEDY
@@ -401,19 +401,19 @@ class XmlFile:
         from vtkmodules.vtkIOCore import vtkLZ4DataCompressor
 
         compressor: Any = vtkLZ4DataCompressor()
-        told = compressor.GetGlobalWarningDisplay()
+        warnings = compressor.GetGlobalWarningDisplay()
         out = np.empty(expected, np.uint8)
         try:
             compressor.GlobalWarningDisplayOff()
             size = compressor.Uncompress(np.frombuffer(data, np.uint8), len(data), out, expected)
         finally:
-            compressor.SetGlobalWarningDisplay(told)
+            compressor.SetGlobalWarningDisplay(warnings)
         return out[:size].tobytes()
 
 
 @dataclass(frozen=True)
-class _Wanted:
-    """Type and number of values that an array must hold."""
+class _Extent:
+    """Required type and number of an array's values."""
 
     dtype: np.dtype
     count: int
