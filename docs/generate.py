@@ -221,21 +221,21 @@ def commands(_: str) -> str:
     (found,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     text = f"{parser.epilog}\n"
     for name, command in found.choices.items():
-        text += f"\n## bench {name}\n\n{_sentence(command.description)}\n\n"
+        text += f"\n## bench {name}\n\n{_escaped(command.description).capitalize()}.\n\n"
         actions = [action for action in command._actions if action.dest not in ("help", "debug")]
-        text += _markdown(["argument", "meaning"], [[_argument(a), _sentence(a.help)] for a in actions])
+        text += _markdown(["argument", "meaning"], [[_argument(a), _escaped(a.help)] for a in actions])
     return text
 
 
 def _argument(action: argparse.Action) -> str:
     what = action.metavar or ("|".join(map(str, action.choices)) if action.choices else action.dest.upper())
     if not action.option_strings:
-        return _sentence(f"`{what}…`" if action.nargs in ("*", "+") else f"`{what}`")
+        return _escaped(f"`{what}…`" if action.nargs in ("*", "+") else f"`{what}`")
     takes = "" if action.nargs == 0 else f" {what}"
-    return _sentence(f"`{action.option_strings[-1]}{takes}`")
+    return _escaped(f"`{action.option_strings[-1]}{takes}`")
 
 
-def _sentence(text: str | None) -> str:
+def _escaped(text: str | None) -> str:
     return (text or "").replace("|", "\\|").replace("%%", "%")
 
 
