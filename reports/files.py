@@ -22,13 +22,19 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
+    from reports.charts.chart import Chart
     from reports.paper.values import PaperTable
 
 
-def write_files(tables: dict[str, pd.DataFrame], folder: Path, measured: Sequence[PaperTable]) -> None:
+def write_files(
+    tables: dict[str, pd.DataFrame],
+    folder: Path,
+    measured: Sequence[PaperTable],
+    drawings: dict[str, Chart] | None = None,
+) -> None:
     """Write charts and tables.
 
-    ``charts/`` (PDF and PNG), ``results.*`` (CSV, Parquet, Markdown, LaTeX), ``paper/`` (its tables),
+    ``charts/`` (SVG and PDF), ``results.*`` (CSV, Parquet, Markdown, LaTeX), ``paper/`` (its tables),
     ``curves/`` (JSON, one file per method and dataset); ``intervals.csv`` and ``comparisons.csv`` where there
     are views; ``bd-rate.csv`` where methods were measured at several rates; ``datasets.*`` where rendering
     volumes was measured.
@@ -37,12 +43,13 @@ def write_files(tables: dict[str, pd.DataFrame], folder: Path, measured: Sequenc
         tables: results, views, curve, ledger, timing, features and dvr (docs/concepts/architecture.md).
         folder: where to; made if it is missing.
         measured: the paper's tables of the same rows.
+        drawings: name -> chart.
     """
     results, dvr = tables["results"], tables["dvr"]
     if not results.empty:
         folder.mkdir(parents=True, exist_ok=True)
         shown = by_training_views(tables)
-        charts.write(shown, folder / "charts")
+        charts.write(drawings or {}, folder / "charts")
         for table in measured:
             write_text(folder / "paper" / f"{table.name}.md", paper_documents.to_markdown(table))
             write_text(folder / "paper" / f"{table.name}.tex", paper_documents.to_latex(table))

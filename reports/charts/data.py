@@ -1,7 +1,7 @@
 """What the charts draw, taken from the documented tables; shared by the page and the figures.
 
-Of training (convergence, anytime, losses) see :mod:`reports.charts.files.training`, of rates
-:mod:`reports.charts.files.rate_distortion`, of attributes :mod:`reports.charts.files.features`.
+Of training (convergence, anytime, losses) see :mod:`reports.charts.training`, of rates
+:mod:`reports.charts.rate_distortion`, of attributes :mod:`reports.charts.features`.
 """
 
 from __future__ import annotations

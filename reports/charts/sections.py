@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from reports.charts import features, plots, rate_distortion, stability_sections, training
-from reports.charts.elements import Section, chart, charts, legend, table
+from reports.charts import data, features, kinds, rate_distortion, stability_sections, training
+from reports.charts.chart import Chart, Panel
+from reports.charts.elements import Section, card, cards, legend, table
 from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, absent, legend_entries, mib, seconds, series
 from reports.tables import confidence
 from reports.tables.protocols import comparable
@@ -29,12 +30,13 @@ _FRONT = (
     "options."
 )
 _TRADEOFFS = (
-    ("PSNR and size", "size_bytes"),
-    ("PSNR and speed", "fps"),
-    ("PSNR and training time", "train_seconds"),
-    ("PSNR and host memory", "peak_host_bytes"),
-    ("PSNR and device memory", "peak_device_bytes"),
+    ("size", "PSNR and size", "size_bytes"),
+    ("fps", "PSNR and speed", "fps"),
+    ("time", "PSNR and training time", "train_seconds"),
+    ("memory", "PSNR and host memory", "peak_host_bytes"),
+    ("device-memory", "PSNR and device memory", "peak_device_bytes"),
 )
+"""Name of the file, caption, column."""
 
 
 def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
@@ -44,20 +46,21 @@ def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
         tables: as documented (results, views, curve, losses, ledger, timing, features).
     """
     results = tables["results"]
-    made = (
+    names = series(results, tables["curve"], tables["features"])
+    sections = (
         _confidence(results, tables["views"]),
-        _rate_distortion(results),
-        _tradeoffs(results),
-        stability_sections.stability_section(tables),
-        stability_sections.complexity_section(results),
-        _anytime(tables),
-        _convergence(tables),
+        _rate_distortion(results, names),
+        _tradeoffs(results, names),
+        stability_sections.stability_section(tables, names),
+        stability_sections.complexity_section(results, names),
+        _anytime(tables, names),
+        _convergence(tables["curve"], names),
         _losses(tables),
-        _features(tables),
+        _features(tables["features"], names),
         _timing(tables["timing"]),
         _ledger(tables["ledger"]),
     )
-    return [section for section in made if section is not None]
+    return [section for section in sections if section is not None]
 
 
 def _confidence(results: pd.DataFrame, views: pd.DataFrame) -> Section | None:
@@ -127,11 +130,12 @@ def _minus(value: float | None) -> float | None:
     return None if absent(value) else -float(value)  # type: ignore[arg-type]
 
 
-def _rate_distortion(results: pd.DataFrame) -> Section | None:
-    figures = plots.rate_curves(results)
-    if not figures:
-        return None
+def _rate_distortion(results: pd.DataFrame, names: list[str]) -> Section | None:
     curves = rate_distortion.curves(results)
+    panels = rate_distortion.drawn(curves)
+    if not panels:
+        return None
+    chart = kinds.rate_curves(panels, names)
     differences = rate_distortion.differences(curves)
     words = (
         "Mean PSNR over size per scene (logarithmic), at all rates that were measured; of methods of one "
@@ -139,7 +143,7 @@ def _rate_distortion(results: pd.DataFrame) -> Section | None:
         '<a href="curves/">one JSON file per method and dataset</a>.'
     )
     words += _seeds_left_out(results)
-    parts = [f'<p>{words}</p><div class="charts">{charts(figures.items())}</div>']
+    parts = [f"<p>{words}</p>{cards(chart.panels)}"]
     if differences:
         heads = ["Dataset", "Method", "Against", "BD-rate", "BD-PSNR [dB]", "PSNR shared [dB]"]
         heads += ["Size shared [MiB]", "Overlap", "Remarks"]
@@ -151,7 +155,7 @@ def _rate_distortion(results: pd.DataFrame) -> Section | None:
             "they share, BD-PSNR over the sizes. Refused with fewer than "
             f"{rate_distortion.LEAST_POINTS} points, for curves that bend back, and without overlap.</p>"
         )
-    return Section("rate-distortion", "Rate and distortion", "".join(parts))
+    return Section("rate-distortion", "Rate and distortion", "".join(parts), {"rate-distortion": chart})
 
 
 def _many(table: pd.DataFrame) -> bool:
@@ -183,10 +187,15 @@ def _difference(found: Difference) -> list[str]:
     return [*who, *numbers, f"{100 * found.overlap:.0f} %", "; ".join(found.warnings)]
 
 
-def _tradeoffs(results: pd.DataFrame) -> Section | None:
-    drawn = {against: plots.tradeoffs(results, against) for _, against in _TRADEOFFS}
-    datasets = list(dict.fromkeys(name for figures in drawn.values() for name in figures))
-    if not datasets:
+def _tradeoffs(results: pd.DataFrame, names: list[str]) -> Section | None:
+    charts: dict[str, Chart] = {}
+    captions: dict[str, list[str]] = {}
+    for name, caption, column in _TRADEOFFS:
+        if panels := data.tradeoff(results, column):
+            charts[f"psnr-{name}"] = chart = kinds.tradeoff(panels, column, names)
+            for panel in chart.panels:
+                captions.setdefault(panel.title, []).append(card(panel, caption))
+    if not charts:
         return None
     parts = [
         "<p>Large marks: mean over the dataset's scenes; small marks: single scenes. Horizontal axes are "
@@ -194,139 +203,148 @@ def _tradeoffs(results: pd.DataFrame) -> Section | None:
         f"worse than some method in both.{_seeds_left_out(results)}"
         f"{_GRAY + _FRONT if _many(results) else ''}</p>"
     ]
-    for dataset in datasets:
-        cards = charts((caption, drawn[a][dataset]) for caption, a in _TRADEOFFS if dataset in drawn[a])
-        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{cards}</div>')
-    return Section("tradeoffs", "Trade-offs", "\n".join(parts))
+    for dataset, group in captions.items():
+        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(group)}</div>')
+    return Section("tradeoffs", "Trade-offs", "\n".join(parts), charts)
 
 
-def _anytime(tables: dict[str, pd.DataFrame]) -> Section | None:
+def _anytime(tables: dict[str, pd.DataFrame], names: list[str]) -> Section | None:
     results, curve = tables["results"], tables["curve"]
-    names = series(results, curve)
-    quality, size = (plots.anytime(curve, results, what, names) for what in ("psnr", "bytes_estimate"))
-    if not quality and not size:
+    panels = {what: training.anytime(curve, results, what) for what in ("psnr", "bytes_estimate")}
+    charts = {
+        f"anytime-{name}": kinds.anytime(panels[what], what, names)
+        for name, what in (("psnr", "psnr"), ("size", "bytes_estimate"))
+        if panels[what]
+    }
+    if not charts:
         return None
     words = (
         "What a method has reached after so many seconds of training, mean over scenes. A joint fit of n "
         f"scenes counts for each with its time / n. PSNR is of {_HELD_OUT}; size is "
         f"the method's own estimate."
     )
-    panels = [training.anytime(curve, results, what) for what in ("psnr", "bytes_estimate")]
     entries = legend_entries(
-        [[line.name for line in lines] for each in panels for lines in each.values()], names
+        [[line.name for line in lines] for each in panels.values() for lines in each.values()], names
     )
-    cards = []
-    for dataset in dict.fromkeys([*quality, *size]):
-        cards += [(dataset, figures[dataset]) for figures in (quality, size) if dataset in figures]
     heads = ["Dataset", "Method", *(f"{level:g} dB" for level in training.LEVELS)]
     rows = [
         [dataset, line.title, *(MISSING if t is None else seconds(t) for t in times)]
-        for dataset, lines in panels[0].items()
+        for dataset, lines in panels["psnr"].items()
         for line, times in training.time_to_quality(lines)
     ]
     words += _rates_left_out(curve)
     words += _GRAY if OTHERS_NAME in entries else ""
     times = table("Time to a quality", heads, rows) if rows else ""
+    side_by_side = cards(panel for group in _by_title(charts).values() for panel in group)
     return Section(
         "anytime",
         "Quality over training time",
-        f'<p>{words}</p>{legend(entries)}<div class="charts">{charts(cards)}</div>'
-        f"{times}"
+        f"<p>{words}</p>{legend(entries)}{side_by_side}{times}"
         '<p class="note">Seconds of training per scene until the PSNR of these views first reaches the '
         f"level, linear between evaluations; {MISSING}: never.</p>",
+        charts,
     )
 
 
-def _convergence(tables: dict[str, pd.DataFrame]) -> Section | None:
-    results, curve = tables["results"], tables["curve"]
-    order = series(results, curve)
-    pairs = [plots.convergence(curve, against, order) for against in ("train_seconds", "iteration")]
-    if not any(pairs):
+def _convergence(curve: pd.DataFrame, names: list[str]) -> Section | None:
+    panels = {against: training.convergence(curve, against) for against in ("train_seconds", "iteration")}
+    charts = {
+        f"convergence-{name}": kinds.convergence(panels[against], against, names)
+        for name, against in (("seconds", "train_seconds"), ("iterations", "iteration"))
+        if panels[against]
+    }
+    if not charts:
         return None
-    told = (
+    words = (
         f"PSNR of {_HELD_OUT} while training; the clock stands still while it is measured. Of more than "
         f"{training.MOST_FITS} fits a chart shows each method's mean."
     )
-    told += _rates_left_out(curve)
-    lines = training.convergence(curve, "iteration") | training.convergence(curve, "train_seconds")
-    entries = legend_entries([[line.name for line in each] for each in lines.values()], order)
-    told += _GRAY if OTHERS_NAME in entries else ""
-    parts = [f"<p>{told}</p>{legend(entries)}"]
-    for dataset in dict.fromkeys([*pairs[0], *pairs[1]]):
-        drawn = charts(("", figures[dataset]) for figures in pairs if dataset in figures)
-        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{drawn}</div>')
-    return Section("convergence", "Convergence", "\n".join(parts))
+    words += _rates_left_out(curve)
+    lines = panels["iteration"] | panels["train_seconds"]
+    entries = legend_entries([[line.name for line in each] for each in lines.values()], names)
+    words += _GRAY if OTHERS_NAME in entries else ""
+    parts = [f"<p>{words}</p>{legend(entries)}"]
+    for dataset, group in _by_title(charts).items():
+        pair = "".join(card(panel, "") for panel in group)
+        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{pair}</div>')
+    return Section("convergence", "Convergence", "\n".join(parts), charts)
+
+
+def _by_title(charts: dict[str, Chart]) -> dict[str, list[Panel]]:
+    """Title -> the panels of all charts that have it."""
+    groups: dict[str, list[Panel]] = {}
+    for chart in charts.values():
+        for panel in chart.panels:
+            groups.setdefault(panel.title, []).append(panel)
+    return groups
 
 
 def _losses(tables: dict[str, pd.DataFrame]) -> Section | None:
-    panels = plots.losses(tables)
+    panels = training.losses(tables)
     if not panels:
         return None
+    chart = kinds.losses(panels)
     words = (
         "The training loss and its weighted parts (logarithmic), means over stretches of the fits (50, which "
         "stages cut). A dashed line stands where a stage begins."
     )
-    shown = training.steps(tables)
-    if "first" not in shown or shown["first"].isna().any():
+    steps = training.steps(tables)
+    if "first" not in steps or steps["first"].isna().any():
         words += (
             " Of fits by older versions there are single steps; their dashed lines stand at the first one "
             "that has seen a part, which may have joined at any time since the one before."
         )
-    small = sorted({name for panel, _ in panels for name in panel.small})
+    small = sorted({name for panel in panels for name in panel.small})
     if small:
         words += f" Not drawn, for they are under {training.LEAST_SHARE:g} of it: {escape(', '.join(small))}."
     words += _rates_left_out(tables["curve"])
-    words += _DEFAULTS if _many(shown) else ""
-    cards = charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in panels)
-    return Section("losses", "Parts of the loss", f'<p>{words}</p><div class="charts">{cards}</div>')
+    words += _DEFAULTS if _many(steps) else ""
+    return Section("losses", "Parts of the loss", f"<p>{words}</p>{cards(chart.panels)}", {"losses": chart})
 
 
-def _features(tables: dict[str, pd.DataFrame]) -> Section | None:
-    table = tables["features"]
-    names = series(tables["results"], tables["curve"], table)
-    panels = plots.histograms(table, names)
+def _features(attributes: pd.DataFrame, names: list[str]) -> Section | None:
+    panels = features.histograms(attributes)
     if not panels:
         return None
-    entries = legend_entries([panel.shares for panel, _ in panels], names)
-    cards = charts((f"{panel.dataset} · {panel.attribute}", figure) for panel, figure in panels)
+    charts = {"attributes": kinds.histograms(panels, names)}
     words = (
         "Distribution of what the primitives carry, all scenes of a dataset together. Quantised values are "
         "spread over neighbouring bins as far as their steps reach."
     )
-    words += _rates_left_out(table)
-    if _many(table):
+    words += _rates_left_out(attributes)
+    if _many(attributes):
         words += _DEFAULTS
-    bare = {name: look._replace(marker="") for name, look in entries.items()}
-    parts = [f'<p>{words}</p>{legend(bare)}<div class="charts">{cards}</div>']
+    parts = [f"<p>{words}</p>{legend(charts['attributes'].legend)}{cards(charts['attributes'].panels)}"]
     try:
-        maps = plots.feature_maps(features.maps(table))
-        cards = charts((f"{panel.dataset} · {panel.title}", figure) for panel, figure in maps)
+        charts["features-umap"] = chart = kinds.feature_maps(features.maps(attributes))
         parts.append(
             "<h3>Anchors by their features</h3><p>UMAP: neighbours have similar features; distances between "
-            f'clusters, and their sizes, say little.</p><div class="charts">{cards}</div>'
+            f"clusters, and their sizes, say little.</p>{legend(chart.legend)}{cards(chart.panels)}"
         )
     except features.Missing as why:
         parts.append(f'<p class="note">No map of anchors by their features: {escape(str(why))}.</p>')
-    return Section("attributes", "Attributes", "".join(parts))
+    return Section("attributes", "Attributes", "".join(parts), charts)
 
 
-def _timing(table: pd.DataFrame) -> Section | None:
-    figure = plots.timing(table)
-    if figure is None:
-        return None
+def _timing(times: pd.DataFrame) -> Section | None:
     words = (
         "Where the time of a frame goes, mean over scenes and seeds. The parts are timed one by one, without "
         "what happens between them, which is “other”."
     )
-    return Section("timing", "Time of a frame", f"<p>{words}</p>{chart(figure, '')}")
+    return _wholes("timing", "Time of a frame", words, kinds.timing(*data.timing(times)))
 
 
-def _ledger(table: pd.DataFrame) -> Section | None:
-    figure = plots.ledger(table)
-    if figure is None:
-        return None
+def _ledger(sizes: pd.DataFrame) -> Section | None:
     words = (
         "Bytes of the files that a model is loaded from, by what they hold, over all scenes of a dataset, "
         "mean over seeds. Pointed at, a bar names its parts; what is under 1 % of every bar is “other”."
     )
-    return Section("ledger", "Size ledger", f"<p>{words}</p>{chart(figure, '')}")
+    return _wholes("ledger", "Size ledger", words, kinds.ledger(*data.ledger(sizes)))
+
+
+def _wholes(name: str, title: str, words: str, chart: Chart) -> Section | None:
+    """The section of a chart of stacked bars; None without any."""
+    if not chart.legend:
+        return None
+    (panel,) = chart.panels
+    return Section(name, title, f"<p>{words}</p>{legend(chart.legend)}{card(panel, '')}", {name: chart})

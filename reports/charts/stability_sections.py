@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reports.charts import plots, stability
-from reports.charts.elements import Section, charts, legend, table
-from reports.style import MISSING, legend_entries, series
+from reports.charts import kinds, stability
+from reports.charts.elements import Section, card, cards, legend, table
+from reports.style import MISSING, legend_entries
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-def stability_section(tables: dict[str, pd.DataFrame]) -> Section | None:
+def stability_section(tables: dict[str, pd.DataFrame], names: list[str]) -> Section | None:
     """Failures, spread over seeds and worst views; charts where there are several numbers of views."""
     results = tables["results"]
     found = stability.records(results, tables["views"])
@@ -27,8 +27,9 @@ def stability_section(tables: dict[str, pd.DataFrame]) -> Section | None:
         "percent) or has beyond it (what would hide other scenes, or show on another background), in the "
         "scene and seed that are worst off."
     )
-    names = series(results, tables["curve"])
-    drawn = plots.over(curves, "training views", "PSNR [dB]", names, log_y=False)
+    charts = {}
+    if curves:
+        charts["few-views"] = kinds.over(curves, "training views", "PSNR [dB]", names, log_y=False)
     heads = ["Dataset", "Method", "Failed", "Two seeds differ by up to [dB]"]
     heads += ["Worst view under the median [dB]", "Worst view [dB]", "Missing [%]", "Excess [%]"]
     rows = [
@@ -41,16 +42,17 @@ def stability_section(tables: dict[str, pd.DataFrame]) -> Section | None:
         ]
         for record in found
     ]
-    shown = legend(legend_entries([[line.name for line in lines] for lines in curves.values()], names))
     note = (
         '<p class="note">Charts: mean PSNR over scenes and seeds by the number of training views; where any '
         "fit failed, the mark is left out.</p>"
     )
-    cards = f'<div class="charts">{charts(drawn.items())}</div>{note}' if drawn else ""
+    entries = legend_entries([[line.name for line in lines] for lines in curves.values()], names)
+    above = legend(entries) + "".join(cards(chart.panels) + note for chart in charts.values())
     return Section(
         "stability",
         "Stability",
-        f"<p>{words}</p>{shown}{cards}{table('Failures, seeds and worst views', heads, rows)}",
+        f"<p>{words}</p>{above}{table('Failures, seeds and worst views', heads, rows)}",
+        charts,
     )
 
 
@@ -65,21 +67,23 @@ def _failed(record: stability.Record) -> str:
     return f"{sum(record.failed.values())} of {record.rows}: {told}"
 
 
-def complexity_section(results: pd.DataFrame) -> Section | None:
+def complexity_section(results: pd.DataFrame, names: list[str]) -> Section | None:
     """What grows with the number in the names of datasets."""
-    names = series(results)
-    cards = []
+    charts = {}
+    panels = []
     for what, title in stability.COMPLEXITY.items():
-        panels = stability.by_complexity(results, what)
-        drawn = plots.over(panels, "number of parts", title, names, log_y=what != "psnr")
-        cards += [(f"{family}: {title}", figure) for family, figure in drawn.items()]
-    if not cards:
+        if curves := stability.by_complexity(results, what):
+            name = f"complexity-{what.split('_')[0]}"
+            charts[name] = kinds.over(curves, "number of parts", title, names, log_y=what != "psnr")
+            panels += [(f"{panel.title}: {title}", panel) for panel in charts[name].panels]
+    if not charts:
         return None
     words = (
         "What methods spend on scenes that hold more and more: datasets whose names differ in a number, "
         "which counts their parts. A method that models no more than a scene needs grows with it, and starts "
         "small."
     )
+    grid = "".join(card(panel, caption) for caption, panel in panels)
     return Section(
-        "complexity", "What a scene needs", f'<p>{words}</p><div class="charts">{charts(cards)}</div>'
+        "complexity", "What a scene needs", f'<p>{words}</p><div class="charts">{grid}</div>', charts
     )

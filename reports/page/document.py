@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from reports.charts import svg
 from reports.charts.elements import Section
 from reports.charts.sections import chart_sections
 from reports.files import write_files, write_text
@@ -49,8 +50,8 @@ def write_report(
     results, dvr = tables["results"], tables["dvr"]
     if measured is None:
         measured = [] if results.empty else paper_tables.of_tables(tables)
-    write_files(tables, out.parent, measured)
-    sections = []
+    sections: list[Section] = []
+    stored = tables
     if not results.empty:
         paper = claims_documents.section(measured, tables["views"])
         tables = by_training_views(tables)
@@ -72,6 +73,8 @@ def write_report(
         sections.append(Section("datasets", "Rendering the volumes", datasets.section(dvr)))
     if not results[["machine", "commit"]].dropna(how="all").empty:
         sections.append(Section("provenance", "Provenance", provenance.section(results)))
+    charts = {name: chart for section in sections for name, chart in section.charts.items()}
+    write_files(stored, out.parent, measured, charts)
     name = _name(dvr if results.empty else results)
     write_text(out, _document(name, _head(name, tables, sections), sections))
     return out
@@ -87,33 +90,26 @@ def _document(name: str, head: str, sections: list[Section]) -> str:
     if 'class="compare"' in body:
         body += scenes.COMPARE
         scripts.append("compare.js")
-    library = ""
-    if "data-figure" in body:
-        from plotly.offline import get_plotlyjs
-
-        library = get_plotlyjs()
+    if 'class="chart"' in body:
         scripts.append("charts.js")
     code = '"use strict";\n' + "\n".join((_WEB / file).read_text(encoding="utf-8") for file in scripts)
-    # Kept as text and run when the first chart comes near the screen, which saves a second when it opens.
-    kept = f'<script type="text/plain" id="plotly">{library}</script>\n' if library else ""
-    css = (_WEB / "page.css").read_text(encoding="utf-8")
+    css = (_WEB / "page.css").read_text(encoding="utf-8") + svg.theme()
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{_policy([code, library])}">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_policy(code)}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(name)}</title>\n<style>\n{css}</style>\n</head>\n<body>\n"
         f'<a class="skip" href="#main">Skip to the content</a>\n<div class="page">\n<header>{head}</header>\n'
         f'<main id="main">\n{body}\n</main>\n</div>\n'
-        f"{kept}<script>{code}</script>\n</body>\n</html>\n"
+        f"<script>{code}</script>\n</body>\n</html>\n"
     )
 
 
-def _policy(scripts: list[str]) -> str:
-    """What the browser lets the page do: run these very scripts and nothing else, and fetch nothing."""
-    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts)
-    allowed = " ".join(f"'sha256-{value}'" for value in hashes)
+def _policy(script: str) -> str:
+    """What the browser lets the page do: run this very script and nothing else, and fetch nothing."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; "
+        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; "
         "base-uri 'none'; form-action 'none'"
     )
 

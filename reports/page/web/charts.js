@@ -1,76 +1,97 @@
-// The charts: drawn when they come near the screen, in the page's colors, with points linked to rows.
+// The charts: a point is named when pointed at, and linked to rows of the table.
 (function () {
-  const charts = Array.from(document.querySelectorAll("[data-figure]"));
-  const probe = document.createElement("span");
-  probe.hidden = true;
-  document.body.append(probe);
-  const shade = (name) => { probe.style.color = `var(${name})`; return getComputedStyle(probe).color; };
-  let marked = new Set();
+  const NEAR = 24; // pixels between the mouse and a point
+  const SVG = "http://www.w3.org/2000/svg";
+  const charts = Array.from(document.querySelectorAll("svg.chart"));
+  const cache = new Map();
+  const tip = document.createElement("div");
+  tip.className = "tip";
+  tip.hidden = true;
+  document.body.append(tip);
+  let current = null;
 
-  function library() {
-    if (window.Plotly) return;
-    const script = document.createElement("script");
-    script.textContent = document.getElementById("plotly").textContent;
-    document.head.append(script);
+  const send = (name, keys) => document.dispatchEvent(new CustomEvent(name, { detail: keys }));
+
+  // The points of a chart: place in its own pixels, text, color and keys of rows.
+  function points(svg) {
+    if (!cache.has(svg)) {
+      const data = svg.nextElementSibling ? JSON.parse(svg.nextElementSibling.textContent) : { series: [] };
+      const share = (axis, v) => axis.log ? Math.log(v / axis.low) / Math.log(axis.high / axis.low)
+        : (v - axis.low) / (axis.high - axis.low);
+      const number = (axis, v) => axis.digits === null ? v.toLocaleString("en", { maximumSignificantDigits: 5 })
+        : v.toFixed(axis.digits);
+      const told = (axis, v) => axis.text ? axis.text.replace("{}", number(axis, v)) : "";
+      cache.set(svg, data.series.flatMap((series) => series.x.map((x, i) => ({
+        x: data.box[0] + data.box[2] * share(data.x, x),
+        y: data.box[1] + data.box[3] * (1 - share(data.y, series.y[i])),
+        text: [series.title, series.names?.[i] ?? "", told(data.x, x), told(data.y, series.y[i])],
+        color: series.color,
+        keys: series.keys?.[i] ?? [],
+      }))));
+    }
+    return cache.get(svg);
   }
 
-  function draw(element) {
-    library();
-    const figure = JSON.parse(element.nextElementSibling.textContent);
-    const layout = figure.layout;
-    layout.paper_bgcolor = layout.plot_bgcolor = "rgba(0,0,0,0)";
-    layout.font = { family: getComputedStyle(document.body).fontFamily, size: 12, color: shade("--fg") };
-    layout.hoverlabel = { bgcolor: shade("--card"), bordercolor: shade("--soft"), font: { color: shade("--fg") } };
-    for (const name of Object.keys(layout).filter((key) => /^[xy]axis/.test(key))) {
-      layout[name].gridcolor = shade("--grid");
-      layout[name].linecolor = shade("--soft");
+  function nearest(svg, event) {
+    const box = svg.getBoundingClientRect(), scale = svg.viewBox.baseVal.width / box.width;
+    const x = (event.clientX - box.x) * scale, y = (event.clientY - box.y) * scale;
+    let best = null, least = NEAR * scale;
+    for (const point of points(svg)) {
+      const far = Math.hypot(point.x - x, point.y - y);
+      if (far <= least) { best = point; least = far; }
     }
-    if (document.documentElement.dataset.shown === "dark") {
-      // Black, the dark blue and the vermilion would drown; everything else reads on both.
-      const lift = { "#000000": "#ffffff", "#0072B2": "#4ba3dc", "#D55E00": "#f2803a" };
-      const walk = (node) => {
-        for (const key in node) {
-          if (typeof node[key] === "string" && lift[node[key]]) node[key] = lift[node[key]];
-          else if (node[key] && typeof node[key] === "object") walk(node[key]);
-        }
-      };
-      walk(figure);
-    }
-    figure.data.forEach((trace) => { trace.selectedpoints = selected(trace); });
-    const known = element.data !== undefined;
-    Plotly.react(element, figure.data, layout, { responsive: true, displaylogo: false, displayModeBar: false });
-    if (known) return;
-    const tell = (name, keys) => document.dispatchEvent(new CustomEvent(name, { detail: keys }));
-    const keys = (event) => event.points[0].data.meta?.keys?.[event.points[0].pointNumber] ?? [];
-    element.on("plotly_hover", (event) => tell("pointhover", keys(event)));
-    element.on("plotly_unhover", () => tell("pointhover", []));
-    element.on("plotly_click", (event) => { if (keys(event).length) tell("pointclick", keys(event)); });
+    return best;
   }
 
-  // Points that stand for a marked row; null while nothing is marked, which shows all alike.
-  function selected(trace) {
-    if (!marked.size || !trace.meta?.keys) return null;
-    return trace.meta.keys.flatMap((keys, i) => (keys.some((key) => marked.has(key)) ? [i] : []));
+  function ring(svg, point, kind) {
+    const circle = document.createElementNS(SVG, "circle");
+    for (const [name, value] of Object.entries({ class: kind, cx: point.x, cy: point.y, r: 6, fill: point.color })) {
+      circle.setAttribute(name, value);
+    }
+    svg.append(circle);
+    return circle;
   }
 
-  const seen = new Set();
-  const watch = new IntersectionObserver((entries) => {
-    for (const entry of entries) {
-      if (entry.isIntersecting && !seen.has(entry.target)) {
-        seen.add(entry.target);
-        draw(entry.target);
-      }
+  function show(svg, point, lines, event) {
+    if (point !== current?.point) {
+      current?.ring?.remove();
+      const keys = point?.keys ?? [];
+      if (keys.length || current?.point?.keys?.length) send("pointhover", keys);
+      current = point && { point, ring: ring(svg, point, "ring") };
     }
-  }, { rootMargin: "1000px" });
-  charts.forEach((chart) => watch.observe(chart));
+    tip.hidden = !lines;
+    if (!lines) return;
+    tip.replaceChildren(...lines.filter(Boolean).map((text, i) => {
+      const line = document.createElement(i ? "span" : "b");
+      line.textContent = text;
+      return line;
+    }));
+    const { innerWidth: width, innerHeight: height } = window;
+    tip.style.left = `${Math.min(event.clientX + 14, width - tip.offsetWidth - 8)}px`;
+    tip.style.top = `${Math.min(event.clientY + 14, height - tip.offsetHeight - 8)}px`;
+  }
+
+  document.addEventListener("pointermove", (event) => {
+    const svg = event.target.closest("svg.chart");
+    const about = event.target.dataset?.about;
+    const point = svg && !about ? nearest(svg, event) : null;
+    show(svg, point, about?.split("\n") ?? point?.text, event);
+  });
+  document.addEventListener("click", (event) => {
+    const svg = event.target.closest("svg.chart");
+    const keys = svg ? nearest(svg, event)?.keys ?? [] : [];
+    if (keys.length) send("pointclick", keys);
+  });
+  // Points of marked rows stand out: all else in their charts is faint.
   document.addEventListener("rowsmarked", (event) => {
-    marked = event.detail;
-    for (const chart of seen) {
-      if (chart.data.some((trace) => trace.meta?.keys)) {
-        Plotly.restyle(chart, { selectedpoints: chart.data.map(selected) });
+    const marked = event.detail;
+    for (const svg of charts.filter((svg) => svg.nextElementSibling?.textContent.includes('"keys"'))) {
+      svg.querySelectorAll(".marked").forEach((circle) => circle.remove());
+      svg.classList.toggle("faint", marked.size > 0);
+      for (const point of points(svg)) {
+        const key = point.keys.find((name) => marked.has(name));
+        if (key) ring(svg, point, "marked").dataset.key = key;
       }
     }
   });
-  document.addEventListener("themechange", () => seen.forEach(draw));
-  addEventListener("beforeprint", () => charts.forEach((chart) => { seen.add(chart); draw(chart); }));
 })();

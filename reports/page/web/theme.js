@@ -5,29 +5,25 @@
   const system = matchMedia("(prefers-color-scheme: dark)");
   const storage = (use) => { try { return use(localStorage); } catch { return null; } };
   const dark = () => root.dataset.theme ? root.dataset.theme === "dark" : system.matches;
-  const told = () => {
-    root.dataset.shown = dark() ? "dark" : "light"; // for the charts, which draw their own colors
-    button.textContent = dark() ? "Light colors" : "Dark colors";
-    document.dispatchEvent(new Event("themechange"));
-  };
+  const name = () => { button.textContent = dark() ? "Light colors" : "Dark colors"; };
   const stored = storage((s) => s.getItem("report-theme"));
   if (stored === "light" || stored === "dark") root.dataset.theme = stored;
   button.hidden = false;
   button.addEventListener("click", () => {
     root.dataset.theme = dark() ? "light" : "dark";
     storage((s) => s.setItem("report-theme", root.dataset.theme));
-    told();
+    name();
   });
-  system.addEventListener("change", told);
+  system.addEventListener("change", name);
   // Paper is light.
   let before;
   addEventListener("beforeprint", () => {
     before = root.dataset.theme;
-    root.dataset.theme = root.dataset.shown = "light";
+    root.dataset.theme = "light";
   });
   addEventListener("afterprint", () => {
     if (before) root.dataset.theme = before; else delete root.dataset.theme;
-    told();
+    name();
   });
-  told();
+  name();
 })();

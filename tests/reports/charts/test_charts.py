@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from reports.charts import data, features, plots, rate_distortion, training
-from reports.charts import files as charts
+from reports.charts import data, features, kinds, rate_distortion, training
 from reports.charts.sections import chart_sections
 from reports.style import series
 from tests.reports.conftest import fill
@@ -40,6 +39,28 @@ def of_training(curve, stretches=()):
         "curve": curve,
         "losses": losses.assign(dataset="d", scene="a", variant="", preset="quick", seed=0),
     }
+
+
+def tradeoff(results, column="size_bytes"):
+    """Dataset -> its panel of PSNR against a column."""
+    chart = kinds.tradeoff(data.tradeoff(results, column), column, series(results))
+    return {panel.title: panel for panel in chart.panels}
+
+
+def rates(results):
+    """Dataset -> its panel of rate-distortion curves."""
+    chart = kinds.rate_curves(rate_distortion.drawn(rate_distortion.curves(results)), series(results))
+    return {panel.title: panel for panel in chart.panels}
+
+
+def losses(tables):
+    """The panels of losses."""
+    return kinds.losses(training.losses(tables)).panels
+
+
+def texts(panel):
+    """The labels of a panel."""
+    return {label.text for label in panel.labels}
 
 
 def results_table(maker, **scenes):
@@ -111,8 +132,7 @@ def test_axes_tell_of_times_that_do_not_compare(maker):
     maker.run(method="3dgs", processor="old", fit_processor="old")
     maker.run(method="econgs", processor="new", fit_processor="old")
     results = maker.tables()["results"]
-    titles = {x: plots.tradeoffs(results, x)["vortex"]["layout"]["xaxis"]["title"]["text"] for x in data.AXIS
-              if x != "peak_device_bytes"}  # fmt: skip
+    titles = {x: tradeoff(results, x)["vortex"].x.title for x in data.AXIS if x != "peak_device_bytes"}
     assert titles["fps"] == "frames per second, several processors"
     assert titles["train_seconds"] == "training time per scene [s]"
     assert not titles["size_bytes"].endswith("processors")
@@ -124,8 +144,8 @@ def test_axes_tell_of_times_that_do_not_compare(maker):
 
 def test_points_are_linked_to_rows(maker):
     maker.run(scene="a", method="ivr-gs", rate=64, views=0)
-    traces = plots.tradeoffs(maker.tables()["results"], "fps")["vortex"]["data"]
-    assert [trace["meta"]["keys"] for trace in traces] == [
+    dots = tradeoff(maker.tables()["results"], "fps")["vortex"].series
+    assert [each.keys for each in dots] == [
         [["measure-0000"]], [["vortex / iVR-GS @ 64 / quick / test"]]
     ]  # fmt: skip
 
@@ -166,13 +186,12 @@ def rate_store(maker):
 
 def test_rate_curves_hold_the_numbers_and_single_sizes_are_marks(maker):
     results = rate_store(maker)["results"]
-    traces = plots.rate_curves(results)["vortex"]["data"]
-    assert [len(trace["x"]) for trace in traces] == [4, 4, 1]
-    assert traces[0]["x"] == pytest.approx([100 / 1024, 200 / 1024, 300 / 1024, 400 / 1024])
-    assert traces[1]["y"] == [33.5, 34.5, 35.5, 36.5]
-    axis = charts.rate_curves(results).axes[0]
-    assert axis.get_xscale() == "log"
-    assert {text.get_text() for text in axis.texts} == {"HAC", "ECoNGS", "3DGS"}
+    panel = rates(results)["vortex"]
+    assert [len(curve.x) for curve in panel.series] == [4, 4, 1]
+    assert panel.series[0].x == pytest.approx([100 / 1024, 200 / 1024, 300 / 1024, 400 / 1024])
+    assert panel.series[1].y == [33.5, 34.5, 35.5, 36.5]
+    assert panel.x.log
+    assert texts(panel) == {"HAC", "ECoNGS", "3DGS"}
 
 
 def test_the_page_tells_bd_rates(maker):
@@ -185,7 +204,7 @@ def test_the_page_tells_bd_rates(maker):
 
 def test_no_rate_chart_where_every_method_has_one_size(maker):
     maker.run(views=0)
-    assert plots.rate_curves(maker.tables()["results"]) == {}
+    assert rates(maker.tables()["results"]) == {}
 
 
 # --------------------------------------------------------------------------- training
@@ -278,12 +297,7 @@ def test_loss_parts_without_figures_that_are_no_part_and_with_the_start_of_the_r
     assert panel.parts[0].y == pytest.approx([0.02 + 1e-9, 0.012 + 1e-9])
     assert panel.marks == [(300.0, "rate first seen")]
     assert panel.small == ["scale"]
-    figure = plots.losses(of_training(curve_table(rows)))[0][1]
-    assert figure["layout"]["shapes"][0]["x0"] == 300
-    assert any(
-        text.get_text() == "rate first seen"
-        for text in charts.losses(training.losses(of_training(curve_table(rows)))).axes[0].texts
-    )
+    assert losses(of_training(curve_table(rows)))[0].stages == [(300.0, "rate first seen")]
 
 
 def test_parts_that_join_together_share_a_mark():
@@ -313,9 +327,7 @@ def test_losses_are_means_over_stretches_with_marks_where_stages_begin():
     assert (loss.x, loss.y) == ([10.0, 20.0, 30.0, 40.0], pytest.approx([0.03, 0.03, 0.04, 0.04]))
     assert image.y == pytest.approx([0.03] * 4)
     assert rate.x == [30.0, 40.0]
-    shapes = plots.losses(tables)[0][1]["layout"]["shapes"]
-    assert [shape["x0"] for shape in shapes] == [11.0, 21.0]
-    assert "noise" in {text.get_text() for text in charts.losses([panel]).axes[0].texts}
+    assert losses(tables)[0].stages == panel.marks
     # A stage of a single step has a mark, with its neighbour, and no point.
     short = [("j", "m", stage, first, last, {"loss": loss, "image": loss}) for stage, first, last, loss in
              (("a", 1, 100, 1.0), ("b", 101, 101, 9.0), ("c", 102, 200, 1.0))]  # fmt: skip
@@ -376,7 +388,7 @@ def test_no_timing_without_parts():
     table = pd.DataFrame({"part": ["frame"], "seconds": [0.01]}).assign(
         job="j", dataset="d", scene="a", method="plenoxels", variant="", rate=None, preset="quick", seed=0
     )
-    assert plots.timing(table) is None
+    assert data.timing(table) == ([], [])
 
 
 # --------------------------------------------------------------------------- attributes
@@ -436,11 +448,11 @@ def test_an_embedding_is_split_by_scene():
     with patch.dict(sys.modules, {"umap": type(sys)("umap")}):
         sys.modules["umap"].UMAP = Flat
         (made,) = features.maps(features_table())
-        figure = plots.feature_maps([made])[0][1]
-        assert len(charts.feature_maps([made]).axes) == 1
+    (panel,) = kinds.feature_maps([made]).panels
     first = np.reshape(features_table()["values"].iloc[1], (-1, 4))[:, :2]
     assert np.array_equal(made.scenes["a"], first)
-    assert [trace["name"] for trace in figure["data"]] == ["a", "b"]
+    assert [scene.title for scene in panel.series] == ["a", "b"]
+    assert panel.series[0].x == first[:, 0].tolist()
 
 
 # --------------------------------------------------------------------------- sections
@@ -473,6 +485,6 @@ def test_how_sure_tells_intervals_seeds_and_differences(maker):
 def test_every_series_of_a_figure_is_named(maker):
     fill(maker, "failures")
     results = maker.tables()["results"]
-    names = series(results)
-    figure = charts.anytime(maker.tables()["curve"], results, "psnr", names)
-    assert {text.get_text() for text in figure.axes[0].texts} == {"3DGS (1 of 2 scenes)", "ECoNGS"}
+    panels = training.anytime(maker.tables()["curve"], results, "psnr")
+    (panel, *_) = kinds.anytime(panels, "psnr", series(results)).panels
+    assert texts(panel) == {"3DGS (1 of 2 scenes)", "ECoNGS"}

@@ -1,22 +1,19 @@
 """What colors, markers and legends stand for; charts of many variants and of several presets."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from matplotlib.colors import to_hex
 from scipy.signal import find_peaks
 
 from reports import style
-from reports.charts import data, features, parts, plots, rate_distortion, training
-from reports.charts import files as charts
+from reports.charts import data, features, kinds, parts, rate_distortion, svg, training
 from reports.charts.elements import legend
-from reports.charts.figures.frame import LINES, MARKERS
+from reports.charts.labels import text_width
 from reports.charts.sections import chart_sections
 from reports.page import results as results_table
 from reports.style import MOST_NAMED, OTHERS, OTHERS_NAME, legend_entries, look, looks, named, series
-from tests.reports.charts.test_charts import curve_table, of_training
+from tests.reports.charts.test_charts import curve_table, losses, of_training, rates, tradeoff
 
 NAMES = ["ECoNGS", *(f"ECoNGS [features={i}]" for i in range(20)), "3DGS [start=cloud]", "HAC"]
 
@@ -58,8 +55,9 @@ def test_a_legend_shows_marker_and_dash(maker):
     assert html.count("stroke-dasharray") == sum(entry.dash != "solid" for entry in entries.values()) == 1
     assert len(set(re.findall(r'd="(M[^"]+z)"', html))) == 2
     many_variants(maker)
-    handles = charts.tradeoff(maker.tables()["results"], "size_bytes").legends[0].legend_handles
-    assert [(handle.get_label(), handle.get_marker()) for handle in handles] == [(OTHERS_NAME, "o")]
+    results = maker.tables()["results"]
+    chart = kinds.tradeoff(data.tradeoff(results, "size_bytes"), "size_bytes", series(results))
+    assert chart.legend == {OTHERS_NAME: OTHERS}
 
 
 def test_the_legend_of_lines_is_what_is_drawn():
@@ -67,12 +65,11 @@ def test_the_legend_of_lines_is_what_is_drawn():
             for i in (1, 2)]  # fmt: skip
     curve = curve_table(rows)
     names = ["other", "a", "b", "b [x=1]", "c"]
-    figure = charts.convergence(curve, "iteration", names)
-    drawn = {(line.get_color(), line.get_marker(), line.get_linestyle()) for line in figure.axes[0].lines}
-    handles = figure.legends[0].legend_handles
-    assert {(h.get_color(), h.get_marker(), h.get_linestyle()) for h in handles} == drawn
-    assert [handle.get_label() for handle in handles] == ["a", "b", "c"]
-    assert all(look.marker in MARKERS and look.dash in LINES for look in looks(names, names).values())
+    chart = kinds.convergence(training.convergence(curve, "iteration"), "iteration", names)
+    assert set(chart.legend.values()) == {line.look for line in chart.panels[0].series}
+    assert list(chart.legend) == ["a", "b", "c"]
+    swatches = [svg.swatch(look) for look in looks(names, names).values()]
+    assert len(set(swatches)) == len(names)
 
 
 def test_page_legends_name_only_what_is_drawn(maker):
@@ -95,9 +92,9 @@ def test_the_front_is_named_among_many_variants_and_the_rest_is_gray(maker):
     said = {text for _, _, text, _ in panel.labels(names)}
     assert said == {"ECoNGS", "HAC", "features=0", "features=1"}
     assert [style is OTHERS for _, style in panel.looks(names)] == [True] * 9 + [False] * 4
-    traces = plots.tradeoffs(results, "size_bytes")["vortex"]["data"]
-    assert sum(trace.get("marker", {}).get("color") == OTHERS.color for trace in traces) == 18
-    assert any("features=5" in trace.get("hovertemplate", "") for trace in traces)
+    dots = tradeoff(results)["vortex"].series
+    assert sum(each.look.color == OTHERS.color for each in dots) == 9
+    assert any("features=5" in each.title for each in dots)
 
 
 def test_presets_and_splits_have_panels_of_their_own(maker):
@@ -121,7 +118,7 @@ def test_rates_and_training_are_not_compared_across_presets(maker):
     found = rate_distortion.curves(maker.tables()["results"])
     assert list(found) == ["vortex · quick", "vortex · paper"]
     assert rate_distortion.differences(found) == []
-    assert list(plots.rate_curves(maker.tables()["results"])) == list(found)
+    assert list(rates(maker.tables()["results"])) == list(found)
     rows = [("j", "s", "econgs", i, float(i), 30.0 + i, 9, '{"image": 0.1, "x": 0.1}') for i in (1, 2)]
     curve = pd.concat([curve_table(rows), curve_table(rows).assign(preset="paper", job="k")])
     assert list(training.convergence(curve, "iteration")) == ["d · quick", "d · paper"]
@@ -166,21 +163,23 @@ def ledger(**methods):
     )  # fmt: skip
 
 
+def bars(table):
+    return kinds.ledger(*data.ledger(table))
+
+
 def test_a_part_has_its_color_whatever_else_is_in_the_chart():
-    first = plots.ledger(ledger(a={"positions": 50, "sh2": 50}))
-    second = plots.ledger(ledger(a={"decoders": 70, "features": 20, "positions": 10}))
-    colors = [{t["name"]: t["marker"]["color"] for t in figure["data"]} for figure in (first, second)]
+    first = bars(ledger(a={"positions": 50, "sh2": 50}))
+    second = bars(ledger(a={"decoders": 70, "features": 20, "positions": 10}))
+    colors = [{name: look.color for name, look in chart.legend.items()} for chart in (first, second)]
     assert colors[0]["positions"] == colors[1]["positions"]
     assert len({shade for each in colors for shade in each.values()}) == 4
-    figure = charts.ledger(ledger(a={"positions": 50, "sh2": 50}))
-    drawn = {to_hex(patch.get_facecolor()).upper() for patch in figure.axes[0].patches}
-    assert drawn == set(colors[0].values())
+    assert [bar.color for bar in first.panels[0].bars] == list(colors[0].values())
 
 
 def test_all_families_look_different():
     others = dict.fromkeys(("opacity", "features", "codebooks", "new"), 9)
     table = ledger(a=dict.fromkeys(parts._FAMILIES, 100), b=others)
-    shades = [trace["marker"]["color"] for trace in plots.ledger(table)["data"]]
+    shades = [look.color for look in bars(table).legend.values()]
     assert len(set(shades)) == len(shades) > 9
 
 
@@ -189,16 +188,16 @@ def test_parts_of_a_family_are_one_and_small_ones_are_the_rest():
     (bar,), families = data.ledger(table)
     assert families == ["positions", "color", "other"]
     assert bar.amounts == {"positions": 95, "color": 900, "other": 9}
-    told = {trace["name"]: trace["customdata"][0] for trace in plots.ledger(table)["data"]}
-    assert "sh_rest: " in told["color"]
-    assert "codebooks: " in told["other"]
+    _, color, other = bars(table).panels[0].bars
+    assert [line.partition(":")[0] for line in color.about.splitlines()[1:]] == ["color", "sh_dc", "sh_rest"]
+    assert "codebooks: " in other.about
 
 
 def test_a_part_of_the_loss_has_one_color_in_all_panels():
     both, one = '{"image": 0.1, "color": 0.05, "rate": 0.01}', '{"image": 0.1, "rate": 0.01}'
     rows = [(m, "s", m, i, 1.0, 30.0, None, text) for m, text in (("a", both), ("b", one)) for i in (1, 2)]
-    figures = [figure for _, figure in plots.losses(of_training(curve_table(rows)))]
-    colors = [{trace["name"]: trace["line"]["color"] for trace in figure["data"]} for figure in figures]
+    panels = losses(of_training(curve_table(rows)))
+    colors = [{part.title: part.look.color for part in panel.series} for panel in panels]
     assert colors[1] == {name: shade for name, shade in colors[0].items() if name != "color"}
     assert len(set(colors[0].values())) == 4
 
@@ -217,8 +216,11 @@ def test_losses_of_many_variants_are_those_of_the_default():
 def test_titles_of_panels_are_broken_before_they_are_cut():
     rows = [("j", "s", "econgs", i, 1.0, 30.0, None, '{"image": 0.1, "rate": 0.01}') for i in (1, 2)]
     table = curve_table(rows).assign(variant="decoder_precision=float32", dataset="a dataset of a long name")
-    title = charts.losses(training.losses(of_training(table))).axes[0].get_title(loc="left")
-    assert max(map(len, title.splitlines())) < 45
+    (panel,) = losses(of_training(table))
+    document = svg.file(kinds.losses(training.losses(of_training(table))))
+    lines = re.findall(r'stroke-width="0.4">([^<]+)<', document)
+    assert " ".join(lines) == panel.title
+    assert max(map(text_width, lines)) < panel.width
 
 
 # --------------------------------------------------------------------------- attributes
@@ -246,11 +248,7 @@ def test_histograms_of_many_variants_show_the_default():
     assert [panel.dataset for panel in features.histograms(presets)] == ["d · quick", "d · paper"]
 
 
-def test_page_and_script_agree_on_dark_colors():
-    script = (Path(results_table.__file__).parent / "web" / "charts.js").read_text(encoding="utf-8")
-    assert all(f'"{light}": "{dark}"' in script for light, dark in style.DARK.items())
-
-
-def test_saving_draws_once(maker):
-    maker.run(views=0)
-    assert charts.tradeoff(maker.tables()["results"], "fps").get_layout_engine() is None
+def test_the_page_lifts_the_colors_that_would_drown_on_dark():
+    rules = svg.theme()
+    for light, dark in style.DARK.items():
+        assert rules.count(f"light-dark({light},{dark})") == 4 / 2

@@ -3,7 +3,7 @@
 import pytest
 
 from reports.charts import stability
-from reports.charts.files import figures
+from reports.charts.sections import chart_sections
 from reports.page.document import write_report
 from reports.tables.means import summary
 from reports.tables.protocols import by_training_views
@@ -118,9 +118,8 @@ def test_page_and_files_show_both(few, maker, tmp_path) -> None:
     for count in (1, 8, 64):
         maker.run(dataset=f"blobs_{count}")
     tables = maker.tables()
-    assert {"few-views", "complexity-size", "complexity-primitives", "complexity-psnr"} <= figures(
-        by_training_views(tables)
-    ).keys()
+    names = {name for section in chart_sections(by_training_views(tables)) for name in section.charts}
+    assert {"few-views", "complexity-size", "complexity-primitives", "complexity-psnr"} <= names
     page = write_report(tables, maker.root, tmp_path / "report.html").read_text(encoding="utf-8")
     assert 'id="stability"' in page
     assert 'id="complexity"' in page

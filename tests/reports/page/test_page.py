@@ -1,19 +1,17 @@
 import contextlib
 import re
-import warnings
 from html.parser import HTMLParser
 from itertools import pairwise
 from unittest.mock import patch
 
-import pandas as pd
 import pytest
 from PIL import Image
 
-from reports.charts import files as charts
-from reports.charts import plots
+from reports.charts import data, files, kinds, training
 from reports.page.document import write_report
 from reports.pictures import panel_files as panel_figures
-from reports.style import color, place_labels, series
+from reports.style import color, series
+from tests.reports.charts.test_charts import texts, tradeoff
 from tests.reports.conftest import fill
 
 
@@ -45,7 +43,7 @@ def page(maker, draw: bool = False) -> tuple[str, str]:
     """The page's source and its text; the charts for papers take seconds and are drawn if asked for."""
     with contextlib.ExitStack() as stack:
         if not draw:
-            stack.enter_context(patch.object(charts, "write"))
+            stack.enter_context(patch.object(files, "write"))
             stack.enter_context(patch.object(panel_figures, "write", return_value="panel"))
         path = write_report(maker.tables(), maker.root, maker.root / "report.html")
     source = path.read_text(encoding="utf-8")
@@ -60,26 +58,27 @@ def page(maker, draw: bool = False) -> tuple[str, str]:
 def test_a_normal_report_is_whole_and_works_offline(maker):
     fill(maker, "normal")
     source, text = page(maker, draw=True)
-    assert source.count("Plotly.react(") == 1
+    assert source.count('<svg xmlns="http://www.w3.org/2000/svg"') == 4 + 2 + 1 + 1
     assert "<link" not in source
     assert source.count('<figure class="card panel"') == 4
     for words in ("34.20", "31.70", "all (2 of 2 scenes)", "32.95", "68a71d8fe012", "12.3 to 12.3 ms"):
         assert words in text
     assert {p.name for p in (maker.root / "charts").iterdir()} == {
-        f"{name}.{ending}"
-        for name in (
-            "psnr-size",
-            "psnr-fps",
-            "psnr-time",
-            "psnr-memory",
-            "anytime-psnr",
-            "convergence-seconds",
-            "convergence-iterations",
-            "ledger",
-            "panel-vortex-tf0",
-            "panel-vortex-tf1",
-        )
-        for ending in ("pdf", "png")
+        *(
+            f"{name}.{ending}"
+            for name in (
+                "psnr-size",
+                "psnr-fps",
+                "psnr-time",
+                "psnr-memory",
+                "anytime-psnr",
+                "convergence-seconds",
+                "convergence-iterations",
+                "ledger",
+            )
+            for ending in ("pdf", "svg")
+        ),
+        *(f"panel-vortex-tf{i}.{ending}" for i in (0, 1) for ending in ("pdf", "png")),
     }
     assert all((maker.root / f"results.{ending}").stat().st_size for ending in ("csv", "md", "tex"))
 
@@ -228,75 +227,28 @@ def test_paths_out_of_the_store_are_not_read(maker, tmp_path):
 def test_charts_hold_the_numbers(maker):
     maker.run(scene="a", psnr=30.0, size=2 << 20, fps=10)
     maker.run(scene="b", psnr=34.0, size=4 << 20, fps=10)
-    trace = plots.tradeoffs(maker.tables()["results"], "size_bytes")["vortex"]["data"]
-    assert (trace[0]["x"], trace[0]["y"]) == ([2.0, 4.0], [30.0, 34.0])
-    assert (trace[1]["x"], trace[1]["y"]) == ([3.0], [32.0])
+    scenes, means = tradeoff(maker.tables()["results"])["vortex"].series
+    assert (scenes.x, scenes.y) == ([2.0, 4.0], [30.0, 34.0])
+    assert (means.x, means.y) == ([3.0], [32.0])
 
 
 def test_no_mean_is_drawn_where_scenes_are_missing(maker):
     fill(maker, "failures")
-    figure = plots.tradeoffs(maker.tables()["results"], "size_bytes")["vortex"]
-    by_color = {t["marker"]["color"]: t for t in figure["data"] if t["mode"] == "lines+markers"}
-    assert sorted(len(t["x"]) for t in by_color.values()) == [0, 1]
-    assert any(note["text"] == "3DGS (incomplete)" for note in figure["layout"]["annotations"])
+    panel = tradeoff(maker.tables()["results"])["vortex"]
+    assert [len(each.x) for each in panel.series if each.line] == [1]
+    assert "3DGS (incomplete)" in texts(panel)
 
 
 def test_ledger_sums_to_the_bytes(maker):
     fill(maker, "normal")
     ledger = maker.tables()["ledger"]
-    figure = plots.ledger(ledger)
-    assert sum(t["x"][0] for t in figure["data"]) == pytest.approx(100.0)
-    assert "8.68 MiB" in [note["text"] for note in figure["layout"]["annotations"]]
-    counted = [
-        int(re.search(r"\(([\d,]+) B\)", t["customdata"][0])[1].replace(",", "")) for t in figure["data"]
-    ]
-    assert sum(counted) == ledger["bytes"].sum()
-
-
-def test_labels_do_not_overlap():
-    points = [(100 + i % 3, 100 + i) for i in range(6)]
-    texts = ["method number"] * 6
-    boxes = []
-    for (x, y), spot in zip(points, place_labels(points, texts, 330, 250), strict=True):
-        left = x + spot.dx - {"left": 0, "right": 1, "center": 0.5}[spot.anchor] * 6.4 * 13
-        boxes.append((left, y + spot.dy - 7, left + 6.4 * 13, y + spot.dy + 7))
-    for i, a in enumerate(boxes):
-        assert a[0] >= 0
-        assert a[2] <= 330
-        assert not any(a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3] for b in boxes[:i])
-
-
-def test_labels_too_long_for_their_chart_are_broken_at_spaces():
-    long = "Scaffold-GS [configuration=paper] (incomplete)"
-    for x in (5.0, 140.0, 275.0):
-        (spot,) = place_labels([(x, 100.0)], [long], 280, 200)
-        assert spot.text.split() == long.split()
-        wide = 6.4 * max(map(len, spot.text.split("\n")))
-        left = x + spot.dx - {"left": 0, "right": 1, "center": 0.5}[spot.anchor] * wide
-        assert left >= 0
-        assert left + wide <= 280
-    (spot,) = place_labels([(5.0, 100.0)], ["ECoNGS (1 of 4)"], 280, 200)
-    assert spot.text == "ECoNGS (1 of 4)"
-
-
-def test_figures_can_be_drawn_for_many_methods(maker):
-    for method in ("3dgs", "econgs", "hac"):
-        for dataset in ("x", "y"):
-            maker.run(dataset, method=method, views=0, psnr=30 + len(method))
-    tables = maker.tables()
-    figure = charts.tradeoff(tables["results"], "fps")
-    assert [axis.get_title(loc="left") for axis in figure.axes] == ["x", "y"]
-    assert {text.get_text() for text in figure.axes[0].texts} == {"3DGS", "ECoNGS", "HAC"}
-    for axis in figure.axes:
-        assert axis.get_xscale() == "log"
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # matplotlib says so where a layout finds no room
-        assert len(charts.convergence(tables["curve"]).axes) == 2
-        bars = tables["ledger"]
-        for size in (bars.head(1), bars, bars.assign(variant="an_option=with a very long value," * 4)):
-            charts.ledger(size)
-            parts = [size.assign(part=f"part {i}", job=f"{i}") for i in range(9)]
-            charts.ledger(pd.concat(parts))
+    (panel,) = kinds.ledger(*data.ledger(ledger)).panels
+    first = [bar for bar in panel.bars if bar.y == 0]
+    assert sum(bar.end - bar.start for bar in first) == pytest.approx(100.0)
+    assert first[-1].end == pytest.approx(100.0)
+    assert "8.68 MiB" in texts(panel)
+    counts = [int(re.search(r"\(([\d,]+) B\)", bar.about)[1].replace(",", "")) for bar in panel.bars]
+    assert sum(counts) == ledger["bytes"].sum()
 
 
 def test_a_method_keeps_its_color_where_others_are_missing(maker):
@@ -304,8 +256,7 @@ def test_a_method_keeps_its_color_where_others_are_missing(maker):
     maker.run(method="3dgs")
     tables = maker.tables()
     names = series(tables["results"], tables["curve"])
-    drawn = plots.convergence(tables["curve"], "iteration", names)["vortex"]["data"]
-    dots = plots.tradeoffs(tables["results"], "fps")["vortex"]["data"]
-    assert (
-        drawn[0]["line"]["color"] == dots[0]["marker"]["color"] == color("3DGS", names) != color("HAC", names)
-    )
+    curves = training.convergence(tables["curve"], "iteration")
+    line = kinds.convergence(curves, "iteration", names).panels[0].series[0]
+    dot = tradeoff(tables["results"], "fps")["vortex"].series[0]
+    assert line.look.color == dot.look.color == color("3DGS", names) != color("HAC", names)

@@ -160,25 +160,28 @@ def test_a_row_opens_to_its_provenance_and_stays_with_it(browser: Browser) -> No
 
 
 def test_points_of_charts_and_rows_are_linked(browser: Browser) -> None:
-    charts = "Array.from(document.querySelectorAll('[data-figure]'))"
-    chart = f"{charts}.find((c) => c.data?.some((t) => t.meta?.keys))"
-    browser.run("document.querySelector('#tradeoffs').scrollIntoView()")
-    browser.until(f"!!({chart})")
     place = browser.run(
-        f"(() => {{ const c = {chart}; c.scrollIntoView({{block: 'center'}}); const l = c._fullLayout;"
-        "const t = c.data.find((t) => t.meta?.keys && t.x.length), b = c.getBoundingClientRect();"
-        "return [b.x + l.xaxis._offset + l.xaxis.l2p(Math.log10(t.x[0])),"
-        "b.y + l.yaxis._offset + l.yaxis.l2p(t.y[0]), t.meta.keys[0][0]]; })()"
+        "(() => { const c = Array.from(document.querySelectorAll('svg.chart'))"
+        ".find((c) => c.nextElementSibling?.textContent.includes('\"keys\"'));"
+        "c.scrollIntoView({block: 'center'});"
+        "const d = JSON.parse(c.nextElementSibling.textContent), s = d.series.find((s) => s.keys);"
+        "const m = c.getScreenCTM(), [left, top, width, height] = d.box;"
+        "const x = left + width * Math.log(s.x[0] / d.x.low) / Math.log(d.x.high / d.x.low);"
+        "const y = top + height * (d.y.high - s.y[0]) / (d.y.high - d.y.low);"
+        "return [m.e + m.a * x, m.f + m.d * y, s.keys[0][0], s.title]; })()"
     )
     browser.point(*place[:2], press=False)
     browser.until("!!document.querySelector('tr.row.hit')")
     assert browser.run("document.querySelector('tr.row.hit').dataset.key") == place[2]
+    assert browser.run("document.querySelector('.tip b').textContent") == place[3]
     browser.point(*place[:2])
     browser.until("!!document.querySelector('tr.row.marked')")
     assert browser.run("document.querySelector('tr.row.marked').dataset.key") == place[2]
     assert browser.run("document.activeElement.closest('tr').dataset.key") == place[2]
-    selected = f"({chart}).data.flatMap((t) => (t.selectedpoints ?? []).map((i) => t.meta.keys[i]))"
-    assert browser.run(selected) == [[place[2]]]
+    rings = "Array.from(document.querySelectorAll('.chart .marked'), (ring) => ring.dataset.key)"
+    assert set(browser.run(rings)) == {place[2]}
+    browser.point(3, 3, press=False)
+    browser.until("document.querySelector('.tip').hidden && !document.querySelector('tr.row.hit')")
 
 
 def test_pictures_are_compared_with_the_keyboard_alone(browser: Browser) -> None:

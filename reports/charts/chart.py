@@ -1,0 +1,234 @@
+"""A chart as a value: panels with axes, series and labels, which :mod:`reports.charts.svg` draws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+from reports.charts.labels import Label, place_labels, text_width
+from reports.style import Look
+
+WIDTH, HEIGHT = 380.0, 310.0
+"""Size of a panel in pixels, axes and titles included."""
+INK, GRAY = "#222222", "#888888"
+"""Colors of text, and of what is no series."""
+_TOP, _RIGHT, _BOTTOM = 8.0, 10.0, 44.0
+_TICK = 11.0
+"""Size of the font of ticks and labels in pixels."""
+MOST_LABELS = 10
+"""More series than this are named by a legend and when pointed at."""
+_MOST_ROOM = 0.35
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One of two axes.
+
+    Attributes:
+        title: with the unit in brackets.
+        low, high: values at the ends; ``low`` above ``high`` turns the axis around.
+        log: whether it is logarithmic.
+        ticks: (value, text).
+        grid: whether a line crosses the panel at each tick.
+    """
+
+    title: str
+    low: float
+    high: float
+    log: bool = False
+    ticks: tuple[tuple[float, str], ...] = ()
+    grid: bool = True
+
+    @property
+    def unit(self) -> str:
+        """The unit of the title, or ""."""
+        return self.title.partition("[")[2].partition("]")[0]
+
+    def share(self, value: float) -> float:
+        """Position of a value, 0 at the low end and 1 at the high one."""
+        if self.log:
+            return math.log10(value / self.low) / math.log10(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+def log_axis(values: Sequence[float], title: str, *, room: float = 0.0) -> Axis:
+    """A logarithmic axis that holds all values with a margin.
+
+    Args:
+        values: positive.
+        title: of the axis.
+        room: share of the axis to keep free above the highest value, if that exceeds the margin.
+    """
+    logs = [math.log10(value) for value in values if value > 0] or [0.0]
+    low, high = min(logs), max(logs)
+    margin = max(0.4, 0.22 * (high - low))
+    low -= margin
+    high = max(high + margin, low + (high - low) / (1.0 - room))
+    return Axis(title, 10**low, 10**high, True, tuple(_log_ticks(low, high)))
+
+
+def linear_axis(
+    values: Sequence[float], title: str, *, least: float = 0.0, room: float = 0.0, start: float | None = None
+) -> Axis:
+    """A linear axis that holds all values with a margin.
+
+    Args:
+        values: any.
+        title: of the axis.
+        least: the least difference between its ends.
+        room: share of the axis to keep free above the highest value.
+        start: its low end; then the highest value is the high end but for ``room``.
+    """
+    low, high = (min(values), max(values)) if values else (0.0, 1.0)
+    if start is None:
+        margin = max(0.12 * (high - low), (least - (high - low)) / 2) or 0.5
+        low, high = low - margin, high + margin
+    else:
+        low = start
+        high = high if high > low else low + 1.0
+    high = low + (high - low) / (1.0 - room)
+    return Axis(title, low, high, False, tuple(_ticks(low, high)))
+
+
+def room_for(titles: Sequence[str]) -> float:
+    """Share of a panel's width for labels to the right of their points: none if they are too many."""
+    longest = max(map(text_width, titles)) if 0 < len(titles) <= MOST_LABELS else 0.0
+    return min(_MOST_ROOM, (longest + 16.0) / (WIDTH - 60.0)) if longest else 0.0
+
+
+def _log_ticks(low: float, high: float) -> Iterable[tuple[float, str]]:
+    """Ticks from 10**low to 10**high: 1, 2, 5 within two decades, else decades."""
+    digits = (1, 2, 5) if high - low < 1.8 else (1,)
+    step = max(1, round((high - low) / 3.5))
+    for power in range(math.floor(low), math.ceil(high) + 1):
+        for digit in digits:
+            value = digit * 10.0**power
+            if low <= math.log10(value) <= high and (len(digits) > 1 or power % step == 0):
+                yield value, f"{value:,.{max(0, -power)}f}"
+
+
+def _ticks(low: float, high: float) -> Iterable[tuple[float, str]]:
+    """Four to eight round values."""
+    rough = (high - low) / 5.0
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(digit * power for digit in (1, 2, 5, 10) if digit * power >= rough)
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1):
+        yield i * step, f"{i * step:,.{decimals}f}"
+
+
+@dataclass(frozen=True)
+class Series:
+    """Points, a line through them, or an area.
+
+    Attributes:
+        title: name where a point is pointed at; "" if none can be.
+        x, y: equally long.
+        look: color, marker and dash.
+        line: width in pixels; 0: no line.
+        mark: diameter of the markers in pixels; 0: none.
+        opacity: of the markers.
+        fill: whether the outline of an area is given, which is filled.
+        names: of the points, or empty.
+        keys: per point the keys of the table's rows that it stands for, or empty.
+    """
+
+    title: str
+    x: Sequence[float]
+    y: Sequence[float]
+    look: Look
+    line: float = 0.0
+    mark: float = 0.0
+    opacity: float = 1.0
+    fill: bool = False
+    names: Sequence[str] = ()
+    keys: Sequence[Sequence[str]] = ()
+
+
+class Text(NamedTuple):
+    """A label at a point of a panel."""
+
+    x: float
+    y: float
+    text: str
+    color: str
+
+
+class Bar(NamedTuple):
+    """A horizontal bar, or a part of one.
+
+    Attributes:
+        y: its row.
+        start, end: values of x.
+        color: of its area.
+        about: what it is where it is pointed at, in lines.
+    """
+
+    y: float
+    start: float
+    end: float
+    color: str
+    about: str
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Series on two axes.
+
+    Attributes:
+        title: above it.
+        labels: names beside points; the panel moves them apart.
+        avoid: further points that no label covers.
+        stages: (x, text) of vertical lines.
+        bars: drawn below the series.
+        width, height: in pixels, axes included.
+    """
+
+    title: str
+    x: Axis
+    y: Axis
+    series: Sequence[Series] = ()
+    labels: Sequence[Text] = ()
+    avoid: Sequence[tuple[float, float]] = ()
+    stages: Sequence[tuple[float, str]] = ()
+    bars: Sequence[Bar] = ()
+    width: float = WIDTH
+    height: float = HEIGHT
+
+    @cached_property
+    def box(self) -> tuple[float, float, float, float]:
+        """Left, top, width and height of the area between the axes, in pixels from the upper left corner."""
+        ticks = max((text_width(text, _TICK) for _, text in self.y.ticks), default=0.0)
+        left = ticks + (28.0 if self.y.title else 10.0)
+        return left, _TOP, self.width - left - _RIGHT, self.height - _TOP - _BOTTOM
+
+    def place(self, x: float, y: float) -> tuple[float, float]:
+        """Pixels of a point, y down."""
+        left, top, width, height = self.box
+        return left + width * self.x.share(x), top + height * (1.0 - self.y.share(y))
+
+    @cached_property
+    def placed(self) -> list[tuple[Text, Label]]:
+        """The labels and where they are, without overlaps where there is room."""
+        left, top, width, height = self.box
+        spots = [self.place(label.x, label.y) for label in self.labels]
+        around = [self.place(*spot) for spot in self.avoid]
+        texts = [label.text for label in self.labels]
+        places = place_labels(spots, texts, (left, top, left + width, top + height), avoid=around)
+        return list(zip(self.labels, places, strict=True))
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Panels that belong together, and one legend of all of them.
+
+    Attributes:
+        panels: in reading order.
+        legend: name -> look.
+    """
+
+    panels: Sequence[Panel]
+    legend: dict[str, Look] = field(default_factory=dict)

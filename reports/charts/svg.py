@@ -1,0 +1,268 @@
+"""Charts as SVG: panels for the page, whole charts for files."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Iterator
+from functools import cache
+from html import escape
+from typing import Any
+
+from reports.charts.chart import INK, Axis, Chart, Panel
+from reports.charts.labels import LINE, SIZE, text_width
+from reports.style import DARK, Look
+
+FONT = "Liberation Sans, Arial, Helvetica, sans-serif"
+"""Fonts of the same metrics, which label places are computed for."""
+_SOFT, _GRID, _PAPER = "#777777", "#dddddd", "#ffffff"
+THEME = {
+    INK: "var(--fg)", _SOFT: "var(--soft)", _GRID: "var(--grid)", _PAPER: "var(--card)",
+    **{light: f"light-dark({light},{dark})" for light, dark in DARK.items()},
+}  # fmt: skip
+"""Color of an SVG -> its color on the page."""
+_DASHES = {"solid": "", "dash": "6 3", "dot": "2 2", "dashdot": "6 2 2 2"}
+_CORNERS = {
+    "square": ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
+    "diamond": ((0, -1.25), (1.25, 0), (0, 1.25), (-1.25, 0)),
+    "triangle-up": ((0, -1.15), (1.1, 0.85), (-1.1, 0.85)),
+    "triangle-down": ((0, 1.15), (-1.1, -0.85), (1.1, -0.85)),
+    "star": ((0, -1.35), (0.35, -0.45), (1.28, -0.4), (0.55, 0.2), (0.8, 1.1), (0, 0.57), (-0.8, 1.1),
+             (-0.55, 0.2), (-1.28, -0.4), (-0.35, -0.45)),
+    "x": ((-1.1, -0.6), (-0.6, -1.1), (0, -0.5), (0.6, -1.1), (1.1, -0.6), (0.5, 0), (1.1, 0.6), (0.6, 1.1),
+          (0, 0.5), (-0.6, 1.1), (-1.1, 0.6), (-0.5, 0)),
+    "cross": ((-0.35, -1.2), (0.35, -1.2), (0.35, -0.35), (1.2, -0.35), (1.2, 0.35), (0.35, 0.35),
+              (0.35, 1.2), (-0.35, 1.2), (-0.35, 0.35), (-1.2, 0.35), (-1.2, -0.35), (-0.35, -0.35)),
+}  # fmt: skip
+"""Markers around the origin, of radius 1; a circle is drawn as such."""
+_COLUMNS = 3
+"""Panels of a chart's file in a row."""
+_GAP, _TITLE = 14.0, 15.0
+"""Pixels between panels, and of a line of a panel's title."""
+_TITLE_SIZE = 12.0
+_LEAST, _MOST = 300.0, 1.25
+"""Least width of a panel on the page in pixels, and by how much it may be enlarged."""
+
+
+def page_panel(panel: Panel) -> str:
+    """A panel as an element of the page, and after it, as JSON, the points that its script names."""
+    points = json.dumps(_points(panel), allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    data = f'<script type="application/json">{points}</script>' if panel.series else ""
+    least = min(panel.width, _LEAST)
+    size = f' class="chart" style="min-width:{least:.0f}px;max-width:{_MOST * panel.width:.0f}px"'
+    return f"{_document(panel.width, panel.height, drawing(panel), size)}{data}"
+
+
+def theme() -> str:
+    """Style rules that give charts the colors of the page, light and dark."""
+    return "".join(
+        f'.chart [{name}="{color}"], .swatch [{name}="{color}"] {{ {name}: {value}; }}\n'
+        for color, value in THEME.items()
+        for name in ("fill", "stroke")
+    )
+
+
+def file(chart: Chart) -> str:
+    """A chart with the titles of its panels and its legend as an SVG document."""
+    columns = min(_COLUMNS, max(1, len(chart.panels)))
+    parts = []
+    right = top = 0.0
+    for start in range(0, len(chart.panels), columns):
+        row = chart.panels[start : start + columns]
+        titles = [_lines(panel.title, panel.width) for panel in row]
+        head = max(map(len, titles)) * _TITLE + 4.0
+        left = 0.0
+        for panel, title in zip(row, titles, strict=True):
+            for i, line in enumerate(title):
+                parts.append(_text(left + 8, top + _TITLE * (i + 1) - 3, line, size=_TITLE_SIZE, bold=True))
+            parts.append(f'<g transform="translate({_n(left)} {_n(top + head)})">{drawing(panel)}</g>')
+            left += panel.width + _GAP
+        right = max(right, left - _GAP)
+        top += head + max(panel.height for panel in row) + _GAP
+    entries, height = _legend(chart.legend, right)
+    parts.append(f'<g transform="translate(0 {_n(top)})">{entries}</g>')
+    return _document(right, top + height, "".join(parts), f' style="background:{_PAPER}"')
+
+
+def _document(width: float, height: float, content: str, attributes: str) -> str:
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{_n(width)}" height="{_n(height)}"'
+        f' viewBox="0 0 {_n(width)} {_n(height)}" font-family="{FONT}" font-size="{_n(SIZE)}"{attributes}>'
+        f"{content}</svg>"
+    )
+
+
+def drawing(panel: Panel) -> str:
+    """The markup of a panel, its upper left corner at the origin."""
+    series = f'<g class="series">{"".join(_series(panel))}</g>'
+    return "".join((*_axes(panel), *_bars(panel), *_stages(panel), series, *_labels(panel)))
+
+
+def _axes(panel: Panel) -> Iterator[str]:
+    left, top, width, height = panel.box
+    bottom = top + height
+    columns = [(left + width * panel.x.share(value), text) for value, text in panel.x.ticks]
+    rows = [(bottom - height * panel.y.share(value), text) for value, text in panel.y.ticks]
+    grid = [f"M{_n(x)} {_n(top)}v{_n(height)}" for x, _ in columns if panel.x.grid]
+    grid += [f"M{_n(left)} {_n(y)}h{_n(width)}" for y, _ in rows if panel.y.grid]
+    yield f'<path d="{"".join(grid)}" stroke="{_GRID}" fill="none"/>'
+    yield f'<path d="M{_n(left)} {_n(top)}v{_n(height)}h{_n(width)}" stroke="{_SOFT}" fill="none"/>'
+    for x, text in columns:
+        yield _text(x, bottom + 14, text, "middle")
+    for y, text in rows:
+        yield _text(left - 5, y + 4, text, "end")
+    yield _text(left + width / 2, bottom + 32, panel.x.title, "middle", size=SIZE + 1)
+    if panel.y.title:
+        yield _text(12, top + height / 2, panel.y.title, "middle", size=SIZE + 1, turned=True)
+
+
+def _bars(panel: Panel) -> Iterator[str]:
+    for bar in panel.bars:
+        x, y = panel.place(bar.start, bar.y - 0.31)
+        end, low = panel.place(bar.end, bar.y + 0.31)
+        yield (
+            f'<rect x="{_n(x)}" y="{_n(y)}" width="{end - x:.2f}" height="{_n(low - y)}" fill="{bar.color}"'
+            f' data-about="{escape(bar.about)}"/>'
+        )
+
+
+def _stages(panel: Panel) -> Iterator[str]:
+    _, top, _, height = panel.box
+    for x, text in panel.stages:
+        across = panel.place(x, panel.y.low)[0]
+        dash = f'stroke-dasharray="{_DASHES["dash"]}"'
+        yield f'<path d="M{_n(across)} {_n(top)}v{_n(height)}" stroke="{_SOFT}" {dash} fill="none"/>'
+        yield _text(across + 11, top + height - 5, text, color=_SOFT, turned=True)
+
+
+def _series(panel: Panel) -> Iterator[str]:
+    for series in panel.series:
+        spots = [panel.place(x, y) for x, y in zip(series.x, series.y, strict=True)]
+        color = series.look.color
+        line = "M" + "L".join(f"{_n(x)} {_n(y)}" for x, y in spots)
+        if series.fill:
+            yield f'<path d="{line}z" fill="{color}" opacity="{_n(series.opacity)}"/>'
+        elif series.line and len(spots) > 1:
+            yield (
+                f'<path d="{line}" stroke="{color}" stroke-width="{_n(series.line)}" fill="none"'
+                f' stroke-linejoin="round"{_dashes(series.look)}/>'
+            )
+        if series.mark and spots:
+            glyph = _glyph(series.look.marker, series.mark / 2)
+            marks = "".join(f"M{_n(x)} {_n(y)}{glyph}" for x, y in spots)
+            faint = f' opacity="{_n(series.opacity)}"' if series.opacity < 1 else ""
+            yield f'<path d="{marks}" fill="{color}"{faint}/>'
+
+
+def _labels(panel: Panel) -> Iterator[str]:
+    for label, place in panel.placed:
+        if place.far:
+            x, y = panel.place(label.x, label.y)
+            edge = min(max(x, place.box[0]), place.box[2])
+            near = place.box[3] if place.y < y else place.box[1]
+            yield (
+                f'<path d="M{_n(x)} {_n(y)}L{_n(edge)} {_n(near)}" stroke="{label.color}"'
+                ' stroke-width="0.6" fill="none"/>'
+            )
+        first = place.y - LINE * (len(place.lines) - 1) / 2 + 4
+        for i, line in enumerate(place.lines):
+            yield _text(place.x, first + LINE * i, line, place.anchor, color=label.color, halo=True)
+
+
+def _text(
+    x: float, y: float, text: str, anchor: str = "start", *, size: float = SIZE, color: str = INK,
+    bold: bool = False, turned: bool = False, halo: bool = False,
+) -> str:  # fmt: skip
+    place = f'x="{_n(x)}" y="{_n(y)}"'
+    if turned:
+        place = f'transform="translate({_n(x)} {_n(y)}) rotate(-90)"'
+    more = "" if anchor == "start" else f' text-anchor="{anchor}"'
+    more += "" if size == SIZE else f' font-size="{_n(size)}"'
+    # A bold face would be a second font, and the order of fonts in a PDF file is not always the same.
+    more += f' stroke="{INK}" stroke-width="0.4"' if bold else ""
+    # Lines run behind labels, not through them.
+    more += (
+        f' paint-order="stroke" stroke="{_PAPER}" stroke-width="3" stroke-linejoin="round"' if halo else ""
+    )
+    return f'<text {place} fill="{color}"{more}>{escape(text, quote=False)}</text>'
+
+
+def swatch(look: Look) -> str:
+    """Line and marker of a look, 26 × 12 pixels, as they are drawn."""
+    line = ""
+    if look.dash:
+        line = f'<path d="M0 6h26" stroke="{look.color}" stroke-width="2" fill="none"{_dashes(look)}/>'
+    mark = f'<path d="M13 6{_glyph(look.marker, 4)}" fill="{look.color}"/>' if look.marker else ""
+    return line + mark
+
+
+def _legend(entries: dict[str, Look], width: float) -> tuple[str, float]:
+    """Markup and height of a legend's lines."""
+    parts = []
+    x, y = 8.0, 0.0
+    for name, look in entries.items():
+        long = 34.0 + text_width(name) + 16.0
+        if x > 8.0 and x + long > width:
+            x, y = 8.0, y + 18.0
+        parts.append(f'<g transform="translate({_n(x)} {_n(y)})">{swatch(look)}{_text(32, 10, name)}</g>')
+        x += long
+    return "".join(parts), y + 22.0 if entries else 0.0
+
+
+def _lines(title: str, width: float) -> list[str]:
+    characters = int((width - 16) / (0.56 * _TITLE_SIZE))
+    return textwrap.wrap(title, characters, break_long_words=False) or []
+
+
+def _dashes(look: Look) -> str:
+    return f' stroke-dasharray="{_DASHES[look.dash]}"' if _DASHES[look.dash] else ""
+
+
+@cache
+def _glyph(marker: str, radius: float) -> str:
+    """A marker's outline, relative to its middle."""
+    if marker == "circle":
+        around = f"a{_n(radius)} {_n(radius)} 0 1 0"
+        return f"m{_n(-radius)} 0{around} {_n(2 * radius)} 0{around} {_n(-2 * radius)} 0z"
+    corners = [(radius * x, radius * y) for x, y in _CORNERS[marker]]
+    steps = [(b[0] - a[0], b[1] - a[1]) for a, b in zip([(0.0, 0.0), *corners], corners, strict=False)]
+    return "m" + "l".join(f"{_n(x)} {_n(y)}" for x, y in steps) + "z"
+
+
+def _points(panel: Panel) -> dict[str, Any]:
+    """What the page's script needs to name points: box, axes and series with values, names and keys."""
+    series = [
+        {
+            "title": each.title, "color": each.look.color,
+            "x": [_rounded(value) for value in each.x], "y": [_rounded(value) for value in each.y],
+            **({"names": list(each.names)} if each.names else {}),
+            **({"keys": [list(keys) for keys in each.keys]} if each.keys else {}),
+        }
+        for each in panel.series
+        if each.title
+    ]  # fmt: skip
+    return {
+        "box": [round(value, 1) for value in panel.box],
+        "x": _axis(panel.x),
+        "y": _axis(panel.y),
+        "series": series,
+    }
+
+
+def _axis(axis: Axis) -> dict[str, Any]:
+    text = f"{{}} {axis.unit}" if axis.unit else f"{axis.title} {{}}"
+    return {
+        "low": axis.low, "high": axis.high, "log": axis.log, "text": text if axis.ticks else "",
+        "digits": 2 if axis.unit in ("dB", "%") else None,
+    }  # fmt: skip
+
+
+def _rounded(value: float) -> float | int:
+    near = float(f"{value:.5g}")
+    return int(near) if near.is_integer() else near
+
+
+def _n(value: float) -> str:
+    """A coordinate to a tenth of a pixel."""
+    text = f"{value:.1f}"
+    return text[:-2] if text.endswith(".0") else text

@@ -1,1 +1,0 @@
-"""Making of the figures of :mod:`reports.charts.plots`, by kind."""

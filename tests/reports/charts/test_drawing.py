@@ -1,0 +1,154 @@
+"""Axes, places of labels, and charts as SVG and PDF."""
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from reports.charts import data, files, kinds, svg, training
+from reports.charts.chart import Axis, Chart, Panel, Series, Text, linear_axis, log_axis
+from reports.charts.elements import card
+from reports.charts.labels import overlap, place_labels, text_width
+from reports.style import MARKERS, Look, series
+from tests.reports.charts.test_charts import texts, tradeoff
+
+SVG = "{http://www.w3.org/2000/svg}"
+LOOK = Look("#0072B2", "circle", "solid")
+
+
+def parse(document):
+    return ElementTree.fromstring(document)
+
+
+def test_labels_do_not_overlap():
+    points = [(100 + i % 3, 100 + i) for i in range(6)]
+    boxes = [label.box for label in place_labels(points, ["method number"] * 6, (0, 0, 330, 250))]
+    for i, box in enumerate(boxes):
+        assert box[0] >= 0
+        assert box[2] <= 330
+        assert not any(overlap(box, other) for other in boxes[:i])
+
+
+def test_labels_too_long_for_their_chart_are_broken_at_spaces():
+    long = "Scaffold-GS [configuration=paper] (incomplete)"
+    for x in (5.0, 140.0, 275.0):
+        (label,) = place_labels([(x, 100.0)], [long], (0, 0, 280, 200))
+        assert " ".join(label.lines) == long
+        assert len(label.lines) > 1
+        assert label.box[2] - label.box[0] == pytest.approx(max(map(text_width, label.lines)))
+        assert label.box[0] >= 0
+        assert label.box[2] <= 280
+    (label,) = place_labels([(5.0, 100.0)], ["ECoNGS (1 of 4)"], (0, 0, 280, 200))
+    assert label.lines == ("ECoNGS (1 of 4)",)
+
+
+def test_text_widths_are_those_of_helvetica():
+    """Sums of the widths of Adobe's font metrics, in thousandths of the size."""
+    assert text_width("PSNR [dB]", 1000) == pytest.approx(667 + 667 + 722 + 722 + 278 + 278 + 556 + 667 + 278)
+    assert text_width("Million", 1000) == pytest.approx(833 + 222 * 4 + 556 * 2)
+
+
+@pytest.mark.parametrize("ends", [(0.1, 0.4), (3.0, 700.0), (1e-7, 5.0), (42.0, 42.0)])
+def test_axes_hold_their_values_and_ticks_read_as_numbers(ends):
+    for axis in (log_axis(ends, "size [MiB]"), linear_axis(ends, "size [MiB]", least=0.5)):
+        assert 0 < axis.share(ends[0]) <= axis.share(ends[1]) < 1
+        assert 2 <= len(axis.ticks) <= 10
+        assert all(-1e-9 <= axis.share(value) <= 1 + 1e-9 for value, _ in axis.ticks)
+        assert [float(text.replace(",", "")) for _, text in axis.ticks] == pytest.approx(
+            [value for value, _ in axis.ticks], abs=1e-12
+        )
+        assert axis.unit == "MiB"
+    assert log_axis(ends, "").share((ends[0] * ends[1]) ** 0.5) == pytest.approx(0.5)
+
+
+def test_room_for_labels_is_kept_free():
+    assert linear_axis([0.0, 30.0], "", start=0.0, room=0.25).high == pytest.approx(40.0)
+    assert log_axis([1.0, 100.0], "", room=0.5).share(100.0) == pytest.approx(0.5)
+
+
+def test_points_are_drawn_where_their_values_are():
+    x, y = Axis("x", 0.0, 10.0), Axis("y", 1.0, 100.0, log=True)
+    panel = Panel("t", x, y, [Series("s", [0.0, 5.0, 10.0], [1.0, 10.0, 100.0], LOOK, line=1.0)])
+    left, top, width, height = panel.box
+    (path,) = [
+        e for e in parse(f"<svg>{svg.drawing(panel)}</svg>").iter("path") if e.get("stroke") == LOOK.color
+    ]
+    spots = [tuple(map(float, pair.split())) for pair in path.get("d")[1:].split("L")]
+    expected = [(left, top + height), (left + width / 2, top + height / 2), (left + width, top)]
+    assert np.allclose(spots, expected, atol=0.06)
+
+
+def test_every_marker_and_area_is_well_formed_and_texts_are_escaped():
+    for marker in MARKERS:
+        axes = Axis("x", 0.0, 1.0), Axis("y", 0.0, 1.0)
+        area = Series("", [0.5, 1.0, 1.0], [0, 1, 0], LOOK, fill=True)
+        point = Series("s", [0.5], [0.5], Look("#000000", marker, ""), mark=4.0)
+        labels = [Text(0.5, 0.5, "<i>&", "#000000")]
+        panel = Panel("a < b & c", *axes, [area, point], labels, stages=[(0.3, "</svg>")])
+        chart = Chart([panel] * 4, {"<n>": Look("#000000", marker, "dash")})
+        words = [element.text for element in parse(svg.file(chart)).iter(f"{SVG}text")]
+        assert words.count("<i>&") == words.count("</svg>") == words.count("a < b & c") == 4
+        assert "<n>" in words
+
+
+def test_the_page_has_the_same_drawing_with_values_and_keys(maker):
+    maker.run(scene="a", method="ivr-gs", rate=64, psnr=33.333333, fps=12.0, views=0)
+    panel = tradeoff(maker.tables()["results"], "fps")["vortex"]
+    html = card(panel, "PSNR & speed")
+    assert svg.drawing(panel) in html
+    assert "PSNR &amp; speed" in html
+    points = json.loads(re.search(r'<script type="application/json">(.*)</script>', html)[1])
+    means = points["series"][-1]
+    assert (means["x"], means["y"], means["names"]) == ([12], [33.333], ["mean over scenes"])
+    assert means["keys"] == [["vortex / iVR-GS @ 64 / quick / test"]]
+    assert points["x"]["text"] == "frames per second {}"
+    assert points["y"]["text"] == "{} dB"
+
+
+def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path):
+    for method in ("3dgs", "econgs", "hac"):
+        for dataset in ("x", "y"):
+            maker.run(dataset, method=method, views=0, psnr=30 + len(method))
+    results = maker.tables()["results"]
+    chart = kinds.tradeoff(data.tradeoff(results, "fps"), "fps", series(results))
+    paths = [files.write({"psnr-fps": chart}, tmp_path / name)[0] for name in "ab"]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert b"/FontFile" in paths[0].read_bytes()
+    words = [element.text for element in parse(paths[0].with_suffix(".svg").read_text()).iter(f"{SVG}text")]
+    assert {"x", "y", "3DGS", "ECoNGS", "HAC", "frames per second"} <= set(words)
+
+
+def test_charts_of_any_number_of_bars_and_panels(maker):
+    for method in ("3dgs", "econgs", "hac"):
+        for dataset in ("x", "y"):
+            maker.run(dataset, method=method, psnr=30 + len(method))
+    tables = maker.tables()
+    panels = training.convergence(tables["curve"], "iteration")
+    assert [
+        panel.title for panel in kinds.convergence(panels, "iteration", ["3DGS", "ECoNGS", "HAC"]).panels
+    ] == ["x", "y"]
+    bars = tables["ledger"]
+    for size in (bars.head(1), bars, bars.assign(variant="an_option=with a very long value," * 4)):
+        every = pd.concat([size, *(size.assign(part=f"part {i}", job=f"{i}") for i in range(9))])
+        for table in (size, every):
+            chart = kinds.ledger(*data.ledger(table))
+            (panel,) = chart.panels
+            parse(svg.file(chart))
+            assert panel.box[0] >= max(text_width(text) for _, text in panel.y.ticks)
+            for _, place in panel.placed:
+                assert place.box[2] <= panel.width
+
+
+def test_many_variants_and_scenes_leave_no_label_on_another(maker):
+    rng = np.random.default_rng(3)
+    for method in ("3dgs", "econgs", "hac", "scaffold-gs", "ivr-gs"):
+        for scene in "ab":
+            psnr, size = float(rng.normal(33.0, 0.3)), int(rng.integers(1 << 20, 1 << 22))
+            maker.run(scene=scene, method=method, psnr=psnr, size=size, views=0)
+    panel = tradeoff(maker.tables()["results"])["vortex"]
+    assert texts(panel) == {"3DGS", "ECoNGS", "HAC", "Scaffold-GS", "iVR-GS"}
+    boxes = [place.box for _, place in panel.placed]
+    assert not any(overlap(a, b) for i, a in enumerate(boxes) for b in boxes[:i])
