@@ -221,7 +221,8 @@ def commands(_: str) -> str:
     (found,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     text = f"{parser.epilog}\n"
     for name, command in found.choices.items():
-        text += f"\n## bench {name}\n\n{_escaped(command.description).capitalize()}.\n\n"
+        purpose = _escaped(command.description)
+        text += f"\n## bench {name}\n\n{purpose[:1].upper()}{purpose[1:]}.\n\n"
         actions = [action for action in command._actions if action.dest not in ("help", "debug")]
         text += _markdown(["argument", "meaning"], [[_argument(a), _escaped(a.help)] for a in actions])
     return text
