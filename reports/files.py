@@ -1,4 +1,4 @@
-"""The files beside the page: charts for papers, and the tables in formats to take away."""
+"""The files beside the page: charts for papers, and tables as CSV, Parquet, Markdown, LaTeX and JSON."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from reports.paper import documents as paper_documents
 from reports.tables import confidence, datasets
 from reports.tables.documents import to_csv, to_latex, to_markdown
 from reports.tables.protocols import by_training_views
-from reports.tables.results import left_out
+from reports.tables.results import superseded_note
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,54 +24,52 @@ if TYPE_CHECKING:
 
     from reports.charts.chart import Chart
     from reports.paper.values import PaperTable
+    from reports.statistics import Views
 
 
 def write_files(
     tables: dict[str, pd.DataFrame],
     folder: Path,
-    measured: Sequence[PaperTable],
+    paper: Sequence[PaperTable],
+    views: Views,
     drawings: dict[str, Chart] | None = None,
 ) -> None:
     """Write charts and tables.
 
-    ``charts/`` (SVG and PDF), ``results.*`` (CSV, Parquet, Markdown, LaTeX), ``paper/`` (its tables),
-    ``curves/`` (JSON, one file per method and dataset); ``intervals.csv`` and ``comparisons.csv`` where there
-    are views; ``bd-rate.csv`` where methods were measured at several rates; ``datasets.*`` where rendering
-    volumes was measured.
+    Always: ``charts/`` (SVG and PDF), ``results.*`` (CSV, Parquet, Markdown, LaTeX), ``paper/`` (the paper's
+    tables), ``curves/`` (JSON, one file per method and dataset). ``intervals.csv`` and ``comparisons.csv``
+    need views, ``bd-rate.csv`` needs several rates, and ``datasets.*`` needs costs of rendering.
 
     Args:
-        tables: results, views, curve, ledger, timing, features and dvr (docs/concepts/architecture.md).
-        folder: where to; made if it is missing.
-        measured: the paper's tables of the same rows.
+        tables: the tables of :mod:`reports.schema`.
+        folder: folder of the files; it is created if it does not exist.
+        paper: the paper's tables, from the same rows.
+        views: ``tables["views"]``.
         drawings: name -> chart.
     """
     results, dvr = tables["results"], tables["dvr"]
     if not results.empty:
         folder.mkdir(parents=True, exist_ok=True)
-        shown = by_training_views(tables)
         charts.write(drawings or {}, folder / "charts")
-        for table in measured:
+        for table in paper:
             write_text(folder / "paper" / f"{table.name}.md", paper_documents.to_markdown(table))
             write_text(folder / "paper" / f"{table.name}.tex", paper_documents.to_latex(table))
         write_text(folder / "results.csv", to_csv(results))
         _replace(folder / "results.parquet", results.to_parquet(None, index=False))
-        remark = left_out(tables.get("superseded"))
-        write_text(folder / "results.md", to_markdown(shown["results"], shown["views"], remark))
-        write_text(folder / "results.tex", to_latex(shown["results"], shown["views"], remark))
-        _write_statistics(shown, folder)
-        _write_rates(shown["results"], folder)
+        remark = superseded_note(tables.get("superseded"))
+        results = by_training_views({"results": results})["results"]
+        write_text(folder / "results.md", to_markdown(results, views, remark))
+        write_text(folder / "results.tex", to_latex(results, views, remark))
+        for name, make in (("intervals", confidence.intervals), ("comparisons", confidence.comparisons)):
+            statistics = make(results, views)
+            if not statistics.empty:
+                write_text(folder / f"{name}.csv", to_csv(statistics))
+        _write_rates(results, folder)
     if not dvr.empty:
         costs = datasets.costs(dvr)
         write_text(folder / "datasets.csv", to_csv(dvr))
         write_text(folder / "datasets.md", to_markdown(costs))
         write_text(folder / "datasets.tex", to_latex(costs))
-
-
-def _write_statistics(tables: dict[str, pd.DataFrame], folder: Path) -> None:
-    for name, make in (("intervals", confidence.intervals), ("comparisons", confidence.comparisons)):
-        table = make(tables["results"], tables["views"])
-        if not table.empty:
-            write_text(folder / f"{name}.csv", to_csv(table))
 
 
 def _write_rates(results: pd.DataFrame, folder: Path) -> None:
@@ -84,20 +82,20 @@ def _write_rates(results: pd.DataFrame, folder: Path) -> None:
             write_text(path, json.dumps(curve.exchange(), indent=1) + "\n")
     differences = rate_distortion.differences(curves)
     if differences:
-        table = pd.DataFrame([asdict(found) for found in differences])
-        table["warnings"] = ["; ".join(told) for told in table["warnings"]]
+        table = pd.DataFrame([asdict(difference) for difference in differences])
+        table["warnings"] = ["; ".join(warnings) for warnings in table["warnings"]]
         for name in ("psnr_range", "bytes_range"):
             table[name] = [f"{ends[0]:.7g} to {ends[1]:.7g}" if ends else "" for ends in table[name]]
         write_text(folder / "bd-rate.csv", to_csv(table))
 
 
 def _file_name(title: str) -> str:
-    """Letters, digits and a few signs, the same on every system."""
+    """A title as a file name that is valid on every system."""
     return re.sub(r"[^A-Za-z0-9._=+-]+", "-", title).strip("-.") or "unnamed"
 
 
 def write_text(path: Path, text: str) -> None:
-    """A file is whole or as it was."""
+    """Write a file; readers get the old content or the whole new one."""
     _replace(path, text.encode("utf-8"))
 
 

@@ -1,8 +1,8 @@
-"""How sure the numbers are: intervals over views, spread over seeds, paired comparison of two models.
+"""Uncertainty of the numbers: intervals over views, and paired comparison of two models.
 
 Neighbouring test views show nearly the same picture, so their errors are not independent. Intervals
-therefore come from a circular block bootstrap of runs of consecutive views. What varies between seeds is
-another matter and is told apart.
+therefore come from a circular block bootstrap of runs of consecutive views. They do not contain the
+variation between seeds.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 BLOCKS = 6
-"""Blocks that the path of test views is divided into."""
+"""Number of blocks of the path of test views."""
 RESAMPLES = 2000
 LEAST_VIEWS = 4
-"""With fewer there is no interval."""
+"""Least number of views that have an interval."""
 _SEED = 20240607
 
 
@@ -35,35 +35,35 @@ class Interval(NamedTuple):
     views: int
 
     def contains(self, value: float) -> bool:
-        """Whether it is known and has a value between its ends."""
+        """Whether the interval exists and ``value`` is between its ends."""
         return self.low is not None and self.high is not None and self.low < value < self.high
 
     def lies(self, side: int) -> bool:
-        """Whether it is known and lies above zero (side 1), or below (-1)."""
+        """Whether the interval exists and is above zero (``side`` 1) or below zero (-1)."""
         return self.excludes_zero and (self.mean > 0) == (side > 0)
 
     @property
     def excludes_zero(self) -> bool:
-        """Whether it is known and lies on one side of zero. A difference of exactly nothing does not."""
+        """Whether the interval exists and zero is outside it; [0, 0] contains zero."""
         return self.low is not None and self.high is not None and (self.low > 0 or self.high < 0)
 
 
 def block_length(views: int) -> int:
-    """Views per block: a sixth of the path, however densely it was sampled.
+    """Views per block: a sixth of the path, at any density of views.
 
-    A block should outlast the correlation of errors along the path, which is a matter of angle; measured on
-    `vortex_views` it is gone after a tenth of the path.
+    A block must be longer than the correlation of errors along the path. The correlation depends on the
+    angle between views; on `vortex_views` it ends after a tenth of the path.
     """
     return max(1, -(-views // BLOCKS))
 
 
 def bootstrap_means(values: NDArray[np.float64], length: int, resamples: int = RESAMPLES) -> NDArray[Any]:
-    """Means of resampled series (circular block bootstrap; Politis & Romano 1992), always the same ones.
+    """Means of resampled series (circular block bootstrap; Politis & Romano 1992), with a fixed seed.
 
     Args:
-        values: (n,) in the order of the path; its end is followed by its begin.
-        length: of a block, 1 to n; 1 is the ordinary bootstrap.
-        resamples: how many.
+        values: (n,) values in the order of the path; the first follows the last.
+        length: length of a block, 1 to n; 1 is the ordinary bootstrap.
+        resamples: number of resampled series.
 
     Returns:
         (resamples,) means of n values each.
@@ -74,28 +74,26 @@ def bootstrap_means(values: NDArray[np.float64], length: int, resamples: int = R
 
 @cache
 def _weights(n: int, length: int, resamples: int) -> NDArray[np.float64]:
-    """(resamples, n): how often each value is drawn, over n; one matrix serves all series of a length."""
+    """(resamples, n) number of draws of each value, over n; the same for all series of n values."""
     starts = np.random.default_rng(_SEED).integers(0, n, (resamples, -(-n // length)))
-    drawn = (starts[:, :, None] + np.arange(length)) % n
+    indices = (starts[:, :, None] + np.arange(length)) % n
     rows = np.arange(resamples)[:, None]
     weights = np.zeros((resamples, n))
-    np.add.at(weights, (rows, drawn.reshape(resamples, -1)[:, :n]), 1.0 / n)
+    np.add.at(weights, (rows, indices.reshape(resamples, -1)[:, :n]), 1.0 / n)
     return weights
 
 
 def interval(strata: Sequence[NDArray[np.float64]], length: int | None = None) -> Interval:
     """Mean and 95 % interval: Student's t with the standard error of the block bootstrap.
 
-    Percentiles of so few blocks would be too narrow; t with (blocks - 1) degrees of freedom, and the error
-    scaled by sqrt(blocks / (blocks - 1)), makes up for that.
+    Percentiles of so few blocks would be too narrow. The factor sqrt(blocks / (blocks - 1)) and
+    Student's t with (blocks - 1) degrees of freedom correct that.
 
     Args:
-        strata: values per view in the order of the path, one array per path; the mean is that of their
-            means, and paths are drawn independently.
-        length: of a block; None for :func:`block_length`.
+        strata: one array per path: values per view in the order of the path. The result is the mean of the
+            paths' means; paths are resampled independently.
+        length: length of a block; None for :func:`block_length`.
     """
-    from scipy.stats import t
-
     count = sum(map(len, strata))
     mean = float(np.mean([values.mean() for values in strata]))
     if min(map(len, strata)) < LEAST_VIEWS:
@@ -106,28 +104,36 @@ def interval(strata: Sequence[NDArray[np.float64]], length: int | None = None) -
         blocks = len(values) / size
         variance += float(bootstrap_means(values, size).var()) * blocks / (blocks - 1)
         fewest = min(fewest, blocks)
-    half = float(t.ppf(0.975, fewest - 1)) * variance**0.5 / len(strata)
+    half = _quantile(float(fewest) - 1.0) * variance**0.5 / len(strata)
     return Interval(mean, mean - half, mean + half, count)
+
+
+@cache
+def _quantile(freedom: float) -> float:
+    """97.5 % quantile of Student's t."""
+    from scipy.stats import t
+
+    return float(t.ppf(0.975, freedom))
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A model's values of one metric: scene -> view -> value, views in order, averaged over seeds."""
+    """A model's values of one metric: scene -> view -> value, views in order, mean over seeds."""
 
     scenes: dict[str, dict[str, float]]
 
     def interval(self) -> Interval | None:
-        """Of the mean over scenes; None without values."""
+        """Interval of the mean over scenes; None without values."""
         return _of_scenes(list(self.scenes.values()))
 
     def minus(self, other: Sample) -> Interval | None:
-        """Of the mean paired difference over the views that both have; None if their scenes differ."""
+        """Interval of the mean paired difference over the views of both; None if their scenes differ."""
         if set(self.scenes) != set(other.scenes):
             return None
         pairs = []
-        for scene, mine in self.scenes.items():
-            theirs = other.scenes[scene]
-            pairs.append({view: value - theirs[view] for view, value in mine.items() if view in theirs})
+        for scene, values in self.scenes.items():
+            others = other.scenes[scene]
+            pairs.append({view: value - others[view] for view, value in values.items() if view in others})
         return _of_scenes(pairs)
 
 
@@ -136,50 +142,65 @@ def _of_scenes(scenes: list[dict[str, float]]) -> Interval | None:
         return None
     arrays = [np.fromiter(values.values(), np.float64) for values in scenes]
     if all(list(values) == list(scenes[0]) for values in scenes):
-        # One path for all scenes: what a view shows is seen in all of them, so they are drawn together.
+        # All scenes share one path, and so the errors of a view: views are resampled for all scenes at once.
         arrays = [np.mean(arrays, axis=0)]
     return interval(arrays)
 
 
 class Views:
-    """The values of a `views` table by job.
+    """The values of a `views` table by job, with the results of comparisons: documents repeat them.
 
     Args:
-        table: as documented, in the order of the path within a job.
+        table: the table `views`, in the order of the path within a job; None for no views.
     """
 
-    def __init__(self, table: pd.DataFrame) -> None:
-        self._jobs = {str(job): rows for job, rows in table.groupby("job", sort=False)}
-        # A report asks for the same values hundreds of times, and pandas takes 5 ms for each answer.
-        self._known: dict[tuple[str, str], tuple[str, dict[str, float]] | None] = {}
+    def __init__(self, table: pd.DataFrame | None = None) -> None:
+        self._table = table
+        self._values: dict[str, dict[str, tuple[str, dict[str, float]]]] = {}
+        self._samples: dict[tuple[str, ...], Sample | None] = {}
+        self._differences: dict[tuple[tuple[str, ...], tuple[str, ...]], Interval | None] = {}
 
     def sample(self, jobs: Iterable[str], metric: str) -> Sample | None:
-        """The values of a model's jobs (scenes, seeds); None if any of them has no views, or lacks values.
+        """The values of a model's jobs (scenes, seeds); None if one of them has no values.
 
-        Where seeds saw different views, those that all saw count.
+        Where seeds have different views, the sample has the views that all seeds have.
         """
+        key = (metric, *map(str, jobs))
+        if key not in self._samples:
+            self._samples[key] = self._sample(key[1:], self._jobs(metric))
+        return self._samples[key]
+
+    def difference(self, first: Iterable[str], second: Iterable[str], metric: str) -> Interval | None:
+        """Interval of first - second, the jobs of two models; None where views cannot be paired."""
+        keys = (metric, *map(str, first)), (metric, *map(str, second))
+        if keys not in self._differences:
+            a, b = (self.sample(key[1:], metric) for key in keys)
+            self._differences[keys] = None if a is None or b is None else a.minus(b)
+        return self._differences[keys]
+
+    def _sample(
+        self, jobs: tuple[str, ...], values: dict[str, tuple[str, dict[str, float]]]
+    ) -> Sample | None:
         by_scene: dict[str, list[dict[str, float]]] = {}
         for job in jobs:
-            key = str(job), metric
-            if key not in self._known:
-                self._known[key] = self._values(*key)
-            known = self._known[key]
-            if known is None:
+            if job not in values:
                 return None
-            by_scene.setdefault(known[0], []).append(known[1])
-        averaged = {}
+            scene, views = values[job]
+            by_scene.setdefault(scene, []).append(views)
+        means = {}
         for scene, seeds in by_scene.items():
             shared = [view for view in seeds[0] if all(view in seed for seed in seeds)]
-            averaged[scene] = {view: float(np.mean([seed[view] for seed in seeds])) for view in shared}
-        return Sample(averaged) if averaged else None
+            means[scene] = {view: float(np.mean([seed[view] for seed in seeds])) for view in shared}
+        return Sample(means) if means else None
 
-    def _values(self, job: str, metric: str) -> tuple[str, dict[str, float]] | None:
-        """Of a job: its scene and view -> value; None without any."""
-        rows = self._jobs.get(job)
-        if rows is None or metric not in rows:
-            return None
-        rows = rows[rows[metric].notna()]
-        if rows.empty:
-            return None
-        seen = dict(zip(rows["view"].astype(str), rows[metric].astype(float), strict=True))
-        return str(rows["scene"].iloc[0]), seen
+    def _jobs(self, metric: str) -> dict[str, tuple[str, dict[str, float]]]:
+        """Job -> its scene, and view -> value."""
+        if metric not in self._values:
+            jobs: dict[str, tuple[str, dict[str, float]]] = {}
+            if self._table is not None and metric in self._table:
+                rows = self._table[self._table[metric].notna()]
+                columns = (rows[name].astype(str).tolist() for name in ("job", "scene", "view"))
+                for job, scene, view, value in zip(*columns, rows[metric].astype(float), strict=True):
+                    jobs.setdefault(job, (scene, {}))[1][view] = value
+            self._values[metric] = jobs
+        return self._values[metric]

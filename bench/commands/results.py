@@ -21,38 +21,38 @@ def results(options: Namespace) -> int:
     tables = build_tables(store, current(options), write=False)
     print_as(tables[options.table], options.format)
     if options.table != "superseded":
-        _tell_left_out(tables, sys.stderr)
+        _print_superseded(tables, sys.stderr)
     return 0
 
 
 def report(options: Namespace) -> int:
     """Print those of the paper's tables that a store has rows of, and write its HTML report."""
     from reports.page.document import write_report
-    from reports.paper import claims
-    from reports.paper import documents as paper_documents
-    from reports.paper import tables as paper_tables
-    from reports.paper import verdicts as claims_documents
+    from reports.paper import claims, documents, verdicts
+    from reports.paper.tables import paper_tables
+    from reports.statistics import Views
 
     store = Store(Path(options.runs))
     page = _page(Path(options.out)) if options.out else store.root / "report.html"
     tables = build_tables(store, current(options))
-    measured = paper_tables.of_tables(tables)
-    for table in measured:
-        print(paper_documents.to_text(table))
+    views = Views(tables["views"])
+    paper = paper_tables(tables, views)
+    for table in paper:
+        print(documents.to_text(table))
     if options.check_claims:
-        print(claims_documents.to_text(claims.check(measured, tables["views"])))
-    _tell_left_out(tables, sys.stdout)
-    write_report(tables, store.root, page, measured)
+        print(verdicts.to_text(claims.check(paper, views)))
+    _print_superseded(tables, sys.stdout)
+    write_report(tables, store.root, page, paper, views)
     print(page)
     return 0
 
 
-def _tell_left_out(tables: dict[str, pd.DataFrame], out: TextIO) -> None:
-    from reports.tables.results import left_out
+def _print_superseded(tables: dict[str, pd.DataFrame], out: TextIO) -> None:
+    from reports.tables.results import superseded_note
 
-    told = left_out(tables["superseded"])
-    if told:
-        print(f"{told} `bench results --table superseded` lists them.", file=out)
+    note = superseded_note(tables["superseded"])
+    if note:
+        print(f"{note} `bench results --table superseded` lists them.", file=out)
 
 
 def _page(out: Path) -> Path:

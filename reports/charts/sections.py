@@ -10,6 +10,7 @@ import pandas as pd
 from reports.charts import data, features, kinds, rate_distortion, stability_sections, training
 from reports.charts.chart import Chart, Panel
 from reports.charts.elements import Section, card, cards, legend, table
+from reports.statistics import Views
 from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, absent, legend_entries, mib, seconds, series
 from reports.tables import confidence
 from reports.tables.protocols import comparable
@@ -64,10 +65,10 @@ def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
 
 
 def _confidence(results: pd.DataFrame, views: pd.DataFrame) -> Section | None:
-    known = confidence.intervals(results, views, ["psnr"])
+    known = confidence.intervals(results, Views(views), ["psnr"])
     if known.empty:
         return None
-    pairs = confidence.comparisons(results, views, ["psnr"])
+    pairs = confidence.comparisons(results, Views(views), ["psnr"])
     several = [axis for axis in ("preset", "split") if known[axis].nunique() > 1]
     rows = []
     for _, group in known.groupby(["dataset", "preset", "split"], sort=False, dropna=False):

@@ -1,4 +1,4 @@
-"""The report: one HTML file that needs no network, with the same charts and tables beside it as files."""
+"""The report: one HTML file that needs no network. The same charts and tables are files beside it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from reports.charts import svg
 from reports.charts.elements import Section
 from reports.charts.sections import chart_sections
 from reports.files import write_files, write_text
-from reports.page import editing, provenance, scenes
+from reports.page import datasets, editing, provenance, scenes
 from reports.page import results as results_table
-from reports.paper import tables as paper_tables
-from reports.paper import verdicts as claims_documents
+from reports.paper import verdicts
+from reports.paper.tables import paper_tables
+from reports.statistics import Views
 from reports.style import absent, label
-from reports.tables import datasets
 from reports.tables.protocols import by_training_views
 
 if TYPE_CHECKING:
@@ -28,32 +28,35 @@ if TYPE_CHECKING:
     from reports.paper.values import PaperTable
 
 _WEB = Path(__file__).parent / "web"
-_LONG = 50  # characters of a fact that needs a wide box
+_LONG = 50  # characters from which a fact has a wide box
 
 
 def write_report(
-    tables: dict[str, pd.DataFrame], root: Path, out: Path, measured: Sequence[PaperTable] | None = None
+    tables: dict[str, pd.DataFrame],
+    root: Path,
+    out: Path,
+    paper: Sequence[PaperTable] | None = None,
+    views: Views | None = None,
 ) -> Path:
-    """Write the report.
-
-    Beside it go the files of :func:`reports.files.write_files`, and panels of pictures into ``charts/``.
+    """Write the report, the files of :func:`reports.files.write_files`, and panels into ``charts/``.
 
     Args:
-        tables: results, views, curve, ledger, timing, features and dvr (docs/concepts/architecture.md).
-        root: run store that the picture paths in ``views`` are relative to.
+        tables: the tables of :mod:`reports.schema`.
+        root: folder that the paths of pictures in ``views`` are relative to.
         out: the HTML file.
-        measured: the paper's tables of the same rows, where the caller has made them.
+        paper: the paper's tables of the same rows, if the caller has them.
+        views: ``tables["views"]``, if the caller has it.
 
     Returns:
         ``out``.
     """
     results, dvr = tables["results"], tables["dvr"]
-    if measured is None:
-        measured = [] if results.empty else paper_tables.of_tables(tables)
+    views = views or Views(tables["views"])
+    paper = paper_tables(tables, views) if paper is None else paper
     sections: list[Section] = []
     stored = tables
     if not results.empty:
-        paper = claims_documents.section(measured, tables["views"])
+        claims = verdicts.section(paper, views)
         tables = by_training_views(tables)
         results = tables["results"]
         pictures = scenes.section(tables, root, out.parent / "charts")
@@ -62,9 +65,9 @@ def write_report(
             Section(
                 "results",
                 "Results",
-                results_table.section(results, tables["views"], tables.get("superseded")),
+                results_table.section(results, views, tables.get("superseded")),
             ),
-            *([Section("paper", "The paper's tables", paper)] if paper else []),
+            *([Section("paper", "The paper's tables", claims)] if claims else []),
             *([Section("scenes", "Scenes", pictures)] if pictures else []),
             *([Section("editing", "Editing", edits)] if edits else []),
             *chart_sections(tables),
@@ -74,7 +77,7 @@ def write_report(
     if not results[["machine", "commit"]].dropna(how="all").empty:
         sections.append(Section("provenance", "Provenance", provenance.section(results)))
     charts = {name: chart for section in sections for name, chart in section.charts.items()}
-    write_files(stored, out.parent, measured, charts)
+    write_files(stored, out.parent, paper, views, charts)
     name = _name(dvr if results.empty else results)
     write_text(out, _document(name, _head(name, tables, sections), sections))
     return out
@@ -106,7 +109,7 @@ def _document(name: str, head: str, sections: list[Section]) -> str:
 
 
 def _policy(script: str) -> str:
-    """What the browser lets the page do: run this very script and nothing else, and fetch nothing."""
+    """Content security policy: the browser runs this script only, and fetches nothing."""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return (
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; "
@@ -127,17 +130,17 @@ def _scene_count(results: pd.DataFrame) -> str:
     return ", ".join([str(kinds.get("basic", 0)), *others])
 
 
-def _listed(results: pd.DataFrame, column: str) -> str:
-    """The different values of a column, in order."""
+def _values(results: pd.DataFrame, column: str) -> str:
+    """The distinct values of a column, in order."""
     return ", ".join(str(value) for value in results[column].dropna().unique() if str(value))
 
 
-def _joined(*texts: str) -> str:
-    return ", ".join(text for text in texts if text)
+def _pair(results: pd.DataFrame, *columns: str) -> str:
+    return ", ".join(values for column in columns if (values := _values(results, column)))
 
 
 def _methods(results: pd.DataFrame) -> str:
-    """The methods; in how many variants where several were measured: all names would fill the page."""
+    """The methods; of a method with several variants only their number."""
     variants = results.fillna({"variant": ""}).groupby("method", sort=False)["variant"].unique()
     return ", ".join(
         label(method, names[0]) if len(names) == 1 else f"{label(method)} in {len(names)} variants"
@@ -146,7 +149,7 @@ def _methods(results: pd.DataFrame) -> str:
 
 
 def _head(name: str, tables: dict[str, pd.DataFrame], sections: list[Section]) -> str:
-    """Heading, how the runs went, links to the sections, and what was run."""
+    """Heading, counts of statuses, links to the sections, and facts about the runs."""
     results = tables["results"]
     title = f'<h1>{escape(name)}</h1><button type="button" id="theme" hidden></button>'
     links = "".join(f'<li><a href="#{part.anchor}">{escape(part.title)}</a></li>' for part in sections)
@@ -162,13 +165,13 @@ def _head(name: str, tables: dict[str, pd.DataFrame], sections: list[Section]) -
     }
     facts = [
         ("Methods", _methods(results)),
-        ("Datasets", _listed(results, "dataset")),
+        ("Datasets", _values(results, "dataset")),
         ("Scenes", _scene_count(results)),
-        ("Preset, split", _joined(_listed(results, "preset"), _listed(results, "split"))),
+        ("Preset, split", _pair(results, "preset", "split")),
         ("Image size", ", ".join(sorted(sizes))),
-        ("Training views", _listed(results, "train_views")),
-        ("Seeds", _listed(results, "seed")),
-        ("Machine, device", _joined(_listed(results, "machine"), _listed(results, "device"))),
+        ("Training views", _values(results, "train_views")),
+        ("Seeds", _values(results, "seed")),
+        ("Machine, device", _pair(results, "machine", "device")),
     ]
     cards = "".join(
         f'<div class="fact{" long" if len(v) > _LONG else ""}"><dt>{escape(k)}</dt><dd>{escape(v)}</dd></div>'

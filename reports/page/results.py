@@ -1,90 +1,86 @@
-"""The page's table of results: all rows with the means of each dataset, to be sorted and filtered."""
+"""The page's table of results: all rows and the means of each dataset, with sorting and filters."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 from reports.page import markup
 from reports.page.provenance import DETAILS, details
 from reports.schema import COLUMNS, by_name
+from reports.statistics import Views
 from reports.style import MISSING, absent, label, mean_key, series
-from reports.tables.columns import cell, quality
+from reports.tables.columns import axes, cell, numbers, records
 from reports.tables.means import summary
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
-from reports.tables.results import left_out, processors
+from reports.tables.results import processor_note, reasons, superseded_note
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-def section(results: pd.DataFrame, views: pd.DataFrame, superseded: pd.DataFrame | None = None) -> str:
-    """The table with its controls, what the columns mean, and what did not finish.
+def section(results: pd.DataFrame, views: Views, superseded: pd.DataFrame | None = None) -> str:
+    """The table with its controls, the meaning of its columns, and the unfinished runs.
 
     Args:
-        results: the documented table.
-        views: the documented table; with it, differences are marked that are none by chance.
-        superseded: the documented table; how many rows it has is told.
+        results: the table `results`.
+        views: the table `views`; it decides whether two values of quality differ.
+        superseded: the table `superseded`, for a note with its number of rows.
     """
-    wanted = [
-        *quality(results), "size_bytes", "primitives", "train_seconds", "load_seconds", "fps",
-        "peak_host_bytes", "peak_device_bytes",
-    ]  # fmt: skip
-    explained = {name for _, row in results.iterrows() for name in _reasons(row)}
-    always = {"psnr", "size_bytes", *explained}
-    numbers = [name for name in wanted if name in always or results[name].notna().any()]
-    axes = [a for a in ("kind", "preset", "split", "seed", "device") if results[a].nunique(dropna=False) > 1]
+    required = {"psnr", "size_bytes", *(name for _, row in _records(results) for name in _reasons(row))}
+    names = [name for name in numbers(results) if name in required or results[name].notna().any()]
     means = summary(results)
-    writer = _Rows(results, numbers, axes, ranks(results, views), ranks(means, views))
+    writer = _Rows(results, names, ranks(results, views), ranks(means, views))
+    columns = [by_name(name) for name in ("scene", "method", *writer.axes, "status", *names)]
     bodies = []
     for dataset, rows in results.groupby("dataset", sort=False):
-        name = escape(str(dataset))
-        span = len(numbers) + len(axes) + 3
+        span, name = len(columns), escape(str(dataset))
         lines = [f'<tr class="group"><th scope="rowgroup" colspan="{span}">{name}</th></tr>']
         order = {scene: i for i, scene in enumerate(rows["scene"].unique())}
-        # The methods of a scene stand together, to be compared.
-        ordered = rows.sort_values("scene", key=lambda s: s.map(order), kind="stable")
-        told: dict[str, list[str]] = {"basic": [], "composed": [], "edited": []}
-        for index, row in ordered.iterrows():
-            told[row["kind"]].append(writer.scene(index, row))
-        of_dataset = means[means["dataset"] == dataset]
-        lines += told["basic"]
-        lines += [writer.mean(index, row) for index, row in of_dataset.iterrows()]
-        lines += told["composed"] + told["edited"]
+        # The methods of a scene are neighbours.
+        rows = rows.sort_values("scene", key=lambda scenes: scenes.map(order), kind="stable")
+        for kind in ("basic", "mean", "composed", "edited"):
+            part = means[means["dataset"] == dataset] if kind == "mean" else rows[rows["kind"] == kind]
+            write = writer.mean if kind == "mean" else writer.scene
+            lines += [write(index, row) for index, row in _records(part)]
         bodies.append(f"<tbody>{''.join(lines)}</tbody>")
     heads = "".join(
-        f'<th scope="col"{" class=r" if column.name in numbers else ""} data-better="{column.better}">'
+        f'<th scope="col"{" class=r" if column.name in names else ""} data-better="{column.better}">'
         f'<button type="button" title="{escape(column.doc)}">{escape(column.header)}</button></th>'
-        for column in map(by_name, ("scene", "method", *axes, "status", *numbers))
+        for column in columns
     )
-    data = json.dumps(
-        {"names": [name for name, _ in DETAILS.values()], "rows": writer.details}, separators=(",", ":")
-    ).replace("</", "<\\/")
+    titles = [by_name(name).header for name in DETAILS]
+    data = json.dumps({"names": titles, "rows": writer.details}, separators=(",", ":")).replace("</", "<\\/")
     return (
         f"{_controls(results)}"
         '<div class="wide tall" role="region" tabindex="0" aria-label="Results">'
-        '<table class="results"><caption>One row per scene and method; under them the means of the dataset. '
-        "A row opens to show where its numbers come from.</caption>"
+        '<table class="results"><caption>One row per scene and method; below them the means of the dataset. '
+        "A row opens to show the origin of its numbers.</caption>"
         f"<thead><tr>{heads}</tr></thead>{''.join(bodies)}</table></div>"
         f'<script type="application/json" id="details">{data}</script>'
-        f"{_notes(results, numbers, writer, left_out(superseded))}{_failures(results)}"
+        f"{_notes(results, names, writer, superseded_note(superseded))}{_failures(results)}"
     )
 
 
+def _records(table: pd.DataFrame) -> Iterable[tuple[Any, dict[str, Any]]]:
+    """Index and row of each row."""
+    return zip(table.index, records(table), strict=True)
+
+
 class _Rows:
-    """Writes the rows, and collects their details in the same order."""
+    """Writer of the rows; it collects their details in the same order."""
 
     def __init__(
         self,
         results: pd.DataFrame,
         numbers: list[str],
-        axes: list[str],
         marks: dict[tuple[Any, str], int],
         mean_marks: dict[tuple[Any, str], int],
     ) -> None:
         self.names = series(results)
-        self.numbers, self.axes = numbers, axes
+        self.numbers, self.axes = numbers, axes(results)
         self.marks, self.mean_marks = marks, mean_marks
         self.details: list[list[str]] = []
 
@@ -115,13 +111,13 @@ class _Rows:
         self.details.append(details(row))
         dataset = escape(str(row["dataset"]))
         key = mean_key(row) if kind == "mean" else str(row["job"])
-        shown = "".join(f"<td>{escape(cell(axis, row.get(axis)))}</td>" for axis in self.axes)
+        cells_of_axes = "".join(f"<td>{escape(cell(axis, row.get(axis)))}</td>" for axis in self.axes)
         return (
             f'<tr class="row {kind}" data-dataset="{dataset}" data-status="{escape(status)}" '
             f'data-method="{escape(label(row["method"], row["variant"]))}" data-key="{escape(key)}">'
             f'<th scope="row"><button type="button" aria-expanded="false">'
             f'<span class="ds">{dataset} / </span>'
-            f"{escape(name)}</button></th><td>{markup.method(row, self.names)}</td>{shown}"
+            f"{escape(name)}</button></th><td>{markup.method(row, self.names)}</td>{cells_of_axes}"
             f"<td>{state}</td>{cells}</tr>"
         )
 
@@ -151,13 +147,13 @@ class _Rows:
 
 
 def _controls(results: pd.DataFrame) -> str:
-    """Of the page's script, which shows them."""
+    """The filters; the page's script shows them."""
     statuses = [str(status) for status in results["status"].unique()]
     datasets = [str(name) for name in results["dataset"].unique()]
 
     def select(name: str, text: str, options: list[tuple[str, str]]) -> str:
-        listed = "".join(f'<option value="{escape(v)}">{escape(said)}</option>' for v, said in options)
-        return f'<label>{text} <select data-filter="{name}">{listed}</select></label>'
+        items = "".join(f'<option value="{escape(v)}">{escape(label)}</option>' for v, label in options)
+        return f'<label>{text} <select data-filter="{name}">{items}</select></label>'
 
     def values(name: str, text: str, options: list[str]) -> str:
         return select(name, text, [("", "all"), *((option, option) for option in options)])
@@ -176,23 +172,25 @@ def _controls(results: pd.DataFrame) -> str:
 
 def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows, superseded: str) -> str:
     note = (
-        "Quality and FPS of the rows “all” are means over scenes, size and time are sums, memory is the "
-        "maximum. Sizes are MiB (2<sup>20</sup> bytes). "
+        "Rows “all”: quality and FPS are means over scenes, size and time are sums, memory is the maximum. "
+        "Sizes are in MiB (2<sup>20</sup> bytes). "
     )
     if (results["kind"] == "composed").any():
         note += (
-            "A composed row shows its scenes rendered together, with the sum of their sizes and times; it "
-            "is in no mean or sum. "
+            "A composed row is several scenes rendered together; its size and time are sums over them. Means "
+            "and sums exclude it. "
         )
     if (results["kind"] == "edited").any():
-        note += "An edited row is measured against the edited scene's ground truth; it is in no mean or sum. "
+        note += (
+            "An edited row is compared with the ground truth of the edited scene. Means and sums exclude it. "
+        )
     if writer.marked:
         note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
     if writer.undecided:
         note += f"{UNDECIDED_NOTE} "
     if numbers[0] == "ssim" and "lpips_vgg" in numbers:
-        note += "LPIPS could not be computed (the reason stands in its cells), so SSIM and FLIP lead. "
-    for remark in (superseded, processors(results)):
+        note += "LPIPS is missing (its cells give the reason), so SSIM and FLIP come first. "
+    for remark in (superseded, processor_note(results)):
         note += f"<b>{escape(remark)}</b> " if remark else ""
     note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '
     note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
@@ -208,8 +206,8 @@ def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows, superseded:
 
 
 def _failures(results: pd.DataFrame) -> str:
-    bad = results[results["status"] != "ok"]
-    if bad.empty:
+    unfinished = results[results["status"] != "ok"]
+    if unfinished.empty:
         return ""
     names = series(results)
     lines = [
@@ -220,18 +218,14 @@ def _failures(results: pd.DataFrame) -> str:
             escape(cell("stage", row["stage"])),
             f'<span class="wrap">{escape(cell("reason", row["reason"]))}</span>',
         ]
-        for _, row in bad.iterrows()
+        for _, row in _records(unfinished)
     ]
     heads = ("Scene", "Method", "Status", "Stage", "Reason")
-    return (
-        f'<h3 id="failures">What did not finish</h3>{markup.table("Runs that did not finish", heads, lines)}'
-    )
+    return f'<h3 id="failures">Unfinished runs</h3>{markup.table("Unfinished runs", heads, lines)}'
 
 
 def _reasons(row: Any) -> dict[str, str]:
-    """Column -> why it is missing; "" for all others. `reason` lists "metric: why" joined by "; "."""
-    text = "" if absent(row["reason"]) else str(row["reason"])
+    """Column -> why it is missing; the key "" applies to all columns of an unfinished row."""
     if row["status"] != "ok":
-        return {"": f"{row['status']}: {text}" if text else str(row["status"])}
-    parts = (part.partition(": ") for part in text.split("; "))
-    return {name: why for name, _, why in parts if name in COLUMNS}
+        return {"": str(row["status"]) + ("" if absent(row["reason"]) else f": {row['reason']}")}
+    return {name: reason for name, reason in reasons(row["reason"]) if name in COLUMNS}

@@ -1,4 +1,4 @@
-"""The paper's claims as conditions on its tables, held against what was measured."""
+"""The paper's claims as conditions on its tables, checked on measured values."""
 
 from __future__ import annotations
 
@@ -6,16 +6,12 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from reports.paper.layouts import layouts
+from reports.paper.layouts import FOLDER, layouts
 from reports.paper.values import QUANTITIES, Block, PaperTable, Row
 from reports.schema import METRICS
 from reports.statistics import Interval, Views
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 HOLDS, EXCEEDS, FAILS = "holds", "holds, exceeds", "does not hold"
 UNSURE = "not decided"
@@ -29,16 +25,16 @@ class Verdict:
     """One claim on one dataset.
 
     Attributes:
-        claim: its identifier.
-        text: what is claimed.
-        where: dataset and protocol that it was checked on; "" if nowhere.
-        same: whether that is the paper's own dataset.
-        measured: the quantity that the claim bounds, None if it was not measured.
-        bounds: what the paper states of it.
+        claim: identifier.
+        text: the claim.
+        where: dataset and protocol of the check; "" if there was none.
+        same: whether the dataset is the paper's own.
+        measured: the quantity that the claim bounds; None if it was not measured.
+        bounds: the paper's bounds of the quantity.
         verdict: one of :data:`VERDICTS`. :data:`EXCEEDS`: by more than the paper states; :data:`UNSURE`: the
             interval of the paired difference contains the bound.
-        interval: its 95 % interval over views, where it is a difference of quality.
-        why: why it is not evaluated, or what its rows differ in besides what is claimed.
+        interval: 95 % interval over views of a difference of quality.
+        why: why the claim is not evaluated, or a further difference between its rows.
     """
 
     claim: str
@@ -54,42 +50,40 @@ class Verdict:
 
 @cache
 def claims() -> list[dict[str, Any]]:
-    """What ``published/claims.toml`` says."""
-    path = Path(__file__).parent / "published" / "claims.toml"
-    return list(tomllib.loads(path.read_text(encoding="utf-8"))["claims"])
+    """The content of ``published/claims.toml``."""
+    return list(tomllib.loads((FOLDER / "claims.toml").read_text(encoding="utf-8"))["claims"])
 
 
-def check(tables: Sequence[PaperTable], views: pd.DataFrame | None = None) -> list[Verdict]:
-    """Every claim on every dataset of its table; one verdict without dataset where none was measured.
+def check(tables: Sequence[PaperTable], views: Views) -> list[Verdict]:
+    """Every claim on every dataset of its table; one verdict without dataset if none was measured.
 
     Args:
-        tables: of the paper, as measured.
-        views: the documented table; with it differences of quality have intervals.
+        tables: the measured tables of the paper.
+        views: the table `views`, for intervals of differences of quality.
     """
     by_name = {table.name: table for table in tables}
-    seen = Views(views) if views is not None and not views.empty else None
     verdicts: list[Verdict] = []
     for claim in claims():
         table = by_name.get(claim.get("table", ""))
         blocks = [block for block in table.blocks if _about(claim, block)] if table else []
-        known = [one for one in (_verdict(claim, block, seen) for block in blocks) if one is not None]
-        if not known:
+        checks = [verdict for block in blocks if (verdict := _verdict(claim, block, views)) is not None]
+        if not checks:
             why = claim.get("why", "")
-            verdict = SKIPPED if why else UNKNOWN
-            known = [Verdict(claim["id"], claim["text"], "", False, None, _bounds(claim), verdict, None, why)]
-        verdicts += known
+            state = SKIPPED if why else UNKNOWN
+            checks = [Verdict(claim["id"], claim["text"], "", False, None, _bounds(claim), state, None, why)]
+        verdicts += checks
     return verdicts
 
 
 def _about(claim: dict[str, Any], block: Block) -> bool:
-    """Claims about one dataset by name are not asked of others, except of what imitates it."""
+    """Whether a claim applies: one that names datasets applies to them and to their stand-ins."""
     if claim.get("own") and not block.same:
         return False
     return "datasets" not in claim or block.published in claim["datasets"]
 
 
-def _verdict(claim: dict[str, Any], block: Block, views: Views | None) -> Verdict | None:
-    """None if the block lacks what the claim is about."""
+def _verdict(claim: dict[str, Any], block: Block, views: Views) -> Verdict | None:
+    """The verdict; None if the block lacks a value."""
     rows = _rows(claim, block)
     if rows is None:
         return None
@@ -102,9 +96,8 @@ def _verdict(claim: dict[str, Any], block: Block, views: Views | None) -> Verdic
         values = [values[0] / QUANTITIES[column].scale, whole / QUANTITIES[claim["of"]].scale]
     measured = _measured(what, values)
     interval = None
-    if what == "gain" and column in METRICS and views is not None:
-        first, second = (views.sample(row.jobs, column) for row in rows)
-        interval = first.minus(second) if first and second else None
+    if what == "gain" and column in METRICS:
+        interval = views.difference(rows[0].jobs, rows[1].jobs, column)
     verdict = _decide(claim, measured, interval)
     where = f"{block.dataset}, {block.protocol}" if block.protocol else block.dataset
     why = _mixed(claim, rows)
@@ -114,7 +107,7 @@ def _verdict(claim: dict[str, Any], block: Block, views: Views | None) -> Verdic
 
 
 def _mixed(claim: dict[str, Any], rows: list[Row]) -> str:
-    """Whether rows of one method are of several versions of it, which may be what their difference tells."""
+    """A remark if rows of one method are from several versions, which may cause their difference."""
     methods = {line["label"]: line["method"] for line in layouts()["tables"][claim["table"]]["rows"]}
     sources = {row.sources for row in rows}
     alike = len({methods.get(row.label) for row in rows}) == 1
@@ -122,22 +115,22 @@ def _mixed(claim: dict[str, Any], rows: list[Row]) -> str:
 
 
 def _rows(claim: dict[str, Any], block: Block) -> list[Row] | None:
-    """The rows that a claim compares, of several rivals the best one; None if any is missing."""
+    """The rows that a claim compares, the best one of several rivals; None if one is missing."""
     column = claim["column"]
     by_label = {row.label: row for row in block.rows if row.values[column].mean is not None}
-    found = []
+    rows = []
     for labels in claim["rows"]:
-        named = [labels] if isinstance(labels, str) else labels
-        rivals = [by_label[name] for name in named if name in by_label]
+        names = [labels] if isinstance(labels, str) else labels
+        rivals = [by_label[name] for name in names if name in by_label]
         if not rivals:
             return None
         better = QUANTITIES[column].better
-        found.append(max(rivals, key=lambda row: better * float(row.values[column].mean or 0.0)))
-    return found
+        rows.append(max(rivals, key=lambda row: better * float(row.values[column].mean or 0.0)))
+    return rows
 
 
 def _decide(claim: dict[str, Any], measured: float, interval: Interval | None) -> str:
-    # As exact as the paper prints its own numbers: "2.2 times" is what rounds to it.
+    # The tolerance is half of the last printed digit: "2.2 times" holds for 2.15.
     half = 0.0 if claim.get("exact") else 0.5 * 10.0 ** -_digits(claim)
     low, high, top = claim.get("least"), claim.get("most"), claim.get("top")
     floor = None if low is None else low - (half if low else 0.0)

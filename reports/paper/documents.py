@@ -13,7 +13,7 @@ from reports.tables.ranks import UNDECIDED, UNDECIDED_SIGN
 
 
 def measured_text(value: Value, quantity: Quantity) -> str:
-    """As "36.74", "36.74 ± 0.05", or an en dash."""
+    """The measured value, as "36.74" or "36.74 ± 0.05"; an en dash if it is missing."""
     if value.mean is None:
         return MISSING
     text = f"{value.mean:,.{quantity.digits}f}"
@@ -21,7 +21,7 @@ def measured_text(value: Value, quantity: Quantity) -> str:
 
 
 def published_text(value: Value, quantity: Quantity, same: bool) -> str:
-    """As "36.50 (+0.24)": the published value and, for the same dataset, by how much ours exceeds it."""
+    """The published value and, for the same dataset, measured - published: "36.50 (+0.24)"."""
     if value.published is None:
         return ""
     text = f"{value.published:,.{quantity.digits}f}"
@@ -32,12 +32,12 @@ def published_text(value: Value, quantity: Quantity, same: bool) -> str:
 
 def _heading(block: Block) -> str:
     if not block.published:
-        told = "no published values"
+        second = "no published values"
     elif block.same:
-        told = f"second line: published for {block.published} (difference)"
+        second = f"second line: published for {block.published} (difference)"
     else:
-        told = f"second line: published for {block.published}, which are other data"
-    return f"{block.dataset}: {block.scenes}; {told}"
+        second = f"second line: published for {block.published}, which is other data"
+    return f"{block.dataset}: {block.scenes}; {second}"
 
 
 def to_markdown(table: PaperTable) -> str:
@@ -99,15 +99,14 @@ def to_latex(table: PaperTable) -> str:
             if any(second):
                 small = "".join(f" & \\footnotesize {tex(text)}" if text else " &" for text in second)
                 lines.append(r"\quad \footnotesize published" + small + r" \\")
-    told: dict[str, list[str]] = {}
+    remarks: dict[str, list[str]] = {}
     for block in table.blocks:
         for text in _remarks(block):
-            told.setdefault(text, []).append(f"{block.dataset} ({block.protocol})")
-    several = len(table.blocks) > 1
-    # What holds for all blocks is said once.
+            remarks.setdefault(text, []).append(f"{block.dataset} ({block.protocol})")
+    # A remark on all blocks appears once, without their names.
     notes = [
-        f"{', '.join(where)}: {text}" if several and len(where) < len(table.blocks) else text
-        for text, where in told.items()
+        f"{', '.join(blocks)}: {text}" if len(blocks) < len(table.blocks) else text
+        for text, blocks in remarks.items()
     ]
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", *tex_notes(notes)]) + "\n"
 
@@ -118,11 +117,12 @@ def to_text(table: PaperTable) -> str:
     for block in table.blocks:
         grid: list[list[str]] = [[table.head, *(QUANTITIES[name].title for name in table.columns)]]
         for i, row in enumerate(block.rows):
-            known = {1: "*", 2: "+", UNDECIDED: UNDECIDED_SIGN}
-            signs = {name: known.get(block.marks.get((i, name), 0), " ") for name in table.columns}
-            values = [(row.values[name], QUANTITIES[name], signs[name]) for name in table.columns]
-            grid.append([row.label, *(f"{measured_text(v, q)}{sign}" for v, q, sign in values)])
-            second = [published_text(v, q, block.same) for v, q, _ in values]
+            signs = {1: "*", 2: "+", UNDECIDED: UNDECIDED_SIGN}
+            values = [(row.values[name], QUANTITIES[name]) for name in table.columns]
+            marks = [signs.get(block.marks.get((i, name), 0), " ") for name in table.columns]
+            texts = (measured_text(*value) + mark for value, mark in zip(values, marks, strict=True))
+            grid.append([row.label, *texts])
+            second = [published_text(*value, block.same) for value in values]
             if any(second):
                 grid.append(["  published", *(f"{text} " for text in second)])
         widths = [max(len(line[i]) for line in grid) for i in range(len(grid[0]))]
@@ -138,7 +138,7 @@ def to_text(table: PaperTable) -> str:
 def _cells(
     table: PaperTable, block: Block, marks: Mapping[int, str], under: str, write: Any
 ) -> Iterator[tuple[str, list[str]]]:
-    """Label and cells of each row, measured above published, in a document's own marks."""
+    """Label and cells of each row: the measured value with its mark, and the published value under it."""
     for i, row in enumerate(block.rows):
         cells = []
         for name in table.columns:
@@ -146,14 +146,14 @@ def _cells(
             text = marks.get(block.marks.get((i, name), 0), "{}").format(
                 write(measured_text(value, quantity))
             )
-            told = published_text(value, quantity, block.same)
-            cells.append(text + (under.format(write(told)) if told else ""))
+            published = published_text(value, quantity, block.same)
+            cells.append(text + (under.format(write(published)) if published else ""))
         yield write(row.label), cells
 
 
 def _remarks(block: Block) -> list[str]:
-    """Why values are missing and what marks mean."""
-    told = [f"{row.label}: {row.note}" for row in block.rows if row.note and row.note != NOT_MEASURED]
+    """Reasons of missing values, and the meaning of marks."""
+    notes = [f"{row.label}: {row.note}" for row in block.rows if row.note and row.note != NOT_MEASURED]
     if any(row.note == NOT_MEASURED for row in block.rows):
-        told.append(f"Rows of {MISSING} alone: not measured here.")
-    return [*told, *block.remarks]
+        notes.append(f"Rows with {MISSING} only: not measured here.")
+    return [*notes, *block.remarks]

@@ -1,4 +1,4 @@
-"""How the paper's tables are laid out, and the values that it published (``published/``)."""
+"""Layouts of the paper's tables, and its published values (``published/``)."""
 
 from __future__ import annotations
 
@@ -9,24 +9,25 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-_FOLDER = Path(__file__).parent / "published"
+FOLDER = Path(__file__).parent / "published"
+"""Tables of published values, layouts and claims."""
 
 
 @cache
 def layouts() -> dict[str, Any]:
-    """What ``published/tables.toml`` says."""
-    return tomllib.loads((_FOLDER / "tables.toml").read_text(encoding="utf-8"))
+    """The content of ``published/tables.toml``."""
+    return tomllib.loads((FOLDER / "tables.toml").read_text(encoding="utf-8"))
 
 
 @cache
 def reference_rows(name: str) -> list[dict[str, str]]:
     """The rows of ``published/NAME.csv``."""
-    with (_FOLDER / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+    with (FOLDER / f"{name}.csv").open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
 
 def reference(name: str, match: Mapping[str, str] | None, published: str) -> dict[str, str]:
-    """The published row that answers to a line of a layout; {} where there is none."""
+    """The published row for a line of a layout; {} if there is none."""
     for row in reference_rows(name) if match is not None else ():
         if row["dataset"] == published and all(row[key] == value for key, value in (match or {}).items()):
             return row
@@ -34,25 +35,27 @@ def reference(name: str, match: Mapping[str, str] | None, published: str) -> dic
 
 
 def published_as(name: str, dataset: str) -> dict[str, Any]:
-    """Dataset of a published table -> what the layouts say of it, where this one is it or imitates it."""
-    told = {row["dataset"] for row in reference_rows(name)}
+    """Published dataset -> its description in the layouts, if ``dataset`` is it or imitates it."""
+    datasets = {row["dataset"] for row in reference_rows(name)}
     return {
-        published: about
-        for published, about in layouts()["datasets"].items()
-        if published in told and dataset in (*about.get("real", ()), *about.get("stand_ins", ()))
+        published: description
+        for published, description in layouts()["datasets"].items()
+        if published in datasets
+        and dataset in (*description.get("real", ()), *description.get("stand_ins", ()))
     }
 
 
 def sole_dataset(name: str) -> str:
-    """The dataset that a whole published table is about; "" if it is about several."""
-    told = {row["dataset"] for row in reference_rows(name)}
-    return told.pop() if len(told) == 1 else ""
+    """The only dataset of a published table; "" if the table has several."""
+    datasets = {row["dataset"] for row in reference_rows(name)}
+    return datasets.pop() if len(datasets) == 1 else ""
 
 
 def takes(name: str, dataset: str) -> bool:
-    """Whether a table may show a dataset that is none of its published ones.
+    """Whether a table accepts a dataset that is not one of its published ones.
 
-    Some tables compare methods only, as any run of several methods does: they name their suite's datasets.
+    A table that only compares methods would accept any run of several methods. Such a table lists the
+    datasets of its suite.
     """
     others = layouts()["tables"][name].get("data")
     return others is None or dataset in others

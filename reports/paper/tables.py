@@ -1,4 +1,4 @@
-"""The paper's tables in its own layout: what was measured here, and under it what was published."""
+"""The paper's tables in its own layout: measured values above the published ones."""
 
 from __future__ import annotations
 
@@ -14,169 +14,154 @@ from reports.schema import METRICS
 from reports.statistics import Views
 from reports.style import absent
 from reports.tables.protocols import shared_by_all, together, whole
-from reports.tables.results import left_out
+from reports.tables.results import reasons, superseded_note
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_LEAST_ROWS = 2  # of a block without published values of its own: one row compares nothing
+_LEAST_ROWS = 2  # rows of a block without published values of its own
 
 
-def of_tables(tables: Mapping[str, pd.DataFrame]) -> list[PaperTable]:
-    """:func:`paper_tables` of the documented tables."""
-    return paper_tables(tables["results"], tables["views"], tables["timing"], tables.get("superseded"))
+def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[PaperTable]:
+    """The paper's tables that have a comparison: two measured rows, or one beside its published values.
 
-
-def paper_tables(
-    results: pd.DataFrame,
-    views: pd.DataFrame | None = None,
-    timing: pd.DataFrame | None = None,
-    superseded: pd.DataFrame | None = None,
-) -> list[PaperTable]:
-    """The tables that have something to compare: two measured rows, or one beside its published values.
+    Quality and FPS are means over scenes; size, time and anchors are sums. Edited rows and rows at a rate are
+    ignored. A table of one method takes the seeds that all its rows have.
 
     Args:
-        results: see docs/concepts/architecture.md; edited rows and other rates than the default take
-            no part. Quality and FPS are means over scenes, size, time and anchors are sums. In tables of one
-            method those seeds count that all its rows have.
-        views: the documented table, which decides whether quality can be ranked.
-        timing: the documented table; without it there is none of frame times.
-        superseded: the documented table; how many rows of a dataset are in it is told.
+        tables: the tables of :mod:`reports.schema`: `results`; `timing`, for the table of frame times;
+            `superseded`, for remarks.
+        views: the table `views`, which decides whether quality can be ranked.
     """
+    results = tables["results"]
     results = results[results["kind"].isin(("basic", "composed")) & results["rate"].isna()]
     if results.empty:
         return []
-    results = _with_parts(results, timing)
-    measured = Views(views) if views is not None and not views.empty else None
-    tables = []
-    for name, said in layouts()["tables"].items():
+    results = _with_parts(results, tables.get("timing"))
+    made = []
+    for name, layout in layouts()["tables"].items():
         blocks = [
             block
-            for dataset, rows in _protocols(results, said)
-            for block in _blocks(name, said, dataset, rows, measured, superseded)
+            for dataset, rows in _protocols(results, layout)
+            for block in _blocks(name, layout, dataset, rows, views, tables.get("superseded"))
         ]
         if blocks:
-            tables.append(PaperTable(name, said["title"], said["head"], said["columns"], blocks))
-    return tables
+            made.append(PaperTable(name, layout["title"], layout["head"], layout["columns"], blocks))
+    return made
 
 
 def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFrame:
-    """With the parts of a frame as columns, in milliseconds, and the number of views that were asked for."""
-    results = results.copy()
+    """The results with the parts of a frame as columns, in milliseconds."""
+    columns: dict[str, Any] = {}
     for column, part in (("decode_ms", "decode"), ("rasterise_ms", "rasterise"), ("frame_ms", "frame")):
         rows = timing[timing["part"] == part] if timing is not None and not timing.empty else None
         seconds = {} if rows is None else dict(zip(rows["job"], rows["seconds"], strict=True))
-        results[column] = [1e3 * float(seconds[job]) if job in seconds else None for job in results["job"]]
-    guessed = _requested(results["train_views"])
-    told = results.get("requested_views", guessed)
-    return results.assign(requested_views=told.fillna(guessed))
+        columns[column] = [1e3 * float(seconds[job]) if job in seconds else None for job in results["job"]]
+    # A table of another tool may lack the number of views that was requested.
+    columns["requested_views"] = results["requested_views"].fillna(results["train_views"])
+    return results.assign(**columns)
 
 
-def _requested(views: pd.Series) -> pd.Series:
-    """Training views as asked for, where a table does not tell: with split "val" a tenth was held out."""
-    asked = (6, 12, 42, 92)
-    return views.map(lambda n: n if absent(n) else min((a for a in asked if a >= n), default=n))
-
-
-def _protocols(results: pd.DataFrame, said: dict[str, Any]) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Dataset and rows by protocol; with them those of parts of its scenes that were learned together."""
-    keys = ["preset", "split"] if _by_views(said) else ["preset", "split", "requested_views"]
+def _protocols(results: pd.DataFrame, layout: dict[str, Any]) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Dataset and rows of each protocol, with the rows of parts of its scenes that were trained jointly."""
+    keys = ["preset", "split"] if _by_views(layout) else ["preset", "split", "requested_views"]
     wholes = results["dataset"].map(whole).rename("whole")
     for (dataset, *_), rows in results.groupby([wholes, *keys], dropna=False, sort=False):
         yield str(dataset), rows
 
 
-def _by_views(said: dict[str, Any]) -> bool:
-    return any("train_views" in line for line in said["rows"])
+def _by_views(layout: dict[str, Any]) -> bool:
+    return any("train_views" in line for line in layout["rows"])
 
 
 def _blocks(
     name: str,
-    said: dict[str, Any],
+    layout: dict[str, Any],
     dataset: str,
     results: pd.DataFrame,
-    views: Views | None,
+    views: Views,
     superseded: pd.DataFrame | None,
 ) -> Iterator[Block]:
-    """One per published dataset that this one is or imitates, as far as all its scenes are there."""
-    found = []
-    for published, about in published_as(name, dataset).items():
-        rows = _of_published(results, dataset, about)
-        if rows.loc[rows["kind"] == "basic", "scene"].nunique() == about["count"]:
-            found.append((published, about, rows))
-    if not found and takes(name, dataset):
-        found.append((sole_dataset(name), {}, results[results["dataset"] == dataset]))
-    for published, about, rows in found:
-        block = _block(name, said, dataset, rows, published, about, views, superseded)
+    """One block per published dataset that this one is or imitates, if the results have all its scenes."""
+    parts = []
+    for published, description in published_as(name, dataset).items():
+        rows = _of_published(results, dataset, description)
+        if rows.loc[rows["kind"] == "basic", "scene"].nunique() == description["count"]:
+            parts.append((published, description, rows))
+    if not parts and takes(name, dataset):
+        parts.append((sole_dataset(name), {}, results[results["dataset"] == dataset]))
+    for published, description, rows in parts:
+        block = _block(name, layout, dataset, rows, published, description, views, superseded)
         if block is not None:
             yield block
 
 
-def _of_published(results: pd.DataFrame, dataset: str, about: dict[str, Any]) -> pd.DataFrame:
-    """The rows of those scenes that a published dataset has, learned with no others."""
-    part = results["dataset"] == together(dataset, about["count"])
-    named = results["scene"].map(lambda scene: fnmatch.fnmatch(str(scene), about.get("scenes", "*")))
-    foreign = set(results.loc[~named & (results["kind"] == "basic"), "scene"])
+def _of_published(results: pd.DataFrame, dataset: str, description: dict[str, Any]) -> pd.DataFrame:
+    """The rows of the scenes of a published dataset, where no other scenes were trained with them."""
+    part = results["dataset"] == together(dataset, description["count"])
+    pattern = description.get("scenes", "*")
+    member = results["scene"].map(lambda scene: fnmatch.fnmatch(str(scene), pattern))
+    foreign = set(results.loc[~member & (results["kind"] == "basic"), "scene"])
     alone = results["group"].map(
         lambda group: absent(group) or foreign.isdisjoint(re.split("[+,]", str(group)))
     )
     composed = results["kind"] == "composed"
     models = results["method"].str.cat(results["variant"], sep="\n")
     others = (results["dataset"] == dataset) & ~models.isin(set(models[part]))
-    return results[part | (others & (named | composed) & alone)]
+    return results[part | (others & (member | composed) & alone)]
 
 
 def _block(
     name: str,
-    said: dict[str, Any],
+    layout: dict[str, Any],
     dataset: str,
     results: pd.DataFrame,
     published: str,
-    about: dict[str, Any],
-    views: Views | None,
+    description: dict[str, Any],
+    views: Views,
     superseded: pd.DataFrame | None,
 ) -> Block | None:
-    """None if nothing is to be compared."""
-    columns = said["columns"]
-    lines, seeds_told = _rows(name, said, results, published)
+    """A block; None if it has nothing to compare."""
+    columns = layout["columns"]
+    rows, seed_remarks = _rows(name, layout, results, published)
     measured = [
         line
-        for line, row in zip(said["rows"], lines, strict=True)
+        for line, row in zip(layout["rows"], rows, strict=True)
         if any(value.mean is not None for value in row.values.values())
     ]
-    same = dataset in about.get("real", ())
-    compared = {(line["method"], line.get("variant"), line.get("train_views")) for line in measured}
-    if len(compared) < (1 if same or "scene" in said["rows"][0] else _LEAST_ROWS):
+    same = dataset in description.get("real", ())
+    models = {(line["method"], line.get("variant"), line.get("train_views")) for line in measured}
+    if len(models) < (1 if same or "scene" in layout["rows"][0] else _LEAST_ROWS):
         return None
-    if _by_views(said) and not about and len({line["train_views"] for line in measured}) < _LEAST_ROWS:
-        return None  # says nothing about the number of views
-    shown = [row for row in lines if row.note != NOT_MEASURED or _has_published(row)]
-    places, remarks = marks(shown, columns, views)
+    if (
+        _by_views(layout)
+        and not description
+        and len({line["train_views"] for line in measured}) < _LEAST_ROWS
+    ):
+        return None  # one number of views does not answer the table's question
+    rows = [row for row in rows if row.note != NOT_MEASURED or row.has_published]
+    places, remarks = marks(rows, columns, views)
     first = results.iloc[0]
     count = results.loc[results["kind"] == "basic", "scene"].nunique()
     scenes = f"{count} {'scene' if count == 1 else 'scenes'}, preset {first['preset']}, "
     scenes += f"{first['split']} views of {first['width']} \N{MULTIPLICATION SIGN} {first['height']}"
     protocol = [str(first["preset"])] + ([str(first["split"])] if first["split"] != "test" else [])
-    if not _by_views(said) and not absent(first["requested_views"]):
+    if not _by_views(layout) and not absent(first["requested_views"]):
         scenes += f", {first['requested_views']} training views"
         protocol.append(f"{first['requested_views']} views")
-    methods = {line["label"]: line["method"] for line in said["rows"]}
+    methods = {line["label"]: line["method"] for line in layout["rows"]}
     if "rasterise_ms" in columns:
-        remarks = [*remarks, "Parts of a frame are timed one by one, so that they need not add up to it."]
-    remarks = [*remarks, *seeds_told, *_why_missing(shown, columns), *_versions(shown, methods)]
+        remarks.append("Each part of a frame is timed alone, so that their sum can differ from the frame.")
+    remarks += [*seed_remarks, *_missing_remarks(rows, columns), *_version_remarks(rows, methods)]
     if superseded is not None:
         same_set = (superseded["dataset"].map(whole) == dataset) & (superseded["preset"] == first["preset"])
-        remarks += [told for told in [left_out(superseded[same_set])] if told]
-    return Block(dataset, published, same, scenes, shown, places, remarks, ", ".join(protocol))
+        remarks += filter(None, [superseded_note(superseded[same_set])])
+    return Block(dataset, published, same, scenes, rows, places, remarks, ", ".join(protocol))
 
 
-def _has_published(row: Row) -> bool:
-    return any(value.published is not None for value in row.values.values())
-
-
-def _versions(rows: list[Row], methods: Mapping[str, str]) -> list[str]:
-    """Where rows of one method are of several versions of its source: what differs may be the versions."""
-    told = []
+def _version_remarks(rows: list[Row], methods: Mapping[str, str]) -> list[str]:
+    """A remark for each method with rows of several versions: differences may come from the versions."""
+    remarks = []
     for method in dict.fromkeys(methods.values()):
         by_source: dict[frozenset[str], list[str]] = {}
         for row in rows:
@@ -184,62 +169,62 @@ def _versions(rows: list[Row], methods: Mapping[str, str]) -> list[str]:
                 by_source.setdefault(row.sources, []).append(row.label)
         if len(by_source) > 1:
             groups = "; ".join(", ".join(labels) for labels in by_source.values())
-            told.append(f"Not all of one version of the method's source, but: {groups}.")
-    return told
+            remarks.append(f"Rows of several versions of the method: {groups}.")
+    return remarks
 
 
-def _why_missing(rows: list[Row], columns: list[str]) -> list[str]:
-    """Why columns are empty that should not be: of all rows that were measured, or a metric of some."""
+def _missing_remarks(rows: list[Row], columns: list[str]) -> list[str]:
+    """The reasons why a column is empty in all measured rows, or why some rows lack a metric."""
     measured = [row for row in rows if row.jobs]
-    told = []
+    remarks = []
     for column in columns:
         without = [row for row in measured if row.values[column].mean is None]
         if not without or (column not in METRICS and len(without) < len(measured)):
             continue
-        who = "" if len(without) == len(measured) else f" of {', '.join(row.label for row in without)}"
+        labels = "" if len(without) == len(measured) else f" of {', '.join(row.label for row in without)}"
         reasons = dict.fromkeys(row.missing[column] for row in without if column in row.missing)
-        told.append(f"{QUANTITIES[column].title}{who}: not measured ({'; '.join(reasons) or 'no values'}).")
-    return told
+        text = "; ".join(reasons) or "no values"
+        remarks.append(f"{QUANTITIES[column].title}{labels}: not measured ({text}).")
+    return remarks
 
 
 def _rows(
-    name: str, said: dict[str, Any], results: pd.DataFrame, published: str
+    name: str, layout: dict[str, Any], results: pd.DataFrame, published: str
 ) -> tuple[list[Row], list[str]]:
-    """The lines, and what to say of seeds.
+    """The rows, and remarks on seeds.
 
-    Where all lines are of one method they are of the seeds that they have in common, for seeds of one setting
-    may lie further apart than settings do. Lines of several methods keep theirs, and it is told where those
-    of one method differ.
+    If all rows are of one method, they are means over the seeds that all of them have, because seeds of one
+    setting can differ by more than settings do. Rows of several methods keep all seeds, and a remark names
+    the seeds where rows of one method differ.
     """
-    every = [_by_seed(line, results) for line in said["rows"]]
-    told = []
-    methods = list(dict.fromkeys(line["method"] for line in said["rows"]))
+    lines = layout["rows"]
+    fits = [_by_seed(line, results) for line in lines]
+    remarks = []
+    methods = list(dict.fromkeys(line["method"] for line in lines))
     for method in methods:
-        mine = [
+        measured = [
             (line["label"], seeds)
-            for line, (seeds, _) in zip(said["rows"], every, strict=True)
+            for line, (seeds, _) in zip(lines, fits, strict=True)
             if seeds and line["method"] == method
         ]
-        shared = shared_by_all(seeds for _, seeds in mine)
-        if all(shared == set(seeds) for _, seeds in mine):
+        shared = shared_by_all(seeds for _, seeds in measured)
+        if all(shared == set(seeds) for _, seeds in measured):
             continue
-        labels = ", ".join(label for label, _ in mine)
-        if len(methods) > 1 or any(shared - set(seeds) for _, seeds in mine):
-            of_each = "; ".join(f"{label}: {_numbers(seeds)}" for label, seeds in mine)
-            told.append(f"Not all of the same seeds, but {of_each}.")
+        if len(methods) > 1 or any(shared - set(seeds) for _, seeds in measured):
+            listing = "; ".join(f"{label}: {_numbers(seeds)}" for label, seeds in measured)
+            remarks.append(f"Seeds differ: {listing}.")
             continue
-        told.append(
-            f"Means of seed{'s' if len(shared) > 1 else ''} {_numbers(shared)}, which all have: {labels}."
-        )
-        for _, seeds in mine:
+        labels = ", ".join(label for label, _ in measured)
+        plural = "s" if len(shared) > 1 else ""
+        remarks.append(f"Means over seed{plural} {_numbers(shared)}, which all rows have: {labels}.")
+        for _, seeds in measured:
             for seed in set(seeds) - shared:
                 del seeds[seed]
-    columns = said["columns"]
     rows = [
-        _row(line, columns, *found, reference(name, line.get("match"), published))
-        for line, found in zip(said["rows"], every, strict=True)
+        _row(line, layout["columns"], seeds, notes, reference(name, line.get("match"), published))
+        for line, (seeds, notes) in zip(lines, fits, strict=True)
     ]
-    return rows, told
+    return rows, remarks
 
 
 def _numbers(seeds: Iterable[Any]) -> str:
@@ -247,21 +232,24 @@ def _numbers(seeds: Iterable[Any]) -> str:
 
 
 def _by_seed(line: dict[str, Any], results: pd.DataFrame) -> tuple[dict[Any, pd.DataFrame], list[str]]:
-    """A line's rows by seed, as far as all scenes are there, and why others are not."""
-    kind = results[results["kind"] == ("composed" if line.get("composed") else "basic")]
+    """The rows of a layout's line by seed, for seeds that have all scenes; notes on the other seeds."""
+    model = (results["method"] == line["method"]) & (results["variant"] == line.get("variant", ""))
+    if not model.any():
+        return {}, [NOT_MEASURED]
+    kind = results["kind"] == ("composed" if line.get("composed") else "basic")
     if "scene" in line:
-        kind = kind[kind["scene"] == line["scene"]]
-    rows = kind[(kind["method"] == line["method"]) & (kind["variant"] == line.get("variant", ""))]
+        kind &= results["scene"] == line["scene"]
+    rows = results[kind & model]
     if "train_views" in line:
         rows = rows[rows["requested_views"] == line["train_views"]]
     notes = [] if len(rows) else [NOT_MEASURED]
-    # What all methods were asked for decides whether a seed is complete.
-    wanted = set(kind["scene"])
+    # A seed is complete if it has every scene of any method.
+    scenes = set(results.loc[kind, "scene"])
     complete = {}
     for seed, part in rows.groupby("seed", dropna=False, sort=True):
         status = dict(zip(part["scene"], part["status"], strict=True))
         lacking = [
-            f"{scene} {status.get(scene, 'not run')}" for scene in sorted(wanted) if status.get(scene) != "ok"
+            f"{scene} {status.get(scene, 'not run')}" for scene in sorted(scenes) if status.get(scene) != "ok"
         ]
         if lacking:
             notes.append(f"seed {seed}: {', '.join(lacking)}")
@@ -275,12 +263,12 @@ def _row(
     columns: list[str],
     seeds: Mapping[Any, pd.DataFrame],
     notes: list[str],
-    told: Mapping[str, str],
+    published: Mapping[str, str],
 ) -> Row:
     complete = list(seeds.values())
     return Row(
         line["label"],
-        {c: _value([_of_dataset(p, c) for p in complete], told, QUANTITIES[c]) for c in columns},
+        {c: _value([_of_dataset(part, c) for part in complete], published, QUANTITIES[c]) for c in columns},
         "; ".join(notes),
         [str(job) for part in complete for job in part["job"]],
         frozenset(
@@ -294,21 +282,12 @@ def _row(
             for source in part.get("source", [])
             if not absent(source) and source
         ),
-        {column: why for part in complete for column, why in _reasons(part["reason"])},
+        {metric: why for part in complete for text in part["reason"] for metric, why in reasons(text)},
     )
 
 
-def _reasons(told: pd.Series) -> Iterator[tuple[str, str]]:
-    """(metric, why it is missing) of `reason`: "metric: why" joined by "; "."""
-    for text in told:
-        for part in () if absent(text) else str(text).split("; "):
-            metric, sign, why = part.partition(": ")
-            if sign:
-                yield metric, why
-
-
 def _of_dataset(scenes: pd.DataFrame, column: str) -> float | None:
-    """One number of a dataset's scenes, in the column's unit; None if any of them lacks it."""
+    """One number for a dataset's scenes, in the column's unit; None if a scene lacks it."""
     quantity = QUANTITIES[column]
     if column == "groups":
         return float(scenes["group"].nunique())
@@ -318,8 +297,8 @@ def _of_dataset(scenes: pd.DataFrame, column: str) -> float | None:
     return float(values.astype(float).agg(quantity.across)) * quantity.scale
 
 
-def _value(seeds: list[float | None], told: Mapping[str, str], quantity: Quantity) -> Value:
-    text = told.get(quantity.published, "")
+def _value(seeds: list[float | None], published_row: Mapping[str, str], quantity: Quantity) -> Value:
+    text = published_row.get(quantity.published, "")
     published = float(text) if text.replace(".", "", 1).isdigit() else None
     known = [value for value in seeds if value is not None]
     if not known or len(known) < len(seeds):

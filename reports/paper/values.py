@@ -1,23 +1,28 @@
-"""What the paper's tables are made of."""
+"""Values, rows and blocks of the paper's tables."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
-from reports.style import MIB
+from reports.schema import COLUMNS
 
 NOT_MEASURED = "not measured"
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A column: its header, where its published value stands and what brings measured values to its unit.
+    """A column of the paper's tables.
 
     Attributes:
-        better: 1: more is better, -1: less is.
-        across: how one number comes of a dataset's scenes.
-        clock: whether it depends on the machine.
+        title: header.
+        published: column of the published table.
+        digits: decimals.
+        better: 1 if higher is better, -1 if lower is better, 0 if values are not ranked.
+        scale: factor from the measured unit to the column's.
+        across: how a dataset's scenes are combined: mean, sum or max.
+        clock: whether the value depends on the machine.
     """
 
     title: str
@@ -29,12 +34,18 @@ class Quantity:
     clock: bool = False
 
 
+def _measured(name: str, published: str, digits: int, **more: Any) -> Quantity:
+    """A quantity with title, unit and direction of the schema."""
+    column = COLUMNS[name]
+    return Quantity(column.header, published, digits, column.better, 1.0 / column.scale, **more)
+
+
 QUANTITIES = {
-    "psnr": Quantity("PSNR [dB]", "psnr", 2, 1),
-    "lpips_vgg": Quantity("LPIPS", "lpips_vgg", 3, -1),
-    "fps": Quantity("FPS", "fps", 2, 1, clock=True),
+    "psnr": _measured("psnr", "psnr", 2),
+    "lpips_vgg": _measured("lpips_vgg", "lpips_vgg", 3),
+    "fps": _measured("fps", "fps", 2, clock=True),
     "train_seconds": Quantity("Training [min]", "train_min", 2, -1, 1.0 / 60.0, "sum", clock=True),
-    "size_bytes": Quantity("Size [MiB]", "size_mib", 2, -1, 1.0 / MIB, "sum"),
+    "size_bytes": _measured("size_bytes", "size_mib", 2, across="sum"),
     "primitives": Quantity("Anchors", "anchors", 0, -1, across="sum"),
     "groups": Quantity("Groups", "groups_derived", 0),
     "partition_seconds": Quantity("Clustering [s]", "clustering_s", 2, clock=True),
@@ -47,12 +58,12 @@ QUANTITIES = {
 
 @dataclass(frozen=True)
 class Value:
-    """One cell.
+    """A cell.
 
     Attributes:
-        mean: over seeds, in the column's unit; None if it is missing.
-        published: the paper's value; None if it has none.
-        seeds: what the mean is of.
+        mean: mean over seeds, in the column's unit; None if it is missing.
+        published: the paper's value; None if the paper has none.
+        seeds: the value of each seed.
     """
 
     mean: float | None
@@ -70,14 +81,16 @@ class Value:
 
 @dataclass(frozen=True)
 class Row:
-    """A line of a table.
+    """A row of a table.
 
     Attributes:
-        note: why its cells, or some seed's, are missing.
-        jobs: what its means were measured by: those of complete seeds.
-        hosts: where: machine, device and threads.
-        sources: by which versions of the method's source.
-        missing: column -> why it is missing although the row was measured.
+        label: name of the row.
+        values: column -> cell.
+        note: why cells, or those of a seed, are missing.
+        jobs: the measurements of the complete seeds.
+        hosts: machine, device and threads of the measurements.
+        sources: versions of the method's source.
+        missing: column -> why a measured row lacks it.
     """
 
     label: str
@@ -88,20 +101,26 @@ class Row:
     sources: frozenset[str] = frozenset()
     missing: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def has_published(self) -> bool:
+        """Whether the paper has a value of this row."""
+        return any(value.published is not None for value in self.values.values())
+
 
 @dataclass(frozen=True)
 class Block:
     """The rows of one dataset under one protocol.
 
     Attributes:
-        dataset: its name here.
-        published: name in the paper of the dataset that the published values belong to; "": none.
-        same: whether that is this very dataset. Differences are given only then.
-        scenes: how many of the dataset's scenes were measured, and how, for people.
+        dataset: name of the dataset.
+        published: the paper's name of the dataset with the published values; "" if there are none.
+        same: whether both are one dataset. Only then documents give differences.
+        scenes: number of scenes and the protocol, for people.
+        rows: the rows.
         marks: (row, column) -> 1 for the best, 2 for the second best measured value, or
-            :data:`reports.tables.ranks.UNDECIDED` where they cannot be told apart.
-        remarks: what to know of marks and of missing values.
-        protocol: preset, number of views and split, in a few words.
+            :data:`reports.tables.ranks.UNDECIDED`.
+        remarks: remarks on marks and on missing values.
+        protocol: preset, number of views and split, as a short label.
     """
 
     dataset: str
@@ -116,7 +135,7 @@ class Block:
 
 @dataclass(frozen=True)
 class PaperTable:
-    """One of the paper's tables with as many blocks as datasets were measured; ``head`` names its rows."""
+    """One of the paper's tables: a block per dataset and protocol; ``head`` is the header of the labels."""
 
     name: str
     title: str

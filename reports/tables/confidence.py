@@ -1,12 +1,12 @@
-"""How sure means over scenes are: intervals over views, spread over seeds, differences of methods."""
+"""Uncertainty of means over scenes: intervals over views, spread over seeds, differences of methods."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 from reports.schema import METRICS
-from reports.statistics import Interval, Sample, Views
 from reports.style import MISSING, absent, label
+from reports.tables.columns import records
 from reports.tables.means import summary
 
 if TYPE_CHECKING:
@@ -14,71 +14,73 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
+    from reports.statistics import Interval, Views
+
 FEW_SEEDS = 5
-"""So many single values are told besides their standard deviation."""
-_AXES = ["dataset", "preset", "split"]
+"""Up to this number of seeds, `intervals` lists the value of each seed."""
+_AXES = ("dataset", "preset", "split")
 
 
-def intervals(results: pd.DataFrame, views: pd.DataFrame, metrics: Sequence[str] = METRICS) -> pd.DataFrame:
-    """One row per dataset, method and quality metric (of ``metrics``): how sure its mean over scenes is.
+def intervals(results: pd.DataFrame, views: Views, metrics: Sequence[str] = METRICS) -> pd.DataFrame:
+    """One row per dataset, method and metric: uncertainty of the mean over scenes.
 
     Columns: dataset, method (with variant and rate), preset, split, metric, mean, low, high (95 % over views,
-    of the mean over seeds), views (that were drawn from), seeds, seed_std (over the seeds' means),
-    seed_values (these means, where there are several but few: "34.00; 34.30").
+    for the mean over seeds), views (their number), seeds (their number), seed_std (over the seeds' means),
+    seed_values (the seeds' means, if there are 2 to :data:`FEW_SEEDS`: "34.00; 34.30").
     """
     import pandas as pd
 
     rows: list[dict[str, Any]] = []
-    for row, samples in _measured(results, views, metrics):
-        for metric, sample in samples.items():
-            found = sample.interval()
-            if found is None:
+    by_job = results.set_index("job")
+    for row in _complete(results):
+        fits = by_job.loc[list(row["jobs"])]
+        for metric in metrics:
+            sample = views.sample(row["jobs"], metric)
+            interval = sample.interval() if sample is not None else None
+            if interval is None:
                 continue
-            seeds = _seeds(results, row, metric)
-            several = len(seeds) > 1
+            values = fits[metric].astype(float).groupby(fits["seed"]).mean()
+            several = len(values) > 1
             rows.append(
-                _who(row)
-                | {"metric": metric, **_of(found), "seeds": len(seeds)}
-                | {"seed_std": float(pd.Series(seeds).std()) if several else None}
-                | {"seed_values": "; ".join(f"{v:.4f}" for v in seeds) if 1 < len(seeds) <= FEW_SEEDS else ""}
+                _axes(row)
+                | {"metric": metric, **interval._asdict(), "seeds": len(values)}
+                | {"seed_std": float(values.std()) if several else None}
+                | {
+                    "seed_values": "; ".join(f"{v:.4f}" for v in values)
+                    if 1 < len(values) <= FEW_SEEDS
+                    else ""
+                }
             )
     columns = ["dataset", "method", "preset", "split", "metric", "mean", "low", "high", "views", "seeds"]
     return pd.DataFrame(rows, columns=[*columns, "seed_std", "seed_values"])
 
 
-def comparisons(results: pd.DataFrame, views: pd.DataFrame, metrics: Sequence[str] = METRICS) -> pd.DataFrame:
-    """One row per pair of methods and quality metric (of ``metrics``): first - second on the same views.
+def comparisons(results: pd.DataFrame, views: Views, metrics: Sequence[str] = METRICS) -> pd.DataFrame:
+    """One row per pair of methods and metric: first - second on the same views.
 
     Columns: dataset, preset, split, metric, first, second, difference, low, high (95 %), views, apart (the
-    interval excludes zero). The intervals are of single comparisons, not of all together.
+    interval excludes zero). Each interval is for one comparison, not for all of them together.
     """
     import pandas as pd
 
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for row in _complete(results):
+        groups.setdefault(tuple(str(row[axis]) for axis in _AXES), []).append(row)
     rows = []
-    measured = _measured(results, views, metrics)
-    for i, (first, of_first) in enumerate(measured):
-        for second, of_second in measured[i + 1 :]:
-            if any(first[axis] != second[axis] for axis in _AXES):
-                continue
-            for metric in of_first.keys() & of_second.keys():
-                found = of_first[metric].minus(of_second[metric])
-                if found is None:
-                    continue
-                numbers = _of(found)
-                numbers["difference"] = numbers.pop("mean")
-                names = {"first": _who(first)["method"], "second": _who(second)["method"]}
-                axes = {axis: str(first[axis]) for axis in _AXES}
-                rows.append(axes | {"metric": metric} | names | numbers | {"apart": found.excludes_zero})
+    for metric in metrics:
+        for key, methods in groups.items():
+            axes = dict(zip(_AXES, key, strict=True)) | {"metric": metric}
+            for i, first in enumerate(methods):
+                for second in methods[i + 1 :]:
+                    interval = views.difference(first["jobs"], second["jobs"], metric)
+                    if interval is not None:
+                        rows.append(axes | _pair(first, second, interval))
     columns = [*_AXES, "metric", "first", "second", "difference", "low", "high", "views", "apart"]
-    table = pd.DataFrame(rows, columns=columns)
-    order = {metric: i for i, metric in enumerate(METRICS)}
-    return table.sort_values("metric", key=lambda names: names.map(order), kind="stable").reset_index(
-        drop=True
-    )
+    return pd.DataFrame(rows, columns=columns)
 
 
 def ends(low: float | None, high: float | None, sign: bool = False) -> str:
-    """An interval as "-0.56 to -0.003": as many digits as tell its ends from zero, where it excludes zero."""
+    """An interval as "-0.56 to -0.003", with enough digits that an end unlike zero is not printed as zero."""
     if absent(low) or absent(high):
         return MISSING
     low, high = float(low or 0.0), float(high or 0.0)
@@ -89,38 +91,30 @@ def ends(low: float | None, high: float | None, sign: bool = False) -> str:
 
 
 def signed(value: float, digits: int = 2, sign: bool = True) -> str:
-    """A number with a minus sign that is none of a hyphen's length; never "-0.00"."""
+    """A number with a true minus sign; never "-0.00"."""
     rounded = round(value, digits) + 0.0
     text = f"{rounded:+.{digits}f}" if sign else f"{rounded:.{digits}f}"
     return text.replace("-", "\N{MINUS SIGN}")
 
 
-def _measured(
-    results: pd.DataFrame, views: pd.DataFrame, metrics: Sequence[str]
-) -> list[tuple[Any, dict[str, Sample]]]:
-    """The rows of the summary that are complete and have views, with their samples by metric."""
-    if results.empty or views.empty:
-        return []
-    known = Views(views)
-    made = []
-    for _, row in summary(results).iterrows():
-        samples = {metric: known.sample(row["jobs"], metric) for metric in metrics} if row["complete"] else {}
-        present = {metric: sample for metric, sample in samples.items() if sample is not None}
-        if present:
-            made.append((row, present))
-    return made
+def _complete(results: pd.DataFrame) -> list[dict[str, Any]]:
+    means = summary(results)
+    return records(means[means["complete"]])
 
 
-def _who(row: Any) -> dict[str, Any]:
-    name = label(row["method"], row["variant"], row["rate"])
-    return {"dataset": str(row["dataset"]), "method": name, "preset": row["preset"], "split": row["split"]}
+def _axes(row: dict[str, Any]) -> dict[str, Any]:
+    return {axis: str(row[axis]) for axis in _AXES} | {
+        "method": label(row["method"], row["variant"], row["rate"])
+    }
 
 
-def _of(found: Interval) -> dict[str, Any]:
-    return {"mean": found.mean, "low": found.low, "high": found.high, "views": found.views}
-
-
-def _seeds(results: pd.DataFrame, row: Any, metric: str) -> list[float]:
-    """The mean over scenes of each seed."""
-    jobs = results[results["job"].isin(row["jobs"])]
-    return [float(part[metric].astype(float).mean()) for _, part in jobs.groupby("seed", sort=True)]
+def _pair(first: dict[str, Any], second: dict[str, Any], interval: Interval) -> dict[str, Any]:
+    return {
+        "first": _axes(first)["method"],
+        "second": _axes(second)["method"],
+        "difference": interval.mean,
+        "low": interval.low,
+        "high": interval.high,
+        "views": interval.views,
+        "apart": interval.excludes_zero,
+    }

@@ -2,107 +2,102 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from reports.schema import by_name
 from reports.style import MISSING, absent, label
 from reports.tables.columns import cell, is_results
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
-from reports.tables.results import readable
+from reports.tables.results import with_notes
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from reports.statistics import Views
+
 
 def to_csv(table: pd.DataFrame) -> str:
-    """All columns with raw values; missing is empty.
+    """All columns with raw values; a missing value is empty.
 
-    Numbers are written as Python does: NumPy's text has fewer digits once any library in the process has set
-    its print options (colour-science does).
+    Numbers have Python's digits. NumPy's would be fewer after any library in the process has set its print
+    options (colour-science does).
     """
     import pandas as pd
 
     plain = table.copy()
     for name in plain.columns:
         if plain[name].dtype.kind == "f":
-            values = [None if absent(value) else float(value) for value in plain[name]]
-            plain[name] = pd.Series(values, plain.index, dtype=object)
+            values = plain[name].to_numpy(float, na_value=np.nan).tolist()
+            plain[name] = pd.Series([None if v != v else v for v in values], plain.index, dtype=object)
     return plain.to_csv(index=False, lineterminator="\n")
 
 
-def to_markdown(table: pd.DataFrame, views: pd.DataFrame | None = None, remark: str = "") -> str:
-    """A pipe table; the best value in bold, the second in italics. `results` is cut to what people read.
+def to_markdown(table: pd.DataFrame, views: Views | None = None, remark: str = "") -> str:
+    """A pipe table; the best value in bold, the second in italics. `results` is cut to :func:`display`.
 
     Args:
         table: `results` or any other.
-        views: what :func:`ranks` asks.
-        remark: to stand under it, besides those that follow from its rows.
+        views: see :func:`ranks`.
+        remark: a note below the table, after those that follow from its rows.
     """
     marks = ranks(table, views)
-    table, remarks = readable(table)
-    remarks += [remark] if remark else []
-    lines = ["| " + " | ".join(_md(by_name(name).header) for name in table.columns) + " |"]
-    lines.append("|" + "|".join("---:" if by_name(name).numeric else "---" for name in table.columns) + "|")
-    for index, row in table.iterrows():
-        texts = []
-        for name in table.columns:
-            mark = marks.get((index, name), 0)
-            sign = {1: "**", 2: "*"}.get(mark, "")
-            near = f" {UNDECIDED_SIGN}" if mark == UNDECIDED else ""
-            texts.append(f"{sign}{_md(cell(name, row[name]))}{sign}{near}")
+    table, notes = with_notes(table)
+    columns = [by_name(name) for name in table.columns]
+    lines = [
+        "| " + " | ".join(_md(column.header) for column in columns) + " |",
+        "|" + "|".join("---:" if column.numeric else "---" for column in columns) + "|",
+    ]
+    formats = {1: "**{}**", 2: "*{}*", UNDECIDED: f"{{}} {UNDECIDED_SIGN}"}
+    for row in _rows(table, marks):
+        texts = (formats.get(mark, "{}").format(_md(text)) for text, mark in row)
         lines.append("| " + " | ".join(texts) + " |")
-    if UNDECIDED in marks.values():
-        remarks.append(UNDECIDED_NOTE)
-    lines += [f"\n{_md(remark)}" for remark in remarks]
-    return "\n".join(lines) + "\n"
+    notes += [remark] if remark else []
+    notes += [UNDECIDED_NOTE] if UNDECIDED in marks.values() else []
+    return "\n".join([*lines, *(f"\n{_md(note)}" for note in notes)]) + "\n"
 
 
-def to_latex(table: pd.DataFrame, views: pd.DataFrame | None = None, remark: str = "") -> str:
-    """With booktabs; the best value bold, the second underlined. `results` is cut to what is read.
+def to_latex(table: pd.DataFrame, views: Views | None = None, remark: str = "") -> str:
+    """A booktabs table; the best value bold, the second underlined. `results` is cut to :func:`display`.
 
-    `results` becomes a longtable, which breaks across pages, any other table a tabular.
-
-    Args:
-        table: `results` or any other.
-        views: what :func:`ranks` asks.
-        remark: to stand under it, besides those that follow from its rows.
+    `results` is a longtable, which breaks across pages; any other table is a tabular. Arguments as of
+    :func:`to_markdown`.
     """
     marks = ranks(table, views)
     results = is_results(table)
     notes = [UNDECIDED_NOTE] if UNDECIDED in marks.values() else []
     notes += _unfinished(table) if results else []
-    table, remarks = readable(table)
-    notes += [*remarks, *([remark] if remark else [])]
+    table, more = with_notes(table)
+    notes += [*more, *([remark] if remark else [])]
     if results:
         table = table.drop(columns="reason", errors="ignore")
-    spec = "".join("r" if by_name(name).numeric else "l" for name in table.columns)
-    head = [
-        r"\toprule",
-        " & ".join(tex(by_name(name).header) for name in table.columns) + r" \\",
-        r"\midrule",
-    ]
+    columns = [by_name(name) for name in table.columns]
+    spec = "".join("r" if column.numeric else "l" for column in columns)
+    head = [r"\toprule", " & ".join(tex(column.header) for column in columns) + r" \\", r"\midrule"]
     if results:
         lines = [r"% needs \usepackage{booktabs,longtable}; wide: landscape, small type"]
         lines += [rf"\begin{{longtable}}{{{spec}}}", *head, r"\endhead", r"\bottomrule", r"\endfoot"]
     else:
         lines = [r"% needs \usepackage{booktabs}", rf"\begin{{tabular}}{{{spec}}}", *head]
-    for index, row in table.iterrows():
-        texts = []
-        for name in table.columns:
-            text = tex(cell(name, row[name]))
-            mark = marks.get((index, name), 0)
-            if mark == UNDECIDED:
-                text += r"\rlap{$^{\approx}$}"  # takes no width, so the digits stay aligned
-            macro = {1: "textbf", 2: "underline"}.get(mark)
-            texts.append(f"\\{macro}{{{text}}}" if macro else text)
-        lines.append(" & ".join(texts) + r" \\")
+    # The sign of an undecided value takes no width, so that digits stay aligned.
+    formats = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", UNDECIDED: r"{}\rlap{{$^{{\approx}}$}}"}
+    for row in _rows(table, marks):
+        lines.append(" & ".join(formats.get(mark, "{}").format(tex(text)) for text, mark in row) + r" \\")
     lines += [r"\end{longtable}"] if results else [r"\bottomrule", r"\end{tabular}"]
     return "\n".join([*lines, *tex_notes(notes)]) + "\n"
 
 
+def _rows(table: pd.DataFrame, marks: dict[tuple[Any, str], int]) -> Iterator[list[tuple[str, int]]]:
+    """Text and mark of each cell, row by row."""
+    columns = [[cell(name, value) for value in table[name].tolist()] for name in table.columns]
+    for index, *texts in zip(table.index, *columns, strict=True):
+        yield [(text, marks.get((index, name), 0)) for name, text in zip(table.columns, texts, strict=True)]
+
+
 def _unfinished(results: pd.DataFrame) -> list[str]:
-    """Of each row that did not finish, why."""
+    """Each unfinished row with its reason."""
     return [
         f"{row['dataset']}, {row['scene']}, {label(row['method'], row['variant'], row['rate'])}: "
         f"{row['status']}{'' if absent(row['reason']) else f' ({row.reason})'}"
@@ -111,7 +106,7 @@ def _unfinished(results: pd.DataFrame) -> list[str]:
 
 
 def tex_notes(notes: Iterable[str]) -> list[str]:
-    """What stands below a LaTeX table, a paragraph each."""
+    """Notes below a LaTeX table, one paragraph each."""
     return [rf"\par\noindent{{\footnotesize {tex(note)}\par}}" for note in notes]
 
 
@@ -129,5 +124,5 @@ _TEX = {
 
 
 def tex(text: str) -> str:
-    """Text with what LaTeX would take for commands escaped."""
+    """Text with the characters escaped that are commands in LaTeX."""
     return "".join(_TEX.get(sign, sign) for sign in text)

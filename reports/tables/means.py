@@ -4,81 +4,82 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from reports.style import absent
+from reports.tables.columns import records
+
 if TYPE_CHECKING:
     import pandas as pd
+    from numpy.typing import NDArray
 
-_KEYS = ["dataset", "method", "variant", "rate", "preset", "split"]
+_KEYS = ("dataset", "method", "variant", "rate", "preset", "split")
 _MEAN = ("psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv", "fps")
 _SUM = ("size_bytes", "train_seconds", "load_seconds", "primitives")
 _MAX = ("peak_host_bytes", "peak_device_bytes")
+_NUMBERS = (*_MEAN, *_SUM, *_MAX)
 
 
 def summary(results: pd.DataFrame) -> pd.DataFrame:
-    """Per dataset and method: means over scenes of quality and FPS, sums of size and time, maximum of memory.
+    """One row per dataset, method, variant, rate, preset and split.
 
-    Several seeds are averaged after that, and ``psnr_std`` is their spread. Composed rows do not take part.
-    ``jobs`` names the rows' jobs. A set is complete if every scene that `results` knows of this dataset (at
-    this preset and split) is "ok" for every seed of the method; all numbers of an incomplete set are missing,
-    and ``note`` says why.
+    Quality and FPS are means over basic scenes, size and time are sums, memory is the maximum. These numbers
+    are then averaged over seeds; ``psnr_std`` is the standard deviation of PSNR over seeds. ``jobs`` are the
+    jobs of the rows. ``scenes`` is as "3 of 4". A set is ``complete`` if every seed has a row "ok" of every
+    scene that `results` has of this dataset, preset and split. An incomplete set has no numbers, and ``note``
+    gives the reason.
     """
     import pandas as pd
 
     basic = results[results["kind"] == "basic"]
-    rows: list[dict[str, Any]] = []
-    for keys, group in basic.groupby(_KEYS, dropna=False, sort=False):
-        row: dict[str, Any] = dict(zip(_KEYS, keys, strict=True))
-        same = (basic["dataset"] == row["dataset"]) & (basic["preset"] == row["preset"])
-        wanted = set(basic.loc[same & (basic["split"] == row["split"]), "scene"])
-        good = group[group["status"] == "ok"]
-        seeds = sorted(set(group["seed"].dropna()))
-        lacking = [
-            (s, seed) for seed in seeds for s in sorted(wanted - set(good.loc[good["seed"] == seed, "scene"]))
-        ]
-        row["scenes"] = f"{len(wanted) - len({s for s, _ in lacking})} of {len(wanted)}"
-        row["seeds"], row["complete"] = len(seeds), not lacking
-        row["stale"] = bool(group["stale"].fillna(False).any())
-        row["note"] = _note(group, lacking)
-        row["jobs"] = tuple(str(job) for job in good["job"].dropna()) if not lacking else ()
-        per_seed = [good[good["seed"] == seed] for seed in seeds] if not lacking else []
-        for names, how in ((_MEAN, "mean"), (_SUM, "sum"), (_MAX, "max")):
-            for name in names:
-                values = [_reduce(part[name], how) for part in per_seed]
-                known = values and all(value is not None for value in values)
-                row[name] = (
-                    sum(value for value in values if value is not None) / len(values) if known else None
-                )
-        psnr = [_reduce(part["psnr"], "mean") for part in per_seed]
-        row["psnr_std"] = float(pd.Series(psnr).std()) if len(psnr) > 1 and None not in psnr else None
-        rows.append(row)
-    columns = [
-        *_KEYS,
-        "scenes",
-        "seeds",
-        "complete",
-        *_MEAN,
-        "psnr_std",
-        *_SUM,
-        *_MAX,
-        "stale",
-        "note",
-        "jobs",
-    ]
-    table = pd.DataFrame(rows, columns=columns)
-    numbers = [*_MEAN, "psnr_std", *_SUM, *_MAX]
-    table[numbers] = table[numbers].astype("Float64")
-    return table
+    columns = [*_KEYS, "scene", "seed", "status", "stale", "job"]
+    numbers = basic[list(_NUMBERS)].to_numpy(float, na_value=np.nan)
+    sets: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    scenes: dict[tuple[Any, ...], set[str]] = {}
+    for row, values in zip(records(basic[columns]), numbers, strict=True):
+        row["numbers"] = values
+        sets.setdefault(tuple(None if absent(row[key]) else row[key] for key in _KEYS), []).append(row)
+        scenes.setdefault((row["dataset"], row["preset"], row["split"]), set()).add(row["scene"])
+    rows = []
+    for key, group in sets.items():
+        axes = dict(zip(_KEYS, key, strict=True))
+        rows.append(axes | _set(group, scenes[axes["dataset"], axes["preset"], axes["split"]]))
+    order = [*_KEYS, "scenes", "seeds", "complete", *_MEAN, "psnr_std", *_SUM, *_MAX, "stale", "note", "jobs"]
+    table = pd.DataFrame(rows, columns=order)
+    return table.astype(dict.fromkeys(("rate", "psnr_std", *_NUMBERS), "Float64"))
 
 
-def _reduce(values: pd.Series, how: str) -> float | None:
-    """Of one set; None if any is missing."""
-    if values.empty or values.isna().any():
-        return None
-    return float(values.astype(float).agg(how))
+def _set(group: list[dict[str, Any]], scenes: set[str]) -> dict[str, Any]:
+    """The columns of :func:`summary` for the rows of one key."""
+    seeds: dict[Any, list[dict[str, Any]]] = {row["seed"]: [] for row in group if not absent(row["seed"])}
+    for row in group:
+        if row["status"] == "ok" and not absent(row["seed"]):
+            seeds[row["seed"]].append(row)
+    lacking = sorted(set().union(*(scenes - {row["scene"] for row in rows} for rows in seeds.values())))
+    status = {row["scene"]: row["status"] for row in reversed(group) if row["status"] != "ok"}
+    reasons = "; ".join(f"{scene}: {status.get(scene, 'not run')}" for scene in lacking)
+    complete = not lacking
+    per_seed = [_reduce(np.array([row["numbers"] for row in seeds[seed]])) for seed in sorted(seeds)]
+    missing = np.full(len(_NUMBERS), np.nan)
+    means = np.asarray(sum(per_seed)) / len(per_seed) if complete and per_seed else missing
+    psnr = [values[0] for values in per_seed] if complete else []
+    return {
+        "scenes": f"{len(scenes) - len(lacking)} of {len(scenes)}",
+        "seeds": len(seeds),
+        "complete": complete,
+        "psnr_std": float(np.std(psnr, ddof=1)) if len(psnr) > 1 else None,
+        "stale": any(row["stale"] is True for row in group),
+        "note": f"incomplete, no average: {reasons}" if lacking else "",
+        "jobs": tuple(str(row["job"]) for row in group if row["status"] == "ok") if complete else (),
+        **dict(zip(_NUMBERS, means, strict=True)),
+    }
 
 
-def _note(group: pd.DataFrame, lacking: list[tuple[Any, Any]]) -> str:
-    told = []
-    for scene in dict.fromkeys(scene for scene, _ in lacking):
-        status = group.loc[(group["scene"] == scene) & (group["status"] != "ok"), "status"]
-        told.append(f"{scene}: {status.iloc[0] if len(status) else 'not run'}")
-    return "incomplete, no average: " + "; ".join(told) if told else ""
+def _reduce(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(columns,) of (scenes, columns); NaN where a scene lacks the number, or without scenes."""
+    if not len(numbers):
+        return np.full(len(_NUMBERS), np.nan)
+    sums = np.array([column.copy().sum() for column in numbers.T])
+    means, maxima = sums / len(numbers), numbers.max(axis=0)
+    kinds = [means if name in _MEAN else sums if name in _SUM else maxima for name in _NUMBERS]
+    return np.array([kind[i] for i, kind in enumerate(kinds)])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from reports.schema import COLUMNS, METRICS
-from reports.statistics import Sample, Views
+from reports.statistics import Views
+from reports.style import absent
+from reports.tables.columns import records
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -20,79 +21,80 @@ UNDECIDED_NOTE = (
     f"{UNDECIDED_SIGN}: not ranked against each other: the 95 % interval of their paired difference over "
     "views contains zero."
 )
+_RANKED = {name: column for name, column in COLUMNS.items() if column.better}
+_AXES = ("dataset", "scene", "kind", "preset", "split", "seed")
 
 
-def ranks(results: pd.DataFrame, views: pd.DataFrame | None = None) -> dict[tuple[Any, str], int]:
-    """(row label, column) -> 1 for the best and 2 for the second best, where several methods share a scene.
+def ranks(results: pd.DataFrame, views: Views | None = None) -> dict[tuple[Any, str], int]:
+    """(row index, column) -> 1 for the best and 2 for the second best, where several methods share a scene.
 
-    Only finished rows compete; equal values as shown share a rank. A quality metric is ranked by its mean
-    over views only as far as these views say so: where the interval of the paired difference to the leading
-    value contains zero, both are marked :data:`UNDECIDED` and nothing after them is marked.
+    Only finished rows are ranked; values with the same text share a rank. Where the interval of the paired
+    difference to the leading value contains zero, both are :data:`UNDECIDED`, and no later value has a mark.
 
     Args:
-        results: the documented table, or its :func:`summary`.
-        views: the documented table; without it (or where it lacks a row's job) means alone decide.
+        results: the table `results`, or its :func:`~reports.tables.means.summary`.
+        views: the table `views`; without it, or where it lacks a row's job, means alone decide.
     """
     places: dict[tuple[Any, str], int] = {}
-    by = [c for c in ("dataset", "scene", "kind", "preset", "split", "seed") if c in results]
-    if results.empty or not by or not {"status", "complete"} & set(results.columns):
+    axes = [axis for axis in _AXES if axis in results]
+    finished = next((name for name in ("complete", "status") if name in results), None)
+    if results.empty or not axes or finished is None:
         return places
-    measured = Views(views) if views is not None and not views.empty else None
-    for _, group in results.groupby(by, dropna=False, sort=False):
-        rivals = group[group["complete"]] if "complete" in group else group[group["status"] == "ok"]
-        for name, column in COLUMNS.items():
-            if not column.better or name not in rivals:
-                continue
-            values = rivals[name].dropna()
-            texts = {index: column.text(value) for index, value in values.items()}
-            order = sorted(values.index, key=lambda index: -column.better * float(values[index]))
-            if len(values) < 2 or len(set(texts.values())) < 2:
-                continue
-            samples: dict[Any, Sample | None] = dict.fromkeys(order)
-            if measured is not None and name in METRICS:
-                samples = {index: measured.sample(_jobs(rivals.loc[index]), name) for index in order}
-            apart = partial(told_apart, samples, column.better)
-            for index, place in standing(order, texts, apart).items():
+    views = views or Views()
+    names = [name for name in _RANKED if name in results]
+    of_jobs = "jobs" if "jobs" in results else "job"
+    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    columns = results[[*axes, finished, of_jobs, *names]]
+    for index, row in zip(results.index, records(columns), strict=True):
+        if row[finished] is True or row[finished] == "ok":
+            row["index"], row["jobs"] = index, row["jobs"] if of_jobs == "jobs" else (str(row["job"]),)
+            key = tuple(None if absent(row[axis]) else row[axis] for axis in axes)
+            groups.setdefault(key, []).append(row)
+    for rows in groups.values():
+        for name in names:
+            for index, place in _places([row for row in rows if not absent(row[name])], name, views).items():
                 places[index, name] = place
     return places
 
 
-def standing(order: list[Any], texts: dict[Any, str], apart: Callable[[Any, Any], bool]) -> dict[Any, int]:
-    """Places of rows that are ordered from the best.
+def _places(rivals: list[dict[str, Any]], name: str, views: Views) -> dict[Any, int]:
+    better = _RANKED[name].better
+    rivals = sorted(rivals, key=lambda row: -better * float(row[name]))
+
+    def ahead(first: int, second: int) -> bool:
+        return name not in METRICS or leads(views, rivals[first]["jobs"], rivals[second]["jobs"], name)
+
+    places = top_two([_RANKED[name].text(row[name]) for row in rivals], ahead)
+    return {rivals[position]["index"]: place for position, place in places.items()}
+
+
+def top_two(texts: Sequence[str], ahead: Callable[[int, int], bool]) -> dict[int, int]:
+    """Position -> place of the best and second best of values that are sorted from the best.
 
     Args:
-        order: the rows.
-        texts: their values as shown; equal ones share a place.
-        apart: whether a row and one after it can be told apart.
+        texts: the values for people; equal texts share a place. If all are equal there are no places.
+        ahead: whether one position is reliably better than a later one.
     """
-    places: dict[Any, int] = {}
-    rest = order
+    places: dict[int, int] = {}
+    rest = list(range(len(texts))) if len(set(texts)) > 1 else []
     for place in (1, 2):
-        leaders = [index for index in rest if texts[index] == texts[rest[0]]]
+        leaders = [position for position in rest if texts[position] == texts[rest[0]]]
         rest = rest[len(leaders) :]
-        near = [index for index in rest if not all(apart(leader, index) for leader in leaders)]
+        near = [position for position in rest if not all(ahead(leader, position) for leader in leaders)]
         places |= dict.fromkeys([*leaders, *near], UNDECIDED if near else place)
         if near or not rest:
             break
     return places
 
 
-def told_apart(samples: Mapping[Any, Sample | None], better: int, first: Any, second: Any) -> bool:
-    """Whether views say too that the first is better; where they are not at hand it is taken as it is.
+def leads(views: Views, first: Sequence[str], second: Sequence[str], name: str) -> bool:
+    """Whether views confirm that the first model, whose mean is better, is better.
 
     Args:
-        samples: of all rows.
-        better: 1 if more is, -1 if less is.
-        first: the row whose mean is better.
-        second: the other.
+        views: values by job; where they cannot be paired, the means decide.
+        first: jobs of the first model.
+        second: jobs of the other.
+        name: the metric.
     """
-    a, b = samples[first], samples[second]
-    if a is None or b is None:
-        return True
-    difference = a.minus(b)
-    return difference is None or difference.lies(better)
-
-
-def _jobs(row: Any) -> list[str]:
-    """Of a row of `results` or its summary."""
-    return list(row["jobs"]) if "jobs" in row else [str(row["job"])]
+    difference = views.difference(first, second, name)
+    return difference is None or difference.lies(COLUMNS[name].better)

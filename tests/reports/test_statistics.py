@@ -5,9 +5,9 @@ from scipy import stats
 
 from reports.statistics import Views, block_length, bootstrap_means, interval
 from reports.tables.confidence import ends, signed
-from reports.tables.documents import to_latex, to_markdown
+from reports.tables.documents import tex, to_latex, to_markdown
 from reports.tables.means import summary
-from reports.tables.ranks import UNDECIDED, ranks
+from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, ranks
 
 
 def autoregressive(rng, count, n, rho):
@@ -134,38 +134,39 @@ def rivals(maker, **noise):
 def test_no_ranking_where_the_paired_interval_contains_zero(maker):
     rivals(maker, a=(30.0, 0.1), b=(30.2, 3.0), c=(25.0, 0.1), d=(24.0, 0.1))
     tables = maker.tables()
-    marks = ranks(tables["results"], tables["views"])
+    marks = ranks(tables["results"], Views(tables["views"]))
     assert [marks.get((i, "psnr")) for i in range(4)] == [UNDECIDED, UNDECIDED, None, None]
     assert [ranks(tables["results"]).get((i, "psnr")) for i in range(4)] == [2, 1, None, None]
-    means = ranks(summary(tables["results"]), tables["views"])
+    means = ranks(summary(tables["results"]), Views(tables["views"]))
     assert [means.get((i, "psnr")) for i in range(4)] == [UNDECIDED, UNDECIDED, None, None]
 
 
 def test_the_best_can_be_sure_while_the_second_is_not(maker):
     rivals(maker, a=(33.0, 0.1), b=(30.2, 3.0), c=(30.0, 0.1), d=(24.0, 0.1))
     tables = maker.tables()
-    marks = ranks(tables["results"], tables["views"])
+    marks = ranks(tables["results"], Views(tables["views"]))
     assert [marks.get((i, "psnr")) for i in range(4)] == [1, UNDECIDED, UNDECIDED, None]
 
 
 def test_sure_differences_are_ranked(maker):
     rivals(maker, a=(33.0, 0.1), b=(30.2, 0.1), c=(29.0, 0.1))
     tables = maker.tables()
-    marks = ranks(tables["results"], tables["views"])
+    marks = ranks(tables["results"], Views(tables["views"]))
     assert [marks.get((i, "psnr")) for i in range(3)] == [1, 2, None]
 
 
-def test_tables_say_that_they_do_not_rank(maker):
+def test_undecided_values_have_a_sign_that_a_note_explains(maker):
     rivals(maker, a=(30.0, 0.1), b=(30.2, 3.0))
     tables = maker.tables()
-    told = "95 % interval of their paired difference"
-    assert told in (markdown := to_markdown(tables["results"], tables["views"]))
+    views = Views(tables["views"])
+    markdown = to_markdown(tables["results"], views)
+    assert UNDECIDED_NOTE in markdown
     assert "30.20 ≈ |" in markdown
     assert "**30.20**" not in markdown
-    latex = to_latex(tables["results"], tables["views"])
-    assert r"95 \% interval" in latex
+    latex = to_latex(tables["results"], views)
+    assert tex(UNDECIDED_NOTE) in latex
     assert r"30.20\rlap{$^{\approx}$}" in latex
-    assert told not in to_markdown(tables["results"])
+    assert UNDECIDED_NOTE not in to_markdown(tables["results"])
 
 
 def test_intervals_that_exclude_zero_do_not_read_as_if_they_touched_it():
