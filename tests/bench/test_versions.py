@@ -19,7 +19,7 @@ from bench.records import (
 from bench.store import Store
 from bench.tables import build_tables, rows
 from reports.tables.means import summary
-from reports.tables.results import left_out
+from reports.tables.results import superseded_note
 
 REQUEST = Request(train_views=12, test_views=4, width=8, height=8)
 GROUPS = (("a", "b"), ("c",))
@@ -112,7 +112,7 @@ def test_a_cell_of_two_versions_is_counted_once(tables_of):
     assert len(tables["timing"]) == 3
     assert list(tables["superseded"]["scene"]) == ["a", "b", "c"]
     assert list(tables["superseded"]["psnr"]) == [31.0] * 3
-    assert left_out(tables["superseded"]).startswith("3 rows of older versions")
+    assert superseded_note(tables["superseded"]).startswith("3 rows ")
 
 
 def test_records_as_such_are_all_there():

@@ -24,7 +24,7 @@ def write(maker: Maker) -> Path:
     """The page alone: the files beside it and the paper's tables have tests of their own."""
     with (
         patch.object(page_module, "write_files"),
-        patch.object(page_module.claims_documents, "section", return_value=""),
+        patch.object(page_module.verdicts, "section", return_value=""),
         patch.object(panel_figures, "write", return_value="panel"),
     ):
         return page_module.write_report(maker.tables(), maker.root, maker.root / "report.html")
