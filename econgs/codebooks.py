@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from torch import Tensor
 
 from econgs.context.coder import Decoder, Encoder, exact_model
@@ -150,8 +151,6 @@ def _learn_scalars(values: Tensor, size: int) -> Tensor:
 
 def _learn_vectors(values: Tensor, size: int, seed: int) -> Tensor:
     """Lloyd's algorithm from randomly drawn values; a word that nothing takes moves to what fits worst."""
-    from scipy.sparse import csr_array  # only here: models are read without it
-
     generator = torch.Generator().manual_seed(seed)
     order = torch.randperm(len(values), generator=generator)
     values = values[order[: _SAMPLES * size]]

@@ -10,6 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import squareform
 
 from econgs.context.positions import morton_order
 
@@ -34,8 +37,6 @@ def chamfer_distances(
     Raises:
         ValueError: an empty cloud.
     """
-    from scipy.spatial import cKDTree  # only here: a second of import that fits and models do without
-
     if any(len(cloud) == 0 for cloud in clouds):
         raise ValueError("an empty cloud has no distance to others")
     points = [np.asarray(cloud, dtype=np.float64) for cloud in clouds]
@@ -74,9 +75,6 @@ def cluster(distances: NDArray[np.float64], threshold: float, method: str = "ave
     Returns:
         Groups in the order of their first items; items ascending.
     """
-    from scipy.cluster.hierarchy import fcluster, linkage
-    from scipy.spatial.distance import squareform
-
     count = len(distances)
     if count < 2 or threshold <= 0.0:
         return [[i] for i in range(count)]

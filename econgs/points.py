@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 _LEAST_SQUARED_DISTANCE = 1e-7
@@ -19,22 +19,16 @@ def neighbour_distances(points: Tensor, fallback: float) -> Tensor:
     """
     if len(points) == 1:
         return torch.full((1,), fallback)
-    distances = _neighbours(points, min(4, len(points)))
+    table = points.cpu().numpy().astype(np.float64)
+    distances, _ = cKDTree(table).query(table, k=min(4, len(table)))
     squared = np.square(distances[:, 1:]).mean(axis=1)  # column 0 is the point itself
     return torch.from_numpy(np.sqrt(np.maximum(squared, _LEAST_SQUARED_DISTANCE)).astype(np.float32))
 
 
 def median_neighbour_distance(points: Tensor, fallback: float) -> float:
     """Median distance of (N, 3) points to their nearest neighbours; ``fallback`` if it is 0 or N = 1."""
-    if len(points) == 1:
-        return fallback
-    distances = _neighbours(points, 2)
-    return float(np.median(distances[:, 1])) or fallback
-
-
-def _neighbours(points: Tensor, count: int) -> NDArray[np.float64]:
-    """(N, count) distances to the nearest points, ascending; the first is that to the point itself."""
-    from scipy.spatial import cKDTree  # only here: half a second of import that models do without
-
     table = points.cpu().numpy().astype(np.float64)
-    return np.asarray(cKDTree(table).query(table, k=count)[0])
+    if len(table) == 1:
+        return fallback
+    distances, _ = cKDTree(table).query(table, k=2)
+    return float(np.median(distances[:, 1])) or fallback
