@@ -1,6 +1,6 @@
 """The command line: ``bench`` or ``python -m bench``.
 
-Only what a command needs is imported, and only once it is known: ``bench list`` starts without torch.
+Each command imports only what it needs: ``bench list`` starts without torch.
 
 Exit codes: 0 all done; 1 some job failed or was not finished (its row says why); 2 the request or its
 input cannot be used; 130 stopped by Ctrl-C (run again to resume).
@@ -126,8 +126,8 @@ def _parser() -> _Parser:
     results = command("results", "every measurement of a run store", plugins, runs)
     results.add_argument("--table", choices=TABLES, default="results", help="default: results")
     results.add_argument("--format", choices=("csv", "md", "tex", "json"), default="csv")
-    told = "print the paper's tables as measured, and write the HTML report of a run store"
-    report = command("report", told, plugins, runs)
+    purpose = "print the paper's tables as measured, and write the HTML report of a run store"
+    report = command("report", purpose, plugins, runs)
     report.add_argument(
         "--out",
         metavar="DIR",

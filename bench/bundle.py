@@ -100,12 +100,12 @@ def _tables(records: list[Record]) -> dict[str, pd.DataFrame]:
 
 def _environments(records: list[Record]) -> list[dict[str, Any]]:
     """The different machines and versions that the records name."""
-    found: dict[str, dict[str, Any]] = {}
+    environments: dict[str, dict[str, Any]] = {}
     for record in records:
         if record.provenance is not None:
-            where = record.provenance.model_dump(exclude={"source", "threads"})
-            found[json.dumps(where, sort_keys=True)] = where
-    return list(found.values())
+            environment = record.provenance.model_dump(exclude={"source", "threads"})
+            environments[json.dumps(environment, sort_keys=True)] = environment
+    return list(environments.values())
 
 
 def verify_bundle(path: Path) -> list[str]:
@@ -159,8 +159,8 @@ def _manifest(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
     try:
         manifest: dict[str, Any] = json.loads(archive.read(MANIFEST))
         form, files = manifest["format"], manifest["files"]
-        lengths = [int(said["bytes"]) for said in files.values()]
-        names = [str(said["sha256"]) for said in files.values()]
+        lengths = [int(entry["bytes"]) for entry in files.values()]
+        names = [str(entry["sha256"]) for entry in files.values()]
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         raise DataError(path, f"is no bundle ({MANIFEST}: {error})", "Make it with `bench bundle`") from error
     if form != FORMAT:
@@ -177,10 +177,10 @@ def _check_files(archive: zipfile.ZipFile, files: dict[str, Any]) -> list[str]:
     problems += [f"{name}: leads out of the bundle" for name in files if _leads_out(name)]
     if problems:
         return problems
-    for name, said in files.items():
-        if there[name].file_size != said["bytes"]:
-            problems.append(f"{name}: {there[name].file_size} bytes instead of {said['bytes']}")
-        elif hashlib.sha256(archive.read(name)).hexdigest() != said["sha256"]:
+    for name, entry in files.items():
+        if there[name].file_size != entry["bytes"]:
+            problems.append(f"{name}: {there[name].file_size} bytes instead of {entry['bytes']}")
+        elif hashlib.sha256(archive.read(name)).hexdigest() != entry["sha256"]:
             problems.append(f"{name}: its SHA-256 is another")
     return problems
 
@@ -206,9 +206,9 @@ def _check_store(root: Path, files: set[str]) -> list[str]:
     if problems:
         return problems
     tables = _tables(records)
-    given = {Path(name).stem: root / name for name in files if name.startswith("tables/")}
-    for name in sorted((tables.keys() - _LONG) | given.keys()):
-        text = given[name].read_text(encoding="utf-8") if name in given else ""
+    csv = {Path(name).stem: root / name for name in files if name.startswith("tables/")}
+    for name in sorted((tables.keys() - _LONG) | csv.keys()):
+        text = csv[name].read_text(encoding="utf-8") if name in csv else ""
         # A bundle may be older than a column of its tables.
         columns = text.partition("\n")[0].split(",")
         table = tables.get(name)

@@ -1,4 +1,4 @@
-"""How a run shows itself: a live line on a terminal, plain lines elsewhere."""
+"""Progress of a run on standard error: a live line on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ class PlainDisplay:
     """Lines on standard error: begin and end of each job, and a state now and then."""
 
     def __init__(self) -> None:
-        self._told = 0.0
+        self._printed = 0.0
 
     def begin(self, job: Job, number: int, total: int) -> None:
-        self._started = self._told = time.monotonic()
+        self._started = self._printed = time.monotonic()
         self._prefix = f"[{number}/{total}]"
-        self._say(f"{self._prefix} {job.title}")
+        self._print(f"{self._prefix} {job.title}")
 
     def state(self, state: dict[str, Any]) -> None:
-        if time.monotonic() - self._told >= PLAIN_SECONDS:
-            self._told = time.monotonic()
-            self._say(f"{self._prefix}   {describe(state)}")
+        if time.monotonic() - self._printed >= PLAIN_SECONDS:
+            self._printed = time.monotonic()
+            self._print(f"{self._prefix}   {describe(state)}")
 
     def end(self, job: Job, record: Record | None, note: str = "") -> None:
         seconds = time.monotonic() - self._started
-        self._say(f"{self._prefix}   {ending(record, note)} after {seconds:.1f} s")
+        self._print(f"{self._prefix}   {ending(record, note)} after {seconds:.1f} s")
 
-    def _say(self, line: str) -> None:
+    def _print(self, line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
 
@@ -69,11 +69,11 @@ class LiveDisplay:
 
     def state(self, state: dict[str, Any]) -> None:
         if self._live is not None:
-            known = {k: state[k] for k in ("iteration", "iterations") if state.get(k) is not None}
+            counts = {k: state[k] for k in ("iteration", "iterations") if state.get(k) is not None}
             self._live.update(
                 self._task,
-                completed=known.get("iteration", 0),
-                total=known.get("iterations"),
+                completed=counts.get("iteration", 0),
+                total=counts.get("iterations"),
                 state=describe(state),
             )
 
@@ -90,13 +90,13 @@ class LiveDisplay:
 
 
 def describe(state: dict[str, Any]) -> str:
-    """Stage, iteration, loss, PSNR on validation views, primitives, time left: as far as known."""
+    """Stage, iteration, loss, PSNR on validation views, primitives, time left: as far as counts."""
     parts = [str(state.get("stage", ""))]
     if state.get("iteration") is not None:
         parts.append(f"{state['iteration']}/{state.get('iterations', '?')}")
     if state.get("loss") is not None:
-        shown = {name: value for name, value in state.get("parts", {}).items() if value > 1e-6}
-        others = ", ".join(f"{name} {value:.3g}" for name, value in shown.items())
+        terms = {name: value for name, value in state.get("parts", {}).items() if value > 1e-6}
+        others = ", ".join(f"{name} {value:.3g}" for name, value in terms.items())
         parts.append(f"loss {state['loss']:.4f}" + (f" ({others})" if others else ""))
     if state.get("psnr") is not None:
         parts.append(f"{state['psnr']:.2f} dB")
@@ -111,8 +111,8 @@ def ending(record: Record | None, note: str) -> str:
     """How a job ended, in words."""
     if record is None:
         return note or "not finished"
-    told = record.status if record.ok else f"{record.status} ({record.reason})"
-    return f"{told}, {note}" if note else told
+    status = record.status if record.ok else f"{record.status} ({record.reason})"
+    return f"{status}, {note}" if note else status
 
 
 def span(seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""What jobs may take, from finished ones like them."""
+"""Time, memory and disk that jobs may take, estimated from similar finished jobs."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from typing import Any
 from bench.records import Job, Record
 from bench.store import Store
 
-_ASKED = 9  # jobs whose folders are measured; more would only cost time
+_MEASURED = 9
+"""Jobs whose folders are measured; more would only cost time."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Of one job: wall time in seconds, peak host memory and room on disk in bytes.
+    """Estimate for one job: wall time in seconds, peak host memory and disk in bytes.
 
     Attributes:
-        disk: None where all that is known are records from bundles, which come without the jobs' files.
+        disk: None if all similar jobs came from bundles, which hold records without the jobs' files.
     """
 
     seconds: float
@@ -32,12 +33,12 @@ class Past:
     """Finished jobs of run stores.
 
     Args:
-        stores: where to look; the more, the better the estimates.
+        stores: run stores to read; more of them give better estimates.
     """
 
     def __init__(self, stores: Iterable[Store]) -> None:
         self._alike: dict[tuple[Any, ...], list[tuple[Store, Record]]] = defaultdict(list)
-        self._known: dict[tuple[Any, ...], Estimate] = {}
+        self._estimates: dict[tuple[Any, ...], Estimate] = {}
         for store in stores:
             for record in store.records():
                 if record.ok:
@@ -48,30 +49,31 @@ class Past:
         """Medians over jobs of the same kind, method, preset and (if there are any) dataset.
 
         Returns:
-            None if nothing like it was ever finished.
+            None if no similar job is finished.
         """
         for likeness in _likenesses(job):
             if likeness in self._alike:
-                if likeness not in self._known:
-                    self._known[likeness] = _median(self._alike[likeness])
-                return self._known[likeness]
+                if likeness not in self._estimates:
+                    self._estimates[likeness] = _median(self._alike[likeness])
+                return self._estimates[likeness]
         return None
 
 
 def _likenesses(job: Job) -> list[tuple[Any, ...]]:
-    """The closest first."""
+    """Keys that similar jobs share, the closest similarity first."""
     loose = (job.kind, job.method, job.preset)
     request = job.request
     sized = (*loose, request.width, request.height, request.train_views, request.test_views)
     return [(*sized, job.dataset_name, len(job.scenes)), (*sized, job.dataset_name), sized, loose]
 
 
-def _median(found: list[tuple[Store, Record]]) -> Estimate:
-    folders = (store.jobs / record.job.id for store, record in reversed(found))
-    whole = islice((folder for folder in folders if (folder / "log.txt").is_file()), _ASKED)
-    sizes = [sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) for folder in whole]
+def _median(jobs: list[tuple[Store, Record]]) -> Estimate:
+    whole = (store.jobs / record.job.id for store, record in reversed(jobs) if store.holds_files_of(record))
+    sizes = [
+        sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) for folder in islice(whole, _MEASURED)
+    ]
     return Estimate(
-        seconds=median(record.wall_seconds for _, record in found),
-        memory=int(median(record.peak_host_bytes or 0 for _, record in found)),
+        seconds=median(record.wall_seconds for _, record in jobs),
+        memory=int(median(record.peak_host_bytes or 0 for _, record in jobs)),
         disk=int(median(sizes)) if sizes else None,
     )

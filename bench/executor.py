@@ -31,7 +31,7 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"
 
 
 class Display(Protocol):
-    """Shows how the run goes."""
+    """Reports the progress of a run."""
 
     def begin(self, job: Job, number: int, total: int) -> None: ...
 
@@ -42,7 +42,7 @@ class Display(Protocol):
 
 @dataclass(frozen=True)
 class Limits:
-    """Of one job. ``seconds`` do not count waiting for the machine; ``memory`` in bytes."""
+    """Limits of one job: ``seconds`` without waiting for the machine, and ``memory`` in bytes."""
 
     seconds: float | None = None
     memory: int | None = None
@@ -50,7 +50,13 @@ class Limits:
 
 @dataclass
 class Outcome:
-    """Records of the plan's jobs (finished now or before), and what kept others from finishing."""
+    """Records of the plan's jobs, of this run and of earlier ones.
+
+    Attributes:
+        ran: ids of the jobs that this run executed.
+        unfinished: ids of jobs without a record.
+        stopped: a signal ended the run.
+    """
 
     records: list[Record] = field(default_factory=list)
     ran: list[str] = field(default_factory=list)
@@ -65,8 +71,8 @@ class Outcome:
 class LocalExecutor:
     """Runs the jobs of a planner into a store.
 
-    A first SIGINT or SIGTERM asks the running job to checkpoint and ends the run; a second one
-    kills the job. What is finished stays finished.
+    A first SIGINT or SIGTERM asks the running job to checkpoint and ends the run. A second one kills the job.
+    Finished jobs stay finished.
 
     Args:
         retry: run failed jobs again.
@@ -97,7 +103,7 @@ class LocalExecutor:
         self._attempted: set[str] = set()
 
     def run(self) -> Outcome:
-        """Run all that is not finished yet; failures do not end it."""
+        """Run every job that is not finished yet; the failure of one does not end the run."""
         outcome = Outcome()
         before = {s: signal.signal(s, self._on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
         try:
@@ -110,9 +116,9 @@ class LocalExecutor:
                 signal.signal(number, handler)
         outcome.stopped = bool(self._signals)
         jobs = self._planner.jobs(self._store)
-        found = [(job, self._store.record(job.id)) for job in jobs]
-        outcome.records = [record for _, record in found if record is not None]
-        outcome.unfinished = [job.id for job, record in found if record is None]
+        results = [(job, self._store.record(job.id)) for job in jobs]
+        outcome.records = [record for _, record in results if record is not None]
+        outcome.unfinished = [job.id for job, record in results if record is None]
         return outcome
 
     def _on_signal(self, number: int, frame: Any) -> None:
@@ -126,7 +132,7 @@ class LocalExecutor:
         for number, job in enumerate(jobs, 1):
             if self._signals:
                 return False
-            if self.settled(job):
+            if self._is_final(job):
                 continue
             records = {need: self._store.record(need) for need in job.needs}
             if any(record is None for record in records.values()):
@@ -150,41 +156,41 @@ class LocalExecutor:
                 return True
         return False
 
-    def _without_files(self, needed: Iterable[Record | None], number: int, total: int) -> str:
-        """Why a job cannot run where records came without their files; views are made again."""
-        for record in needed:
+    def _without_files(self, needs: Iterable[Record | None], number: int, total: int) -> str:
+        """Why a job cannot run: records that it needs came without their files. Views are rendered again."""
+        for record in needs:
             if record is None or self._store.holds_files_of(record):
                 continue
             if record.job.kind == "views":
                 self._display.begin(record.job, number, total)
-                again, note = self._run_job(record.job)
-                made = self._store.holds_files_of(record)
-                self._display.end(record.job, again if made else None, note)
-                if made:
+                attempt, note = self._run_job(record.job)
+                success = self._store.holds_files_of(record)
+                self._display.end(record.job, attempt if success else None, note)
+                if success:
                     continue
-                said = (log_tail(self._store.partial / record.job.id) or "stopped").splitlines()[-1]
-                return f"not run: the views cannot be made again: {said}"
+                reason = (log_tail(self._store.partial / record.job.id) or "stopped").splitlines()[-1]
+                return f"not run: the views cannot be made again: {reason}"
             return (
                 f"not run: {record.job.id} came from a bundle, without the files that this needs; "
                 "run into a new store (--out) and join the two (bench merge)"
             )
         return ""
 
-    def settled(self, job: Job) -> bool:
-        """Whether a job has a record that stands (and is not to be tried again)."""
+    def _is_final(self, job: Job) -> bool:
+        """Whether a job has a record and is not to run again."""
         if job.id in self._attempted:
             return True
         record = self._store.record(job.id)
         if record is None or record.ok:
             return record is not None
-        if record.cause is not None:  # it never ran; its reason may be gone
+        if record.cause is not None:  # the job never ran, and the cause may be mended
             cause = self._store.record(record.cause)
             if cause is None or cause.ok or cause.finished > record.finished:
                 return False
         return not self._retry
 
     def _give_up(self, job: Job, cause: Record) -> Record | None:
-        """The record of a job that cannot run because one before it failed."""
+        """A record for a job that cannot run because a job that it needs failed."""
         record = Record(
             job=job,
             status=cause.status,
@@ -211,7 +217,7 @@ class LocalExecutor:
     def _run_job(self, job: Job) -> tuple[Record | None, str]:
         """Run one job to its record; without one, the note says why."""
         while True:
-            code, ended = self._attempt(job)
+            code, verdict = self._attempt(job)
             if code != BUSY or self._signals:
                 break
             self._display.state({"stage": "another run works on it"})
@@ -225,7 +231,7 @@ class LocalExecutor:
             return None, "stopped; resumes from its last checkpoint"
         try:
             with self._store.lock(job.id).acquire(timeout=5):
-                return self._post_mortem(job, code, ended), ""
+                return self._post_mortem(job, code, verdict), ""
         except Timeout:
             return None, "another run took it over"
 
@@ -260,26 +266,26 @@ class LocalExecutor:
 
     def _watch(self, process: Process, folder: Path) -> tuple[int, tuple[Status, str] | None]:
         tail = _Tail(folder / "progress.jsonl")
-        running_since: float | None = None
-        asked: float | None = None
+        start: float | None = None
+        stop_time: float | None = None
         while (code := process.poll()) is None:
             for state in tail.new():
                 if state["time"] < self._started:
-                    continue  # of an earlier attempt
+                    continue  # from an earlier attempt
                 if state.get("waiting") is False:
-                    running_since = time.monotonic()
+                    start = time.monotonic()
                 self._display.state(state)
             if self._signals:
-                if asked is None:
-                    asked = time.monotonic()
+                if stop_time is None:
+                    stop_time = time.monotonic()
                     process.send_signal(signal.SIGTERM)
                     self._display.state({"stage": "stopping (again to kill)"})
-                elif self._signals > 1 or time.monotonic() - asked > GRACE_SECONDS:
+                elif self._signals > 1 or time.monotonic() - stop_time > GRACE_SECONDS:
                     _kill(process)
                     return STOPPED, None
-            elif (ended := self._over_limit(process, running_since)) is not None:
+            elif (verdict := self._over_limit(process, start)) is not None:
                 _kill(process)
-                return process.wait(), ended
+                return process.wait(), verdict
             try:
                 process.wait(POLL_SECONDS)
             except subprocess.TimeoutExpired:
@@ -298,17 +304,17 @@ class LocalExecutor:
                 )
         return None
 
-    def _post_mortem(self, job: Job, code: int, ended: tuple[Status, str] | None) -> Record:
-        """The record of a job whose process died without writing one."""
+    def _post_mortem(self, job: Job, code: int, verdict: tuple[Status, str] | None) -> Record:
+        """A record for a job whose process died without writing one."""
         folder = self._store.partial / job.id
         if (folder / "record.json").is_file():
             self._store.put_in_place(folder, job.id)
             record = self._store.record(job.id)
             assert record is not None
             return record
-        if ended is None and code < 0:
-            ended = ("failed", f"killed by signal {-code} ({signal.Signals(-code).name})")
-        status, reason = ended or ("failed", f"its process ended with exit code {code}")
+        if verdict is None and code < 0:
+            verdict = ("failed", f"killed by signal {-code} ({signal.Signals(-code).name})")
+        status, reason = verdict or ("failed", f"its process ended with exit code {code}")
         last = last_progress(folder)
         finished = time.time()
         record = Record(

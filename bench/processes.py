@@ -23,7 +23,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
 
-LIBRARIES = ("torch", "scipy.spatial", "pydantic", "filelock")
+LIBRARIES = ("torch", "scipy.spatial", "pydantic.main", "pydantic.fields", "filelock", "psutil")
 """What every job with torch imports, so that a fork takes no more memory than an interpreter of its own."""
 SERVER = "bench.processes"
 _POLL_SECONDS = 0.02

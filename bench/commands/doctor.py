@@ -111,9 +111,9 @@ def _lpips() -> Finding:
     import torch
 
     folder = Path(torch.hub.get_dir()) / "checkpoints"
-    found = sorted(folder.glob("vgg16-*.pth"))
-    if found:
-        return Finding("LPIPS weights", "ok", str(found[0]))
+    weights = sorted(folder.glob("vgg16-*.pth"))
+    if weights:
+        return Finding("LPIPS weights", "ok", str(weights[0]))
     return Finding(
         "LPIPS weights",
         "lacks",
@@ -125,16 +125,16 @@ def _lpips() -> Finding:
 def _data() -> Finding:
     from datasets.catalogue import list_datasets
 
-    known = len(list_datasets())
+    count = len(list_datasets())
     folder = os.environ.get("BENCH_DATA")
     if not folder:
         return Finding(
-            "data", "lacks", f"BENCH_DATA is not set; {known} datasets known", "Set it to a folder of volumes"
+            "data", "lacks", f"BENCH_DATA is not set; {count} datasets known", "Set it to a folder of volumes"
         )
     missing = [part for part in folder.split(os.pathsep) if not Path(part).expanduser().is_dir()]
     if missing:
         return Finding("data", "lacks", f"BENCH_DATA names no folder: {', '.join(missing)}", "Correct it")
-    return Finding("data", "ok", f"{folder}; {known} datasets known")
+    return Finding("data", "ok", f"{folder}; {count} datasets known")
 
 
 def _cache() -> Finding:

@@ -48,23 +48,23 @@ def _render(options: Namespace, dataset_name: str) -> None:
 
     dataset = open_dataset(dataset_name)
     count, (width, height) = options.views or 8, options.size or (256, 256)
-    wanted = view_request(Request(train_views=12, test_views=count, width=width, height=height), "test")
-    model, shown = _model(options) if options.model else (None, ())
-    names = options.scene or shown or [scene.name for scene in dataset.scenes]
+    request = view_request(Request(train_views=12, test_views=count, width=width, height=height), "test")
+    model, default = _model(options) if options.model else (None, ())
+    names = options.scene or default or [scene.name for scene in dataset.scenes]
     parts = {name: [scene.name for scene in dataset.parts(name)] for name in names}
     edits = parse_edits(options.edit)
     for scene in edits:
         if not any(scene in part for part in parts.values()):
             raise unknown("edited scene", scene, [scene for part in parts.values() for scene in part])
     for name, scenes in parts.items():
-        if model is not None and (lacking := [scene for scene in scenes if scene not in model.scenes]):
+        if model is not None and (absent := [scene for scene in scenes if scene not in model.scenes]):
             raise DataError(
-                options.model, f"has no scene {', '.join(lacking)}", f"It holds {', '.join(model.scenes)}"
+                options.model, f"has no scene {', '.join(absent)}", f"It holds {', '.join(model.scenes)}"
             )
         edit = {scene: edits[scene] for scene in scenes if scene in edits}
         folder = Path(options.out) / dataset.name / name
         folder.mkdir(parents=True, exist_ok=True)
-        truth = views_of(dataset, name, wanted, edit=edit) if options.truth or model is None else None
+        truth = views_of(dataset, name, request, edit=edit) if options.truth or model is None else None
         if truth is not None:
             beside = folder if model is None else folder / "truth"
             beside.mkdir(exist_ok=True)
@@ -73,7 +73,7 @@ def _render(options: Namespace, dataset_name: str) -> None:
         if model is not None:
             background = dataset.parts(name)[0].background
             psnr = []
-            for index, camera in enumerate(cameras_of(dataset, name, wanted)):
+            for index, camera in enumerate(cameras_of(dataset, name, request)):
                 rgb, alpha = _picture(model, camera, scenes, edit, background)
                 write_png(folder / f"{index:04d}.png", premultiplied(rgb, alpha, background))
                 if truth is not None:
@@ -98,7 +98,7 @@ def _picture(model: Model, camera: Camera, scenes: list[str], edit: Mapping[str,
 
 
 def _model(options: Namespace):  # type: ignore[no-untyped-def]
-    """The model of a finished encode or measure job, and what it is to show if nobody says."""
+    """The model of a finished encode or measure job, and the scenes or the composition of that job."""
     from bench.jobs.measure import load_models
     from bench.worker import prepare_device
     from methods.interface import Refused

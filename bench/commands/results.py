@@ -56,7 +56,7 @@ def _print_superseded(tables: dict[str, pd.DataFrame], out: TextIO) -> None:
 
 
 def _page(out: Path) -> Path:
-    """The page itself where it is named, else the one in that folder, which is made."""
+    """The page that ``--out`` names, or report.html in the folder that it names."""
     path = out if out.suffix == ".html" else out / "report.html"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -112,17 +112,17 @@ def _print(header: list[str], lines: list[list[str]]) -> None:
 
     console = _console()
     whole = sum(max(map(len, column)) + 2 for column in zip(header, *lines, strict=True)) - 2
-    shown = Table(box=None, pad_edge=False)
+    grid = Table(box=None, pad_edge=False)
     for i, head in enumerate(header):
         number = i > 2 and any(line[i][:1].isdigit() for line in lines)  # names come first
-        shown.add_column(
+        grid.add_column(
             head if whole <= console.width else head.replace(" ", "\n"),
             justify="right" if number else "left",
             no_wrap=True,
         )
     for line in lines:
-        shown.add_row(*line)
-    console.print(shown, markup=False, highlight=False)
+        grid.add_row(*line)
+    console.print(grid, markup=False, highlight=False)
 
 
 def current(options: Namespace) -> dict[str, tuple[str, ...]]:

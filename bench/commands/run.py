@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from bench.display import make_display, span
 from bench.estimates import Estimate, Past
@@ -15,9 +15,12 @@ from bench.selection import Selection
 from bench.store import Store
 from bench.suites import load_suite
 
+if TYPE_CHECKING:
+    from bench.executor import Outcome
+
 
 def run(options: Namespace) -> int:
-    """Run what a suite and the selectors name, then show the table and write the report."""
+    """Run the jobs of a suite and its selectors, then print the results and write the report."""
     from bench.executor import Limits, LocalExecutor
     from bench.provenance import current_sources
     from bench.tables import build_tables, rows
@@ -25,7 +28,6 @@ def run(options: Namespace) -> int:
 
     planner = _planner(options)
     store = Store(Path(options.out), create=True)
-    planned = len(planner.jobs(store))
     sources = current_sources(planner.registry)
     executor = LocalExecutor(
         store,
@@ -37,17 +39,17 @@ def run(options: Namespace) -> int:
     )
     outcome = executor.run()
     tables = build_tables(store, sources)
-    # Of this run alone: in the store's tables another version of a model may stand.
-    measured = rows(outcome.records, sources)
-    shown = {name: frame(name, measured[name]) for name in ("results", "dvr")}
-    if any(map(len, shown.values())):
+    # The rows of this run alone; the store's tables may hold another version of a model.
+    own_rows = rows(outcome.records, sources)
+    frames = {name: frame(name, own_rows[name]) for name in ("results", "dvr")}
+    if any(map(len, frames.values())):
         from bench.commands.results import print_results, print_table
         from reports.tables.datasets import costs
 
-        if len(shown["results"]):
-            print_results(shown["results"])
-        if len(shown["dvr"]):
-            print_table(costs(shown["dvr"]))
+        if len(frames["results"]):
+            print_results(frames["results"])
+        if len(frames["dvr"]):
+            print_table(costs(frames["dvr"]))
         page = store.root / "report.html"
         if not options.no_report:
             if outcome.ran or not page.is_file():
@@ -55,16 +57,16 @@ def run(options: Namespace) -> int:
 
                 write_report(tables, store.root, page)
             print(f"report: {page}")
-    return _verdict(outcome, planned)
+    return _verdict(outcome)
 
 
-def _verdict(outcome: Any, planned: int) -> int:
+def _verdict(outcome: Outcome) -> int:
     if not outcome.ran and not outcome.unfinished:
-        print(f"bench: nothing to run, all {planned} jobs are finished", file=sys.stderr)
+        print(f"bench: nothing to run, all {len(outcome.records)} jobs are finished", file=sys.stderr)
     for record in outcome.failed:
         if record.cause is None:
             print(f"bench: {record.job.title}: {record.status}: {record.reason}", file=sys.stderr)
-    # That a method cannot compose is a finding about it, not something gone wrong.
+    # A method that cannot compose is a finding, not a failure.
     failed = [r for r in outcome.failed if not (r.status == "refused" and r.job.composition and not r.cause)]
     if failed:
         print("bench: --retry runs failed jobs again", file=sys.stderr)
@@ -75,33 +77,33 @@ def _verdict(outcome: Any, planned: int) -> int:
 
 
 def plan(options: Namespace) -> int:
-    """Print the jobs, which of them are done, and what the rest may take of time, memory and disk."""
+    """Print the jobs, their states, and the time, memory and disk that the rest may take."""
     planner = _planner(options)
     root = Path(options.out)
     store = Store(root) if (root / "store.json").is_file() else None
     jobs = planner.jobs(store)
     records = {record.job.id: record for record in store.records()} if store else {}
     past = Past([*([store] if store else []), *(Store(Path(folder)) for folder in options.like)])
-    expected = {job.id: past.estimate(job) for job in jobs if job.id not in records}
+    estimates = {job.id: past.estimate(job) for job in jobs if job.id not in records}
     width = max((len(job.id) for job in jobs), default=0)
     for job in jobs:
-        state = _state(job, records.get(job.id), expected.get(job.id), store)
+        state = _state(job, records.get(job.id), estimates.get(job.id), store)
         print(f"{job.id:<{width}}  {state:<24}  {job.title}")
-    print(f"{len(jobs)} jobs, {len(jobs) - len(expected)} finished, {len(expected)} to do", end="")
-    known = [estimate for estimate in expected.values() if estimate is not None]
-    if known:
-        disk = [one.disk for one in known if one.disk is not None]
+    print(f"{len(jobs)} jobs, {len(jobs) - len(estimates)} finished, {len(estimates)} to do", end="")
+    usable = [estimate for estimate in estimates.values() if estimate is not None]
+    if usable:
+        disk = [one.disk for one in usable if one.disk is not None]
         room = f"{_mib(sum(disk))} of disk" if disk else "unknown room on disk"
-        print(f", about {span(sum(one.seconds for one in known))}, {room}", end="")
-        if disk and len(disk) < len(known):
-            print(f" (without {len(known) - len(disk)} jobs known from bundles alone)", end="")
-        print(f", {_mib(max(one.memory for one in known))} of memory", end="")
-        if len(known) < len(expected):
-            print(f" and {len(expected) - len(known)} jobs unlike any finished one", end="")
-    elif expected:
+        print(f", about {span(sum(one.seconds for one in usable))}, {room}", end="")
+        if disk and len(disk) < len(usable):
+            print(f" (without {len(usable) - len(disk)} jobs known from bundles alone)", end="")
+        print(f", {_mib(max(one.memory for one in usable))} of memory", end="")
+        if len(usable) < len(estimates):
+            print(f" and {len(estimates) - len(usable)} jobs unlike any finished one", end="")
+    elif estimates:
         print(", no past records to estimate from (--like STORE names some)", end="")
     print()
-    if any(job.kind == "partition" and job.id in expected for job in jobs):
+    if any(job.kind == "partition" and job.id in estimates for job in jobs):
         print("(a joint method's fits are known once its partition job has run)")
     return 0
 
@@ -110,12 +112,12 @@ def _mib(count: int) -> str:
     return f"{count / 2**20:,.0f} MiB"
 
 
-def _state(job: Job, record: Record | None, expected: Estimate | None, store: Store | None) -> str:
+def _state(job: Job, record: Record | None, estimate: Estimate | None, store: Store | None) -> str:
     if record is not None:
         return "done" if record.ok else record.status
     started = store is not None and (store.partial / job.id).is_dir()
     words = "interrupted" if started else "to do"
-    return f"{words}, about {span(expected.seconds)}" if expected is not None else words
+    return f"{words}, about {span(estimate.seconds)}" if estimate is not None else words
 
 
 def _planner(options: Namespace) -> Planner:

@@ -32,8 +32,8 @@ def contact_sheets(options: Namespace) -> int:
         dataset = open_dataset(name)
         if options.automatic:
             dataset = _with_automatic(dataset)
-        shown = options.scene or [*(s.name for s in dataset.scenes), *dataset.compositions]
-        tiles = [_tile(dataset, scene, options) for scene in shown]
+        names = options.scene or [*(s.name for s in dataset.scenes), *dataset.compositions]
+        tiles = [_tile(dataset, scene, options) for scene in names]
         path = folder / f"{dataset.name}.png"
         sheet = contact_sheet(f"{dataset.name}: {dataset.title}", tiles)
         write_png(path, sheet.astype(np.float32) / np.float32(255.0))
@@ -49,9 +49,9 @@ def _tile(dataset: Dataset, name: str, options: Namespace) -> Tile:
     count, (width, height) = options.views or 3, options.size or (140, 140)
     preset = ViewPreset(12, count, width, height, prerendered_limit=max(width, height))
     parts = dataset.parts(name)
-    found = views(dataset, name, request(dataset, parts[0].name, preset), "test")
-    pictures = tuple(found.composited(index) for index in range(len(found)))
-    coverage = float(found.images[..., 3].mean())
+    truth = views(dataset, name, request(dataset, parts[0].name, preset), "test")
+    pictures = tuple(truth.composited(index) for index in range(len(truth)))
+    coverage = float(truth.images[..., 3].mean())
     if name in dataset.compositions:
         return Tile(name, " + ".join(part.name for part in parts), pictures, coverage)
     scene = parts[0]

@@ -8,18 +8,12 @@ import uuid
 from argparse import Namespace
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bench.commands.results import current
+from bench.comparison import compared
 from bench.store import Store
 from bench.tables import build_tables
 from datasets.errors import DataError
-from reports.schema import METRICS
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-PAIRING = ("dataset", "scene", "method", "variant", "rate", "preset", "split", "seed", "view")
 
 
 def merge(options: Namespace) -> int:
@@ -27,7 +21,7 @@ def merge(options: Namespace) -> int:
     from bench.bundle import unpacked
 
     with ExitStack() as stack:
-        paths = [Path(given) for given in options.stores]
+        paths = [Path(name) for name in options.stores]
         sources = [stack.enter_context(unpacked(path)) if path.is_file() else Store(path) for path in paths]
         return _merge(sources, options)
 
@@ -60,7 +54,7 @@ def _merge(sources: list[Store], options: Namespace) -> int:
 def compare(options: Namespace) -> int:
     """Pair two stores view by view: mean of each metric in both, and how the views differ."""
     first, second = (build_tables(Store(Path(root)), write=False)["views"] for root in options.stores)
-    table = paired(first, second)
+    table = compared(first, second)
     if table.empty:
         raise DataError(
             f"{options.stores[0]} and {options.stores[1]}",
@@ -73,8 +67,8 @@ def compare(options: Namespace) -> int:
         print_as(table, options.format)
     else:
         empty = [name for name in ("variant", "rate") if table[name].replace("", None).isna().all()]
-        told = table.drop(columns=empty)
-        print(told.to_string(index=False, float_format=lambda x: f"{x:.5g}", na_rep="-"))
+        compact = table.drop(columns=empty)
+        print(compact.to_string(index=False, float_format=lambda x: f"{x:.5g}", na_rep="-"))
         print("difference: second - first, mean over the paired views; least and greatest of any view")
     alone = (len(first) - table.attrs["views"], len(second) - table.attrs["views"])
     if any(alone):
@@ -82,47 +76,6 @@ def compare(options: Namespace) -> int:
             f"bench: not paired: {alone[0]} views of the first run, {alone[1]} of the second", file=sys.stderr
         )
     return 0
-
-
-def paired(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
-    """One row per experiment and metric: both means, mean difference (second - first), its extremes.
-
-    ``views`` is the number of paired views on which both have the metric. The frame's attribute
-    "views" counts all pairs.
-    """
-    import pandas as pd
-
-    keys = list(PAIRING)
-    text = {key: "string" for key in keys if key not in ("rate", "seed")}
-    left, right = (
-        t[[*keys, *METRICS]].astype({**text}).assign(rate=t["rate"].fillna(-1.0)) for t in (first, second)
-    )
-    both = left.merge(right, on=keys, suffixes=("_1", "_2"))
-    rows = []
-    for experiment, group in both.groupby(keys[:-1], dropna=False):
-        for metric in METRICS:
-            a, b = group[f"{metric}_1"], group[f"{metric}_2"]
-            known = a.notna() & b.notna()
-            if known.any():
-                a, b = a[known], b[known]
-                difference = b - a
-                rows.append(
-                    {
-                        **dict(zip(keys[:-1], experiment, strict=True)),
-                        "metric": metric,
-                        "views": int(known.sum()),
-                        "first": a.mean(),
-                        "second": b.mean(),
-                        "difference": difference.mean(),
-                        "least": difference.min(),
-                        "greatest": difference.max(),
-                    }
-                )
-    table = pd.DataFrame(rows)
-    if len(table):
-        table["rate"] = table["rate"].where(table["rate"] != -1.0)
-    table.attrs["views"] = len(both)
-    return table
 
 
 def cache(options: Namespace) -> int:

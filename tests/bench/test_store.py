@@ -8,7 +8,7 @@ import shutil
 import pandas as pd
 import pytest
 
-from bench.commands.stores import paired
+from bench.comparison import compared
 from bench.jobs.encode import check_ledger
 from bench.records import EncodeResult, Job, Record, Request, derived_seed, hash_of
 from bench.store import Store
@@ -131,11 +131,11 @@ def _views(psnr: list[float], rate=None) -> pd.DataFrame:
 
 @pytest.mark.parametrize("rate", [None, 0.5])
 def test_views_are_paired(rate) -> None:
-    table = paired(_views([30.0, 31.0, 32.0], rate), _views([31.0, 31.0], rate))
+    table = compared(_views([30.0, 31.0, 32.0], rate), _views([31.0, 31.0], rate))
     (row,) = table.to_dict("records")
     assert (row["metric"], row["views"], row["first"], row["second"]) == ("psnr", 2, 30.5, 31.0)
     assert (row["difference"], row["least"], row["greatest"]) == (0.5, 0.0, 1.0)
-    assert paired(_views([30.0], 1.0), _views([30.0], 2.0)).empty
+    assert compared(_views([30.0], 1.0), _views([30.0], 2.0)).empty
 
 
 def test_merge_joins_and_prefers_success(finished, make_bench, tmp_path) -> None:
