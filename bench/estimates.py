@@ -68,7 +68,8 @@ def _likenesses(job: Job) -> list[tuple[Any, ...]]:
 
 
 def _median(jobs: list[tuple[Store, Record]]) -> Estimate:
-    whole = (store.jobs / record.job.id for store, record in reversed(jobs) if store.holds_files_of(record))
+    folders = (store.jobs / record.job.id for store, record in reversed(jobs))
+    whole = (folder for folder in folders if (folder / "log.txt").is_file())  # no bundle holds a log
     sizes = [
         sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) for folder in islice(whole, _MEASURED)
     ]

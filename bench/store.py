@@ -21,8 +21,8 @@ from pydantic import ValidationError
 from bench.records import SCHEMA, Record
 from datasets.errors import DataError
 
-_FILES = {"views": "views.json", "fit": "checkpoint", "encode": "model", "measure": "renders"}
-"""Kind of a job -> what a successful one leaves beside its record."""
+_OUTPUTS = {"views": "views.json", "fit": "checkpoint", "encode": "model"}
+"""Kind of a job -> what other jobs read of its folder; all else is in its record."""
 
 
 class Store:
@@ -115,8 +115,8 @@ class Store:
                 yield record
 
     def holds_files_of(self, record: Record) -> bool:
-        """Whether the files of a finished job are here; bundles bring records alone."""
-        name = _FILES.get(record.job.kind)
+        """Whether the output that other jobs read is here; bundles bring records, and models if asked for."""
+        name = _OUTPUTS.get(record.job.kind)
         return name is None or (self.jobs / record.job.id / name).exists()
 
     def finish(self, record: Record, folder: Path | None = None) -> None:
