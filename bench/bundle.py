@@ -19,17 +19,14 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bench.records import SCHEMA, Record, hash_of
 from bench.store import Store, read_record
-from bench.tables import rows
+from bench.tables import stored_tables
 from datasets.errors import DataError
-from reports.schema import frame
+from reports.schema import joined
 from reports.tables.documents import to_csv
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MANIFEST = "bundle.json"
 FORMAT = 1
@@ -88,14 +85,9 @@ def _contents(store: Store, records: list[Record], models: bool) -> Iterator[tup
             for path in sorted((folder / "model").rglob("*")):
                 if path.is_file():
                     yield f"jobs/{record.job.id}/{path.relative_to(folder).as_posix()}", path.read_bytes()
-    for name, table in _tables(records).items():
-        if name not in _LONG:
+    for name, table in stored_tables(records).items():
+        if name not in _LONG and len(table):
             yield f"tables/{name}.csv", to_csv(table).encode()
-
-
-def _tables(records: list[Record]) -> dict[str, pd.DataFrame]:
-    """The documented tables that have rows; the machine they are made on leaves no trace in them."""
-    return {name: frame(name, table) for name, table in rows(records).items() if table}
 
 
 def _environments(records: list[Record]) -> list[dict[str, Any]]:
@@ -134,7 +126,7 @@ def _unpack(path: Path, folder: Path) -> list[str]:
                 return problems
             for name in manifest["files"]:
                 archive.extract(name, folder)
-            return _check_store(folder, set(manifest["files"]))
+            return _check_store(folder, set(manifest["files"]), manifest["schema_version"])
     except FileNotFoundError:
         raise DataError(path, "no such file", "Name a file that `bench bundle` wrote") from None
     except _DAMAGE as error:
@@ -161,6 +153,7 @@ def _manifest(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
         form, files = manifest["format"], manifest["files"]
         lengths = [int(entry["bytes"]) for entry in files.values()]
         names = [str(entry["sha256"]) for entry in files.values()]
+        manifest["schema_version"] = int(manifest["schema_version"])
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         raise DataError(path, f"is no bundle ({MANIFEST}: {error})", "Make it with `bench bundle`") from error
     if form != FORMAT:
@@ -189,7 +182,7 @@ def _leads_out(name: str) -> bool:
     return name.startswith(("/", "\\")) or ".." in Path(name).parts or ":" in name
 
 
-def _check_store(root: Path, files: set[str]) -> list[str]:
+def _check_store(root: Path, files: set[str], schema: int) -> list[str]:
     problems, records = [], []
     for path in sorted((root / "jobs").glob("*/record.json")):
         try:
@@ -205,7 +198,10 @@ def _check_store(root: Path, files: set[str]) -> list[str]:
         problems += _check_model(root, record)
     if problems:
         return problems
-    tables = _tables(records)
+    # Bundles of schema 2 repeat the axes in every table instead of a table of jobs.
+    tables = {name: table for name, table in joined(stored_tables(records)).items() if len(table)}
+    if schema < SCHEMA:
+        tables.pop("jobs", None)
     csv = {Path(name).stem: root / name for name in files if name.startswith("tables/")}
     for name in sorted((tables.keys() - _LONG) | csv.keys()):
         text = csv[name].read_text(encoding="utf-8") if name in csv else ""

@@ -226,6 +226,8 @@ class Planner:
             "preset": self._preset_name,
             "seed": seed,
             "options": settings.values,
+            "overrides": settings.overrides,
+            "knob": settings.knob,
             "iterations": settings.iterations,
             "device": self._selection.device,
             "cloud_points": self._preset.cloud_points,

@@ -9,7 +9,6 @@ import platform
 import re
 import subprocess
 import sys
-from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -41,11 +40,6 @@ def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance
         commit=_commit(),
         source=source_hash(spec) if spec else None,
     )
-
-
-def current_sources(specs: Iterable[MethodSpec]) -> dict[str, tuple[str, ...]]:
-    """Method -> hashes of its source as it is now, and of those of the same results: other rows are stale."""
-    return {spec.name: (source_hash(spec), *spec.same_results) for spec in specs}
 
 
 def source_hash(spec: MethodSpec) -> str:

@@ -11,8 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from bench.suites import SAMPLED
 
-SCHEMA = 2
+SCHEMA = 3
 """Raised when a record of an older store could be misread."""
+READABLE = (2, SCHEMA)
+"""Schemas that :mod:`bench.migration` reads."""
 
 Kind = Literal["views", "dvr", "partition", "fit", "encode", "measure"]
 Status = Literal["ok", "failed", "oom", "timeout", "diverged", "refused"]
@@ -46,6 +48,9 @@ class Job(_Model):
             by commas.
         needs: ids of the jobs that must be finished before.
         metrics: metric name -> version (measure only).
+        overrides: options that differ from the preset's, with "iterations" and "configuration";
+            ``variant`` is their label.
+        knob: the rate knob among the overrides, "" if there is none.
         cloud_points: size of the initial cloud.
         sampled: primitives of a scene whose attributes go into the record (measure only).
     """
@@ -67,6 +72,8 @@ class Job(_Model):
     preset: str
     seed: int = 0
     options: dict[str, Value] = Field(default_factory=dict)
+    overrides: dict[str, Value] = Field(default_factory=dict)
+    knob: str = ""
     iterations: int | None = None
     rate: float | None = None
     device: str = "cpu"

@@ -18,7 +18,8 @@ from pathlib import Path
 from filelock import FileLock
 from pydantic import ValidationError
 
-from bench.records import SCHEMA, Record
+from bench.migration import migrated
+from bench.records import READABLE, SCHEMA, Record
 from datasets.errors import DataError
 
 _OUTPUTS = {"views": "views.json", "fit": "checkpoint", "encode": "model"}
@@ -60,12 +61,14 @@ class Store:
             raise DataError(
                 marker, "cannot be read as a run store's marker", "Restore it or start anew"
             ) from error
-        if version != SCHEMA:
+        if version not in READABLE:
             raise DataError(
                 root,
                 f"has schema version {version}, this program writes {SCHEMA}",
                 "Use a new folder for new runs",
             )
+        if create and version != SCHEMA:
+            write_text(marker, json.dumps({"schema_version": SCHEMA}) + "\n")
         for folder in (self.jobs, self.partial, self.locks, self.tables):
             folder.mkdir(exist_ok=True)
 
@@ -167,7 +170,7 @@ def read_record(path: Path) -> Record:
         DataError: it is no record of this schema.
     """
     try:
-        return Record.model_validate_json(path.read_bytes())
+        return migrated(Record.model_validate_json(path.read_bytes()))
     except ValidationError as error:
         wrong = error.errors()[0]
         first = ": ".join(map(str, [*wrong["loc"], wrong["msg"]]))

@@ -1,4 +1,4 @@
-"""The documented tables (:mod:`reports.schema`), derived from the records and from nothing else."""
+"""The tables of a run store (:mod:`reports.schema`), derived from its records and from nothing else."""
 
 from __future__ import annotations
 
@@ -6,17 +6,84 @@ import json
 import os
 import re
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from bench.records import CurvePoint, EncodeResult, FitResult, Job, Record
+from bench.records import EncodeResult, FitResult, Job, MeasureResult, Record
 from bench.store import Store
-from bench.versions import is_stale, standing
-from reports.schema import COVERAGE, METRICS, TABLES, frame
+from bench.versions import elected, is_stale, scene_choices
+from methods.options import label
+from reports.schema import COVERAGE, METRICS, TABLES, frame, joined
 
 if TYPE_CHECKING:
     import pandas as pd
+
+Row = dict[str, Any]
+
+
+def build_tables(
+    store: Store, versions: Mapping[str, str] | None = None, *, write: bool = True
+) -> dict[str, pd.DataFrame]:
+    """Derive all tables of a store, and write them as Parquet (each file whole or as before).
+
+    Where the store holds several results for one cell, one is elected (:func:`bench.versions.elected`); the
+    others are rows of the table `superseded` alone.
+
+    Args:
+        store: where the records are.
+        versions: method -> its current version; rows of other versions are stale.
+        write: whether to write files.
+
+    Returns:
+        The tables as readers get them (:func:`reports.schema.joined`).
+    """
+    records = list(store.records())
+    choices = scene_choices(records)
+    kept = elected(records, versions or {}, choices)
+    tables = stored_tables(kept, versions, choices)
+    if len(kept) < len(records):
+        every = stored_tables(records, versions, choices)
+        results, names = every["results"], {record.job.id for record in kept}
+        older = results[~results["job"].isin(names)]
+        tables |= {"jobs": every["jobs"], "superseded": older[list(TABLES["superseded"].facts)]}
+    if write:
+        with store.lock("tables"):
+            for name, table in tables.items():
+                target = store.tables / f"{name}.parquet"
+                aside = target.with_name(f".{name}.{uuid.uuid4().hex}")
+                table.to_parquet(aside, index=False)
+                os.replace(aside, target)
+    return joined(tables)
+
+
+def stored_tables(
+    records: Iterable[Record],
+    versions: Mapping[str, str] | None = None,
+    choices: Mapping[str, int] | None = None,
+) -> dict[str, pd.DataFrame]:
+    """All tables as they are on disk: axes in `jobs` alone.
+
+    Args:
+        records: of one store, or of several joined.
+        versions: method -> its current version.
+        choices: job -> scenes learned together; derived from the records if None.
+    """
+    by_id = {record.job.id: record for record in records}
+    choices = scene_choices(by_id.values()) if choices is None else choices
+    axes = {name: _axes(record, by_id, choices) for name, record in by_id.items()}
+    tables: dict[str, list[Row]] = {name: [] for name in TABLES}
+    answered = {_question(record.job) for record in by_id.values() if record.ok}
+    for name, record in by_id.items():
+        tables["jobs"].append({"job": name, **axes[name]})
+        if not record.ok and _question(record.job) in answered:
+            continue  # mended: the job of a failed partition has another identity than those of the next one
+        for table, row in _facts(record, by_id, versions or {}):
+            tables[table].append({"job": name, **row})
+    for table, rows in tables.items():
+        rows.sort(key=partial(_order, table, axes))
+    return {table: frame(table, rows, stored=True) for table, rows in tables.items()}
 
 
 def share(total: int, names: Iterable[str], name: str) -> int:
@@ -26,180 +93,188 @@ def share(total: int, names: Iterable[str], name: str) -> int:
     return base + (1 if order.index(name) < rest else 0)
 
 
-def rows(
-    records: Iterable[Record], sources: Mapping[str, Sequence[str]] | None = None
-) -> dict[str, list[dict[str, Any]]]:
-    """All tables as lists of rows.
-
-    Args:
-        records: of one store, or of several joined.
-        sources: method -> hashes of its source now; where a fit's is none of them, its rows are stale.
-    """
-    by_id = {record.job.id: record for record in records}
-    tables: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
-    answered = {_question(record.job) for record in by_id.values() if record.ok}
-    for record in by_id.values():
-        job = record.job
-        if not record.ok and _question(job) in answered:
-            continue  # mended: the job of a failed partition has another identity than those of the next one
-        if job.kind == "measure":
-            models = [_Fitted.of(by_id, encode) for encode in _all_needed(by_id, record, "encode")]
-            tables["results"].append(_result(record, models, sources or {}))
-            tables["views"] += _views(record, _needed(by_id, record, "views"))
-            if not job.edit:  # of the same model
-                tables["timing"] += _timing(record)
-                tables["features"] += _features(record)
-        elif job.kind == "views" and record.views is not None and record.views.transfer:
-            said = json.dumps(record.views.transfer, separators=(",", ":"))
-            tables["scenes"].append({"job": job.id, **_axes(job), "split": job.split, "transfer": said})
-        elif job.kind == "dvr":
-            tables["dvr"].append(_dvr(record))
-        elif job.kind == "fit" and record.fit is not None:
-            tables["curve"] += [
-                {"job": job.id, **_axes(job), **_point(point, scene)}
-                for scene in job.scenes
-                for point in record.fit.curve
-            ]
-            tables["losses"] += [
-                {"job": job.id, **_axes(job), **point.model_dump(), "losses": json.dumps(point.losses)}
-                for point in record.fit.losses
-            ]
-        elif job.kind == "encode" and record.encode is not None:
-            tables["ledger"] += [
-                {"job": job.id, **_axes(job), "scene": scene, "part": part, "bytes": count}
-                for scene, parts in record.encode.ledger.items()
-                for part, count in parts.items()
-            ]
-    for table in tables.values():
-        table.sort(key=_order)
-    return tables
-
-
-def _point(point: CurvePoint, scene: str) -> dict[str, Any]:
-    changed = {"scene": scene, "psnr": point.psnr.get(scene), "loss_parts": json.dumps(point.loss_parts)}
-    return point.model_dump() | changed
-
-
-def build_tables(
-    store: Store, sources: Mapping[str, Sequence[str]] | None = None, *, write: bool = True
-) -> dict[str, pd.DataFrame]:
-    """Derive all tables of a store, and write them as Parquet (each file whole or as before).
-
-    Where the store holds several versions of a model, one is in them (:func:`bench.versions.standing`);
-    the rows of the others are in the table ``superseded`` alone.
-    """
-    records = list(store.records())
-    shown = standing(records, sources or {})
-    tables = rows(shown, sources)
-    if len(shown) < len(records):
-        kept = {record.job.id for record in shown}
-        tables["superseded"] = [row for row in rows(records, sources)["results"] if row["job"] not in kept]
-    frames = {name: frame(name, table) for name, table in tables.items()}
-    if write:
-        with store.lock("tables"):
-            for name, table in frames.items():
-                target = store.tables / f"{name}.parquet"
-                aside = target.with_name(f".{name}.{uuid.uuid4().hex}")
-                table.to_parquet(aside, index=False)
-                os.replace(aside, target)
-    return frames
-
-
-# --------------------------------------------------------------------------- one record's rows
+# --------------------------------------------------------------------------- axes of a job
 
 
 @dataclass(frozen=True)
-class _Fitted:
-    """A saved model's records: of its encode job and of those it came from (where the store has them)."""
+class _Model:
+    """The records behind a model, as far as the store has them."""
 
-    encode: Record
+    encode: Record | None
     fit: Record | None
     partition: Record | None
 
-    @classmethod
-    def of(cls, by_id: Mapping[str, Record], encode: Record) -> _Fitted:
-        fit = _needed(by_id, encode, "fit")
-        return cls(encode, fit, _needed(by_id, fit, "partition"))
+
+def _models(record: Record, by_id: Mapping[str, Record]) -> list[_Model]:
+    """The models that a fit, encode or measure job is about: several of a composition."""
+    if record.job.kind == "fit":
+        return [_Model(None, record, _needed(by_id, record, "partition"))]
+    encodes = [record] if record.job.kind == "encode" else _all_needed(by_id, record, "encode")
+    fits = [_needed(by_id, encode, "fit") for encode in encodes]
+    return [
+        _Model(encode, fit, _needed(by_id, fit, "partition"))
+        for encode, fit in zip(encodes, fits, strict=True)
+    ]
 
 
-def _result(record: Record, models: list[_Fitted], sources: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-    """The row of a basic scene (with one model) or of a composition (with those that hold its scenes)."""
-    job, measured = record.job, record.measure
-    fits = [model.fit for model in models if model.fit is not None]
-    where = record.provenance or (fits[0].provenance if fits else None)
-    trained = fits[0].fit if fits else None
-    row: dict[str, Any] = {
-        **_axes(job),
+def _fits(models: Iterable[_Model]) -> list[Record]:
+    return [model.fit for model in models if model.fit is not None]
+
+
+def _axes(record: Record, by_id: Mapping[str, Record], choices: Mapping[str, int]) -> Row:
+    job, fits = record.job, _fits(_models(record, by_id))
+    identity = next((fit.job.identity for fit in fits), job.identity)
+    fit = next((fit.fit for fit in fits if fit.fit is not None), None)
+    where = record.provenance or next((fit.provenance for fit in fits), None)
+    fitted = [scene for fit in fits for scene in fit.job.scenes]
+    return {
+        "step": job.kind,
+        "dataset": job.dataset_name,
+        "scene": f"{job.shows} {job.edit}".strip(),
         "kind": "composed" if job.composition else "edited" if job.edit else "basic",
-        "split": job.split,
-        "status": record.status,
-        "reason": record.reason,
-        "stale": any(is_stale(job, fit, sources) for fit in fits),
+        "edit": job.edit,
+        "members": json.dumps(job.scenes),
         "group": job.group,
+        "fitted_scenes": json.dumps(fitted) if fitted else None,
+        "scenes_together": choices.get(job.id),
+        "method": job.method,
+        "method_version": identity["method"][1] if "method" in identity else None,
+        "variant": job.variant,
+        "base": label({name: value for name, value in job.overrides.items() if name != job.knob}),
+        "options": json.dumps(job.overrides) if job.method else None,
+        "knob": job.knob or None,
+        "knob_value": job.overrides.get(job.knob),
+        "rate": job.rate,
+        "preset": job.preset,
+        "split": job.split,
+        "seed": job.seed,
+        "requested_views": job.request.train_views,
+        "train_views": fit.train_views if fit else None,
         "iterations": job.iterations,
         "width": job.request.width,
         "height": job.request.height,
         "device": job.device,
         "machine": where.machine if where else None,
+        "processor": _processors([record]) if record.ok else None,
+        "fit_processor": _processors(fits),
         "threads": where.threads if where else None,
         "commit": where.commit if where else None,
         "source": next((fit.provenance.source for fit in fits if fit.provenance), None),
-        "job": job.id,
-        "edit": job.edit,
-        "stage": record.stage,
-        "train_views": trained.train_views if trained else None,
-        "processor": _processors([record]) if measured is not None else None,
-        "fit_processor": _processors(fits),
     }
-    partitions = {model.partition.job.id: model.partition for model in models if model.partition}
-    clustered = [one.partition.seconds for one in partitions.values() if one.partition is not None]
-    row["partition_seconds"] = sum(clustered) if clustered else None
-    costs = [_costs(job, model) for model in models]
-    if costs:
-        # What any model lacks, their sum lacks.
-        names = set(costs[0]).intersection(*costs[1:])
-        row.update({name: sum(cost[name] for cost in costs) for name in names})
-    memory = [r.peak_host_bytes for r in (record, *fits) if r.peak_host_bytes is not None]
-    device = [r.peak_device_bytes for r in (record, *fits) if r.peak_device_bytes is not None]
-    row["peak_host_bytes"] = max(memory, default=None)
-    row["peak_device_bytes"] = max(device, default=None)
-    row["group_peak_host_bytes"] = max((f.peak_host_bytes for f in fits if f.peak_host_bytes), default=None)
-    if measured is not None:
-        row.update({name: measured.metrics.get(name) for name in (*METRICS, *COVERAGE)})
-        if measured.missing:
-            row["reason"] = "; ".join(f"{name}: {why}" for name, why in sorted(measured.missing.items()))
-        row.update(
-            primitives=measured.primitives,
-            load_seconds=measured.load_seconds,
-            fps=1.0 / measured.frame_seconds,
-            fps_p05=1.0 / measured.frame_seconds_p95,
-            fps_p95=1.0 / measured.frame_seconds_p05,
-            reference_seconds=measured.reference_seconds,
-            identical_views=sum(view.identical for view in measured.views),
-        )
-    return row
 
 
 def _processors(records: list[Record]) -> str | None:
-    """What jobs ran on: "AMD EPYC, 2 cores, avx2"; host names tell nothing where machines come and go."""
-    found = [record.provenance for record in records if record.provenance is not None]
+    """As "AMD EPYC, 2 cores, avx2": host names mean nothing where machines come and go."""
     names = [
         ", ".join([where.gpu or where.cpu, f"{where.cores} cores", *([where.isa] if where.isa else [])])
-        for where in found
+        for where in (record.provenance for record in records)
+        if where is not None
     ]
     return "; ".join(dict.fromkeys(names)) or None
 
 
-def _costs(job: Job, model: _Fitted) -> dict[str, float]:
+# --------------------------------------------------------------------------- facts of a job
+
+
+def _facts(
+    record: Record, by_id: Mapping[str, Record], versions: Mapping[str, str]
+) -> Iterator[tuple[str, Row]]:
+    """Table and row, without the job."""
+    job = record.job
+    if job.kind == "measure":
+        yield "results", _result(record, _models(record, by_id), versions)
+    elif job.kind == "dvr":
+        yield "dvr", _dvr(record)
+    if record.views is not None and record.views.transfer:
+        yield "scenes", {"transfer": json.dumps(record.views.transfer, separators=(",", ":"))}
+    if record.fit is not None:
+        for scene in job.scenes:
+            for point in record.fit.curve:
+                own = {"scene": scene, "psnr": point.psnr.get(scene)}
+                yield "curve", point.model_dump() | own | {"loss_parts": json.dumps(point.loss_parts)}
+        for stretch in record.fit.losses:
+            yield "losses", stretch.model_dump() | {"losses": json.dumps(stretch.losses)}
+    if record.encode is not None:
+        for scene, parts in record.encode.ledger.items():
+            for part, count in parts.items():
+                yield "ledger", {"scene": scene, "part": part, "bytes": count}
+    if record.measure is not None:
+        truth = _needed(by_id, record, "views")
+        background = _hex(truth.views.background) if truth is not None and truth.views is not None else None
+        for view in record.measure.views:
+            metrics = {name: view.metrics.get(name) for name in (*METRICS, *COVERAGE)}
+            yield "views", view.model_dump() | metrics | {"background": background}
+        if not job.edit:  # an edited scene is of the same model
+            for part, seconds in record.measure.timing.items():
+                yield "timing", {"part": part, "seconds": seconds}
+            for name, rows in record.measure.features.items():
+                if rows:
+                    values = [value for row in rows for value in row]
+                    yield "features", {"name": name, "values": values, "width": len(rows[0])}
+
+
+def _result(record: Record, models: list[_Model], versions: Mapping[str, str]) -> Row:
+    """The row of a basic scene (with one model) or of a composition (with those that hold its scenes)."""
+    fits = _fits(models)
+    row = {
+        "status": record.status,
+        "reason": record.reason,
+        "stage": record.stage,
+        "stale": is_stale(fits, versions),
+        **_costs(record.job, models),
+        **_memory(record, fits),
+    }
+    return row | (_measured(record.measure) if record.measure is not None else {})
+
+
+def _measured(measured: MeasureResult) -> Row:
+    row: Row = {name: measured.metrics.get(name) for name in (*METRICS, *COVERAGE)}
+    if measured.missing:
+        row["reason"] = "; ".join(f"{name}: {why}" for name, why in sorted(measured.missing.items()))
+    return row | {
+        "primitives": measured.primitives,
+        "load_seconds": measured.load_seconds,
+        "fps": 1.0 / measured.frame_seconds,
+        "fps_p05": 1.0 / measured.frame_seconds_p95,
+        "fps_p95": 1.0 / measured.frame_seconds_p05,
+        "reference_seconds": measured.reference_seconds,
+        "identical_views": sum(view.identical for view in measured.views),
+    }
+
+
+def _memory(record: Record, fits: list[Record]) -> Row:
+    return {
+        "peak_host_bytes": _largest(one.peak_host_bytes for one in (record, *fits)),
+        "peak_device_bytes": _largest(one.peak_device_bytes for one in (record, *fits)),
+        "group_peak_host_bytes": _largest(fit.peak_host_bytes for fit in fits),
+    }
+
+
+def _largest(values: Iterable[int | None]) -> int | None:
+    return max((value for value in values if value is not None), default=None)
+
+
+def _costs(job: Job, models: list[_Model]) -> Row:
+    """Bytes and seconds of all models together; what any model lacks, their sum lacks."""
+    costs = [_cost(job, model) for model in models]
+    names = set(costs[0]).intersection(*costs[1:]) if costs else ()
+    partitions = {model.partition.job.id: model.partition.partition for model in models if model.partition}
+    seconds = [result.seconds for result in partitions.values() if result is not None]
+    return {name: sum(cost[name] for cost in costs) for name in names} | {
+        "partition_seconds": sum(seconds) if seconds else None
+    }
+
+
+def _cost(job: Job, model: _Model) -> dict[str, float]:
     """Bytes and seconds of those scenes of a job that one model holds."""
+    if model.encode is None or model.encode.encode is None:
+        return {}
     encode, group = model.encode.encode, model.encode.job.scenes
     scenes = [scene for scene in job.scenes if scene in group]
-    if encode is None:
-        return {}
-    costs: dict[str, float] = {"encode_seconds": encode.seconds, **_sizes(scenes, group, encode)}
+    cost: dict[str, float] = {"encode_seconds": encode.seconds, **_sizes(scenes, group, encode)}
     if model.fit is not None and model.fit.fit is not None:
-        costs |= _times(scenes, group, encode, model.fit.fit, model.partition)
-    return costs
+        cost |= _times(len(scenes), len(group), encode, model.fit.fit, model.partition)
+    return cost
 
 
 def _sizes(scenes: list[str], group: tuple[str, ...], encode: EncodeResult) -> dict[str, int]:
@@ -214,118 +289,50 @@ def _sizes(scenes: list[str], group: tuple[str, ...], encode: EncodeResult) -> d
 
 
 def _times(
-    scenes: list[str],
-    group: tuple[str, ...],
-    encode: EncodeResult,
-    trained: FitResult,
-    partition: Record | None,
+    scenes: int, group: int, encode: EncodeResult, fit: FitResult, partition: Record | None
 ) -> dict[str, float]:
     """Partition + fit + encode; partition time is shared by all scenes of the dataset."""
-    seconds = trained.seconds + encode.seconds
+    seconds = fit.seconds + encode.seconds
     if partition is not None and partition.partition is not None:
-        seconds += partition.partition.seconds * len(group) / len(partition.job.scenes)
-    times = {"group_seconds": seconds, "train_seconds": seconds * len(scenes) / len(group)}
-    if trained.cpu_seconds is not None:  # older records have none
-        times["cpu_seconds"] = trained.cpu_seconds * len(scenes) / len(group)
+        seconds += partition.partition.seconds * group / len(partition.job.scenes)
+    times = {"group_seconds": seconds, "train_seconds": seconds * scenes / group}
+    if fit.cpu_seconds is not None:  # older records have none
+        times["cpu_seconds"] = fit.cpu_seconds * scenes / group
     return times
 
 
-def _views(record: Record, shown: Record | None) -> list[dict[str, Any]]:
-    if record.measure is None:
-        return []
-    background = _hex(shown.views.background) if shown is not None and shown.views is not None else None
-    return [
-        {
-            "job": record.job.id,
-            **_axes(record.job),
-            "split": record.job.split,
-            "view": view.view,
-            **{name: view.metrics.get(name) for name in (*METRICS, *COVERAGE)},
-            "identical": view.identical,
-            "truth_file": view.truth_file,
-            "render_file": view.render_file,
-            "background": background,
-        }
-        for view in record.measure.views
-    ]
-
-
-def _hex(color: tuple[float, float, float]) -> str:
-    return "#" + "".join(f"{round(255 * min(max(value, 0.0), 1.0)):02x}" for value in color)
-
-
-def _dvr(record: Record) -> dict[str, Any]:
-    job, cost, where = record.job, record.dvr, record.provenance
-    row: dict[str, Any] = {
-        "job": job.id,
-        "dataset": job.dataset_name,
-        "scene": job.shows,
-        "kind": "composed" if job.composition else "basic",
-        "preset": job.preset,
-        "status": record.status,
-        "reason": record.reason,
-        "width": job.request.width,
-        "height": job.request.height,
-        "machine": where.machine if where else None,
-        "threads": where.threads if where else None,
-        "commit": where.commit if where else None,
-        "peak_host_bytes": record.peak_host_bytes,
-        "peak_device_bytes": record.peak_device_bytes,
-    }
-    if cost is not None:
-        row |= dict(zip(("nx", "ny", "nz"), cost.dims, strict=True))
-        row |= {
+def _dvr(record: Record) -> Row:
+    row: Row = {"status": record.status, "reason": record.reason, **_memory(record, [])}
+    cost = record.dvr
+    if cost is None:
+        return row
+    same = ("dtype", "volume_bytes", "load_seconds", "setup_seconds", "renderer", "version", "backend",
+            "reference_seconds")  # fmt: skip
+    return (
+        row
+        | dict(zip(("nx", "ny", "nz"), cost.dims, strict=True))
+        | {name: getattr(cost, name) for name in same}
+        | {
             "variables": ";".join(cost.variables),
             "ms_per_view": 1e3 * cost.frame_seconds,
             "ms_p05": 1e3 * cost.frame_seconds_p05,
             "ms_p95": 1e3 * cost.frame_seconds_p95,
             "fps": 1.0 / cost.frame_seconds,
         }
-        same = ("dtype", "volume_bytes", "load_seconds", "setup_seconds", "renderer", "version", "backend")
-        row |= {name: getattr(cost, name) for name in (*same, "reference_seconds")}
-    return row
+    )
 
 
-def _timing(record: Record) -> list[dict[str, Any]]:
-    parts = record.measure.timing if record.measure else {}
-    return [
-        {"job": record.job.id, **_axes(record.job), "part": part, "seconds": seconds}
-        for part, seconds in parts.items()
-    ]
+def _hex(color: tuple[float, float, float]) -> str:
+    return "#" + "".join(f"{round(255 * min(max(value, 0.0), 1.0)):02x}" for value in color)
 
 
-def _features(record: Record) -> list[dict[str, Any]]:
-    features = record.measure.features if record.measure else {}
-    return [
-        {
-            "job": record.job.id,
-            **_axes(record.job),
-            "name": name,
-            "values": [value for row in values for value in row],
-            "width": len(values[0]),
-        }
-        for name, values in features.items()
-        if values
-    ]
+# --------------------------------------------------------------------------- relations and order
 
 
 def _question(job: Job) -> str:
     """What a job is to find out, without the group that a partition put its scene into."""
     whole = job.model_dump(exclude={"key", "identity", "needs", "group"})
     return json.dumps(whole, sort_keys=True, default=str)
-
-
-def _axes(job: Job) -> dict[str, Any]:
-    return {
-        "dataset": job.dataset_name,
-        "scene": f"{job.shows} {job.edit}".strip(),
-        "method": job.method,
-        "variant": job.variant,
-        "rate": job.rate,
-        "preset": job.preset,
-        "seed": job.seed,
-        "requested_views": job.request.train_views,
-    }
 
 
 def _needed(by_id: Mapping[str, Record], record: Record | None, kind: str) -> Record | None:
@@ -338,10 +345,13 @@ def _all_needed(by_id: Mapping[str, Record], record: Record | None, kind: str) -
     return [by_id[name] for name in names] if all(name in by_id for name in names) else []
 
 
-def _order(row: dict[str, Any]) -> list[tuple[Any, ...]]:
+def _order(table: str, axes: Mapping[str, Row], row: Row) -> list[tuple[Any, ...]]:
     """Rows of one experiment together, whatever their jobs' hashes; the sort keeps the order within a job."""
-    keys = ("dataset", "kind", "scene", "method", "variant", "preset", "seed", "rate", "split")
-    return [_natural(row.get(key)) for key in keys]
+    keys = ["dataset", "scene", "method", "variant", "preset", "seed", "rate"]
+    keys[1:1] = ["kind"] if "kind" in TABLES[table].columns else []
+    keys += ["split"] if "split" in TABLES[table].columns else []
+    values = axes[row["job"]] | row
+    return [_natural(values[key]) for key in keys]
 
 
 def _natural(value: Any) -> tuple[Any, ...]:
@@ -349,4 +359,4 @@ def _natural(value: Any) -> tuple[Any, ...]:
     if value is None or isinstance(value, int | float):
         return (value is not None, value or 0)
     parts = re.split(r"(\d+)", value)
-    return tuple((int(part), "") if part.isdecimal() else (-1, part) for part in parts)
+    return True, tuple((int(part), "") if part.isdecimal() else (-1, part) for part in parts)

@@ -109,12 +109,9 @@ class MethodSpec:
         name: identifier on the command line ("3dgs").
         title: full name.
         reference: citation of its paper.
-        version: raised when results may change; part of the fit key.
+        version: raised when results may change; part of the fit key. Rows of another version are stale.
         implementation: "module:attribute" of the :class:`Method`.
-        source: import packages or modules whose source decides the results; rows of an older
-            source are marked stale.
-        same_results: hashes (column ``source`` of the results) of older sources from which only such fits
-            differ as came to no result, so that their rows are not stale.
+        source: import packages or modules whose source decides the results; records keep its hash.
         joint: trains several scenes of a dataset as one group.
         composable: models of several groups render together.
         edits: which parts of :class:`Edit` it honours.
@@ -145,7 +142,6 @@ class MethodSpec:
     presets: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
     rate_knobs: tuple[RateKnob, ...] = ()
     configurations: Mapping[str, Configuration] = field(default_factory=dict)
-    same_results: tuple[str, ...] = ()
 
 
 class Refused(Exception):

@@ -28,18 +28,29 @@ class Settings:
     Attributes:
         options: an instance of the spec's dataclass of options.
         iterations: training iterations per group.
-        variant: what was set beyond the preset, as "option=value" sorted and joined by commas;
-            "" for the preset's own.
+        overrides: options that differ from the preset's, with "iterations" and "configuration".
+        knob: the rate knob among them that needs a fit for each value; "" if there is none.
     """
 
     options: Any
     iterations: int
-    variant: str
+    overrides: dict[str, OptionValue]
+    knob: str
+
+    @property
+    def variant(self) -> str:
+        """Label of the overrides."""
+        return label(self.overrides)
 
     @property
     def values(self) -> dict[str, OptionValue]:
         """Name -> value of every option, as records hold them."""
         return asdict(self.options)
+
+
+def label(overrides: Mapping[str, OptionValue]) -> str:
+    """Overrides for people: "option=value" sorted and joined by commas; "" for the preset's own."""
+    return ",".join(f"{name}={written(overrides[name])}" for name in sorted(overrides))
 
 
 def declared(options: type[Any]) -> dict[str, Option]:
@@ -108,8 +119,8 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
         else:
             known = [*declarations, ITERATIONS, *([CONFIGURATION] if spec.configurations else [])]
             raise unknown("option", name, known, of=f"method {spec.name}")
-    variant = ",".join(f"{name}={written(changed[name])}" for name in sorted(changed))
-    return Settings(spec.options(**options), iterations, variant)
+    knob = next((knob.name for knob in spec.rate_knobs if knob.refit and knob.name in changed), "")
+    return Settings(spec.options(**options), iterations, changed, knob)
 
 
 def parse_assignments(texts: Iterable[str]) -> dict[str, dict[str, OptionValue]]:

@@ -14,7 +14,7 @@ from reports.charts import rate_distortion
 from reports.paper import documents as paper_documents
 from reports.tables import confidence, datasets
 from reports.tables.documents import to_csv, to_latex, to_markdown
-from reports.tables.protocols import by_training_views
+from reports.tables.protocols import by_protocol
 from reports.tables.results import superseded_note
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def write_files(
         write_text(folder / "results.csv", to_csv(results))
         _replace(folder / "results.parquet", results.to_parquet(None, index=False))
         remark = superseded_note(tables.get("superseded"))
-        results = by_training_views({"results": results})["results"]
+        results = by_protocol({"results": results})["results"]
         write_text(folder / "results.md", to_markdown(results, views, remark))
         write_text(folder / "results.tex", to_latex(results, views, remark))
         for name, make in (("intervals", confidence.intervals), ("comparisons", confidence.comparisons)):

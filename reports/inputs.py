@@ -53,6 +53,7 @@ def read_results(path: Path) -> dict[str, pd.DataFrame]:
         else:
             values = _numbers(path, table[name], column)
         made[name] = values if column.default is None else values.fillna(column.default)
+    made["base"] = made["base"].fillna(made["variant"])
     for name in ("dataset", "scene", "method"):
         empty = [i for i, value in enumerate(made[name]) if not value]
         if empty:

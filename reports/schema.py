@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from reports.style import MIB, mib, seconds
@@ -118,8 +119,8 @@ class Table:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Every column, as readers get them."""
-        return (*self.axes, *self.facts)
+        """Axes and facts, as readers get them: in the order of :data:`COLUMNS`."""
+        return tuple(name for name in COLUMNS if name in self.axes or name in self.facts)
 
 
 def _declare(*columns: Column) -> dict[str, Column]:
@@ -134,11 +135,25 @@ _B: DType = "boolean"
 COLUMNS: dict[str, Column] = _declare(
     # Axes: what a job is about.
     Column("dataset", _T, "name of the dataset", "Dataset", write=str, default=""),
-    Column("scene", _T, "scene, or composition; an edited scene is its name and the edit", "Scene", write=str,
-           default=""),
+    Column("scene", _T, "scene, or composition; an edited scene is its name and the edit; of a group, its "
+           "first", "Scene", write=str, default=""),
+    Column("kind", _T, "`basic`: a scene; `edited`: a basic scene after a change, against the ground truth "
+           "of the changed scene; `composed`: scenes of a composition rendered together, from the models of "
+           "all groups that hold them. Kinds are never summed or averaged together", default="basic"),
+    Column("edit", _T, "the change of an edited scene, as `opacity=0.5 light=1,0,0`; else empty", default=""),
+    Column("members", _T, "JSON: basic scenes that the job is about"),
+    Column("group", _T, "label of the scenes that were fitted together; of a composition, of its groups"),
+    Column("fitted_scenes", _T, "JSON: scenes of the fits that the job builds on"),
+    Column("scenes_together", _W, "scenes that a joint method learned together, where others learned more of "
+           "the dataset's scenes together; else null"),
     Column("method", _T, "name of the method", "Method", write=str, default=""),
-    Column("variant", _T, "settings that differ from the preset's, as a label; empty if none do", "Options",
-           default=""),
+    Column("method_version", _T, "version of the method that was fitted"),
+    Column("variant", _T, "label of `options`; empty for the preset's own", "Options", default=""),
+    Column("base", _T, "label of `options` without the rate knob: fits of one base are points of one curve"),
+    Column("options", _T, "JSON: option -> value, where it differs from the preset; with `iterations` and "
+           "`configuration`"),
+    Column("knob", _T, "the rate knob among `options`, whose every value needs a fit of its own"),
+    Column("knob_value", _F, "its value"),
     Column("rate", _F, "value of a rate knob at which one fit was saved; null if the method has one size",
            write="{:g}".format),
     Column("preset", _T, "how long the method trains, and on which views", default=""),
@@ -147,25 +162,21 @@ COLUMNS: dict[str, Column] = _declare(
     Column("seed", _W, "random seed", default=0),
     Column("requested_views", _W, "training views that were requested; of these, split `val` holds out a "
            "tenth"),
-    Column("kind", _T, "`basic`: a scene; `edited`: a basic scene after a change, against the ground truth "
-           "of the changed scene; `composed`: scenes of a composition rendered together, from the models of "
-           "all groups that hold them. Kinds are never summed or averaged together", default="basic"),
-    Column("edit", _T, "the change of an edited scene, as `opacity=0.5 light=1,0,0`; else empty", default=""),
-    Column("group", _T, "scenes that were fitted together, joined by `+`; of a composition, its groups "
-           "joined by `,`"),
-    Column("iterations", _W, "training iterations of the group", write="{:,}".format),
     Column("train_views", _W, "training views of the fit", "Training views"),
+    Column("iterations", _W, "training iterations of the group", write="{:,}".format),
     Column("width", _W, "width of a view in pixels; in `features`, numbers in a row"),
     Column("height", _W, "height of a view in pixels"),
     Column("device", _T, "device of the fit: `cpu`, `cuda`"),
     Column("machine", _T, "host name"),
-    Column("processor", _T, "processor, cores and instruction set of the measurement"),
-    Column("fit_processor", _T, "the same of the fits; several are joined by `; `", "Trained on"),
-    Column("threads", _W, "threads per job"),
+    Column("processor", _T, "processor, cores and instruction set of the job"),
+    Column("fit_processor", _T, "the same of the fits that the job builds on; several are joined by `; `",
+           "Trained on"),
+    Column("threads", _W, "threads of the job"),
     Column("commit", _T, "commit of this program; `+` means that files were changed"),
     Column("source", _T, "hash of the method's source code at the fit"),
     # A job's outcome.
     Column("job", _T, "identifier of the job"),
+    Column("step", _T, "`views`, `dvr`, `partition`, `fit`, `encode` or `measure`"),
     Column("status", _T, "`ok`, `failed`, `oom`, `timeout`, `diverged` or `refused`", "Status", write=str,
            default="ok"),
     Column("reason", _T, "why the job has no result, or why metrics are missing", "Reason", write=str),
@@ -286,18 +297,25 @@ COLUMNS: dict[str, Column] = _declare(
     Column("greatest", _F, "greatest difference of any view", "Greatest", write=significant),
 )  # fmt: skip
 
-_FIT = ("dataset", "scene", "method", "variant", "preset", "seed", "requested_views")
-_SAVED = ("dataset", "scene", "method", "variant", "rate", "preset", "seed", "requested_views")
-_MEASURED = ("dataset", "scene", "method", "variant", "rate", "preset", "split", "seed", "requested_views")
+_SETTINGS = (
+    "dataset", "scenes_together", "method", "variant", "base", "knob_value", "preset", "requested_views",
+)  # fmt: skip
+_FIT = (*_SETTINGS, "seed")
+_SAVED = (*_FIT, "rate")
+_MEASURED = (*_SAVED, "scene", "split")
+_RESULT = (
+    *_MEASURED, "kind", "edit", "group", "fitted_scenes", "method_version", "options", "knob", "iterations",
+    "train_views", "width", "height", "device", "machine", "threads", "commit", "source", "processor",
+    "fit_processor",
+)  # fmt: skip
 TABLES: dict[str, Table] = {
+    "jobs": Table("A finished job, and what decides it.", (), ("job", "step", "members", *_RESULT)),
     "results": Table(
         "A model of a scene or composition. `size_bytes`, `train_seconds` and `cpu_seconds` are shares of "
         "the group's, so that rows sum to the dataset's total. Bytes, seconds and primitives of a "
         "composition are sums over its scenes or groups; `load_seconds` and `fps` are measured; memory is "
         "the maximum. A method that cannot make an edit, or cannot render models of several groups together, "
-        "has a row with status `refused`.",
-        (*_MEASURED, "kind", "edit", "group", "iterations", "train_views", "width", "height", "device",
-         "machine", "threads", "commit", "source", "processor", "fit_processor"),
+        "has a row with status `refused`.", _RESULT,
         ("job", "status", "reason", "stage", "stale", *METRICS, *COVERAGE, "identical_views", "size_bytes",
          "group_bytes", "standalone_bytes", "primitives", "train_seconds", "group_seconds",
          "partition_seconds", "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95",
@@ -311,25 +329,28 @@ TABLES: dict[str, Table] = {
     "curve": Table(
         "An evaluation during a fit, per scene, on four of the views that are measured at the end; no method "
         "trains on them.", _FIT,
-        ("job", "iteration", "train_seconds", "loss", "psnr", "primitives", "bytes_estimate", "loss_parts"),
+        ("job", "scene", "iteration", "train_seconds", "loss", "psnr", "primitives", "bytes_estimate",
+         "loss_parts"),
     ),
     "losses": Table(
         "A stretch of a fit: a fiftieth of its iterations, or the rest of a stage. A group has one row per "
-        "stretch.", _FIT,
+        "stretch.",
+        (*_FIT, "scene"),
         ("job", "stage", "first", "iteration", "losses"),
     ),
     "ledger": Table(
         "A part of a saved model, per scene; `scene` is empty for what the group shares.", _SAVED,
-        ("job", "part", "bytes"),
+        ("job", "scene", "part", "bytes"),
     ),
     "timing": Table(
-        "A part of a frame of the loaded model.", _SAVED,
+        "A part of a frame of the loaded model.",
+        (*_SAVED, "scene"),
         ("job", "part", "seconds"),
     ),
     "features": Table(
         "An attribute of a sample of a model's primitives (100, or as many as the suite requests): `values` "
         "holds rows of `width` numbers.",
-        ("dataset", "scene", "method", "variant", "preset", "requested_views"),
+        (*_SETTINGS, "scene"),
         ("job", "name", "values", "width"),
     ),
     "scenes": Table(
@@ -352,17 +373,45 @@ TABLES: dict[str, Table] = {
 }  # fmt: skip
 
 
-def frame(name: str, rows: Iterable[Mapping[str, Any]] = ()) -> pd.DataFrame:
-    """A table with its columns and types; what a row lacks is null."""
+def frame(name: str, rows: Iterable[Mapping[str, Any]] = (), *, stored: bool = False) -> pd.DataFrame:
+    """A table with its columns and types; what a row lacks is null.
+
+    Args:
+        name: of the table.
+        rows: column -> value.
+        stored: leave out what `jobs` holds, as on disk.
+    """
     import pandas as pd
 
     rows = list(rows)
+    columns = TABLES[name].facts if stored else TABLES[name].columns
     return pd.DataFrame(
         {
             column: pd.Series([row.get(column) for row in rows], dtype=COLUMNS[column].dtype)
-            for column in TABLES[name].columns
+            for column in columns
         }
     )
+
+
+def joined(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
+    """The tables as readers get them: every row with the axes of its job.
+
+    Args:
+        tables: as on disk, with `jobs` among them.
+    """
+    jobs = tables["jobs"]
+    full = {}
+    for name, table in tables.items():
+        axes = jobs[["job", *TABLES[name].axes]]
+        full[name] = table.merge(axes, on="job", how="left")[list(TABLES[name].columns)]
+    return full
+
+
+def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
+    """The tables of a run store's folder ``tables``, as readers get them."""
+    import pandas as pd
+
+    return joined({name: pd.read_parquet(folder / f"{name}.parquet") for name in TABLES})
 
 
 def by_name(name: str) -> Column:

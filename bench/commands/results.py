@@ -75,19 +75,19 @@ def print_as(table: pd.DataFrame, form: str) -> None:
         print(table.to_json(orient="records", indent=1, double_precision=15))
     else:
         from reports.tables import documents
-        from reports.tables.protocols import by_training_views
+        from reports.tables.protocols import by_protocol
 
         writer: Any = documents.to_markdown if form == "md" else documents.to_latex
-        print(writer(by_training_views({"results": table})["results"]))
+        print(writer(by_protocol({"results": table})["results"]))
 
 
 def print_results(table: pd.DataFrame) -> None:
     """The rows of a run, for people."""
-    from reports.tables.protocols import by_training_views
+    from reports.tables.protocols import by_protocol
     from reports.tables.results import terminal_rows
 
     width = _console().width
-    header, *lines = terminal_rows(by_training_views({"results": table})["results"], width)
+    header, *lines = terminal_rows(by_protocol({"results": table})["results"], width)
     _print(header, lines)
 
 
@@ -125,9 +125,8 @@ def _print(header: list[str], lines: list[list[str]]) -> None:
     console.print(grid, markup=False, highlight=False)
 
 
-def current(options: Namespace) -> dict[str, tuple[str, ...]]:
-    """Method -> hashes that count as its source now, plugins included: other rows are stale."""
-    from bench.provenance import current_sources
+def current(options: Namespace) -> dict[str, str]:
+    """Method -> its current version, plugins included: rows of other versions are stale."""
     from methods.registry import Registry
 
-    return current_sources(Registry(options.plugins))
+    return {spec.name: spec.version for spec in Registry(options.plugins)}

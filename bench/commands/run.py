@@ -22,13 +22,12 @@ if TYPE_CHECKING:
 def run(options: Namespace) -> int:
     """Run the jobs of a suite and its selectors, then print the results and write the report."""
     from bench.executor import Limits, LocalExecutor
-    from bench.provenance import current_sources
-    from bench.tables import build_tables, rows
-    from reports.schema import frame
+    from bench.tables import build_tables, stored_tables
+    from reports.schema import joined
 
     planner = _planner(options)
     store = Store(Path(options.out), create=True)
-    sources = current_sources(planner.registry)
+    versions = {spec.name: spec.version for spec in planner.registry}
     executor = LocalExecutor(
         store,
         planner,
@@ -38,11 +37,10 @@ def run(options: Namespace) -> int:
         plugins=_plugins(options),
     )
     outcome = executor.run()
-    tables = build_tables(store, sources)
+    tables = build_tables(store, versions)
     # The rows of this run alone; the store's tables may hold another version of a model.
-    own_rows = rows(outcome.records, sources)
-    frames = {name: frame(name, own_rows[name]) for name in ("results", "dvr")}
-    if any(map(len, frames.values())):
+    frames = joined(stored_tables(outcome.records, versions))
+    if len(frames["results"]) or len(frames["dvr"]):
         from bench.commands.results import print_results, print_table
         from reports.tables.datasets import costs
 

@@ -120,7 +120,6 @@ SPEC = MethodSpec(
     version="1",
     implementation="methods.econgs.method:Econgs",
     source=("methods.econgs", *SHARED_SOURCE, "econgs", "datasets.cloud"),
-    same_results=("049b8ef44f1cdb81",),  # failed where a start had more points than max_anchors
     joint=True,
     composable=True,
     edits=frozenset({"palette", "opacity", "light", "shading"}),

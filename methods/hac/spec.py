@@ -34,7 +34,6 @@ SPEC = MethodSpec(
     implementation="methods.hac.method:Hac",
     source=("methods.hac", *SOURCE, "econgs"),
     # The first failed where a start had more points than max_anchors; the others, where one shows nothing.
-    same_results=("17221fa3c01e4016", "5bd82986a4c9f371", "8ecd7192964b3104"),
     joint=False,
     composable=True,
     edits=frozenset({"opacity"}),

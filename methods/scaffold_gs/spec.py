@@ -67,7 +67,6 @@ SPEC = MethodSpec(
         "econgs.points",
     ),
     # The first failed where a start had more points than max_anchors; the second, where one shows nothing.
-    same_results=("c6d4c5a3d5ecfd06", "f7e5c535c86540d2"),
     joint=False,
     composable=True,
     edits=frozenset({"opacity"}),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from reports.charts import parts
 from reports.charts.parts import OTHER
-from reports.charts.rate_distortion import split_rate, with_shared_seeds
+from reports.charts.rate_distortion import with_shared_seeds
 from reports.schema import COLUMNS
 from reports.style import OTHERS, Look, label, look, mean_key, mib, named, options_of, seconds
 from reports.tables.protocols import comparable
@@ -180,7 +180,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
         wanted = set(rows["scene"])
         lines: dict[str, Line] = {}
         for keys, group in good.groupby(["method", "variant", "rate"], dropna=False, sort=False):
-            family = label(keys[0], split_rate(keys[1])[0])
+            family = label(keys[0], group["base"].iloc[0])
             line = lines.setdefault(family, Line(label(keys[0], keys[1]), family))
             per_scene = group.groupby("scene", sort=False)
             means = per_scene[[against, "psnr"]].mean()

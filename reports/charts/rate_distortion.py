@@ -13,8 +13,6 @@ from reports.tables.protocols import comparable, shared_by_all
 if TYPE_CHECKING:
     import pandas as pd
 
-RATE_OPTIONS = ("rate_weight", "lambda", "lambda_e")
-"""Options whose values are points of one curve: each trades bytes for quality and needs its own fit."""
 LEAST_POINTS = 4
 """Of each curve, for a difference."""
 LEAST_OVERLAP = 0.5
@@ -103,51 +101,47 @@ class Curve:
         return ""
 
 
-def split_rate(variant: Any) -> tuple[str, str]:
-    """A variant without rate knobs, and the knobs' value: "a=1,rate_weight=0.01" -> ("a=1", "0.01")."""
-    options = [] if absent(variant) or not variant else str(variant).split(",")
-    knobs = [text for text in options if text.partition("=")[0].strip() in RATE_OPTIONS]
-    rest = ",".join(text for text in options if text not in knobs)
-    return rest, ",".join(text.partition("=")[2] for text in knobs)
-
-
 def at_default_rates(table: pd.DataFrame) -> pd.DataFrame:
     """Without fits that differ only in a rate knob from fits of the same table at its default value.
 
     Args:
-        table: `results` or `curve` as documented.
+        table: `results`, `curve`, `losses` or `features`.
     """
     import pandas as pd
 
-    fits = [
-        (dataset, preset, method, *split_rate(variant))
-        for dataset, preset, method, variant in zip(
-            table["dataset"], table["preset"], table["method"], table["variant"], strict=True
-        )
-    ]
-    default = {fit[:-1] for fit in fits if not fit[-1]}
-    shown = [not knob or tuple(fit) not in default for *fit, knob in fits]
-    return table[pd.Series(shown, table.index, dtype=bool)]
+    fits = list(table[["dataset", "preset", "method", "base"]].itertuples(index=False, name=None))
+    at_default = table["knob_value"].isna()
+    default = {fit for fit, unset in zip(fits, at_default, strict=True) if unset}
+    alone = pd.Series([fit not in default for fit in fits], table.index, dtype=bool)
+    rows: pd.DataFrame = table[at_default | alone]
+    return rows
 
 
 def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
     """Dataset (with preset and split where there are several) -> its curves.
 
     The points are the rates that one fit was saved at (column ``rate``), or fits that differ only in a rate
-    knob (:data:`RATE_OPTIONS` in ``variant``); a method of one size is a curve of one point. Sets that lack a
+    knob (column ``knob_value``); a method of one size is a curve of one point. Sets that lack a
     scene are left out, seeds are averaged: those that all points of a curve have, if there are any, for seeds
     may lie further apart than rates.
     """
     if results.empty:
         return {}
     made: dict[str, list[Curve]] = {}
+    columns = results[["method", "variant", "base", "knob_value"]]
+    knobs = {(method, variant): rest for method, variant, *rest in columns.itertuples(index=False)}
     for dataset, rows in comparable(summary(with_shared_seeds(results))):
         gathered: dict[tuple[str, str], list[tuple[str, Point]]] = {}
         for _, row in rows[rows["complete"] & rows["psnr"].notna() & (rows["size_bytes"] > 0)].iterrows():
-            rest, knob = split_rate(row["variant"])
+            rest, knob = knobs[row["method"], row["variant"]]
             scenes = int(row["scenes"].split()[0])
-            rate = knob if absent(row["rate"]) else f"{row['rate']:g}"
-            point = Point(rate, float(row["size_bytes"]) / scenes, float(row["psnr"]), dict(row))
+            rate = knob if absent(row["rate"]) else row["rate"]
+            point = Point(
+                "" if absent(rate) else f"{rate:g}",
+                float(row["size_bytes"]) / scenes,
+                float(row["psnr"]),
+                dict(row),
+            )
             key = (str(row["method"]), rest)
             gathered.setdefault(key, []).append((label(row["method"], row["variant"]), point))
         for (method, rest), found in gathered.items():
@@ -167,15 +161,15 @@ def with_shared_seeds(results: pd.DataFrame) -> pd.DataFrame:
     import pandas as pd
 
     points: dict[tuple[Any, ...], dict[tuple[str, str], set[Any]]] = {}
-    names = ["dataset", "preset", "split", "method", "variant", "rate", "seed"]
+    names = ["dataset", "preset", "split", "method", "base", "variant", "rate", "seed"]
     cells = [
         [None if absent(cell) else cell for cell in row] for row in results[names].itertuples(index=False)
     ]
     for *axes, variant, rate, seed in cells:
-        point = points.setdefault((*axes, split_rate(variant)[0]), {})
+        point = points.setdefault(tuple(axes), {})
         point.setdefault((str(variant), str(rate)), set()).add(seed)
     shared = {curve: shared_by_all(found.values()) for curve, found in points.items()}
-    kept = [seed in shared[(*axes, split_rate(variant)[0])] for *axes, variant, _, seed in cells]
+    kept = [seed in shared[tuple(axes)] for *axes, _, _, seed in cells]
     return results[pd.Series(kept, results.index, dtype=bool)]
 
 

@@ -18,7 +18,7 @@ from reports.paper import verdicts
 from reports.paper.tables import paper_tables
 from reports.statistics import Views
 from reports.style import absent, label
-from reports.tables.protocols import by_training_views
+from reports.tables.protocols import by_protocol
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,7 +57,7 @@ def write_report(
     stored = tables
     if not results.empty:
         claims = verdicts.section(paper, views)
-        tables = by_training_views(tables)
+        tables = by_protocol(tables)
         results = tables["results"]
         pictures = scenes.section(tables, root, out.parent / "charts")
         edits = editing.section(tables, root, out.parent / "charts")

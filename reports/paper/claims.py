@@ -109,9 +109,9 @@ def _verdict(claim: dict[str, Any], block: Block, views: Views) -> Verdict | Non
 def _mixed(claim: dict[str, Any], rows: list[Row]) -> str:
     """A remark if rows of one method are from several versions, which may cause their difference."""
     methods = {line["label"]: line["method"] for line in layouts()["tables"][claim["table"]]["rows"]}
-    sources = {row.sources for row in rows}
+    versions = {row.versions for row in rows}
     alike = len({methods.get(row.label) for row in rows}) == 1
-    return "rows of several versions of the method" if alike and len(sources) > 1 else ""
+    return "rows of several versions of the method" if alike and len(versions) > 1 else ""
 
 
 def _rows(claim: dict[str, Any], block: Block) -> list[Row] | None:

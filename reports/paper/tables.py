@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
-import re
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ from reports.paper.values import NOT_MEASURED, QUANTITIES, Block, PaperTable, Qu
 from reports.schema import METRICS
 from reports.statistics import Views
 from reports.style import absent
-from reports.tables.protocols import shared_by_all, together, whole
+from reports.tables.protocols import shared_by_all
 from reports.tables.results import reasons, superseded_note
 
 if TYPE_CHECKING:
@@ -65,8 +65,7 @@ def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFr
 def _protocols(results: pd.DataFrame, layout: dict[str, Any]) -> Iterator[tuple[str, pd.DataFrame]]:
     """Dataset and rows of each protocol, with the rows of parts of its scenes that were trained jointly."""
     keys = ["preset", "split"] if _by_views(layout) else ["preset", "split", "requested_views"]
-    wholes = results["dataset"].map(whole).rename("whole")
-    for (dataset, *_), rows in results.groupby([wholes, *keys], dropna=False, sort=False):
+    for (dataset, *_), rows in results.groupby(["dataset", *keys], dropna=False, sort=False):
         yield str(dataset), rows
 
 
@@ -85,30 +84,31 @@ def _blocks(
     """One block per published dataset that this one is or imitates, if the results have all its scenes."""
     parts = []
     for published, description in published_as(name, dataset).items():
-        rows = _of_published(results, dataset, description)
+        rows = _of_published(results, description)
         if rows.loc[rows["kind"] == "basic", "scene"].nunique() == description["count"]:
             parts.append((published, description, rows))
     if not parts and takes(name, dataset):
-        parts.append((sole_dataset(name), {}, results[results["dataset"] == dataset]))
+        parts.append((sole_dataset(name), {}, results[results["scenes_together"].isna()]))
     for published, description, rows in parts:
         block = _block(name, layout, dataset, rows, published, description, views, superseded)
         if block is not None:
             yield block
 
 
-def _of_published(results: pd.DataFrame, dataset: str, description: dict[str, Any]) -> pd.DataFrame:
+def _of_published(results: pd.DataFrame, description: dict[str, Any]) -> pd.DataFrame:
     """The rows of the scenes of a published dataset, where no other scenes were trained with them."""
-    part = results["dataset"] == together(dataset, description["count"])
+    part = (results["scenes_together"] == description["count"]).fillna(False)
     pattern = description.get("scenes", "*")
     member = results["scene"].map(lambda scene: fnmatch.fnmatch(str(scene), pattern))
     foreign = set(results.loc[~member & (results["kind"] == "basic"), "scene"])
-    alone = results["group"].map(
-        lambda group: absent(group) or foreign.isdisjoint(re.split("[+,]", str(group)))
+    alone = results["fitted_scenes"].map(
+        lambda scenes: absent(scenes) or foreign.isdisjoint(json.loads(scenes))
     )
     composed = results["kind"] == "composed"
     models = results["method"].str.cat(results["variant"], sep="\n")
-    others = (results["dataset"] == dataset) & ~models.isin(set(models[part]))
-    return results[part | (others & (member | composed) & alone)]
+    others = results["scenes_together"].isna() & ~models.isin(set(models[part]))
+    rows: pd.DataFrame = results[part | (others & (member | composed) & alone)]
+    return rows
 
 
 def _block(
@@ -154,7 +154,7 @@ def _block(
         remarks.append("Each part of a frame is timed alone, so that their sum can differ from the frame.")
     remarks += [*seed_remarks, *_missing_remarks(rows, columns), *_version_remarks(rows, methods)]
     if superseded is not None:
-        same_set = (superseded["dataset"].map(whole) == dataset) & (superseded["preset"] == first["preset"])
+        same_set = (superseded["dataset"] == dataset) & (superseded["preset"] == first["preset"])
         remarks += filter(None, [superseded_note(superseded[same_set])])
     return Block(dataset, published, same, scenes, rows, places, remarks, ", ".join(protocol))
 
@@ -163,12 +163,12 @@ def _version_remarks(rows: list[Row], methods: Mapping[str, str]) -> list[str]:
     """A remark for each method with rows of several versions: differences may come from the versions."""
     remarks = []
     for method in dict.fromkeys(methods.values()):
-        by_source: dict[frozenset[str], list[str]] = {}
+        labels: dict[frozenset[str], list[str]] = {}
         for row in rows:
-            if methods[row.label] == method and row.sources:
-                by_source.setdefault(row.sources, []).append(row.label)
-        if len(by_source) > 1:
-            groups = "; ".join(", ".join(labels) for labels in by_source.values())
+            if methods[row.label] == method and row.versions:
+                labels.setdefault(row.versions, []).append(row.label)
+        if len(labels) > 1:
+            groups = "; ".join(", ".join(group) for group in labels.values())
             remarks.append(f"Rows of several versions of the method: {groups}.")
     return remarks
 
@@ -277,10 +277,7 @@ def _row(
             for host in part[["machine", "device", "threads"]].itertuples(index=False)
         ),
         frozenset(
-            str(source)
-            for part in complete
-            for source in part.get("source", [])
-            if not absent(source) and source
+            str(version) for part in complete for version in part["method_version"] if not absent(version)
         ),
         {metric: why for part in complete for text in part["reason"] for metric, why in reasons(text)},
     )

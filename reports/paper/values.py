@@ -89,7 +89,7 @@ class Row:
         note: why cells, or those of a seed, are missing.
         jobs: the measurements of the complete seeds.
         hosts: machine, device and threads of the measurements.
-        sources: versions of the method's source.
+        versions: versions of the method that fitted them.
         missing: column -> why a measured row lacks it.
     """
 
@@ -98,7 +98,7 @@ class Row:
     note: str = ""
     jobs: Sequence[str] = ()
     hosts: frozenset[tuple[str, ...]] = frozenset()
-    sources: frozenset[str] = frozenset()
+    versions: frozenset[str] = frozenset()
     missing: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.charts.rate_distortion import split_rate
 from reports.pictures.cieluv import delta_e_uv
 from reports.pictures.difference import colored, largest_window
 from reports.pictures.files import background, inside, read
@@ -104,14 +103,14 @@ def models(rows: pd.DataFrame) -> pd.DataFrame:
     Finished rows go before others and current before stale ones; then the default rate; then the first seed;
     of its rates the middle one by size.
     """
-    candidates: dict[tuple[Any, str], list[tuple[tuple[bool, bool, bool, int], float, Any]]] = {}
-    names = ["method", "variant", "rate", "status", "stale", "seed", "size_bytes"]
+    candidates: dict[tuple[Any, Any], list[tuple[tuple[bool, bool, bool, int], float, Any]]] = {}
+    names = ["method", "base", "knob_value", "rate", "status", "stale", "seed", "size_bytes"]
     for index, *cells in rows[names].itertuples():
         known = (None if absent(value) else value for value in cells)
-        method, variant, rate, status, stale, seed, size = known
-        rest, knob = split_rate(variant)
-        rank = (status != "ok", bool(stale), bool(knob) or rate is not None, int(seed or 0))
-        candidates.setdefault((method, rest), []).append((rank, float(size or 0), index))
+        method, base, knob, rate, status, stale, seed, size = known
+        default = knob is None and rate is None
+        rank = (status != "ok", bool(stale), not default, int(seed or 0))
+        candidates.setdefault((method, base), []).append((rank, float(size or 0), index))
     chosen = []
     for group in candidates.values():
         first = min(rank for rank, _, _ in group)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -30,14 +29,28 @@ def shared_by_all(seeds: Iterable[Iterable[Any]]) -> set[Any]:
     return (set.intersection(*sets) or set.union(*sets)) if sets else set()
 
 
-def together(dataset: str, count: int) -> str:
-    """What a dataset is called of which so many scenes were learned together, and elsewhere more."""
-    return f"{dataset}, {count} scenes together" if count > 1 else f"{dataset}, scenes alone"
+def by_protocol(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
+    """Datasets as charts and tables for people call them: one for each choice of scenes and number of views.
+
+    :func:`by_training_views` after :func:`by_scene_choice`; the tables given stay as they are.
+    """
+    return by_training_views({name: by_scene_choice(table) for name, table in tables.items()})
 
 
-def whole(dataset: str) -> str:
-    """The dataset itself of a name that :func:`together` made."""
-    return re.sub(r", (\d+ scenes together|scenes alone)$", "", dataset)
+def by_scene_choice(table: pd.DataFrame) -> pd.DataFrame:
+    """A dataset of which fewer scenes than elsewhere were learned together becomes one of its own.
+
+    As "vortices, 3 scenes together" or "vortices, scenes alone"; it comes after the dataset.
+    """
+    if "scenes_together" not in table or table["scenes_together"].isna().all():
+        return table
+    counts = table["scenes_together"].fillna(0).astype(int)
+    names = [
+        name + {0: "", 1: ", scenes alone"}.get(count, f", {count} scenes together")
+        for name, count in zip(table["dataset"], counts, strict=True)
+    ]
+    named = table.assign(dataset=names).astype({"dataset": table["dataset"].dtype})
+    return named.loc[_order(table["dataset"], counts)].reset_index(drop=True)
 
 
 def by_training_views(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
@@ -67,15 +80,14 @@ def _named(table: pd.DataFrame, several: set[tuple[str, int]]) -> pd.DataFrame:
         return table
     names = table["dataset"] + ", " + table["requested_views"].astype("string") + " views"
     named = table.assign(dataset=table["dataset"].where(~apart, names), **{ORIGIN: table["dataset"]})
-    return named.loc[_order(table, apart)].reset_index(drop=True)
+    return named.loc[_order(table["dataset"], table["requested_views"].where(apart, 0))].reset_index(
+        drop=True
+    )
 
 
-def _order(table: pd.DataFrame, apart: pd.Series) -> pd.Index:
-    """Datasets stay where they were; within one, few views come first."""
-    place = {name: i for i, name in enumerate(dict.fromkeys(table["dataset"]))}
-    keys = [
-        (place[name], int(count) if split else 0)
-        for name, count, split in zip(table["dataset"], table["requested_views"], apart, strict=True)
-    ]
+def _order(datasets: pd.Series, counts: pd.Series) -> pd.Index:
+    """Datasets stay where they were; rows of one are ordered by a count."""
+    place = {name: i for i, name in enumerate(dict.fromkeys(datasets))}
+    keys = [(place[name], int(count)) for name, count in zip(datasets, counts, strict=True)]
     ranked = sorted(range(len(keys)), key=keys.__getitem__)
-    return table.index[ranked]
+    return datasets.index[ranked]

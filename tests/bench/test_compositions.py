@@ -20,9 +20,10 @@ from bench.records import (
 from bench.selection import Selection
 from bench.store import Store
 from bench.suites import load_suite
-from bench.tables import build_tables, rows
+from bench.tables import build_tables, stored_tables
 from datasets.errors import DataError, UnknownName
 from datasets.png import read_png
+from reports.schema import joined
 
 from .conftest import PLUGINS
 
@@ -142,9 +143,9 @@ def _result(job) -> dict:
 
 
 def test_costs_of_a_composition_are_those_of_its_scenes(suite, tmp_path) -> None:
-    tables = rows(_records(suite(), tmp_path))
-    found = {row["scene"]: row for row in tables["results"]}
-    assert [row["kind"] for row in tables["results"]] == ["basic", "basic", "composed"]
+    tables = joined(stored_tables(_records(suite(), tmp_path)))
+    found = tables["results"].set_index("scene", drop=False).to_dict("index")
+    assert list(tables["results"]["kind"]) == ["basic", "basic", "composed"]
     a, b, both = found["shock"], found["bubble"], found["all"]
     for name in (
         "size_bytes",
@@ -158,8 +159,8 @@ def test_costs_of_a_composition_are_those_of_its_scenes(suite, tmp_path) -> None
         assert both[name] == a[name] + b[name], name
     assert both["size_bytes"] == 314
     assert both["train_seconds"] == 10.0 + 20.0 + 2 * 1.0 + 4.0
-    assert {row["background"] for row in tables["views"]} == {"#ff8000"}
-    assert {row["scene"] for row in tables["timing"]} == {"shock", "bubble", "all"}
+    assert set(tables["views"]["background"]) == {"#ff8000"}
+    assert set(tables["timing"]["scene"]) == {"shock", "bubble", "all"}
 
 
 def test_a_composition_of_part_of_a_group(suite, tmp_path) -> None:
@@ -176,7 +177,8 @@ def test_a_composition_of_part_of_a_group(suite, tmp_path) -> None:
     (composed,) = [r for r in records if r.job.kind == "measure" and r.job.composition]
     needs = tuple(n for n in composed.job.needs if not n.startswith("encode-") or n == encode.job.id)
     composed = composed.model_copy(update={"job": composed.job.model_copy(update={"needs": needs})})
-    (row,) = rows([composed, group, by_kind["fit"], by_kind["partition"]])["results"]
+    tables = stored_tables([composed, group, by_kind["fit"], by_kind["partition"]])
+    (row,) = tables["results"].to_dict("records")
     assert (row["size_bytes"], row["standalone_bytes"], row["group_bytes"]) == (307, 310, 710)
     seconds = 10.0 + 3.0 + 4.0 * 3 / 2
     assert (row["group_seconds"], row["train_seconds"]) == (seconds, pytest.approx(seconds * 2 / 3))

@@ -13,7 +13,7 @@ import pytest
 from bench.store import Store
 from bench.tables import build_tables
 from datasets.png import read_png
-from reports.schema import TABLES
+from reports.schema import TABLES, read_tables
 
 
 def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
@@ -33,7 +33,8 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     after = {job: (bench.store / "jobs" / job / "record.json").stat().st_mtime_ns for job in bench.records()}
     assert after == stamps
 
-    table = pd.read_parquet(bench.store / "tables" / "results.parquet")
+    tables = read_tables(bench.store / "tables")
+    table = tables["results"]
     assert list(table.columns) == list(TABLES["results"].columns)
     assert list(table["scene"]) == ["a", "b"]
     assert table["psnr"].notna().all()
@@ -42,18 +43,18 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     assert table["processor"].str.contains(f"{os.cpu_count()} cores").all()
     assert (table["fps_p05"] <= table["fps"]).all()
     assert (table["fps"] <= table["fps_p95"]).all()
-    views = pd.read_parquet(bench.store / "tables" / "views.parquet")
+    views = tables["views"]
     assert len(views) == 8
     for file in [*views["truth_file"], *views["render_file"]]:
         assert (bench.store / file).is_file()
     row = views.iloc[0]
     truth, render = (read_png(bench.store / row[f])[..., 3].sum() for f in ("truth_file", "render_file"))
     assert 1 - row["missing"] + row["excess"] == pytest.approx(render / truth)
-    curve = pd.read_parquet(bench.store / "tables" / "curve.parquet").groupby("scene").last()
+    curve = tables["curve"].groupby("scene").last()
     # The four test views are those of the curve: what it ends at is what is measured.
     assert list(curve["psnr"]) == pytest.approx(list(table["psnr"]), abs=0.01)
     folder = next((bench.store / "jobs").glob("encode-*")) / "model"
-    features = pd.read_parquet(bench.store / "tables" / "features.parquet")
+    features = tables["features"]
     assert [len(values) for values in features["values"]] == [3 * width for width in features["width"]]
     assert set(features["scene"]) == {"a", "b"}
     sizes = sum(f.stat().st_size for f in folder.iterdir())

@@ -12,9 +12,9 @@ from bench.comparison import compared
 from bench.jobs.encode import check_ledger
 from bench.records import EncodeResult, Job, Record, Request, derived_seed, hash_of
 from bench.store import Store
-from bench.tables import rows, share
+from bench.tables import share, stored_tables
 from datasets.errors import DataError
-from reports.schema import frame
+from reports.schema import frame, joined, read_tables
 
 
 def _record(status: str = "ok", key: str = "0123", **changes) -> Record:
@@ -114,8 +114,9 @@ def test_rows_stand_in_the_order_people_expect() -> None:
 
     wanted = [("core", 0, None), ("jet", 2, None), ("jet", 10, None), ("tf2", 0, None), ("tf2", 0, 0.5),
               ("tf2", 0, 10.0), ("tf10", 0, None)]  # fmt: skip
-    made = rows(measured(*axes) for axes in reversed(wanted))["results"]
-    assert [(row["scene"], row["seed"], row["rate"]) for row in made] == wanted
+    tables = joined(stored_tables(measured(*axes) for axes in reversed(wanted)))
+    cells = tables["results"][["scene", "seed", "rate"]].itertuples(index=False, name=None)
+    assert [(scene, seed, None if pd.isna(rate) else rate) for scene, seed, rate in cells] == wanted
 
 
 def _views(psnr: list[float], rate=None) -> pd.DataFrame:
@@ -155,9 +156,10 @@ def test_merge_joins_and_prefers_success(finished, make_bench, tmp_path) -> None
     records = list(Store(merged).records())
     assert all(r.ok for r in records)
     assert len(records) == 4 + 3  # the views job is common
-    table = pd.read_parquet(merged / "tables" / "results.parquet")
+    tables = read_tables(merged / "tables")
+    table = tables["results"]
     assert list(table["seed"]) == [0, 1]
-    views = pd.read_parquet(merged / "tables" / "views.parquet")
+    views = tables["views"]
     assert all((merged / file).is_file() for file in [*views["truth_file"], *views["render_file"]])
 
     same = bench("compare", merged, merged)

@@ -17,27 +17,28 @@ from bench.records import (
     hash_of,
 )
 from bench.store import Store
-from bench.tables import build_tables, rows
+from bench.tables import build_tables, stored_tables
 from reports.tables.means import summary
+from reports.tables.protocols import by_protocol
 from reports.tables.results import superseded_note
 
 REQUEST = Request(train_views=12, test_views=4, width=8, height=8)
 GROUPS = (("a", "b"), ("c",))
 
 
-def record(kind, identity, day, source="old", status="ok", **said):
+def record(kind, identity, day, made_by="1", status="ok", **said):
     results = {"partition": PartitionResult, "fit": FitResult, "encode": EncodeResult}
     results["measure"] = MeasureResult
     job_fields = {name: value for name, value in said.items() if name in Job.model_fields}
     result = {name: value for name, value in said.items() if name in results and status == "ok"}
-    identity = {"kind": kind, **identity}
+    identity = {"kind": kind, "method": ["m", made_by], **identity}
     job = Job(
         kind=kind, key=hash_of(identity), identity=identity, dataset="d", dataset_name="d", request=REQUEST,
         preset="quick", method="m", **job_fields,
     )  # fmt: skip
     where = Provenance(
         machine="x", cpu="", cores=1, threads=1, memory_bytes=1, gpu=None, system="", python="", versions={},
-        isa=None, commit=None, source=source,
+        isa=None, commit=None, source=None,
     )  # fmt: skip
     time = f"2026-01-{day:02d}T00:00:00"
     return Record(
@@ -45,13 +46,13 @@ def record(kind, identity, day, source="old", status="ok", **said):
     )
 
 
-def version(number, day, source="old", groups=GROUPS, joint=True, shared=10, failed=(), rate=None, done=True):
+def version(number, day, made_by="1", groups=GROUPS, joint=True, shared=10, failed=(), rate=None, done=True):
     """All records of a method's models of one version: each group's shared bytes and 100 per scene."""
     made = []
     scenes = tuple(scene for group in groups for scene in group)
     common = {"options": number}
     partition = record(
-        "partition", {**common, "scenes": scenes}, day, source, scenes=scenes,
+        "partition", {**common, "scenes": scenes}, day, made_by, scenes=scenes,
         partition=PartitionResult(groups=[list(group) for group in groups], seconds=0.0),
     )  # fmt: skip
     if joint:
@@ -61,13 +62,13 @@ def version(number, day, source="old", groups=GROUPS, joint=True, shared=10, fai
         point = CurvePoint(iteration=1, train_seconds=1.0, loss=None, psnr={}, primitives=1)
         fit = record(
             "fit", {**common, "scenes": group, "partition": partition.job.key if joint else None}, day,
-            source, scenes=group, group=name, needs=(partition.job.id,) if joint else (),
+            made_by, scenes=group, group=name, needs=(partition.job.id,) if joint else (),
             fit=FitResult(seconds=60.0, iterations=1, primitives={}, train_views=12, curve=[point], resumed=0,
                           reference_seconds=None),
         )  # fmt: skip
         ledger = {"": {"net": shared}, **{scene: {"own": 100} for scene in group}}
         encode = record(
-            "encode", {"fit": fit.job.key, "rate": rate}, day, source, scenes=group, group=name, rate=rate,
+            "encode", {"fit": fit.job.key, "rate": rate}, day, made_by, scenes=group, group=name, rate=rate,
             needs=(fit.job.id,),
             encode=EncodeResult(seconds=0.0, total_bytes=shared + 100 * len(group), ledger=ledger),
         )  # fmt: skip
@@ -76,7 +77,7 @@ def version(number, day, source="old", groups=GROUPS, joint=True, shared=10, fai
             status = "failed" if scene in failed else "ok"
             made.append(
                 record(
-                    "measure", {"encode": encode.job.key, "scene": scene}, day, source, status,
+                    "measure", {"encode": encode.job.key, "scene": scene}, day, made_by, status,
                     scenes=(scene,), group=name, rate=rate, needs=(encode.job.id,),
                     measure=MeasureResult(
                         load_seconds=1.0, frame_seconds=0.1, frame_seconds_p05=0.1, frame_seconds_p95=0.1,
@@ -89,11 +90,11 @@ def version(number, day, source="old", groups=GROUPS, joint=True, shared=10, fai
 
 @pytest.fixture
 def tables_of(tmp_path):
-    def make(*versions, sources=None):
+    def make(*runs, current="1"):
         store = Store(tmp_path / "s", create=True)
-        for one in (one for records in versions for one in records):
+        for one in (one for records in runs for one in records):
             store.finish(one)
-        return build_tables(store, sources or {}, write=False)
+        return build_tables(store, {"m": current}, write=False)
 
     return make
 
@@ -117,38 +118,41 @@ def test_a_cell_of_two_versions_is_counted_once(tables_of):
 
 def test_records_as_such_are_all_there():
     """What a bundle's tables are checked against."""
-    assert len(rows([*version(1, 1), *version(2, 2)])["results"]) == 6
+    assert len(stored_tables([*version(1, 1), *version(2, 2)])["results"]) == 6
 
 
-def test_the_current_source_goes_before_a_newer_stale_one(tables_of):
-    tables = tables_of(version(1, 1, "now"), version(2, 2, "old"), sources={"m": ("now",)})
+def test_the_current_version_goes_before_a_newer_run_of_another(tables_of):
+    tables = tables_of(version(1, 1, "2"), version(2, 2, "1"), current="2")
     assert list(tables["results"]["psnr"]) == [31.0] * 3
+    assert list(tables["results"]["method_version"]) == ["2"] * 3
     assert not tables["results"]["stale"].any()
 
 
-def test_rows_of_an_older_source_of_the_same_results_are_not_stale(tables_of):
-    tables = tables_of(version(1, 1, "same"), version(2, 2, "old"), sources={"m": ("now", "same")})
-    assert list(tables["results"]["psnr"]) == [31.0] * 3
-    assert not tables["results"]["stale"].any()
+def test_rows_are_stale_for_their_version_and_for_no_other_cause(tables_of):
+    records = version(1, 1)
+    for one in records:
+        one.provenance.source, one.provenance.commit = "changed", "changed"
+    assert not tables_of(records)["results"]["stale"].any()
+    assert tables_of(records, current="2")["results"]["stale"].all()
 
 
 def test_what_was_fitted_together_is_taken_whole_or_not_at_all(tables_of):
     """A scene fitted alone must not stand beside two thirds of what three scenes shared."""
-    alone = version(2, 2, "now", groups=(("a",),))
-    tables = tables_of(version(1, 1), alone, sources={"m": ("now",)})
+    alone = version(2, 2, "2", groups=(("a",),))
+    tables = tables_of(version(1, 1), alone, current="2")
     assert sizes(tables) == {"a": 110, "c": 110}, "b shares with the older a"
     assert sorted(tables["superseded"]["scene"]) == ["a", "b"]
 
 
-def test_of_the_same_source_the_version_with_all_scenes_stands(tables_of):
+def test_of_one_version_the_fit_of_all_scenes_stands(tables_of):
     tables = tables_of(version(1, 1), version(2, 2, groups=(("a",),)))
     assert sizes(tables) == {"a": 105, "b": 105, "c": 110}
 
 
 def test_scenes_fitted_alone_are_filled_up(tables_of):
     apart = (("a",), ("b",), ("c",))
-    newer = version(2, 2, "now", groups=(("a",),), joint=False)
-    tables = tables_of(version(1, 1, groups=apart, joint=False), newer, sources={"m": ("now",)})
+    newer = version(2, 2, "2", groups=(("a",),), joint=False)
+    tables = tables_of(version(1, 1, groups=apart, joint=False), newer, current="2")
     assert list(tables["results"]["psnr"]) == [32.0, 31.0, 31.0]
     assert list(tables["results"]["stale"]) == [False, True, True]
 
@@ -159,7 +163,7 @@ def test_a_failure_of_the_current_version_is_not_hidden_by_an_older_success(tabl
 
 
 def test_what_is_not_measured_yet_takes_nobodys_place(tables_of):
-    tables = tables_of(version(1, 1), version(2, 2, "now", done=False), sources={"m": ("now",)})
+    tables = tables_of(version(1, 1), version(2, 2, "2", done=False), current="2")
     assert list(tables["results"]["psnr"]) == [31.0] * 3
     assert len(tables["superseded"]) == 0
 
@@ -190,9 +194,10 @@ def test_fewer_scenes_learned_together_are_a_dataset_of_their_own(tables_of):
         one.job.method = "other"
     tables = tables_of(part, version(2, 2, shared=30, groups=(("a", "b", "c"),)), alone)
     assert tables["superseded"].empty
-    means = summary(tables["results"]).set_index(["dataset", "method"])["size_bytes"].to_dict()
+    assert set(tables["results"]["dataset"]) == set(tables["ledger"]["dataset"]) == {"d"}
+    means = summary(by_protocol(tables)["results"]).set_index(["dataset", "method"])["size_bytes"].to_dict()
     assert means == {("d", "m"): 330, ("d", "other"): 330, ("d, 2 scenes together", "m"): 210}
-    assert set(tables["ledger"]["dataset"]) == {"d", "d, 2 scenes together"}
+    assert set(by_protocol(tables)["ledger"]["dataset"]) == {"d", "d, 2 scenes together"}
 
 
 def test_a_scene_learned_alone_with_another_seed_is_not_averaged_with_joint_models(tables_of):
@@ -202,5 +207,6 @@ def test_a_scene_learned_alone_with_another_seed_is_not_averaged_with_joint_mode
         one.job.seed = 1
     tables = tables_of(joint, same, other)
     assert list(tables["superseded"]["psnr"]) == [32.0]
-    found = tables["results"].set_index("dataset")["psnr"]
-    assert found.to_dict() == {"d": 31.0, "d, scenes alone": 33.0}
+    found = by_protocol(tables)["results"]
+    assert set(zip(found["dataset"], found["psnr"], strict=True)) == {("d", 31.0), ("d, scenes alone", 33.0)}
+    assert list(tables["results"]["scenes_together"].fillna(0)) == [0, 1, 0, 0]

@@ -25,6 +25,14 @@ def picture(path: Path, size: int, shift: float, noise: float, seed: int) -> Non
     Image.fromarray((np.clip(np.concatenate([rgb, alpha], -1), 0, 1) * 255).astype(np.uint8)).save(path)
 
 
+def settings(variant: str, knob: str = "rate_weight") -> dict:
+    """The axes of a row with these settings, of a method with this rate knob."""
+    texts = [text for text in variant.split(",") if text]
+    values = [float(text.removeprefix(f"{knob}=")) for text in texts if text.startswith(f"{knob}=")]
+    base = ",".join(text for text in texts if not text.startswith(f"{knob}="))
+    return {"variant": variant, "base": base, "knob_value": values[0] if values else None}
+
+
 class Maker:
     """Builds the tables of a synthetic store under a folder."""
 
@@ -58,7 +66,7 @@ class Maker:
             "dataset": dataset,
             "scene": scene,
             "method": method,
-            "variant": variant,
+            **settings(variant),
             "rate": rate,
             "preset": "quick",
             "split": "test",

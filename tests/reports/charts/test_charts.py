@@ -9,7 +9,7 @@ import pytest
 from reports.charts import data, features, kinds, rate_distortion, training
 from reports.charts.sections import chart_sections
 from reports.style import series
-from tests.reports.conftest import fill
+from tests.reports.conftest import fill, settings
 
 
 def curve_table(rows):
@@ -27,7 +27,7 @@ def curve_table(rows):
     table = pd.DataFrame(rows, columns=columns)
     parts = [json.loads(text) if text else {} for text in table["loss_parts"]]
     table["loss"] = [sum(v for k, v in p.items() if k != "bits per attribute") or 0.1 for p in parts]
-    return table.assign(dataset="d", variant="", preset="quick", seed=0)
+    return table.assign(dataset="d", preset="quick", seed=0, **settings(""))
 
 
 def of_training(curve, stretches=()):
@@ -37,7 +37,7 @@ def of_training(curve, stretches=()):
     losses["losses"] = [json.dumps(parts) for parts in losses["losses"]]
     return {
         "curve": curve,
-        "losses": losses.assign(dataset="d", scene="a", variant="", preset="quick", seed=0),
+        "losses": losses.assign(dataset="d", scene="a", preset="quick", seed=0, **settings("")),
     }
 
 
@@ -271,7 +271,8 @@ def test_charts_of_training_show_the_default_of_a_rate_knob(maker):
     rows = [(job, "a", "m", i, 3.0 * i, 30.0, None, parts) for job in "jkln" for i in (1, 2)]
     variants = {"j": "rate_weight=0.1", "k": "", "l": "a=1,rate_weight=0.1", "n": "a=1,rate_weight=0.2"}
     table = curve_table(rows)
-    table["variant"] = table["job"].map(variants).astype("string")
+    axes = pd.DataFrame([settings(variants[job]) for job in table["job"]])
+    table = table.assign(**{name: axes[name] for name in axes})
     # Of "a=1" there is no fit at the default rate: all of them are shown.
     told = ["m", "m [a=1,rate_weight=0.1]", "m [a=1,rate_weight=0.2]"]
     results = results_table(maker, m="a")
@@ -402,7 +403,7 @@ def features_table(count=60):
         for name, width in (("opacity", 1), ("features", 4))
     ]
     table = pd.DataFrame(rows, columns=["job", "scene", "name", "values", "width"])
-    return table.assign(dataset="d", method="econgs", variant="", preset="quick")
+    return table.assign(dataset="d", method="econgs", preset="quick", **settings(""))
 
 
 def test_histograms_pool_scenes_and_components():
@@ -415,7 +416,7 @@ def test_histograms_pool_scenes_and_components():
 
 
 def test_attributes_are_of_the_default_rate():
-    rates = pd.concat([features_table().assign(variant=v) for v in ("", "rate_weight=0.01", "offsets=5")])
+    rates = pd.concat([features_table().assign(**settings(v)) for v in ("", "rate_weight=0.01", "offsets=5")])
     assert list(features.histograms(rates)[0].shares) == ["ECoNGS", "ECoNGS [offsets=5]"]
 
 

@@ -228,7 +228,8 @@ def test_titles_of_panels_are_broken_before_they_are_cut():
 
 def attributes(values, variants=("",)):
     rows = [("econgs", variant, "offsets", list(values), 1) for variant in variants]
-    table = pd.DataFrame(rows, columns=["method", "variant", "name", "values", "width"])
+    table = pd.DataFrame(rows, columns=["method", "base", "name", "values", "width"])
+    table = table.assign(variant=table["base"], knob_value=None)
     return table.assign(job="j", dataset="d", scene="s", preset="quick")
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from reports.charts.rate_distortion import Curve, Point, curves, difference, differences, split_rate
+from reports.charts.rate_distortion import Curve, Point, curves, difference, differences
 
 ANCHOR = ([1358.24, 2486.44, 4593.60, 9487.76], [34.851, 36.845, 38.615, 40.037])
 TEST = ([1356.24, 2451.52, 4469.00, 9787.80], [34.987, 36.970, 38.651, 40.121])
@@ -107,20 +107,6 @@ def test_interpolations_that_disagree_are_warned_of():
     size, psnr = [1e3, 5e3, 2e4, 5e4, 5e5], [31.0, 32.0, 40.0, 41.0, 42.0]
     made = difference(curve(size, psnr), curve([1e3, 1e4, 1e5, 1e6], [30.0, 35.0, 40.0, 45.0]))
     assert any("PCHIP gives" in words for words in made.warnings)
-
-
-@pytest.mark.parametrize(
-    ("variant", "split"),
-    [
-        ("", ("", "")),
-        ("rate_weight=0.01", ("", "0.01")),
-        ("context=false,rate_weight=1e-3", ("context=false", "1e-3")),
-        ("spare_rate_weight=2", ("spare_rate_weight=2", "")),
-        (None, ("", "")),
-    ],
-)
-def test_the_rate_knob_is_taken_out_of_the_variant(variant, split):
-    assert split_rate(variant) == split
 
 
 def test_curves_gather_rates_and_fits_that_differ_in_the_rate_knob(maker):

@@ -155,8 +155,8 @@ def test_bounds_of_ours_have_no_tolerance():
 
 
 def test_a_claim_on_rows_of_several_versions_has_a_remark():
-    rows = [*four("econgs", 35.0, source="new"), *four("3dgs", 32.0, source="x")]
-    rows += four("econgs", 33.0, variant="start=random", source="old")
+    rows = [*four("econgs", 35.0, method_version="2"), *four("3dgs", 32.0, method_version="1")]
+    rows += four("econgs", 33.0, variant="start=random", method_version="1")
     made = verdicts_of(results(*rows))
     assert made["init-gain"].why
     assert made["init-gain"].why in to_text(list(made.values()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import numpy as np
@@ -24,7 +25,7 @@ def row(method="econgs", scene="TF01", psnr=36.0, **changed):
         "dataset": "vortex_views", "scene": scene, "kind": "basic", "method": method, "variant": "",
         "preset": "paper", "split": "test", "seed": 0, "status": "ok", "psnr": psnr, "fps": 100.0,
         "size_bytes": 2**19, "train_seconds": 120.0, "primitives": 1000, "group": "g", "train_views": 92,
-        "width": 200, "height": 200, "machine": "x",
+        "requested_views": 92, "width": 200, "height": 200, "machine": "x",
     }  # fmt: skip
     said |= changed
     return {"job": f"{method}-{said['variant']}-{scene}-{said['seed']}"} | said
@@ -163,10 +164,10 @@ def test_scenes_learned_with_others_are_not_those_of_a_smaller_dataset():
     t = [f"t_{i}" for i in range(1, 5)]
     h = [f"h_{i}" for i in range(20)]
     of = {"dataset": "ionisation_like"}
-    alone = [row("ivr-gs", scene, group=scene, **of) for scene in t + h]
-    mixed = [row("econgs", scene, 30.0, group="t_1+h_1", **of) for scene in t + h]
-    small = [row("econgs", scene, 33.0, dataset="ionisation_like, 4 scenes together", group="t_1+t_2",
-                 job=f"small-{scene}") for scene in t]  # fmt: skip
+    alone = [row("ivr-gs", scene, fitted_scenes=json.dumps([scene]), **of) for scene in t + h]
+    mixed = [row("econgs", scene, 30.0, fitted_scenes=json.dumps(["t_1", "h_1"]), **of) for scene in t + h]
+    small = [row("econgs", scene, 33.0, scenes_together=4, fitted_scenes=json.dumps(["t_1", "t_2"]),
+                 job=f"small-{scene}", **of) for scene in t]  # fmt: skip
     both = paper_tables(results(*alone, *mixed, *small))
     (univariate,) = table(both, "univariate").blocks
     assert (univariate.published, univariate.dataset) == ("ionization (T)", "ionisation_like")
@@ -274,11 +275,11 @@ def test_an_empty_column_has_its_reason_and_its_rows():
 
 
 def test_rows_of_several_versions_of_a_method_have_a_remark():
-    without = {"variant": "view_direction=false", "source": "old"}
-    rows = [*four("econgs", 35.0, source="new"), *four("econgs", 34.0, **without)]
+    without = {"variant": "view_direction=false", "method_version": "1"}
+    rows = [*four("econgs", 35.0, method_version="2"), *four("econgs", 34.0, **without)]
     block = table(paper_tables(results(*rows)), "design").blocks[0]
     assert any("full ECoNGS; w/o view direction" in remark for remark in block.remarks)
-    rows = [*four("econgs", 35.0, source="new"), *four("3dgs", 34.0, source="other")]
+    rows = [*four("econgs", 35.0, method_version="2"), *four("3dgs", 34.0, method_version="1")]
     (block,) = table(paper_tables(results(*rows)), "univariate").blocks
     assert not [remark for remark in block.remarks if "ECoNGS" in remark]
 
