@@ -309,7 +309,11 @@ _RESULT = (
     "fit_processor",
 )  # fmt: skip
 TABLES: dict[str, Table] = {
-    "jobs": Table("A finished job, and what decides it.", (), ("job", "step", "members", *_RESULT)),
+    "jobs": Table(
+        "A finished job, and what decides it.",
+        (),
+        ("job", "step", "members", *(name for name in COLUMNS if name in _RESULT)),
+    ),
     "results": Table(
         "A model of a scene or composition. `size_bytes`, `train_seconds` and `cpu_seconds` are shares of "
         "the group's, so that rows sum to the dataset's total. Bytes, seconds and primitives of a "
