@@ -208,17 +208,18 @@ def test_a_mended_partition_leaves_no_failed_rows(bench, tmp_path) -> None:
     assert list(table["status"]) == ["ok", "ok"]
 
 
-def test_rows_of_changed_source_are_stale(finished, tmp_path) -> None:
+def test_rows_of_another_version_are_stale_and_changed_source_alone_is_not(finished, tmp_path) -> None:
     bench, plugins = finished, tmp_path / "own"
     shutil.copytree(bench.plugins, plugins, ignore=shutil.ignore_patterns("__pycache__"))
+    file, common = plugins / "fake.py", ("results", "--runs", bench.store, "--format", "json")
+    file.write_text(file.read_text() + "\n# a change\n")
+    (row,) = json.loads(bench(*common, "--plugins", plugins).stdout)
+    assert (row["method_version"], row["stale"]) == ("1", False)
     bench.plugins = plugins
-    fresh = bench("results", "--runs", bench.store, "--format", "json", "--plugins", plugins)
-    assert json.loads(fresh.stdout)[0]["stale"] is False
-    with (plugins / "fake.py").open("a") as file:
-        file.write("\n# a change\n")
-    stale = bench("results", "--runs", bench.store, "--format", "json", "--plugins", plugins)
-    assert json.loads(stale.stdout)[0]["stale"] is True
     assert "nothing to run" in bench.run().stderr
+    file.write_text(file.read_text().replace('version="1"', 'version="2"'))
+    (row,) = json.loads(bench(*common, "--plugins", plugins).stdout)
+    assert (row["method_version"], row["stale"]) == ("1", True)
 
 
 def test_pictures_of_truth_and_model_can_be_scored(finished) -> None:
