@@ -19,8 +19,8 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint, harness: dict[str, An
 
     Args:
         folder: holds the checkpoints of one fit.
-        checkpoint: what the method gave.
-        harness: what the harness itself needs to continue (clock, curve); JSON values.
+        checkpoint: state of the method.
+        harness: state of the harness (clock, curve); JSON values.
     """
     target = folder / f"{checkpoint.iteration:09d}"
     if target.exists():  # the same state, stored whole
@@ -42,14 +42,14 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint, harness: dict[str, An
 
 
 def read_checkpoint(folder: Path) -> tuple[Checkpoint, dict[str, Any]] | None:
-    """The newest checkpoint under a folder and what the harness stored with it; None if there is none."""
-    found = sorted(p for p in folder.glob("[0-9]*") if (p / _META).is_file()) if folder.is_dir() else []
-    if not found:
+    """The newest checkpoint under a folder and the state of the harness; None if there is none."""
+    newest = max((path.parent for path in folder.glob(f"[0-9]*/{_META}")), default=None)
+    if newest is None:
         return None
-    meta = json.loads((found[-1] / _META).read_text(encoding="utf-8"))
+    meta = json.loads((newest / _META).read_text(encoding="utf-8"))
     arrays = {}
-    if (found[-1] / _ARRAYS).is_file():
+    if (newest / _ARRAYS).is_file():
         from safetensors.torch import load_file
 
-        arrays = load_file(found[-1] / _ARRAYS)
+        arrays = load_file(newest / _ARRAYS)
     return Checkpoint(meta["iteration"], arrays, meta["scalars"]), meta["harness"]

@@ -1,4 +1,4 @@
-"""The training loss while a fit goes on: means over stretches, since single steps see single views."""
+"""The training losses of a fit: means over stretches, since a single step sees a single view."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from bench.records import LossPoint
 
 STRETCHES = 50
-"""Of a fit; stages cut them."""
+"""Number of stretches of a fit; the end of a stage also ends one."""
 
 
 class LossCurve:
@@ -21,15 +21,15 @@ class LossCurve:
 
     def __init__(self, iterations: int) -> None:
         self._length = max(1, math.ceil(iterations / STRETCHES))
-        self._done: list[LossPoint] = []
+        self._points: list[LossPoint] = []
         self._stage = ""
         self._steps = self._last = 0
         self._sums: dict[str, float] = {}
 
     def add(self, iteration: int, stage: str, losses: Mapping[str, float]) -> None:
-        """A step's losses; ``iteration`` from 1."""
+        """Add the losses of a step; ``iteration`` counts from 1."""
         if self._steps and (stage != self._stage or self._stretch(iteration) != self._stretch(self._last)):
-            self._done.append(self._point())
+            self._points.append(self._point())
             self._steps, self._sums = 0, {}
         self._stage, self._last = stage, iteration
         self._steps += 1
@@ -38,17 +38,17 @@ class LossCurve:
 
     @property
     def points(self) -> list[LossPoint]:
-        """Up to the last step; a part that a step lacks counts as 0 there."""
-        return [*self._done, *([self._point()] if self._steps else [])]
+        """Means up to the last step; a part that a step lacks counts as 0 there."""
+        return [*self._points, *([self._point()] if self._steps else [])]
 
     def state(self) -> dict[str, Any]:
-        """For :meth:`resume`, as JSON holds it."""
-        unfinished = {"stage": self._stage, "steps": self._steps, "last": self._last, "sums": self._sums}
-        return {"done": [point.model_dump() for point in self._done], **unfinished}
+        """JSON values for :meth:`resume`."""
+        stretch = {"stage": self._stage, "steps": self._steps, "last": self._last, "sums": self._sums}
+        return {"done": [point.model_dump() for point in self._points], **stretch}
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Go on from a :meth:`state`."""
-        self._done = [LossPoint.model_validate(point) for point in state["done"]]
+        """Continue from a :meth:`state`."""
+        self._points = [LossPoint.model_validate(point) for point in state["done"]]
         self._stage, self._steps, self._last = state["stage"], state["steps"], state["last"]
         self._sums = dict(state["sums"])
 

@@ -1,4 +1,4 @@
-"""What a fit reports to: the training clock, anytime evaluations, checkpoints, and the way to stop it."""
+"""The monitor of a fit: training clock, anytime evaluations, checkpoints, and the request to stop."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ REPORT_SECONDS = 0.5
 
 
 class Stopped(BaseException):
-    """The job was asked to stop and has stored what it can continue from."""
+    """The job stops on request; it can continue from its last checkpoint."""
 
 
 class Stop:
-    """Set by SIGTERM (or SIGINT): a fit then ends at its next checkpoint, any other job at once."""
+    """The request to stop, by SIGTERM or SIGINT: a fit ends at its next checkpoint, any other job at once."""
 
     def __init__(self) -> None:
         self.requested = threading.Event()
@@ -60,17 +60,16 @@ class Progress:
 class FitMonitor:
     """Implements :class:`methods.interface.Monitor`.
 
-    The clocks of training (wall and processor time) run from :meth:`start` to :meth:`stop` and stand still
-    inside :meth:`pause`.
-    Anytime evaluations take place at moments spread evenly over the logarithm of the iteration; a checkpoint
-    is written every 30 s, at the last iteration and when the job is asked to stop.
+    The clocks of training (wall and processor time) run from :meth:`start` to :meth:`stop`, except inside
+    :meth:`pause`. Moments of evaluation are even over the logarithm of the iteration; a checkpoint is written
+    every 30 s, at the last iteration and on the request to stop.
 
     Args:
         folder: where checkpoints go.
         iterations: the budget.
-        held_out: scene -> the views of anytime evaluations. None of them is trained on.
+        views: scene -> the views of anytime evaluations. No method trains on them.
         report: takes progress.
-        stop: says when to end early.
+        stop: the request to end early.
         every: seconds between checkpoints.
     """
 
@@ -78,20 +77,24 @@ class FitMonitor:
         self,
         folder: Path,
         iterations: int,
-        held_out: Mapping[str, ViewSet],
+        views: Mapping[str, ViewSet],
         report: Callable[..., None],
         stop: Stop,
         every: float = CHECKPOINT_SECONDS,
     ) -> None:
         self._folder = folder
         self._iterations = iterations
-        self._views = held_out
+        self._views = views
+        self._truth = {
+            scene: [to_8bit(one.composited(index)) for index in range(len(one))]
+            for scene, one in views.items()
+        }
         self._report = report
         self._stop = stop
         self._every = every
         self._moments = _moments(iterations)
         self._clock = 0.0
-        self._cpu_clock: float | None = 0.0
+        self._cpu_clock = 0.0
         self._since: tuple[float, float] | None = None
         self._loss: float | None = None
         self._parts: dict[str, float] = {}
@@ -111,15 +114,14 @@ class FitMonitor:
 
     def resume(self) -> Checkpoint | None:
         """Continue clock and curve from the newest checkpoint, if there is one, and return it."""
-        found = read_checkpoint(self._folder)
-        if found is None:
+        stored = read_checkpoint(self._folder)
+        if stored is None:
             return None
-        checkpoint, harness = found
+        checkpoint, harness = stored
         self._clock = harness["seconds"]
-        self._cpu_clock = harness.get("cpu_seconds")  # checkpoints of older versions have none
+        self._cpu_clock = harness["cpu_seconds"]
         self.curve = [CurvePoint.model_validate(point) for point in harness["curve"]]
-        if "losses" in harness:  # checkpoints of older versions have none
-            self._losses.resume(harness["losses"])
+        self._losses.resume(harness["losses"])
         self.resumed = harness["resumed"] + 1
         self.iteration = checkpoint.iteration
         self.final = checkpoint.iteration >= self._iterations
@@ -127,14 +129,15 @@ class FitMonitor:
         return checkpoint
 
     def start(self) -> None:
+        """Let the training clock run."""
         self._since = time.perf_counter(), time.process_time()
 
     def stop(self) -> None:
+        """Halt the training clock."""
         if self._since is not None:
             wall, cpu = self._since
             self._clock += time.perf_counter() - wall
-            if self._cpu_clock is not None:
-                self._cpu_clock += time.process_time() - cpu
+            self._cpu_clock += time.process_time() - cpu
             self._since = None
 
     @property
@@ -143,32 +146,32 @@ class FitMonitor:
         return self._clock
 
     @property
-    def cpu_seconds(self) -> float | None:
-        """Processor time of all threads in the same time; None where part of it is not known."""
+    def cpu_seconds(self) -> float:
+        """Processor time of all threads in the same time."""
         return self._cpu_clock
 
     @property
     def losses(self) -> list[LossPoint]:
-        """Of all iterations so far."""
+        """Losses of all iterations so far."""
         return self._losses.points
 
     # ------------------------------------------------------------------ the method's side
 
     def stage(self, name: str) -> None:
         self._stage = name
-        self._tell(force=True)
+        self._report_state(force=True)
 
     def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
         self.iteration, self._primitives = iteration, primitives
         total = losses.get("loss", sum(losses.values())) if losses else None
         if total is not None and not math.isfinite(total):
-            named = ", ".join(f"{name} = {value}" for name, value in losses.items())
-            raise Diverged(f"loss is not finite at iteration {iteration}: {named}")
+            values = ", ".join(f"{name} = {value}" for name, value in losses.items())
+            raise Diverged(f"loss is not finite at iteration {iteration}: {values}")
         self._loss = total
         self._parts = {name: float(value) for name, value in losses.items() if name != "loss"}
         if total is not None:
             self._losses.add(iteration, self._stage, {"loss": total, **self._parts})
-        self._tell()
+        self._report_state()
 
     def due(self, iteration: int) -> bool:
         return (
@@ -212,11 +215,11 @@ class FitMonitor:
         )
 
     def _evaluate(self, iteration: int, model: Model) -> None:
-        found = {
-            scene: float(np.mean([_psnr(model, scene, views, i) for i in range(len(views))]))
+        means = {
+            scene: float(np.mean([self._psnr_of(model, scene, index) for index in range(len(views))]))
             for scene, views in self._views.items()
         }
-        self._psnr = float(np.mean(list(found.values()))) if found else None
+        self._psnr = float(np.mean(list(means.values()))) if means else None
         self._primitives = model.primitives()
         size = model.bytes_estimate() if isinstance(model, EstimatesBytes) else None
         self.curve.append(
@@ -224,15 +227,24 @@ class FitMonitor:
                 iteration=iteration,
                 train_seconds=self._clock,
                 loss=self._loss,
-                psnr=found,
+                psnr=means,
                 primitives=self._primitives,
                 bytes_estimate=size,
                 loss_parts=self._parts,
             )
         )
-        self._tell(force=True)
+        self._report_state(force=True)
 
-    def _tell(self, force: bool = False) -> None:
+    def _psnr_of(self, model: Model, scene: str, index: int) -> float:
+        """The metric ``psnr`` of one view; NaN where the model renders values that are not finite."""
+        views = self._views[scene]
+        image, _ = model.render(views.cameras[index], scenes=[scene], background=views.background)
+        rgb = as_numpy(image)
+        if not np.isfinite(rgb).all():
+            return math.nan
+        return psnr(Pair(self._truth[scene][index], to_8bit(rgb), None))
+
+    def _report_state(self, force: bool = False) -> None:
         now = time.monotonic()
         if not force and now - self._reported < REPORT_SECONDS:
             return
@@ -267,12 +279,3 @@ def _moments(iterations: int) -> list[int]:
     """About eight iterations, evenly spread over the logarithm between 2 % and 100 % of the budget."""
     first = max(1, iterations // 50)
     return sorted({round(m) for m in np.geomspace(first, iterations, CURVE_POINTS)})
-
-
-def _psnr(model: Model, scene: str, views: ViewSet, index: int) -> float:
-    """The metric ``psnr`` of one view; NaN where the model renders values that are not finite."""
-    rendered, _ = model.render(views.cameras[index], scenes=[scene], background=views.background)
-    rgb = as_numpy(rendered)
-    if not np.isfinite(rgb).all():
-        return math.nan
-    return psnr(Pair(to_8bit(views.composited(index)), to_8bit(rgb), None))
