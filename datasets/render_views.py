@@ -54,23 +54,23 @@ def views_of(
     cache: ViewCache | None = None,
     progress: Progress | None = None,
 ) -> ViewSet:
-    """The views that a request names, of one basic scene or of a composition.
+    """The views of a request, of one basic scene or of a composition.
 
-    All training views are rendered and cached together, whichever split is asked for.
+    All training views are rendered and cached together, whatever the split.
 
     Args:
         dataset: with volumes (views are rendered) or with views only (they are read).
         scene_name: one of its basic scenes or compositions.
         request: split, numbers and size.
-        edit: basic scene -> changes (:func:`datasets.edits.edited`); others are shown as they are.
+        edit: basic scene -> changes (:func:`datasets.edits.edited`); others stay as they are.
         background: recorded with the views; default: that of the (first) scene.
         renderer: "auto" takes Mitsuba where it works, else the reference marcher, with a notice.
-        cache: default the user's.
-        progress: called with views done and views in all while rendering.
+        cache: default: that of the user.
+        progress: called with the number of views rendered and of all views.
 
     Raises:
-        UnknownName: no such scene, or an edit of one that is not shown.
-        DataError: the request cannot be met, or Mitsuba was asked for and cannot run.
+        UnknownName: no such scene, or an edit of a scene that the views do not show.
+        DataError: the request cannot be met, or ``renderer`` is "mitsuba" and it cannot run.
     """
     parts = _edited(dataset.parts(scene_name), edit)
     background = parts[0].background if background is None else background
@@ -85,15 +85,15 @@ def views_of(
     if views is None:
         images, record = work.render(progress)
         views = CachedViews(cache.put(work.key, images, record), record)
-    if len(work.chosen) == len(work.cameras):
+    if len(work.places) == len(work.cameras):
         return ViewSet(work.cameras, views.images, background, work.key, views.record)
-    cameras = tuple(work.cameras[i] for i in work.chosen)
+    cameras = tuple(work.cameras[i] for i in work.places)
     key = f"{work.key}-{request.split}"
-    return ViewSet(cameras, views.images[work.chosen], background, key, views.record)
+    return ViewSet(cameras, views.images[work.places], background, key, views.record)
 
 
 def cameras_of(dataset: Dataset, scene_name: str, request: ViewRequest) -> tuple[Camera, ...]:
-    """The cameras of the views that a request names, without rendering or reading any picture of size."""
+    """The cameras of a request, without rendering or reading pictures."""
     parts = dataset.parts(scene_name)
     if dataset.kind == "views":
         from datasets.prerendered import view_cameras
@@ -105,11 +105,11 @@ def cameras_of(dataset: Dataset, scene_name: str, request: ViewRequest) -> tuple
 
 @dataclass(frozen=True)
 class LiveRenderer:
-    """A renderer of one scene that is set up and warm, as a viewer would hold it; nothing is cached.
+    """A renderer of one scene, warmed up, for views one by one as a viewer draws them; nothing is cached.
 
     Attributes:
         render: draws one view, (height, width, 4) float32 premultiplied RGBA.
-        cameras: of the request.
+        cameras: cameras of the request.
         setup_seconds: from volumes in memory to the first picture.
         about: renderer, version and backend.
     """
@@ -152,7 +152,11 @@ def volume_digest(volume: Volume) -> str:
 
 
 class _Work:
-    """A request made concrete: cameras, renderer and key."""
+    """Cameras, renderer and key of a request.
+
+    Attributes:
+        places: positions of the split among all ``cameras``.
+    """
 
     def __init__(
         self, dataset: Dataset, parts: tuple[BasicScene, ...], request: ViewRequest, renderer: Renderer
@@ -176,8 +180,8 @@ class _Work:
                 "Ask for 128x128, say",
             )
         self.cameras = _cameras(self.volumes[0], request)
-        self.chosen = split_indices(len(self.cameras), request.split)
-        if not self.chosen:
+        self.places = split_indices(len(self.cameras), request.split)
+        if not self.places:
             raise DataError(
                 f"validation split of {request.train_views} training views",
                 "every tenth view is validation and there are fewer than ten",
@@ -188,15 +192,15 @@ class _Work:
         self.key = self._key()
 
     def set_up(self) -> tuple[Draw, float]:
-        """What draws views of this scene, and the seconds until it was ready."""
-        started = time.perf_counter()
+        """The function that draws views of this scene, and the seconds until it was ready."""
+        start = time.perf_counter()
         draw = self._marcher().prepare(self.layers)
         if self.backend.name != "none":
             draw(self.cameras[:1])  # compiles the kernel
-        return draw, time.perf_counter() - started
+        return draw, time.perf_counter() - start
 
     def render(self, progress: Progress | None) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """The images and the record of what they cost."""
+        """The images and their cost (:attr:`datasets.views.ViewSet.cost`)."""
         draw, setup_seconds = self.set_up()
         ready = time.perf_counter()
         images = draw(self.cameras, progress)
@@ -237,7 +241,7 @@ class _Work:
         }
 
     def _key(self) -> str:
-        parts = [_said(layer) for layer in self.layers]
+        parts = [_ingredients(layer) for layer in self.layers]
         ingredients = {
             "model": MODEL_VERSION,
             "cameras": hashlib.sha256(b"".join(_bytes(c) for c in self.cameras)).hexdigest(),
@@ -281,8 +285,8 @@ def _notice(reason: str) -> None:
     )
 
 
-def _said(layer: Layer) -> dict[str, Any]:
-    """A layer as it enters keys: without names, which do not change a picture, and without what is off."""
+def _ingredients(layer: Layer) -> dict[str, Any]:
+    """The part of a layer that decides pictures: no names, nothing that is off."""
     transfer = asdict(layer.transfer) if layer.transfer else None
     if transfer is not None:
         transfer.pop("name")
@@ -291,12 +295,12 @@ def _said(layer: Layer) -> dict[str, Any]:
     light = asdict(layer.light) if layer.light else None
     if light is not None and light["model"] == "blinn-phong":
         light.pop("model")
-    said: dict[str, Any] = {"volume": volume_digest(layer.volume), "transfer": transfer, "light": light}
+    parts: dict[str, Any] = {"volume": volume_digest(layer.volume), "transfer": transfer, "light": light}
     if layer.isosurfaces:
-        said["isosurfaces"] = [(s.value, s.color, s.opacity) for s in layer.isosurfaces]
+        parts["isosurfaces"] = [(s.value, s.color, s.opacity) for s in layer.isosurfaces]
     if layer.depth_enhancement > 0.0:
-        said["depth_enhancement"] = layer.depth_enhancement
-    return said
+        parts["depth_enhancement"] = layer.depth_enhancement
+    return parts
 
 
 def _bytes(camera: Camera) -> bytes:

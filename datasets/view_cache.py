@@ -1,4 +1,4 @@
-"""Rendered views on disk, found by the content of what made them.
+"""Rendered views on disk, by a key of all that decides them.
 
 An entry is a folder named by its key: ``entry.json`` and ``images.zst``, one zstd frame per view of
 premultiplied 16-bit RGBA (error at most 7.7e-6, far below the 8 bits that any metric sees). It is written

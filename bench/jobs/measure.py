@@ -1,4 +1,4 @@
-"""The measure job: a process that knows only the saved folder loads it, renders and times it."""
+"""The measure job: loads a saved model in a fresh process, renders and times it, and computes the metrics."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def run(context: Context) -> MeasureResult:
     encodes = context.all_needed("encode")
     if context.spec is not None and len(encodes) > 1 and not context.spec.composable:
         raise Refused(f"{job.method} cannot render models of several groups together ({job.group})")
-    shown = context.needed("views")
-    assert shown.views is not None
+    views_job = context.needed("views")
+    assert views_job.views is not None
     truth = context.truth(job.shows)
     cameras = truth.cameras(job.split)
     edit = edit_of(job.shows, job.edit)
-    background = shown.views.background
+    background = views_job.views.background
     method = context.method()
 
     context.report(stage="load")
@@ -55,8 +55,8 @@ def run(context: Context) -> MeasureResult:
     model = load_models(method, [context.path_of(encode) / "model" for encode in encodes], job.device)
     synchronise(job.device)
     load_seconds = time.perf_counter() - start
-    if lacking := [scene for scene in scenes if scene not in model.scenes]:
-        raise RuntimeError(f"the loaded model holds {list(model.scenes)}, not {', '.join(lacking)}")
+    if absent := [scene for scene in scenes if scene not in model.scenes]:
+        raise RuntimeError(f"the loaded model holds {list(model.scenes)}, not {', '.join(absent)}")
 
     context.report(stage="timing")
     before = reference_seconds()
@@ -96,7 +96,7 @@ def run(context: Context) -> MeasureResult:
                 view=camera.name or f"{index:04d}",
                 metrics=values,
                 identical=bool(np.array_equal(to_8bit(rgb), to_8bit(views.composited(index)))),
-                truth_file=f"jobs/{shown.job.id}/truth/{shown.views.truth[job.split][index]}",
+                truth_file=f"jobs/{views_job.job.id}/truth/{views_job.views.truth[job.split][index]}",
                 render_file=f"jobs/{job.id}/renders/{file}",
             )
         )
@@ -120,13 +120,12 @@ def run(context: Context) -> MeasureResult:
 
 
 def _attributes(model: Model, scenes: Sequence[str], sampled: int) -> dict[str, list[list[float]]]:
-    """Of a basic scene; those of a composition are its parts'."""
+    """Attributes of a basic scene's primitives, three digits each; a composition has those of its parts."""
     if len(scenes) != 1 or not isinstance(model, HasAttributes):
         return {}
-    found = model.attributes(scenes[0], sampled)
     return {
         name: [[float(f"{value:.3g}") for value in row] for row in as_numpy(values)]
-        for name, values in found.items()
+        for name, values in model.attributes(scenes[0], sampled).items()
     }
 
 
@@ -142,8 +141,8 @@ def load_models(method: Method, folders: Sequence[Path], device: str) -> Model:
 
 def _mean(values: list[float | None]) -> float | None:
     """Mean over all views; None if any of them is missing (no average over an incomplete set)."""
-    known = [v for v in values if v is not None]
-    return math.fsum(known) / len(known) if known and len(known) == len(values) else None
+    numbers = [value for value in values if value is not None]
+    return math.fsum(numbers) / len(numbers) if numbers and len(numbers) == len(values) else None
 
 
 def premultiplied(rgb: np.ndarray, alpha: np.ndarray, background: RGB) -> np.ndarray:
