@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bench.tables import METRICS
+from reports.schema import METRICS
+from reports.tables.protocols import by_scene_choice
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,7 +31,7 @@ def compared(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
     text = {key: "string" for key in keys if key not in ("rate", "seed")}
     left, right = (
         table[[*keys, *METRICS]].astype(text).assign(rate=table["rate"].fillna(-1.0))
-        for table in (first, second)
+        for table in map(by_scene_choice, (first, second))
     )
     pairs = left.merge(right, on=keys, suffixes=("_1", "_2"))
     rows = []

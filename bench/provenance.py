@@ -9,6 +9,7 @@ import platform
 import re
 import subprocess
 import sys
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -61,14 +62,14 @@ def _module_hash(module: str) -> str:
 def _module_files(module: str) -> list[Path]:
     """Python files of a module or package, sorted; none if there is no such module."""
     try:
-        found = importlib.util.find_spec(module)
+        spec = importlib.util.find_spec(module)
     except ModuleNotFoundError:
-        found = None
-    if found is None:
         return []
-    roots = [Path(p) for p in found.submodule_search_locations or ()]
+    if spec is None:
+        return []
+    roots = [Path(p) for p in spec.submodule_search_locations or ()]
     files = [f for root in roots for f in root.rglob("*.py")]
-    return sorted(files or ([Path(found.origin)] if found.origin else []))
+    return sorted(files or ([Path(spec.origin)] if spec.origin else []))
 
 
 @cache
@@ -102,13 +103,11 @@ def _gpu(device: str) -> str | None:
 
 
 def _versions() -> dict[str, str]:
-    found = {}
+    versions = {}
     for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+        with suppress(PackageNotFoundError):
+            versions[package] = version(package)
+    return versions
 
 
 def _commit() -> str | None:

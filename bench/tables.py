@@ -41,13 +41,13 @@ def build_tables(
     """
     records = list(store.records())
     choices = scene_choices(records)
-    kept = elected(records, versions or {}, choices)
-    tables = stored_tables(kept, versions, choices)
-    if len(kept) < len(records):
+    newest = elected(records, versions or {}, choices)
+    tables = stored_tables(newest, versions, choices)
+    if len(newest) < len(records):
         every = stored_tables(records, versions, choices)
-        results, names = every["results"], {record.job.id for record in kept}
-        older = results[~results["job"].isin(names)]
-        tables |= {"jobs": every["jobs"], "superseded": older[list(TABLES["superseded"].facts)]}
+        older = ~every["results"]["job"].isin([record.job.id for record in newest])
+        columns = list(TABLES["superseded"].facts)
+        tables |= {"jobs": every["jobs"], "superseded": every["results"].loc[older, columns]}
     if write:
         with store.lock("tables"):
             for name, table in tables.items():
@@ -79,8 +79,8 @@ def stored_tables(
         tables["jobs"].append({"job": name, **axes[name]})
         if not record.ok and _question(record.job) in answered:
             continue  # mended: the job of a failed partition has another identity than those of the next one
-        for table, row in _facts(record, by_id, versions or {}):
-            tables[table].append({"job": name, **row})
+        for table, facts in _facts(record, by_id, versions or {}).items():
+            tables[table] += ({"job": name, **row} for row in facts)
     for table, rows in tables.items():
         rows.sort(key=partial(_order, table, axes))
     return {table: frame(table, rows, stored=True) for table, rows in tables.items()}
@@ -178,39 +178,67 @@ def _processors(records: list[Record]) -> str | None:
 
 def _facts(
     record: Record, by_id: Mapping[str, Record], versions: Mapping[str, str]
-) -> Iterator[tuple[str, Row]]:
-    """Table and row, without the job."""
-    job = record.job
-    if job.kind == "measure":
-        yield "results", _result(record, _models(record, by_id), versions)
-    elif job.kind == "dvr":
-        yield "dvr", _dvr(record)
+) -> dict[str, Iterable[Row]]:
+    """Table -> the rows of a job, without the job."""
+    return {
+        "results": [_result(record, _models(record, by_id), versions)]
+        if record.job.kind == "measure"
+        else [],
+        "views": _views(record, _needed(by_id, record, "views")),
+        "curve": _curve(record),
+        "losses": _losses(record),
+        "ledger": _ledger(record),
+        "timing": _timing(record),
+        "features": _features(record),
+        "scenes": _scenes(record),
+        "dvr": [_dvr(record)] if record.job.kind == "dvr" else [],
+    }
+
+
+def _views(record: Record, truth: Record | None) -> Iterator[Row]:
+    background = _hex(truth.views.background) if truth is not None and truth.views is not None else None
+    for view in record.measure.views if record.measure else ():
+        metrics = {name: view.metrics.get(name) for name in (*METRICS, *COVERAGE)}
+        yield view.model_dump() | metrics | {"background": background}
+
+
+def _curve(record: Record) -> Iterator[Row]:
+    for scene in record.job.scenes:
+        for point in record.fit.curve if record.fit else ():
+            own = {"scene": scene, "psnr": point.psnr.get(scene), "loss_parts": json.dumps(point.loss_parts)}
+            yield point.model_dump() | own
+
+
+def _losses(record: Record) -> Iterator[Row]:
+    for stretch in record.fit.losses if record.fit else ():
+        yield stretch.model_dump() | {"losses": json.dumps(stretch.losses)}
+
+
+def _ledger(record: Record) -> Iterator[Row]:
+    for scene, parts in record.encode.ledger.items() if record.encode else ():
+        for part, count in parts.items():
+            yield {"scene": scene, "part": part, "bytes": count}
+
+
+def _timing(record: Record) -> Iterator[Row]:
+    """Nothing for an edited scene, which is of the same model."""
+    parts = record.measure.timing if record.measure and not record.job.edit else {}
+    for part, seconds in parts.items():
+        yield {"part": part, "seconds": seconds}
+
+
+def _features(record: Record) -> Iterator[Row]:
+    """Nothing for an edited scene, which is of the same model."""
+    features = record.measure.features if record.measure and not record.job.edit else {}
+    for name, rows in features.items():
+        if rows:
+            values = [value for row in rows for value in row]
+            yield {"name": name, "values": values, "width": len(rows[0])}
+
+
+def _scenes(record: Record) -> Iterator[Row]:
     if record.views is not None and record.views.transfer:
-        yield "scenes", {"transfer": json.dumps(record.views.transfer, separators=(",", ":"))}
-    if record.fit is not None:
-        for scene in job.scenes:
-            for point in record.fit.curve:
-                own = {"scene": scene, "psnr": point.psnr.get(scene)}
-                yield "curve", point.model_dump() | own | {"loss_parts": json.dumps(point.loss_parts)}
-        for stretch in record.fit.losses:
-            yield "losses", stretch.model_dump() | {"losses": json.dumps(stretch.losses)}
-    if record.encode is not None:
-        for scene, parts in record.encode.ledger.items():
-            for part, count in parts.items():
-                yield "ledger", {"scene": scene, "part": part, "bytes": count}
-    if record.measure is not None:
-        truth = _needed(by_id, record, "views")
-        background = _hex(truth.views.background) if truth is not None and truth.views is not None else None
-        for view in record.measure.views:
-            metrics = {name: view.metrics.get(name) for name in (*METRICS, *COVERAGE)}
-            yield "views", view.model_dump() | metrics | {"background": background}
-        if not job.edit:  # an edited scene is of the same model
-            for part, seconds in record.measure.timing.items():
-                yield "timing", {"part": part, "seconds": seconds}
-            for name, rows in record.measure.features.items():
-                if rows:
-                    values = [value for row in rows for value in row]
-                    yield "features", {"name": name, "values": values, "width": len(rows[0])}
+        yield {"transfer": json.dumps(record.views.transfer, separators=(",", ":"))}
 
 
 def _result(record: Record, models: list[_Model], versions: Mapping[str, str]) -> Row:

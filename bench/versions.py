@@ -53,13 +53,13 @@ def elected(
     scenes: dict[tuple[Any, ...], set[str]] = defaultdict(set)
     dropped = set()
     for record in sorted(models, key=rank, reverse=True):
-        taken = scenes[(*_cell(record.job), choices.get(record.job.id, 0))]
-        if taken.isdisjoint(record.job.scenes):
-            taken.update(record.job.scenes)
+        covered = scenes[(*_cell(record.job), choices.get(record.job.id, 0))]
+        if covered.isdisjoint(record.job.scenes):
+            covered.update(record.job.scenes)
         else:
             dropped.add(record.job.id)
-    kept = [record for name, record in by_id.items() if dropped.isdisjoint(fits[name])]
-    return _newest_rows(kept, choices)
+    current = [record for name, record in by_id.items() if dropped.isdisjoint(fits[name])]
+    return _newest_rows(current, choices)
 
 
 def scene_choices(records: Iterable[Record]) -> dict[str, int]:
@@ -119,7 +119,7 @@ def _newest_rows(records: list[Record], choices: Mapping[str, int]) -> list[Reco
             rival = best.get(row)
             if rival is None or (record.ok, record.finished) > (rival.ok, rival.finished):
                 best[row] = record
-    chosen = {record.job.id for record in best.values()}
+    newest = {record.job.id for record in best.values()}
     return [
-        record for record in records if record.job.kind not in ("measure", "dvr") or record.job.id in chosen
+        record for record in records if record.job.kind not in ("measure", "dvr") or record.job.id in newest
     ]

@@ -1,4 +1,4 @@
-"""Tables that another tool made: read, checked, and filled up to the documented ones."""
+"""Tables that another tool results: read, checked, and filled up to the documented ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _OWN = ("job", "stale")
 
 
 class Unusable(Exception):
-    """An input that no report can be made of; the text names the file, the reason and the remedy."""
+    """An input that no report can be results of; the text names the file, the reason and the remedy."""
 
 
 def read_results(path: Path) -> dict[str, pd.DataFrame]:
@@ -42,26 +42,29 @@ def read_results(path: Path) -> dict[str, pd.DataFrame]:
         raise Unusable(f"{path}: {_lacks(missing, [str(name) for name in table.columns])}")
     if table.empty:
         raise Unusable(f"{path}: it has a header but no rows; write one row per scene and method")
-    made = pd.DataFrame(index=pd.RangeIndex(len(table)))
+    results = pd.DataFrame(index=pd.RangeIndex(len(table)))
     for name in TABLES["results"].columns:
         column = COLUMNS[name]
         foreign = name in table and name not in _OWN
         if not foreign:
-            values = pd.Series(pd.NA, made.index, dtype=column.dtype)
+            values = pd.Series(pd.NA, results.index, dtype=column.dtype)
         elif column.dtype == "string":
             values = table[name].astype("string")
         else:
             values = _numbers(path, table[name], column)
-        made[name] = values if column.default is None else values.fillna(column.default)
-    made["base"] = made["base"].fillna(made["variant"])
+        results[name] = values if column.default is None else values.fillna(column.default)
+    results["base"] = results["base"].fillna(results["variant"])
     for name in ("dataset", "scene", "method"):
-        empty = [i for i, value in enumerate(made[name]) if not value]
+        empty = [i for i, value in enumerate(results[name]) if not value]
         if empty:
             raise Unusable(f"{path}: {_line(empty[0])} has no {name}; fill the column in every row")
-    made.loc[made["psnr"].isna() & (made["status"] == "ok"), ["status", "reason"]] = ["failed", "no psnr"]
-    made["job"] = pd.Series([f"row-{i}" for i in range(len(made))], dtype="string")
-    _once(path, made)
-    return {name: made if name == "results" else frame(name) for name in TABLES}
+    results.loc[results["psnr"].isna() & (results["status"] == "ok"), ["status", "reason"]] = [
+        "failed",
+        "no psnr",
+    ]
+    results["job"] = pd.Series([f"row-{i}" for i in range(len(results))], dtype="string")
+    _once(path, results)
+    return {name: results if name == "results" else frame(name) for name in TABLES}
 
 
 def _read(path: Path) -> pd.DataFrame:
@@ -72,9 +75,9 @@ def _read(path: Path) -> pd.DataFrame:
     except FileNotFoundError as error:
         raise Unusable(f"{path}: there is no such file; give the table of results with --table") from error
     except (OSError, ValueError, csv.Error) as error:  # also pandas' and Arrow's own
-        told = str(error).splitlines()[0] if str(error) else type(error).__name__
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         remedy = "give a CSV file in UTF-8 with a header, or a Parquet file"
-        raise Unusable(f"{path}: it cannot be read as a table ({told}); {remedy}") from error
+        raise Unusable(f"{path}: it cannot be read as a table ({reason}); {remedy}") from error
 
 
 def _read_csv(path: Path) -> pd.DataFrame:
@@ -96,12 +99,11 @@ def _read_csv(path: Path) -> pd.DataFrame:
     return table.mask(table == "")
 
 
-def _lacks(missing: list[str], given: list[str]) -> str:
-    """What is missing, and what may have been meant."""
-    near = []
-    for name in missing:
-        found = difflib.get_close_matches(name, [text.strip().lower() for text in given], 1, 0.5)
-        near += [f"{found[0]} -> {name}"] if found else []
+def _lacks(missing: list[str], columns: list[str]) -> str:
+    """The missing columns, and similar names that may stand for them."""
+    names = [text.strip().lower() for text in columns]
+    similar = [(name, difflib.get_close_matches(name, names, 1, 0.5)) for name in missing]
+    near = [f"{match} -> {name}" for name, matches in similar for match in matches]
     hint = f"rename {', '.join(near)}" if near else f"a table needs {', '.join(NEEDED)}"
     return f"it lacks the columns {', '.join(missing)}; {hint}"
 

@@ -84,7 +84,7 @@ def evaluate(
         rgb: (height, width, 3) rendered image, composited on ``background``.
         alpha: (height, width) rendered alpha in [0, 1].
         background: RGB in [0, 1].
-        names: metrics wanted; all of :data:`METRICS` if None.
+        names: metrics to compute; all of :data:`METRICS` if None.
 
     Raises:
         UnknownName: a name is no metric.
@@ -93,14 +93,14 @@ def evaluate(
     from bench.metrics.image import Pair, compute
     from datasets.names import unknown
 
-    wanted = list(METRICS) if names is None else list(names)
-    for name in wanted:
+    names = list(METRICS) if names is None else list(names)
+    for name in names:
         if name not in METRICS:
             raise unknown("metric", name, METRICS)
     pair = Pair.composite(truth, rgb, alpha, background)
     values: dict[str, float | None] = {}
     reasons: dict[str, str] = {}
-    for name in wanted:
+    for name in names:
         result = compute(name, pair)
         values[name] = result if isinstance(result, float) else None
         if isinstance(result, str):

@@ -42,12 +42,12 @@ def score(renders: Path, truth: Path, background: Sequence[float] = (1.0, 1.0, 1
     import pandas as pd
 
     ours, theirs = _images(renders), _images(truth)
-    for here, there, folder in ((ours, theirs, truth), (theirs, ours, renders)):
-        alone = sorted(set(here) - set(there))
+    for images, partners, folder in ((ours, theirs, truth), (theirs, ours, renders)):
+        alone = sorted(set(images) - set(partners))
         if alone:
             raise DataError(
-                here[alone[0]],
-                f"has no partner in {folder} ({len(alone)} of {len(here)} images without)",
+                images[alone[0]],
+                f"has no partner in {folder} ({len(alone)} of {len(images)} images without)",
                 "Give the images of both folders the same names",
             )
     rows: list[dict[str, Any]] = []
@@ -79,16 +79,16 @@ def _images(folder: Path) -> dict[str, Path]:
     """Stem -> file, sorted."""
     if not folder.is_dir():
         raise DataError(folder, "is no folder", "Give two folders of images")
-    found: dict[str, Path] = {}
+    images: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in SUFFIXES or path.name.startswith("."):
             continue
-        if path.stem in found:
-            raise DataError(path, f"has the same name as {found[path.stem].name}", "Keep one of them")
-        found[path.stem] = path
-    if not found:
+        if path.stem in images:
+            raise DataError(path, f"has the same name as {images[path.stem].name}", "Keep one of them")
+        images[path.stem] = path
+    if not images:
         raise DataError(folder, "holds no images", f"Known endings: {', '.join(sorted(SUFFIXES))}")
-    return found
+    return images
 
 
 def _pair(render: Path, truth: Path, background: Sequence[float]) -> Pair:
@@ -99,12 +99,12 @@ def _pair(render: Path, truth: Path, background: Sequence[float]) -> Pair:
             f"is {a.shape[1]}x{a.shape[0]} pixels, but {truth} is {b.shape[1]}x{b.shape[0]}",
             "Render at the size of the ground truth: resizing would change the result",
         )
-    shown = [to_8bit(over(image, (background[0], background[1], background[2]))) for image in (b, a)]
+    colors = [to_8bit(over(image, (background[0], background[1], background[2]))) for image in (b, a)]
     # Alpha says where there is something; an image without it must not make everything foreground.
     covers = [image[..., 3] >= 1.0 / 255.0 for image, has in ((a, a_has), (b, b_has)) if has]
     foreground = np.logical_or.reduce(covers) if covers else None
     alphas = (to_8bit(b[..., 3]), to_8bit(a[..., 3])) if a_has and b_has else None
-    return Pair(shown[0], shown[1], foreground, alphas)
+    return Pair(colors[0], colors[1], foreground, alphas)
 
 
 def _read(path: Path) -> tuple[NDArray[np.float32], bool]:

@@ -52,9 +52,9 @@ class Pair:
             if not np.isfinite(values).all():
                 raise ValueError(f"{what} holds values that are not finite")
         # By the same arithmetic as models and the harness: a perfect render must come out identical.
-        shown = over(truth, (background[0], background[1], background[2]))
+        color = over(truth, (background[0], background[1], background[2]))
         foreground = (truth[..., 3] >= _FOREGROUND) | (alpha >= _FOREGROUND)
-        return Pair(to_8bit(shown), to_8bit(rgb), foreground, (to_8bit(truth[..., 3]), to_8bit(alpha)))
+        return Pair(to_8bit(color), to_8bit(rgb), foreground, (to_8bit(truth[..., 3]), to_8bit(alpha)))
 
     @property
     def identical(self) -> bool:
@@ -157,10 +157,10 @@ def _uncovered(pair: Pair, of: int, by: int) -> float | str:
     if pair.alphas is None:
         return "an image has no alpha"
     levels = [alpha.astype(np.int64) for alpha in pair.alphas]
-    there = int(levels[0].sum())
-    if there == 0:
+    total = int(levels[0].sum())
+    if total == 0:
         return "the truth shows nothing"
-    return int(np.maximum(levels[of] - levels[by], 0).sum()) / there
+    return int(np.maximum(levels[of] - levels[by], 0).sum()) / total
 
 
 def _lpips(network: str, *, unscaled: bool = False) -> Callable[[Pair], float | str]:
