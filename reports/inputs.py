@@ -1,4 +1,4 @@
-"""Tables that another tool results: read, checked, and filled up to the documented ones."""
+"""Tables of other tools, as tables of :mod:`reports.schema`: checked, and with defaults for missing columns."""
 
 from __future__ import annotations
 
@@ -13,26 +13,25 @@ if TYPE_CHECKING:
     import pandas as pd
 
 NEEDED = ("dataset", "scene", "method", "psnr", "size_bytes")
-"""Columns that a table of results cannot do without."""
+"""Columns that a table of results must have."""
 _KEYS = ("dataset", "scene", "method", "variant", "rate", "preset", "requested_views", "split", "seed")
-_OWN = ("job", "stale")
+_OWN = ("job", "stale", "fitted_scenes")
 """Columns of `results` that are not read from a foreign table."""
 
 
 class Unusable(Exception):
-    """An input that no report can be results of; the text names the file, the reason and the remedy."""
+    """An input from which no report can be made; the text names the file, the reason and the remedy."""
 
 
 def read_results(path: Path) -> dict[str, pd.DataFrame]:
-    """The documented tables, of which only `results` has rows.
+    """All tables, of which only `results` has rows.
 
     Args:
-        path: a CSV file with a header, or a Parquet file, with at least the columns :data:`NEEDED`; others
-            of docs/reference/tables.md are used, unknown ones ignored. A row without ``psnr`` is
-            one that failed.
+        path: a CSV file with a header, or a Parquet file, with at least the columns :data:`NEEDED`. Further
+            columns of `results` are used, unknown ones ignored. A row without ``psnr`` counts as failed.
 
     Raises:
-        Unusable: it cannot be read, lacks columns or rows, or has a value that is none.
+        Unusable: the file cannot be read, lacks columns or rows, or has a value of the wrong type.
     """
     import pandas as pd
 
@@ -42,29 +41,31 @@ def read_results(path: Path) -> dict[str, pd.DataFrame]:
         raise Unusable(f"{path}: {_lacks(missing, [str(name) for name in table.columns])}")
     if table.empty:
         raise Unusable(f"{path}: it has a header but no rows; write one row per scene and method")
-    results = pd.DataFrame(index=pd.RangeIndex(len(table)))
-    for name in TABLES["results"].columns:
-        column = COLUMNS[name]
-        foreign = name in table and name not in _OWN
-        if not foreign:
-            values = pd.Series(pd.NA, results.index, dtype=column.dtype)
-        elif column.dtype == "string":
-            values = table[name].astype("string")
-        else:
-            values = _numbers(path, table[name], column)
-        results[name] = values if column.default is None else values.fillna(column.default)
+    results = pd.DataFrame({name: _values(path, table, name) for name in TABLES["results"].columns})
     results["base"] = results["base"].fillna(results["variant"])
     for name in ("dataset", "scene", "method"):
         empty = [i for i, value in enumerate(results[name]) if not value]
         if empty:
             raise Unusable(f"{path}: {_line(empty[0])} has no {name}; fill the column in every row")
-    results.loc[results["psnr"].isna() & (results["status"] == "ok"), ["status", "reason"]] = [
-        "failed",
-        "no psnr",
-    ]
+    lost = results["psnr"].isna() & (results["status"] == "ok")
+    results.loc[lost, ["status", "reason"]] = ["failed", "no psnr"]
     results["job"] = pd.Series([f"row-{i}" for i in range(len(results))], dtype="string")
     _once(path, results)
     return {name: results if name == "results" else frame(name) for name in TABLES}
+
+
+def _values(path: Path, table: pd.DataFrame, name: str) -> pd.Series:
+    """A column of `results`, with its default where the foreign table has no value."""
+    import pandas as pd
+
+    column = COLUMNS[name]
+    if name not in table or name in _OWN:
+        values = pd.Series(pd.NA, table.index, dtype=column.dtype)
+    elif column.dtype == "string":
+        values = table[name].astype("string")
+    else:
+        values = _numbers(path, table[name], column)
+    return values if column.default is None else values.fillna(column.default)
 
 
 def _read(path: Path) -> pd.DataFrame:
