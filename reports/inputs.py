@@ -1,4 +1,4 @@
-"""Tables of other tools, as tables of :mod:`reports.schema`: checked, and with defaults for missing columns."""
+"""Tables of other tools as tables of :mod:`reports.schema`: checked, with defaults for missing columns."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def read_results(path: Path) -> dict[str, pd.DataFrame]:
     """
     import pandas as pd
 
-    table = _read(path)
+    table = _read(path).reset_index(drop=True)
     missing = [name for name in NEEDED if name not in table]
     if missing:
         raise Unusable(f"{path}: {_lacks(missing, [str(name) for name in table.columns])}")
