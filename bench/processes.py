@@ -1,9 +1,9 @@
 """The processes of workers: interpreters of their own, or forks of a server that has torch imported.
 
 A fork spares a job the import of torch (1.5 s). Run as ``python -m bench.processes FD``, this module is the
-server. It imports libraries and does nothing else. Workers import this package and the methods themselves.
-The server runs no operation on tensors: one would start threads that a fork does not inherit, and the first
-such operation of a worker would wait for them forever.
+server. It imports torch and the harness and does nothing else: workers import the methods. An operation on
+tensors would start threads that a fork does not inherit, and the first such operation of a worker would wait
+for them forever.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
 
-LIBRARIES = ("torch", "scipy.spatial", "pydantic.main", "pydantic.fields", "filelock", "psutil")
+MODULES = ("torch", "scipy.spatial", "bench.worker", "bench.provenance")
 """What every job with torch imports, so that a fork takes no more memory than an interpreter of its own."""
 SERVER = "bench.processes"
 _POLL_SECONDS = 0.02
@@ -155,9 +155,8 @@ def serve(connection: socket.socket) -> Path | None:
     Returns:
         In each worker its folder. In the server None, once the executor is gone; its worker then stops.
     """
-    for name in LIBRARIES:
-        with contextlib.suppress(ImportError):
-            importlib.import_module(name)
+    for name in MODULES:
+        importlib.import_module(name)
     pages = _resident_pages()
     gc.collect()
     gc.freeze()  # workers need not look through all of torch

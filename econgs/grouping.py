@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import squareform
 
@@ -78,6 +77,8 @@ def cluster(distances: NDArray[np.float64], threshold: float, method: str = "ave
     count = len(distances)
     if count < 2 or threshold <= 0.0:
         return [[i] for i in range(count)]
+    from scipy.cluster.hierarchy import fcluster, linkage  # only partitions need it; its import takes long
+
     labels = fcluster(linkage(squareform(distances, checks=False), method), threshold, "distance")
     groups: dict[int, list[int]] = {}
     for item, label in enumerate(labels):
