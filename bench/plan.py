@@ -1,13 +1,14 @@
 """From a selection to the job graph: views → (partition →) fit → encode → measure, and dvr on its own.
 
-Planning reads the data (so bad input is found before any job starts) and the records of finished
-partitions: which groups a joint method fits is known only once its partition job has run, so the
-executor plans again after it.
+Planning reads the data, so that bad input ends a run before its first job, and the records of finished
+partitions. The groups of a joint method follow from its partition job, so the executor plans again after it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from bench.records import Job, hash_of
@@ -104,46 +105,42 @@ class Planner:
             yield from (*views.values(), *edited.values())
             for spec, settings, rates in self._settings:
                 for seed in self._seeds:
-                    common = self._common(subset, spec, settings, seed)
-                    yield from self._of_method(store, spec, common, subset, views, edited, rates)
+                    training = partial(self._training, subset, spec, settings, seed, views)
+                    groups, partition = [[scene] for scene in subset.hashes], None
+                    if spec.joint:
+                        partition = training("partition", list(subset.hashes))
+                        yield partition
+                        groups = _groups(partition, store)
+                    # A group's share of partition time is that of this very partition.
+                    after = {"partition": partition.key if partition else None}
+                    needs = (partition.id,) if partition else ()
+                    fits = [training("fit", group, needs, after) for group in groups]
+                    yield from self._of_fits(fits, subset, views, edited, rates)
 
-    def _of_method(
+    def _of_fits(
         self,
-        store: Store | None,
-        spec: MethodSpec,
-        common: dict[str, Any],
+        fits: list[Job],
         subset: Subset,
         views: dict[str, Job],
         edited: dict[tuple[str, str], Job],
         rates: list[float | None],
     ) -> Iterator[Job]:
-        partition = None
-        groups = [[scene] for scene in subset.hashes]
-        if spec.joint:
-            partition = self._partition(spec, common, subset, views)
-            yield partition
-            record = store.record(partition.id) if store else None
-            if record is not None and not record.ok:
-                groups = [list(subset.hashes)]  # its failure is the failure of every scene
-            elif record is None or record.partition is None:
-                return
-            else:
-                groups = record.partition.groups
+        """The fits of all scenes, their models at all rates, and the measurements."""
         encodes: dict[tuple[str, float | None], Job] = {}
-        for group in groups:
-            fit = self._fit(spec, common, group, subset, views, partition)
+        for fit in fits:
             yield fit
             for rate in rates:
-                needs = (fit.id, *(views[scene].id for scene in group))
-                encode = _job("encode", fit, {"fit": fit.key, "rate": rate}, needs, rate=rate)
+                identity = {"kind": "encode", "fit": fit.key, "rate": rate}
+                needs = (fit.id, *(views[scene].id for scene in fit.scenes))
+                encode = _after(fit, identity, needs=needs, rate=rate)
                 yield encode
-                for scene in group:
+                for scene in fit.scenes:
                     encodes[scene, rate] = encode
                     yield self._measure([encode], (scene,), views[scene])
                     for edit in self._selection.suite.edits if rate is None else ():
                         if (scene, edit) in edited:
                             yield self._measure([encode], (scene,), edited[scene, edit], edit=edit)
-        for name, parts in subset.compositions.items():
+        for name, parts in subset.compositions.items() if fits else ():
             for rate in rates:
                 models = list({encodes[part, rate].id: encodes[part, rate] for part in parts}.values())
                 yield self._measure(models, parts, views[name], name)
@@ -156,8 +153,9 @@ class Planner:
         composition: str = "",
         edit: str = "",
     ) -> Job:
-        """Of a basic scene, as it is or edited, or of the scenes of a composition together."""
+        """The measurement of a basic scene, edited or not, or of the scenes of a composition together."""
         identity: dict[str, Any] = {
+            "kind": "measure",
             "views": views.key,
             "split": self._selection.split,
             "metrics": self._metrics,
@@ -170,11 +168,10 @@ class Planner:
             identity["edit"] = edit
         if (sampled := self._selection.suite.sampled) != SAMPLED:
             identity["sampled"] = sampled
-        return _job(
-            "measure",
+        return _after(
             encodes[0],
             identity,
-            (views.id, *(encode.id for encode in encodes)),
+            needs=(views.id, *(encode.id for encode in encodes)),
             scenes=scenes,
             composition=composition,
             edit=edit,
@@ -193,112 +190,91 @@ class Planner:
         }
 
     def _of_scene(self, kind: str, subset: Subset, name: str, edit: str = "") -> Job:
-        """A job about a scene or composition itself, of no method: its views, or the cost of rendering it."""
+        """A job about a scene or composition without a method: its views, or the cost of rendering it."""
         identity = {"kind": kind, "scene": subset.content(name), "request": subset.request.model_dump()}
         if edit:
             identity["edit"] = edit
         if kind == "views":
             identity["split"] = self._selection.split
-        return Job.model_validate(
-            {
-                "kind": kind,
-                "key": hash_of(identity),
-                "identity": identity,
-                "dataset": subset.source,
-                "dataset_name": subset.name,
-                "scenes": subset.compositions.get(name, (name,)),
-                "composition": name if name in subset.compositions else "",
-                "edit": edit,
-                "request": subset.request,
-                "split": self._selection.split,
-                "preset": self._preset_name,
-            }
+        return self._job(
+            subset,
+            identity,
+            scenes=subset.compositions.get(name, (name,)),
+            composition=name if name in subset.compositions else "",
+            edit=edit,
         )
 
-    def _common(self, subset: Subset, spec: MethodSpec, settings: Settings, seed: int) -> dict[str, Any]:
-        return {
-            "dataset": subset.source,
-            "dataset_name": subset.name,
-            "request": subset.request,
-            "split": self._selection.split,
-            "method": spec.name,
-            "variant": settings.variant,
-            "preset": self._preset_name,
-            "seed": seed,
-            "options": settings.values,
-            "overrides": settings.overrides,
-            "knob": settings.knob,
-            "iterations": settings.iterations,
-            "device": self._selection.device,
-            "cloud_points": self._preset.cloud_points,
-        }
-
-    def _identity(
-        self, spec: MethodSpec, common: dict[str, Any], hashes: Mapping[str, str]
-    ) -> dict[str, Any]:
-        """What decides a fit: scene content, method, options, budget, seed, device class, training views."""
-        request = common["request"]
-        return {
-            "dataset": common["dataset_name"],
-            "scenes": [[name, content] for name, content in hashes.items()],
-            "method": [spec.name, spec.version],
-            "options": common["options"],
-            "iterations": common["iterations"],
-            "seed": common["seed"],
-            "device": common["device"].split(":")[0],
-            "views": [request.train_views, request.width, request.height],
-            "trains_on": "train" if common["split"] == "val" else "trainval",
-            "cloud_points": common["cloud_points"],
-        }
-
-    def _partition(
-        self, spec: MethodSpec, common: dict[str, Any], subset: Subset, views: dict[str, Job]
-    ) -> Job:
-        hashes = subset.hashes
-        identity = {"kind": "partition", **self._identity(spec, common, hashes)}
-        return Job.model_validate(
-            {
-                **common,
-                "kind": "partition",
-                "key": hash_of(identity),
-                "identity": identity,
-                "needs": tuple(views[scene].id for scene in hashes),
-                "scenes": tuple(hashes),
-            }
-        )
-
-    def _fit(
+    def _training(
         self,
-        spec: MethodSpec,
-        common: dict[str, Any],
-        group: list[str],
         subset: Subset,
+        spec: MethodSpec,
+        settings: Settings,
+        seed: int,
         views: dict[str, Job],
-        partition: Job | None,
+        kind: str,
+        scenes: list[str],
+        needs: tuple[str, ...] = (),
+        more: Mapping[str, Any] = MappingProxyType({}),
     ) -> Job:
+        """A partition of scenes, or the fit of a group.
+
+        Its identity: content of the scenes, method, options, budget, seed, class of device, training views.
+        """
+        request, device = subset.request, self._selection.device
         identity = {
-            "kind": "fit",
-            **self._identity(spec, common, {scene: subset.hashes[scene] for scene in group}),
-            # A group's share of partition time is that of this very partition.
-            "partition": partition.key if partition else None,
+            "kind": kind,
+            "dataset": subset.name,
+            "scenes": [[name, subset.hashes[name]] for name in scenes],
+            "method": [spec.name, spec.version],
+            "options": settings.values,
+            "iterations": settings.iterations,
+            "seed": seed,
+            "device": device.split(":")[0],
+            "views": [request.train_views, request.width, request.height],
+            "trains_on": "train" if self._selection.split == "val" else "trainval",
+            "cloud_points": self._preset.cloud_points,
+            **more,
         }
-        needs = tuple(views[scene].id for scene in group)
-        return Job.model_validate(
-            {
-                **common,
-                "kind": "fit",
-                "key": hash_of(identity),
-                "identity": identity,
-                "needs": (*needs, partition.id) if partition else needs,
-                "scenes": tuple(group),
-                "group": "+".join(group),
-            }
+        return self._job(
+            subset,
+            identity,
+            needs=(*(views[scene].id for scene in scenes), *needs),
+            scenes=tuple(scenes),
+            group="+".join(scenes) if kind == "fit" else "",
+            method=spec.name,
+            variant=settings.variant,
+            seed=seed,
+            options=settings.values,
+            overrides=settings.overrides,
+            knob=settings.knob,
+            iterations=settings.iterations,
+            device=device,
+            cloud_points=self._preset.cloud_points,
+        )
+
+    def _job(self, subset: Subset, identity: dict[str, Any], **fields: Any) -> Job:
+        return Job(
+            kind=identity["kind"],
+            key=hash_of(identity),
+            identity=identity,
+            dataset=subset.source,
+            dataset_name=subset.name,
+            request=subset.request,
+            split=self._selection.split,  # type: ignore[arg-type]
+            preset=self._preset_name,
+            **fields,
         )
 
 
-def _job(kind: str, before: Job, identity: dict[str, Any], needs: tuple[str, ...], **changes: Any) -> Job:
-    """A job that follows another of the same method and group."""
-    identity = {"kind": kind, **identity}
-    return before.model_copy(
-        update={"kind": kind, "key": hash_of(identity), "identity": identity, "needs": needs, **changes}
-    )
+def _groups(partition: Job, store: Store | None) -> list[list[str]]:
+    """Groups of a partition; none as long as it has not run."""
+    record = store.record(partition.id) if store else None
+    if record is not None and not record.ok:
+        return [list(partition.scenes)]  # its failure is the failure of every scene
+    return record.partition.groups if record is not None and record.partition is not None else []
+
+
+def _after(job: Job, identity: dict[str, Any], **changes: Any) -> Job:
+    """A job that follows another one of the same method and group."""
+    kind = {"kind": identity["kind"], "key": hash_of(identity), "identity": identity}
+    return job.model_copy(update=kind | changes)

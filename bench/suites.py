@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +14,7 @@ from datasets.names import unknown
 
 FOLDER = Path(__file__).parent / "suites"
 SAMPLED = 100
-"""Primitives of each scene whose attributes are recorded, unless a suite wants more."""
+"""Primitives of each scene whose attributes are recorded, unless a suite names another number."""
 
 
 @dataclass(frozen=True)
@@ -42,26 +42,26 @@ VIEWS = {
     "standard": ViewPreset(92, 181, 400, 400, 400),
     "paper": ViewPreset(92, 181, 800, 800, 800),
 }
-"""What a suite's presets are if it names none; "paper" is the published protocol."""
+"""Presets of a suite that names none; "paper" is the published protocol."""
 
 
 @dataclass(frozen=True)
 class Suite:
-    """What a suite file says.
+    """The content of a suite file.
 
     Attributes:
-        datasets: dataset name -> which of its scenes are run together, one choice after the other: names of
-            scenes, or of compositions with their scenes (empty: all scenes).
+        datasets: dataset name -> choices of scenes that run together: names of scenes, or of compositions
+            with their scenes (empty: all scenes).
         stand_ins: dataset -> the procedural one that takes its place where its data are missing; "": none,
-            it is left out there.
+            the dataset does not run there.
         train_views: numbers of training views to fit with; empty: the preset's.
-        methods: names; those in ``optional`` are left out where they are not registered.
-        compositions: which compositions of the chosen scenes are measured: names, "all", or none.
+        methods: names. Methods in ``optional`` run where they are registered.
+        compositions: compositions of the scenes that are measured: names, "all", or none.
         dvr: time direct volume rendering of each scene, and its memory.
         variants: sets of options, method -> option -> value; {} is the presets' own.
         rates: "default" (each method's own size) or "all" (the rate knobs' values).
-        edits: changes of each basic scene that models are measured with too, against the ground truth of the
-            changed scene, as "opacity=0.5 light=1,0,0"; scenes of pre-rendered views have none.
+        edits: changes of each basic scene, as "opacity=0.5 light=1,0,0". Models are edited and measured
+            against the ground truth of the changed scene; scenes of pre-rendered views have none.
         sampled: primitives of each scene whose attributes are recorded.
     """
 
@@ -83,13 +83,13 @@ class Suite:
     sampled: int = SAMPLED
 
     def present(self, available: Collection[str]) -> dict[str, tuple[tuple[str, ...], ...]]:
-        """The datasets to run, given those that have data here: stand-ins take the places of others."""
-        chosen: dict[str, tuple[tuple[str, ...], ...]] = {}
+        """The datasets to run where those ``available`` have data: stand-ins take the places of others."""
+        datasets: dict[str, tuple[tuple[str, ...], ...]] = {}
         for name, scenes in self.datasets.items():
-            there = name if name in available else self.stand_ins.get(name, name)
-            if there:
-                chosen.setdefault(there, scenes)
-        return chosen
+            source = name if name in available else self.stand_ins.get(name, name)
+            if source:
+                datasets.setdefault(source, scenes)
+        return datasets
 
 
 def names() -> list[str]:
@@ -125,17 +125,15 @@ def _choices(scenes: list[Any]) -> tuple[tuple[str, ...], ...]:
 
 
 def _parse(path: Path, data: dict[str, Any]) -> Suite:
-    known = {
-        "title", "datasets", "methods", "optional", "seeds", "preset", "presets", "variants", "rates",
-        "compositions", "dvr", "stand_ins", "train_views", "edits", "sampled",
-    }  # fmt: skip
+    keys = {field.name for field in fields(Suite)} - {"name"}
     for key in data:
-        if key not in known:
-            raise unknown("key", key, known, of=str(path))
+        if key not in keys:
+            raise unknown("key", key, keys, of=str(path))
     compositions = data.get("compositions", [])
     try:
-        given = data.get("presets")
-        presets = VIEWS if given is None else {name: ViewPreset(**table) for name, table in given.items()}
+        presets = VIEWS
+        if "presets" in data:
+            presets = {name: ViewPreset(**table) for name, table in data["presets"].items()}
         suite = Suite(
             name=path.stem,
             title=str(data["title"]),
