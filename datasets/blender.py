@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from datasets.camera import Camera
 from datasets.errors import DataError
+from datasets.png import open_picture
 
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _REMEDY = "Write it as NeRF's synthetic data: camera_angle_x and frames with file_path and transform_matrix"
@@ -92,7 +93,8 @@ def _frame(path: Path, index: int, fields: dict[str, Any]) -> tuple[Camera, Path
     matrix = _rigid(path, index, fields.get("transform_matrix"))
     width, height = (_number(path, index, fields, key) for key in ("w", "h"))
     if width is None or height is None:
-        width, height = _image_size(image)
+        with open_picture(image) as picture:
+            width, height = picture.size
     fx = _number(path, index, fields, "fl_x")
     if fx is None:
         angle = _number(path, index, fields, "camera_angle_x")
@@ -141,17 +143,3 @@ def _rigid(path: Path, index: int, value: Any) -> NDArray[np.float64]:
     rigid[:3, :3] = u @ vt
     rigid[:3, 3] = matrix[:3, 3]
     return np.asarray(rigid @ _FLIP)
-
-
-def _image_size(image: Path) -> tuple[int, int]:
-    from PIL import Image
-
-    try:
-        with Image.open(image) as picture:
-            return picture.size
-    except FileNotFoundError as error:
-        raise DataError(image, "no such picture", "Check file_path in the transforms file") from error
-    except (OSError, ValueError, SyntaxError) as error:
-        raise DataError(
-            image, f"cannot be read as a picture ({error})", "Write it as an 8-bit PNG"
-        ) from error

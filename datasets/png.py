@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -41,14 +43,25 @@ def read_png(path: Path) -> NDArray[np.float32]:
     Raises:
         DataError: the file is missing or not a picture.
     """
+    with open_picture(path) as image:
+        pixels = np.asarray(image.convert("RGBA"), dtype=np.float32) / 255.0
+    pixels[..., :3] *= pixels[..., 3:]
+    return pixels
+
+
+@contextmanager
+def open_picture(path: Path) -> Iterator[Image.Image]:
+    """An open picture file.
+
+    Raises:
+        DataError: the file is missing or not a picture.
+    """
     try:
         with Image.open(path) as image:
-            pixels = np.asarray(image.convert("RGBA"), dtype=np.float32) / 255.0
+            yield image
     except FileNotFoundError as error:
         raise DataError(path, "no such picture", "Check the path") from error
     except (OSError, ValueError, SyntaxError) as error:
         raise DataError(
             path, f"cannot be read as a picture ({error})", "Write it again as an 8-bit PNG"
         ) from error
-    pixels[..., :3] *= pixels[..., 3:]
-    return pixels

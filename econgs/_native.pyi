@@ -23,6 +23,7 @@ class DecodeFrame:
     @property
     def gaussians(self) -> int: ...
 
+# fmt: off
 def built_isas() -> list[str]: ...
 def available_isas(testing: bool) -> list[str]: ...
 def isa() -> str: ...
@@ -30,147 +31,61 @@ def set_isa(name: str) -> None: ...
 def threads() -> int: ...
 def set_threads(count: int) -> None: ...
 def forward(
-    means: Floats,
-    quats: Floats,
-    scales: Floats,
-    opacities: Floats,
-    features: Floats,
-    offset: Floats | None,
-    view: Doubles,
-    near: float,
-    image: OutFloats,
-    alpha: OutFloats,
-    depth: OutFloats,
-    radii: OutInts,
-    keep: bool,
+    means: Floats, quats: Floats, scales: Floats, opacities: Floats, features: Floats,
+    offset: Floats | None, view: Doubles, near: float, image: OutFloats, alpha: OutFloats,
+    depth: OutFloats, radii: OutInts, keep: bool,
 ) -> Frame: ...
 def backward(
-    frame: Frame,
-    means: Floats,
-    quats: Floats,
-    scales: Floats,
-    opacities: Floats,
-    features: Floats,
-    image: Floats,
-    alpha: Floats,
-    depth: Floats,
-    grad_image: Floats | None,
-    grad_alpha: Floats | None,
-    grad_depth: Floats | None,
-    to_means: OutFloats,
-    to_quats: OutFloats,
-    to_scales: OutFloats,
-    to_opacities: OutFloats,
-    to_features: OutFloats,
-    to_offset: OutFloats | None,
-    offset: Floats | None,
+    frame: Frame, means: Floats, quats: Floats, scales: Floats, opacities: Floats, features: Floats,
+    image: Floats, alpha: Floats, depth: Floats, grad_image: Floats | None, grad_alpha: Floats | None,
+    grad_depth: Floats | None, to_means: OutFloats, to_quats: OutFloats, to_scales: OutFloats,
+    to_opacities: OutFloats, to_features: OutFloats, to_offset: OutFloats | None, offset: Floats | None,
 ) -> None: ...
 def sh_forward(
-    degree: int, means: Floats, position: Floats, first: Floats, rest: Floats | None, colors: OutFloats
+    degree: int, means: Floats, position: Floats, first: Floats, rest: Floats | None, colors: OutFloats,
 ) -> None: ...
 def sh_backward(
-    degree: int,
-    means: Floats,
-    position: Floats,
-    first: Floats,
-    rest: Floats | None,
-    colors: Floats,
-    grad: Floats,
-    grad_means: OutFloats,
-    grad_first: OutFloats,
-    grad_rest: OutFloats | None,
+    degree: int, means: Floats, position: Floats, first: Floats, rest: Floats | None, colors: Floats,
+    grad: Floats, grad_means: OutFloats, grad_first: OutFloats, grad_rest: OutFloats | None,
 ) -> None: ...
 def photometric(
-    x: Floats, y: Floats, absolute: float, structural: float, grad: OutFloats | None
+    x: Floats, y: Floats, absolute: float, structural: float, grad: OutFloats | None,
 ) -> tuple[float, float]: ...
 def adam(
-    params: Sequence[OutFloats],
-    grads: Sequence[Floats],
-    first: Sequence[OutFloats],
-    second: Sequence[OutFloats],
-    rates: Sequence[float],
-    beta1: float,
-    beta2: float,
-    eps: float,
+    params: Sequence[OutFloats], grads: Sequence[Floats], first: Sequence[OutFloats],
+    second: Sequence[OutFloats], rates: Sequence[float], beta1: float, beta2: float, eps: float,
     step: int,
 ) -> None: ...
 def decode_begin(
-    anchors: Floats,
-    features: Floats,
-    scalings: Floats,
-    offsets: Floats,
-    weights: Sequence[Floats],
-    embedding: Floats,
-    palette: Floats,
-    eye: Floats,
-    light: Floats | None,
-    factors: Sequence[float],
-    directions: bool,
-    sigmoid_color: bool,
-    opacities: OutFloats,
-    keep: bool,
+    anchors: Floats, features: Floats, scalings: Floats, offsets: Floats, weights: Sequence[Floats],
+    embedding: Floats, palette: Floats, eye: Floats, light: Floats | None, factors: Sequence[float],
+    directions: bool, sigmoid_color: bool, opacities: OutFloats, keep: bool,
 ) -> DecodeFrame: ...
 def decode_finish(
-    frame: DecodeFrame,
-    anchors: Floats,
-    features: Floats,
-    scalings: Floats,
-    offsets: Floats,
-    opacities: Floats,
-    means: OutFloats,
-    quats: OutFloats,
-    scales: OutFloats,
-    opaque: OutFloats,
-    colors: OutFloats,
-    slots: OutLongs,
+    frame: DecodeFrame, anchors: Floats, features: Floats, scalings: Floats, offsets: Floats,
+    opacities: Floats, means: OutFloats, quats: OutFloats, scales: OutFloats, opaque: OutFloats,
+    colors: OutFloats, slots: OutLongs,
 ) -> None: ...
 def decode_backward(
-    frame: DecodeFrame,
-    anchors: Floats,
-    features: Floats,
-    scalings: Floats,
-    offsets: Floats,
-    weights: Sequence[Floats],
-    embedding: Floats,
-    opacities: Floats,
-    means: Floats | None,
-    quats: Floats | None,
-    scales: Floats | None,
-    opaque: Floats | None,
-    colors: Floats | None,
-    to_anchors: OutFloats | None,
-    to_features: OutFloats,
-    to_scalings: OutFloats,
-    to_offsets: OutFloats,
-    to_weights: Sequence[OutFloats],
-    to_embedding: OutFloats,
-    to_palette: OutFloats,
+    frame: DecodeFrame, anchors: Floats, features: Floats, scalings: Floats, offsets: Floats,
+    weights: Sequence[Floats], embedding: Floats, opacities: Floats, means: Floats | None,
+    quats: Floats | None, scales: Floats | None, opaque: Floats | None, colors: Floats | None,
+    to_anchors: OutFloats | None, to_features: OutFloats, to_scalings: OutFloats, to_offsets: OutFloats,
+    to_weights: Sequence[OutFloats], to_embedding: OutFloats, to_palette: OutFloats,
 ) -> None: ...
 def hash_grid(
-    table: Floats,
-    index: Ints,
-    weights: Floats,
-    rows: Longs | None,
-    corners: Sequence[int],
-    sizes: Sequence[int],
-    out: OutFloats,
+    table: Floats, index: Ints, weights: Floats, rows: Longs | None, corners: Sequence[int],
+    sizes: Sequence[int], out: OutFloats,
 ) -> list[int]: ...
 def hash_grid_backward(
-    table: Floats,
-    index: Ints,
-    weights: Floats,
-    rows: Longs | None,
-    corners: Sequence[int],
-    sizes: Sequence[int],
-    grad: Floats,
-    constant: Sequence[float],
-    out: OutFloats,
+    table: Floats, index: Ints, weights: Floats, rows: Longs | None, corners: Sequence[int],
+    sizes: Sequence[int], grad: Floats, constant: Sequence[float], out: OutFloats,
 ) -> None: ...
 def add_noise(
-    values: Floats, noise: Floats, steps: Floats, first: int, groups: int, out: OutFloats
+    values: Floats, noise: Floats, steps: Floats, first: int, groups: int, out: OutFloats,
 ) -> None: ...
 def add_noise_backward(
-    grad: Floats, noise: Floats, steps: Floats, first: int, groups: int, to_steps: OutFloats
+    grad: Floats, noise: Floats, steps: Floats, first: int, groups: int, to_steps: OutFloats,
 ) -> None: ...
 def reference_kernel() -> float: ...
 def bench_blend(channels: int, backward: bool) -> float: ...

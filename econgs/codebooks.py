@@ -1,4 +1,4 @@
-"""Vector quantisation: k-means codebooks, in stages if wanted, and their ids as bytes."""
+"""Vector quantisation: k-means codebooks in one or several stages, and their ids as bytes."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ TOLERANCE = 1e-4
 """k-means ends when no word moves by more than this share of the values' standard deviation."""
 SCALAR_ROUNDS = 500
 VECTOR_ROUNDS = 15
-_SAMPLES = 128  # values per word that vectors are learned from; all of them take their nearest word
-_DISTANCES = 1 << 24  # held at a time
+_SAMPLES = 128  # random values per word for learning vectors; every value takes its nearest word
+_DISTANCES = 1 << 24  # in memory at a time
 
 
 @dataclass(frozen=True, eq=False)
 class Codebook:
-    """Words, and which of them each value takes.
+    """Words, and the word of each value.
 
     Attributes:
         words: (K, D) float32, exact in half precision.
@@ -61,27 +61,27 @@ def decoded(stages: Sequence[Codebook]) -> Tensor:
 
 
 def quantise(values: Tensor, size: int, seed: int, stages: int = 1) -> tuple[Codebook, ...]:
-    """Residual quantisation: each stage is a codebook of what the stages before it left.
+    """Residual quantisation: each stage is a codebook of the remainder of the stages before it.
 
-    Computed on the CPU, so that neither the device nor a GPU's order of summation matters.
+    Runs on the CPU, so that neither the device nor a GPU's order of summation matters.
 
     Args:
         values: (N, D) finite; D = 1 is scalar quantisation, solved exactly per round on sorted values.
-        size: most words of each codebook, 1 to 65536.
-        seed: of the first words.
+        size: maximum number of words of each codebook, 1 to 65536.
+        seed: seed of the initial words.
         stages: number of codebooks, at least 1.
     """
-    left = values.detach().float().cpu()
-    found = []
+    residuals = values.detach().float().cpu()
+    books = []
     for stage in range(stages):
-        words = _half(_learn(left, size, seed + stage))
-        ids = nearest(left, words)
-        used = torch.unique(ids)
-        renumbered = torch.zeros(len(words), dtype=torch.int64).index_fill_(0, used, 1).cumsum(0) - 1
-        book = Codebook(words[used], renumbered[ids])
-        found.append(book)
-        left = left - book.decoded()
-    return tuple(book.to(str(values.device)) for book in found)
+        words = _half(_learn(residuals, size, seed + stage))
+        ids = nearest(residuals, words)
+        words_used = torch.unique(ids)
+        renumbered = torch.zeros(len(words), dtype=torch.int64).index_fill_(0, words_used, 1).cumsum(0) - 1
+        book = Codebook(words[words_used], renumbered[ids])
+        books.append(book)
+        residuals = residuals - book.decoded()
+    return tuple(book.to(str(values.device)) for book in books)
 
 
 def quantise_scalars(values: Tensor, size: int, seed: int) -> Codebook:
@@ -91,7 +91,7 @@ def quantise_scalars(values: Tensor, size: int, seed: int) -> Codebook:
 
 
 def rounded(book: Codebook) -> Codebook:
-    """With words as they are stored: half precision."""
+    """The codebook with words in half precision, as in files."""
     return replace(book, words=_half(book.words.detach()))
 
 
@@ -105,7 +105,7 @@ def nearest(values: Tensor, words: Tensor) -> Tensor:
         return order[torch.searchsorted((ordered[1:] + ordered[:-1]) / 2, values[:, 0].contiguous())]
     chunk = max(1, _DISTANCES // max(1, len(words)))
     lengths = words.square().sum(1)
-    # |v - w|^2 less |v|^2, which is the same for all words.
+    # |v - w|^2 less |v|^2, which is constant over words.
     parts = [torch.addmm(lengths, part, words.T, alpha=-2.0).argmin(1) for part in values.split(chunk)]
     return torch.cat(parts)
 
@@ -132,25 +132,25 @@ def _learn_scalars(values: Tensor, size: int) -> Tensor:
     ordered = np.sort(values.double().numpy())
     sums = np.concatenate([[0.0], np.cumsum(ordered - ordered.mean())])
     words = np.unique(ordered[((np.arange(size) + 0.5) / size * len(ordered)).astype(np.int64)])
-    if len(words) < size:  # many equal values: the rest from what is distinct
+    if len(words) < size:  # many equal values: further words from the distinct ones
         others = np.setdiff1d(ordered, words)
-        chosen = np.linspace(0, len(others) - 1, size - len(words)).astype(np.int64)
-        words = np.sort(np.concatenate([words, others[chosen]]))
+        places = np.linspace(0, len(others) - 1, size - len(words)).astype(np.int64)
+        words = np.sort(np.concatenate([words, others[places]]))
     least = TOLERANCE * ordered.std()
     for _ in range(SCALAR_ROUNDS):
         ends = np.concatenate([[0], np.searchsorted(ordered, (words[1:] + words[:-1]) / 2), [len(ordered)]])
         counts = np.diff(ends)
         means = np.diff(sums[ends]) / np.maximum(counts, 1) + ordered.mean()
-        moved = np.where(counts > 0, means, words)
-        far = np.abs(moved - words).max()
-        words = moved
+        new_words = np.where(counts > 0, means, words)
+        far = np.abs(new_words - words).max()
+        words = new_words
         if far <= least:
             break
     return torch.from_numpy(words[:, None].astype(np.float32))
 
 
 def _learn_vectors(values: Tensor, size: int, seed: int) -> Tensor:
-    """Lloyd's algorithm from randomly drawn values; a word that nothing takes moves to what fits worst."""
+    """Lloyd's algorithm from random values; an unused word moves to the value with the largest error."""
     generator = torch.Generator().manual_seed(seed)
     order = torch.randperm(len(values), generator=generator)
     values = values[order[: _SAMPLES * size]]
@@ -162,13 +162,13 @@ def _learn_vectors(values: Tensor, size: int, seed: int) -> Tensor:
         # A sparse product sums in the order of the values, whatever the number of threads.
         counts = torch.bincount(ids, minlength=size)
         members = csr_array((ones, (ids.numpy(), places)), shape=(size, len(values)))
-        moved = (torch.from_numpy(members @ exact) / counts.clamp(min=1)[:, None]).float()
+        new_words = (torch.from_numpy(members @ exact) / counts.clamp(min=1)[:, None]).float()
         bare = (counts == 0).nonzero()[:, 0]
         if len(bare):
             worst = (values - words[ids]).square().sum(1).argsort(descending=True, stable=True)
-            moved[bare] = values[worst[: len(bare)]]
-        far = float((moved - words).norm(dim=1).max())
-        words = moved
+            new_words[bare] = values[worst[: len(bare)]]
+        far = float((new_words - words).norm(dim=1).max())
+        words = new_words
         if far <= least:
             break
     return words
@@ -188,7 +188,7 @@ def unpack_ids(data: bytes, count: int, words: int) -> NDArray[np.int64]:
     """Inverse of :func:`pack_ids`.
 
     Raises:
-        ValueError: the data have another length, or an id has no word.
+        ValueError: the data have another length, or an id exceeds the words.
     """
     bits = max(0, words - 1).bit_length()
     if len(data) != (count * bits + 7) // 8 or (count and not words):
@@ -197,11 +197,11 @@ def unpack_ids(data: bytes, count: int, words: int) -> NDArray[np.int64]:
     ids = np.zeros(count, np.int64)
     for column in flags.T:
         ids = (ids << 1) | column
-    return _known(ids, words)
+    return _check_ids(ids, words)
 
 
 def code_ids(book: Codebook) -> bytes:
-    """Ids entropy-coded at their frequencies, which come first (2 bytes per word)."""
+    """Frequencies of the ids (2 bytes per word), then the ids, entropy-coded at them."""
     ids = book.ids.cpu().numpy()
     counts = np.bincount(ids, minlength=len(book.words))
     # Scaled down so that the commonest fits 16 bits; every word keeps at least 1.
@@ -217,7 +217,7 @@ def decode_ids(data: bytes, count: int, words: int) -> NDArray[np.int64]:
     """Inverse of :func:`code_ids`.
 
     Raises:
-        ValueError: the data were not written by it for as many ids and words.
+        ValueError: the data hold other numbers of ids or words, or are damaged.
     """
     shares = np.frombuffer(data[: 2 * words], "<u2")
     if len(shares) != words or (words and shares.min() < 1) or (count and not words):
@@ -229,18 +229,18 @@ def decode_ids(data: bytes, count: int, words: int) -> NDArray[np.int64]:
     decoder = Decoder(data[2 * words :])
     ids = decoder.symbols(count, _model(shares)).astype(np.int64)
     decoder.finish()
-    return _known(ids, words)
+    return _check_ids(ids, words)
 
 
 def _model(shares: NDArray[np.uint16]) -> Any:
-    """Whole frequencies in proportion to the shares; what rounding leaves goes to the commonest."""
+    """Whole frequencies in proportion to the shares; the commonest id takes the rounding error."""
     whole = shares.astype(np.int64)
     frequencies = 1 + whole * ((1 << FREQUENCY_BITS) - len(whole)) // whole.sum()
     frequencies[whole.argmax()] += (1 << FREQUENCY_BITS) - frequencies.sum()
     return exact_model(frequencies)
 
 
-def _known(ids: NDArray[np.int64], words: int) -> NDArray[np.int64]:
+def _check_ids(ids: NDArray[np.int64], words: int) -> NDArray[np.int64]:
     if len(ids) and int(ids.max()) >= words:
         raise ValueError(f"id {int(ids.max())} has no word among {words}")
     return ids

@@ -1,6 +1,6 @@
-"""Which scenes are learned together: Chamfer distances of their clouds, clustered hierarchically.
+"""Groups of scenes for joint learning: hierarchical clusters by Chamfer distances of their clouds.
 
-ECoNGS, section "Joint Learning". The paper leaves open how the distance is defined and which linkage is used;
+ECoNGS, section "Joint Learning". The paper leaves the definition of the distance and the linkage open;
 the defaults here reproduce its range of thresholds on the authors' own clouds.
 """
 
@@ -17,7 +17,7 @@ from econgs.context.positions import morton_order
 
 LINKAGES = ("average", "single", "complete")
 SAMPLE = 512
-"""Points of each cloud that look for neighbours: distances within 3 %, as with 2,048 drawn at random."""
+"""Sampled points of each cloud: distances within 3 %, as with 2,048 random points."""
 
 
 def chamfer_distances(
@@ -25,13 +25,13 @@ def chamfer_distances(
 ) -> NDArray[np.float64]:
     """(n, n) symmetric matrix of Chamfer distances between clouds of (p, 3) points.
 
-    Squared distances to the nearest neighbour in the other cloud, averaged over points spread evenly over
-    each cloud; the two directions are averaged ("mean") or added ("sum").
+    A distance is the mean squared distance to the nearest neighbour in the other cloud, over points spread
+    evenly over each cloud; the two directions are averaged ("mean") or added ("sum").
 
     Args:
-        clouds: each with at least one point, in one space.
+        clouds: clouds of at least one point each, in one space.
         direction: "mean" or "sum".
-        sample: points taken of each cloud; neighbours are looked up among all.
+        sample: number of points of each cloud that look for neighbours among all points of the other.
 
     Raises:
         ValueError: an empty cloud.
@@ -39,36 +39,36 @@ def chamfer_distances(
     if any(len(cloud) == 0 for cloud in clouds):
         raise ValueError("an empty cloud has no distance to others")
     points = [np.asarray(cloud, dtype=np.float64) for cloud in clouds]
-    taken = [_spread(cloud, sample) for cloud in points]
-    owner = np.repeat(np.arange(len(taken)), [len(some) for some in taken])
-    asking = np.concatenate(taken) if taken else np.zeros((0, 3))
+    samples = [_spread(cloud, sample) for cloud in points]
+    owner = np.repeat(np.arange(len(samples)), [len(some) for some in samples])
+    queries = np.concatenate(samples) if samples else np.zeros((0, 3))
     factor = 0.5 if direction == "mean" else 1.0
     distances = np.zeros((len(clouds), len(clouds)))
     for j, cloud in enumerate(points):
         others = owner != j
-        nearest, _ = cKDTree(cloud).query(asking[others], workers=-1)
-        sums = np.bincount(owner[others], weights=nearest**2, minlength=len(taken))
-        distances[:, j] = factor * sums / [len(some) for some in taken]
+        nearest, _ = cKDTree(cloud).query(queries[others], workers=-1)
+        sums = np.bincount(owner[others], weights=nearest**2, minlength=len(samples))
+        distances[:, j] = factor * sums / [len(some) for some in samples]
     return np.asarray(distances + distances.T)
 
 
 def _spread(cloud: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Points at equal steps along a Z-order curve, which keeps neighbours together; all if they are few."""
+    """Points at equal steps along a Z-order curve, which keeps neighbours together; all of a small cloud."""
     if len(cloud) <= count:
         return cloud
     extent = max(float(np.ptp(cloud, axis=0).max()), 1e-12)
     cells = ((cloud - cloud.min(axis=0)) * (1023.0 / extent)).astype(np.int64)
     order = morton_order(cells)
-    chosen = order[((np.arange(count) + 0.5) * (len(cloud) / count)).astype(int)]
-    return np.asarray(cloud[chosen])
+    indices = order[((np.arange(count) + 0.5) * (len(cloud) / count)).astype(int)]
+    return np.asarray(cloud[indices])
 
 
 def cluster(distances: NDArray[np.float64], threshold: float, method: str = "average") -> list[list[int]]:
-    """Groups of items whose clusters merge at a distance up to the threshold.
+    """Groups of items whose clusters merge up to a distance.
 
     Args:
         distances: (n, n) symmetric with a zero diagonal.
-        threshold: 0 keeps every item apart.
+        threshold: largest distance of a merge; 0 keeps every item apart.
         method: one of :data:`LINKAGES`.
 
     Returns:

@@ -41,8 +41,8 @@ def photometric_loss(
 def ssim(rendered: Tensor, target: Tensor, *, backend: str | None = None) -> Tensor:
     """Mean SSIM over all pixels and channels: 11×11 Gaussian window, σ 1.5, zero padding.
 
-    This is the training loss's SSIM; the metric of the tables leaves out the padded border. Arguments as in
-    :func:`photometric_loss`.
+    This is the SSIM of the training loss; the metric of the tables excludes the padded border. Arguments as
+    in :func:`photometric_loss`.
     """
     _check(rendered, target)
     if choose_backend(rendered, backend) == "native":
@@ -52,10 +52,10 @@ def ssim(rendered: Tensor, target: Tensor, *, backend: str | None = None) -> Ten
 
 
 def torch_ssim(rendered: Tensor, target: Tensor) -> Tensor:
-    """The same in plain PyTorch, for any dtype and device.
+    """Mean SSIM in plain PyTorch, for any dtype and device.
 
-    Written in sums and differences, s = x + y and d = x − y, so that nothing large cancels where the images
-    are flat and alike, as most of a volume rendering is:
+    The formula uses sums and differences, s = x + y and d = x − y, so that nothing large cancels in flat,
+    similar regions, which fill most of a volume rendering:
     SSIM = (1 − d̄² / ((s̄² + d̄²) / 2 + C₁)) · (1 − V[d] / ((V[s] + V[d]) / 2 + C₂)).
     """
     height, width, channels = rendered.shape

@@ -16,12 +16,12 @@ class Adam:
 
     A group is one tensor (``optimizer["means"]`` is the current one: densification replaces it) or several
     that share a rate (the weights of a decoder). The optimiser owns them as leaves that require gradients.
-    A tensor without a gradient is left alone and its step count too, as in ``torch.optim.Adam``.
+    A tensor without a gradient keeps its value and its step count, as in ``torch.optim.Adam``.
 
     Args:
         groups: name → tensor or tensors.
-        rates: name → learning rate; change an entry of :attr:`rates` to follow a schedule.
-        betas, eps: decay of both moments and the guard of the division (3DGS uses 1e-15).
+        rates: name → learning rate; a schedule changes the entries of :attr:`rates`.
+        betas, eps: decay of both moments and guard of the division (3DGS uses 1e-15).
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class Adam:
         self.steps: dict[str, list[int]] = {}
         for name, group in groups.items():
             tensors = [group] if isinstance(group, Tensor) else list(group)
-            # A leaf is kept as it is (a module holds the same object); anything else becomes one.
+            # A leaf stays the same object, which a module may hold; any other tensor becomes a leaf.
             leaves = [one.requires_grad_(True) if one.is_leaf else _leaf(one) for one in tensors]
             self.parameters[name] = leaves
             self.first[name] = [torch.zeros_like(one) for one in leaves]
@@ -51,7 +51,7 @@ class Adam:
             self.steps[name] = [0] * len(leaves)
 
     def __getitem__(self, name: str) -> Tensor:
-        """The tensor of a group that has only one."""
+        """The only tensor of a group."""
         (tensor,) = self.parameters[name]
         return tensor
 
@@ -62,7 +62,7 @@ class Adam:
 
     @torch.no_grad()
     def step(self) -> None:
-        """One update of everything that has a gradient."""
+        """One update of all tensors with gradients."""
         # One call for all tensors at the same step: fused, they cost one pass over memory.
         together: dict[tuple[int, str], list[tuple[Tensor, Tensor, Tensor, Tensor, float]]] = {}
         for name, group in self.parameters.items():
@@ -81,13 +81,13 @@ class Adam:
 
     @torch.no_grad()
     def keep(self, rows: Tensor, names: Sequence[str]) -> None:
-        """Keeps only these rows (boolean mask or indices) of the named groups, moments included."""
+        """Keep only these rows (boolean mask or indices) of the named groups, moments included."""
         for name in names:
             self._replace(name, self[name][rows], self.first[name][0][rows], self.second[name][0][rows])
 
     @torch.no_grad()
     def append(self, rows: Mapping[str, Tensor]) -> None:
-        """Appends new rows to the named groups; their moments start at zero."""
+        """Append new rows to the named groups; their moments start at zero."""
         for name, new in rows.items():
             new = new.detach().to(self[name])
             moments = [
@@ -97,7 +97,7 @@ class Adam:
 
     @torch.no_grad()
     def overwrite(self, name: str, values: Tensor) -> None:
-        """Sets a group's values and forgets its moments (the opacity reset of 3DGS)."""
+        """Set a group's values and clear its moments (the opacity reset of 3DGS)."""
         zeros = torch.zeros_like(values)
         self._replace(name, values.detach().clone(), zeros, zeros.clone())
 
@@ -115,10 +115,10 @@ class Adam:
 
     @torch.no_grad()
     def load_state(self, saved: Mapping[str, Tensor]) -> None:
-        """Continues from :meth:`state`; row counts may differ from the present ones.
+        """Continue from :meth:`state`; numbers of rows may differ.
 
         Raises:
-            ValueError: a group of this optimiser is missing.
+            ValueError: the state lacks a group of this optimiser.
         """
         for name, group in self.parameters.items():
             for place, tensor in enumerate(group):
@@ -132,7 +132,7 @@ class Adam:
                 self.first[name][place] = first.to(tensor).clone()
                 self.second[name][place] = second.to(tensor).clone()
                 if value.shape == tensor.shape:
-                    tensor.copy_(value)  # in place, so that a module goes on holding it
+                    tensor.copy_(value)  # in place: a module may hold it
                 else:
                     group[place] = _leaf(value.to(tensor))
 

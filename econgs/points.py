@@ -11,7 +11,7 @@ _LEAST_SQUARED_DISTANCE = 1e-7
 
 
 def neighbour_distances(points: Tensor, fallback: float) -> Tensor:
-    """(N,) root of the mean squared distance to the three nearest neighbours, or fewer where there are none.
+    """(N,) root mean square distance to the three nearest neighbours (in small clouds to all).
 
     Args:
         points: (N, 3), N >= 1.

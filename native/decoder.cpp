@@ -44,11 +44,10 @@ class Parts {
   float* base_;
 };
 
-// Where packed weights lie: those of the forward pass first, in the layout of the gradients' sums too.
-struct Packed {
-  float *first_t, *first_bias, *second_t[NETS], *second_bias[NETS];
-  float* palette;                // of sums
-  float *first, *second[NETS];   // of the backward pass
+// Where packed weights lie: those of the forward pass in the layout of the gradients' sums, then those of the backward
+// pass alone.
+struct Packed : DecodeGradients {
+  float *first, *second[NETS];
 };
 
 int64_t lay_out(const DecodeShape& s, float* base, bool sums, bool backward, Packed& p) {
@@ -217,18 +216,12 @@ void decode_backward(const DecodeFrame& frame, const DecodeInputs& in, const Net
     std::memset(base, 0, size * sizeof(float));
     Packed p;
     lay_out(shape, base, true, false, p);
-    DecodeGradients mine;
-    mine.first_t = p.first_t;
-    mine.first_bias = p.first_bias;
-    std::copy(p.second_t, p.second_t + NETS, mine.second_t);
-    std::copy(p.second_bias, p.second_bias + NETS, mine.second_bias);
-    mine.palette = p.palette;
     for (int64_t block = piece * blocks / pieces; block < (piece + 1) * blocks / pieces; ++block) {
       const int64_t begin = block * DECODE_BLOCK, end = std::min(in.count, begin + DECODE_BLOCK);
       frame.kernels->decode_backward(shape, in, frame.view, frame.weights, begin, end,
                                      opacities + begin * shape.offsets, frame.first[block], frame.gaussians,
                                      rows_of(frame, block), frame.raw.as<float>() + block * raw_size(shape), grad, to,
-                                     mine, scratch.of(thread));
+                                     p, scratch.of(thread));
     }
   });
   // Piece by piece in their order, whichever thread summed them.

@@ -12,19 +12,11 @@
 #endif
 
 // Defined once per ISA by kernels/isa.cpp.
-namespace baseline {
-extern const econgs::Kernels kernels;
-}
+namespace baseline { extern const econgs::Kernels kernels; }
 #ifdef ECONGS_X86
-namespace avx512 {
-extern const econgs::Kernels kernels;
-}
-namespace avx2 {
-extern const econgs::Kernels kernels;
-}
-namespace avx2x16 {
-extern const econgs::Kernels kernels;
-}
+namespace avx512 { extern const econgs::Kernels kernels; }
+namespace avx2 { extern const econgs::Kernels kernels; }
+namespace avx2x16 { extern const econgs::Kernels kernels; }
 #endif
 
 namespace econgs {

@@ -56,16 +56,16 @@ def _answer(answers: BinaryIO, answer: dict[str, Any]) -> None:
 
 
 def _arrays(file: h5py.File) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
 
     def visit(name: str, item: Any) -> bool | None:
         if isinstance(item, h5py.Dataset) and item.shape is not None and item.dtype.kind in "iufbS":
             about = {"name": name, "shape": item.shape, "dtype": item.dtype.str}
-            found.append({**about, "dims": _dims(item), "attributes": _attributes(item)})
-        return True if len(found) >= _MOST else None
+            entries.append({**about, "dims": _dims(item), "attributes": _attributes(item)})
+        return True if len(entries) >= _MOST else None
 
     file.visititems(visit)
-    return found
+    return entries
 
 
 def _dims(item: h5py.Dataset) -> list[str]:
@@ -81,7 +81,7 @@ def _dims(item: h5py.Dataset) -> list[str]:
 
 
 def _attributes(item: h5py.Dataset) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for name in item.attrs:
         if name in ("DIMENSION_LIST", "REFERENCE_LIST"):
             continue
@@ -92,12 +92,12 @@ def _attributes(item: h5py.Dataset) -> dict[str, Any]:
         if isinstance(value, bytes):
             value = value.decode("utf-8", "replace")
         if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "iufb" and value.size <= 100:
-            found[name] = np.ravel(value).tolist()
+            entries[name] = np.ravel(value).tolist()
         elif isinstance(value, str):
-            found[name] = value
-    if str(found.get("NAME", "")).startswith(_NO_POSITIONS):
-        found["no positions"] = "true"
-    return found
+            entries[name] = value
+    if str(entries.get("NAME", "")).startswith(_NO_POSITIONS):
+        entries["no positions"] = "true"
+    return entries
 
 
 def _send(answers: BinaryIO, item: h5py.Dataset, first: int | None) -> None:

@@ -1,4 +1,4 @@
-"""The anchors of one scene while they are trained: parameters in an optimiser, statistics, growth."""
+"""The anchors of one scene in training: parameters in an optimiser, statistics, growth."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ SCALE_CAP = 0.05
 
 @dataclass(frozen=True)
 class GrowthEvent:
-    """What one growth event changed.
+    """Result of one growth event.
 
     Attributes:
         added, pruned: numbers of anchors.
-        limited: the limit kept some from being added.
+        limited: whether the limit prevented some additions.
     """
 
     added: int
@@ -36,16 +36,16 @@ class AnchorSet:
 
     Parameters: ``features`` (N, F), zero at first; ``log_scalings`` (N, 6), the logarithm of three factors of
     offsets and three of Gaussian scales; ``offsets`` (N, K, 3), zero at first. Positions lie on the lattice
-    of ``voxel`` and are never trained (Scaffold-GS).
+    of ``voxel`` and are constant (Scaffold-GS).
 
     Args:
         key: distinguishes the scenes of one optimiser.
         points: (n, 3) initial cloud, n >= 1.
         voxel: side of a lattice cell, scene units; points of one cell make one anchor.
-        features: F.
-        offsets: K.
+        features: F, values of an anchor's feature.
+        offsets: K, Gaussians per anchor.
         fallback: scaling of a lone anchor, scene units.
-        masks: train ``masks`` (N, K) too, one number per offset (HAC).
+        masks: whether to train ``masks`` (N, K) too, one number per offset (HAC).
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class AnchorSet:
         return [self.name(parameter) for parameter in self.parameters]
 
     def groups(self) -> dict[str, Tensor]:
-        """The first parameters by their names in the optimiser, to make it with; given out once."""
+        """The initial parameters by their names in the optimiser; a second call returns none."""
         groups = {self.name(parameter): values for parameter, values in self.initial.items()}
         self.initial = {}
         return groups
@@ -106,31 +106,31 @@ class AnchorSet:
         """One growth event (Scaffold-GS: growing first, then pruning).
 
         Args:
-            optimiser: holds the parameters.
+            optimiser: optimiser with the parameters.
             rules: thresholds.
-            generator: of the random thinning.
-            decoded_offsets: (N, K, 3) where Gaussians are, if not by the parameter ``offsets``.
+            generator: generator of the random thinning.
+            decoded_offsets: (N, K, 3) offsets of the Gaussians; None: the parameter ``offsets``.
         """
         features, log_scalings, offsets = (optimiser[self.name(parameter)] for parameter in PARAMETERS)
         places = offsets if decoded_offsets is None else decoded_offsets
-        grown = grow(self.positions, log_scalings, features, places, self.statistics, rules, generator)
-        added = len(grown.anchors)
+        new_anchors = grow(self.positions, log_scalings, features, places, self.statistics, rules, generator)
+        added = len(new_anchors.anchors)
         if added:
             new = {
-                "features": grown.features,
-                "log_scalings": grown.log_scalings,
+                "features": new_anchors.features,
+                "log_scalings": new_anchors.log_scalings,
                 "offsets": offsets.new_zeros((added, *offsets.shape[1:])),
                 MASKS: offsets.new_full((added, self.offsets), FIRST_MASK),
             }
             optimiser.append({self.name(parameter): new[parameter] for parameter in self.parameters})
-            self.positions = torch.cat([self.positions, grown.anchors])
+            self.positions = torch.cat([self.positions, new_anchors.anchors])
             self.statistics = self.statistics.extended(added)
         faint = prunable(self.statistics, rules)
         pruned = int(faint.sum())
         if pruned:
             self.keep(optimiser, ~faint)
             optimiser[self.name("log_scalings")][:, 3:].clamp_(max=SCALE_CAP)
-        return GrowthEvent(added, pruned, grown.limited)
+        return GrowthEvent(added, pruned, new_anchors.limited)
 
     @torch.no_grad()
     def keep(self, optimiser: Adam, rows: Tensor) -> None:
@@ -140,7 +140,7 @@ class AnchorSet:
         self.statistics = self.statistics.keep(rows)
 
     def state(self) -> dict[str, Tensor]:
-        """What a checkpoint needs beside the optimiser's state."""
+        """Tensors of a checkpoint beside the optimiser's state."""
         saved = {f"statistics/{name}": values for name, values in vars(self.statistics).items()}
         return {f"{self.key}/{name}": v for name, v in ({"positions": self.positions} | saved).items()}
 

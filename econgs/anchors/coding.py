@@ -1,4 +1,4 @@
-"""What quantisation does to a fit: noise, the context model and the rate in the loss (HAC)."""
+"""Quantisation in a fit: noise, the context model and the rate in the loss (HAC)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from econgs.context.positions import PositionGrid
 
 
 class Phases(Protocol):
-    """When what begins; iterations count from 1."""
+    """Phases of a fit; iterations count from 1."""
 
     def noisy(self, iteration: int) -> bool:
         """Whether attributes carry quantisation noise."""
@@ -34,18 +34,18 @@ class Phases(Protocol):
         """Whether steps and probabilities come from the context model, and the rate counts."""
 
     def exact(self, iteration: int) -> bool:
-        """Whether attributes are rounded as the coder will round them."""
+        """Whether attributes are rounded as in the coder."""
 
 
 class Coding:
-    """Noise of the base steps first, of the context model's steps in the second stage.
+    """Quantisation noise: from the base steps at first, from the context model's steps in the second stage.
 
     Args:
-        config: of the context model.
-        schedule: when what begins.
+        config: sizes of the context model.
+        schedule: phases of the fit.
         generator: CPU generator of noise and samples.
-        margin: by how much the grid of positions exceeds the anchors when it is made, as a share of their
-            box: it then stays as it is while they grow within it. 0: it is made anew each time.
+        margin: margin of the grid of positions round the anchors, as a share of their box: the grid stays
+            while they grow within it. 0: each growth event makes a new grid.
     """
 
     def __init__(
@@ -68,17 +68,17 @@ class Coding:
 
     @property
     def grid(self) -> PositionGrid:
-        """Where the positions of all anchors lie.
+        """The grid of the positions of all anchors.
 
         Raises:
-            RuntimeError: they were not placed.
+            RuntimeError: :meth:`place` has not run yet.
         """
         if self._grid is None:
             raise RuntimeError("the anchors were not placed")
         return self._grid
 
     def groups(self) -> dict[str, Sequence[Tensor]]:
-        """What the optimiser trains in the second stage."""
+        """Parameters of the second stage for the optimiser."""
         return {"grid": [self.model.grid.table], "head": self.model.head}
 
     @torch.no_grad()
@@ -87,7 +87,7 @@ class Coding:
         self.model.calibrate(*values)
 
     def place(self, scenes: Sequence[AnchorSet]) -> None:
-        """Anchors have come or gone: one grid for all scenes, so that the same place has the same context."""
+        """Place changed anchors on one grid for all scenes, so that equal positions have equal contexts."""
         self._lookups.clear()
         positions = np.concatenate([anchors.positions.cpu().numpy() for anchors in scenes])
         if self.margin and len(positions):
@@ -107,15 +107,15 @@ class Coding:
         iteration: int,
         masks: Tensor | None = None,
     ) -> tuple[Attributes, Rate | None]:
-        """Attributes as the decoders are to see them in training, and the rate where it counts.
+        """Attributes for the decoders in training, and the rate in the phases with one.
 
         Args:
-            anchors: of the scene.
-            values: of its visible anchors.
-            rows: indices of those.
+            anchors: anchors of the scene.
+            values: attributes of its visible anchors.
+            rows: indices of the visible anchors.
             total: number of anchors of all scenes.
-            iteration: decides between nothing, noise of the base steps and the context model.
-            masks: (V, K) of 0 and 1; offsets whose mask is 0 cost nothing.
+            iteration: iteration; selects no noise, noise of the base steps, or the context model.
+            masks: (V, K) of 0 and 1; offsets with mask 0 cost nothing.
         """
         if not self.schedule.noisy(iteration):
             return values, None
@@ -132,20 +132,20 @@ class Coding:
         return _sizes(noisy.values), self.model.rate(noisy, context, anchors=total, share=share)
 
     def _plain(self, count: int) -> Context:
-        """The base steps for all, nothing sampled."""
+        """Context of the base steps, without a sample."""
         base = self._base
         none = torch.empty(0, dtype=torch.int64, device=base.device)
         return Context(base.expand(count, -1), base.new_zeros(()), none, base[:0], base[:0])
 
     def lookup(self, anchors: AnchorSet) -> Lookup:
-        """Where the scene's anchors fall in the grid, kept for reuse."""
+        """Vertices and weights of the scene's anchors in the hash grid, cached."""
         if anchors.key not in self._lookups:
             codes = torch.from_numpy(self.grid.codes(anchors.positions.cpu().numpy()))
             self._lookups[anchors.key] = self.model.lookup(codes, self.grid.extent)
         return self._lookups[anchors.key]
 
     def state(self) -> dict[str, Tensor]:
-        """What a checkpoint needs beside the optimiser's state."""
+        """Tensors of a checkpoint beside the optimiser's state."""
         saved = {"coding/noise": self.noise.pool, "coding/unit": self.model.unit.clone()}
         if self._grid is not None:
             numbers = (*self._grid.origin, *self._grid.cell, *self._grid.extent)
@@ -163,11 +163,11 @@ class Coding:
 
 
 def _sizes(values: Attributes) -> Attributes:
-    """Noise may take a small scaling below zero, which rounding never does."""
+    """Attributes with scalings of at least 0: noise may push a small one below, rounding never does."""
     return values._replace(scalings=values.scalings.clamp_min(0.0))
 
 
 def _shares(values: Attributes, masks: Tensor) -> Tensor:
-    """(S, D) by how much the bits of each element count."""
+    """(S, D) weights of each element's bits."""
     before = masks.new_ones((len(masks), values.features.shape[1] + values.scalings.shape[1]))
     return torch.cat([before, masks.repeat_interleave(3, 1)], 1)

@@ -1,4 +1,4 @@
-"""Offset colors on their own: what a regulariser of them needs, without the rest of decoding."""
+"""Offset colors alone, for a regulariser."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from econgs.anchors.shading import unit
 def offset_colors(
     decoders: Decoders, anchors: Tensor, features: Tensor, embedding: Tensor, eye: Tensor
 ) -> Tensor:
-    """(N, 3, K) offset colors of all Gaussians of these anchors, culled ones too; arguments as of ``decode``.
+    """(N, 3, K) offset colors of all Gaussians of these anchors, also culled ones.
 
-    Gradients reach features, embedding and the weights of F_s.
+    Arguments as in :func:`econgs.anchors.decode.decode`. Gradients reach features, embedding and the weights
+    of F_s.
     """
     many = decoders.offsets
     if decoders.storage == "explicit":

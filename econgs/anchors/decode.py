@@ -15,10 +15,10 @@ from datasets.camera import Camera
 from econgs.anchors.decoders import NETWORKS, Decoders
 from econgs.anchors.gaussians import ViewGaussians
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade, unit
-from econgs.splat.composite import thinned
+from econgs.splat.composite import scale_depth
 from econgs.splat.rasterise import choose_backend
 
-MIN_QUATERNION = 1e-12  # a shorter quaternion is no rotation: the identity stands in
+MIN_QUATERNION = 1e-12  # a shorter quaternion becomes the identity
 Vector = Sequence[float] | NDArray[np.float64] | Tensor
 
 
@@ -39,7 +39,7 @@ def decode(
     """The neural editable Gaussians of N anchors as one camera sees them (ECoNGS, after Scaffold-GS).
 
     * Mean: x_a + Δx · s, s the first three scalings of the anchor.
-    * Opacity: tanh of F_o; Gaussians that are not > 0 are culled here, before the rasteriser.
+    * Opacity: tanh of F_o; Gaussians of opacity <= 0 are culled here, before the rasteriser.
     * Scale: the last three scalings · sigmoid of F_cov's first three outputs; the other four, normalised, are
       the quaternion.
     * Shading: offset color by ``decoders.offset_color``, k_a and k_d linear, k_s = 5 sigmoid, β = 50 sigmoid.
@@ -52,7 +52,7 @@ def decode(
         anchors: (N, 3) positions.
         features: (N, ``decoders.width``).
         scalings: (N, 6) activated, > 0.
-        offsets: (N, K, 3); not read where ``decoders`` decode them.
+        offsets: (N, K, 3); unused if ``decoders`` decode them.
         decoders: the four networks.
         embedding: (E,) TF embedding of the scene.
         palette: (3,) its palette color.
@@ -93,7 +93,7 @@ def decode(
         decoded = _torch_decode(*inputs.values(), decoders=decoders, eye=view, light=toward, factors=factors)
     if factors.opacity == 1.0:
         return decoded
-    return replace(decoded, opacities=thinned(decoded.opacities, factors.opacity))
+    return replace(decoded, opacities=scale_depth(decoded.opacities, factors.opacity))
 
 
 def _torch_decode(
@@ -110,14 +110,14 @@ def _torch_decode(
     factors: Factors,
 ) -> ViewGaussians:
     count, many = offsets.shape[:2]
-    stored = features[:, decoders.features :]
+    explicit = features[:, decoders.features :]
     inputs = features[:, : decoders.features]
     if decoders.view_direction:
         inputs = torch.cat([inputs, unit(anchors - eye)], dim=1)
     width = inputs.shape[1]
     names = [name for name in NETWORKS if name in decoders.names]
     networks = [decoders.network(name) for name in names]
-    # One product for the first layers of all four. What the embedding adds is the same for every anchor.
+    # One product for the first layers of all four; the embedding adds the same to every anchor.
     first = torch.cat([network.first_weight for network in networks])
     bias = torch.cat([network.first_bias for network in networks]) + first[:, width:] @ embedding
     first_layers = torch.relu(torch.addmm(bias, inputs, first[:, :width].T)).split(decoders.hidden, dim=1)
@@ -128,15 +128,15 @@ def _torch_decode(
         return torch.addmm(network.second_bias, hidden[name], network.second_weight.T)
 
     raw = torch.tanh(outputs("opacity"))
-    kept = raw.detach() > 0.0 if factors.opacity > 0.0 else torch.zeros_like(raw, dtype=torch.bool)
-    slots = kept.reshape(-1).nonzero()[:, 0]
+    visible = raw.detach() > 0.0 if factors.opacity > 0.0 else torch.zeros_like(raw, dtype=torch.bool)
+    slots = visible.reshape(-1).nonzero()[:, 0]
     anchor = slots // many
 
-    def surviving(name: str) -> Tensor:
+    def by_slot_of(name: str) -> Tensor:
         attributes = NETWORKS[name]
         if name not in hidden:  # stored: normals first
             begin = 0 if name == "normal" else 3 * many
-            by_slot = stored[:, begin : begin + attributes * many].reshape(count * many, attributes)
+            by_slot = explicit[:, begin : begin + attributes * many].reshape(count * many, attributes)
         else:
             by_slot = outputs(name).view(count, attributes, many).transpose(1, 2)
             by_slot = by_slot.reshape(count * many, attributes)
@@ -146,7 +146,7 @@ def _torch_decode(
     scale = scalings.index_select(0, anchor)
     offset = offsets.reshape(-1, 3).index_select(0, slots)
     means = anchors.index_select(0, anchor) + offset * scale[:, :3]
-    covariance, shading, normals = surviving("covariance"), surviving("shading"), surviving("normal")
+    covariance, shading, normals = by_slot_of("covariance"), by_slot_of("shading"), by_slot_of("normal")
     activate = torch.tanh if decoders.offset_color == "tanh" else torch.sigmoid
     linear = shading[:, 3:5] * shading.new_tensor([factors.ambient, factors.diffuse])
     ranges = shading.new_tensor([MAX_SPECULAR * factors.specular, MAX_SHININESS * factors.shininess])
@@ -164,7 +164,7 @@ def _torch_decode(
 
 
 def rotation(quats: Tensor) -> Tensor:
-    """(M, 4) unit quaternions; one without a length is the identity."""
+    """(M, 4) unit quaternions; a zero quaternion becomes the identity."""
     length = torch.linalg.vector_norm(quats, dim=-1, keepdim=True)
     sound = length > MIN_QUATERNION
     identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0])
@@ -173,22 +173,22 @@ def rotation(quats: Tensor) -> Tensor:
 
 @torch.no_grad()
 def visible_anchors(camera: Camera, anchors: Tensor, scalings: Tensor, *, near: float = 0.2) -> Tensor:
-    """(N,) whether an anchor may show in a view (the filter of Scaffold-GS, without its rotation).
+    """(N,) mask of the anchors that may be visible in a view (filter of Scaffold-GS, without its rotation).
 
-    An anchor stays if it lies deeper than ``near`` and the circle of three times its largest offset scaling
-    round its projected centre meets the image. Where all stay, rows need not be selected at all.
+    An anchor passes if it lies deeper than ``near`` and the circle round its projected centre, three times
+    its largest offset scaling, meets the image.
 
     Args:
         camera: the view.
         anchors: (N, 3).
         scalings: (N, 6) activated; the first three count.
-        near: scene units.
+        near: least depth, scene units.
     """
     pose = torch.as_tensor(camera.world_to_camera, dtype=anchors.dtype, device=anchors.device)
     local = torch.addmm(pose[:3, 3:], pose[:3, :3], anchors.T)
     depth = local[2]
     reach = 3.0 * scalings[:, :3].amax(1)
-    # Compared at the anchor's depth: how far it lies from the image's middle, and how far it may.
+    # At the anchor's depth: its distance from the image's middle, and the largest distance that passes.
     inside = depth > near
     middle = ((camera.cx, camera.width, camera.fx), (camera.cy, camera.height, camera.fy))
     for place, (center, pixels, focal) in zip(local, middle, strict=False):
@@ -208,7 +208,7 @@ def _vector(value: Vector, like: Tensor, name: str) -> Tensor:
 def _check_shapes(inputs: dict[str, Tensor], decoders: Decoders) -> None:
     anchors = inputs["anchors"]
     count = anchors.shape[0] if anchors.ndim else 0
-    wanted = {
+    shapes = {
         "anchors": (count, 3),
         "features": (count, decoders.width),
         "scalings": (count, 6),
@@ -218,9 +218,9 @@ def _check_shapes(inputs: dict[str, Tensor], decoders: Decoders) -> None:
     }
     weight = {"decoders": decoders.network("opacity").first_weight}
     for name, tensor in (inputs | weight).items():
-        if name in wanted and tuple(tensor.shape) != wanted[name]:
+        if name in shapes and tuple(tensor.shape) != shapes[name]:
             raise ValueError(
-                f"{name} has shape {tuple(tensor.shape)}, not {wanted[name]}, for {count} anchors"
+                f"{name} has shape {tuple(tensor.shape)}, not {shapes[name]}, for {count} anchors"
             )
         if not tensor.dtype.is_floating_point or tensor.dtype != anchors.dtype:
             raise ValueError(
@@ -235,7 +235,7 @@ def refuse_non_finite(inputs: dict[str, Tensor], decoders: Decoders) -> None:
     """Raises for the first tensor that holds NaN or infinity.
 
     Raises:
-        ValueError: names the tensor and the place.
+        ValueError: the message names the tensor and the index.
     """
     weights = {f"decoders.{name}": tensor for name, tensor in decoders.named_parameters()}
     tensors = {**inputs, **weights}

@@ -1,4 +1,4 @@
-"""The decoders of neural editable Gaussians: four small networks that scenes learned jointly share."""
+"""The decoders of neural editable Gaussians: four small networks, shared by jointly trained scenes."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from datasets.names import unknown
 OffsetColor = Literal["tanh", "sigmoid"]
 Storage = Literal["hybrid", "implicit", "partial", "explicit"]
 NETWORKS = {"opacity": 1, "covariance": 7, "shading": 7, "normal": 3}
-"""Network (F_o, F_cov, F_s and F_n of the paper) → what it puts out per Gaussian."""
+"""Network (F_o, F_cov, F_s and F_n of the paper) → number of outputs per Gaussian."""
 _EXPLICIT = {"hybrid": 0, "implicit": 0, "partial": 3, "explicit": 10}
-"""Storage → values per Gaussian that stand in the anchor's feature instead of being decoded."""
+"""Storage → explicit values per Gaussian in the anchor's feature, instead of decoded ones."""
 
 
 class Decoder(nn.Module):
     """One hidden layer with ReLU. Rows of the second layer are attribute * K + offset.
 
     Args:
-        inputs, hidden, outputs: widths.
-        generator: of the first weights, uniform within ±1/√(fan-in) as in ``torch.nn.Linear``.
+        inputs, hidden, outputs: widths of the layers.
+        generator: generator of the initial weights, uniform within ±1/√(fan-in) as in ``torch.nn.Linear``.
     """
 
     def __init__(self, inputs: int, hidden: int, outputs: int, generator: torch.Generator | None) -> None:
@@ -44,31 +44,32 @@ class Decoders(nn.Module):
 
     Each takes anchor feature ‖ view direction (unit vector camera → anchor) ‖ TF embedding, in this order,
     and puts out, per Gaussian: opacity (1) · scale and quaternion (3 + 4) · offset color, k_a, k_d, k_s, β
-    (3 + 4) · normal (3). The activations stand in :mod:`econgs.anchors.decode`.
+    (3 + 4) · normal (3). Activations: :mod:`econgs.anchors.decode`.
 
     Args:
-        features: F, of an anchor.
+        features: F, values of an anchor's feature.
         offsets: K, Gaussians per anchor.
         embedding: E, length of a scene's TF embedding; 0 = none.
         hidden: width of the hidden layers.
         view_direction: whether the view direction is an input.
-        direction_start: factor on the first weights of the view direction. 0 starts from networks that look
-            the same from everywhere and learn to tell views apart only where pictures ask for it. Below 1, at
-            least half of an anchor's Gaussians are made visible at first: features start at zero, so that the
-            same Gaussians of all anchors would be culled, and what is culled from everywhere learns nothing.
+        direction_start: factor on the initial weights of the view direction. 0 starts from networks that are
+            independent of the view and learn to depend on it only where pictures need it. A factor below 1
+            also makes at least half of an anchor's Gaussians visible at the start: features start at zero,
+            so that the same Gaussians of all anchors would be culled, and culled Gaussians learn nothing.
         offset_color: activation of the offset color: "tanh" is signed and starts near the palette color;
-            "sigmoid" is that of iVR-GS, starts at 0.5 and is never negative.
-        storage: what anchors store (the paper's ablation): "hybrid" is ECoNGS, offsets stored and all else
-            decoded; "implicit" decodes offsets too, by a fifth network of feature and embedding; "partial"
-            stores normals, "explicit" normals and what F_s gives, behind the feature's F values (K normals,
-            then K times Δc, k_a, k_d, k_s, β before activation). Only "hybrid" and "implicit" have kernels.
-        shading_bias: what is added to the first biases of k_a, k_d (linear), k_s (before sigmoid × 5) and β
+            "sigmoid" is the activation of iVR-GS, starts at 0.5 and is never negative.
+        storage: explicit attributes of anchors (the paper's ablation): "hybrid" is ECoNGS with explicit
+            offsets and all else decoded; "implicit" decodes offsets too, by a fifth network of feature and
+            embedding; "partial" has explicit normals, "explicit" normals and the outputs of F_s, behind the
+            feature's F values (K normals, then K times Δc, k_a, k_d, k_s, β before activation). Only "hybrid"
+            and "implicit" have kernels.
+        shading_bias: addition to the initial biases of k_a, k_d (linear), k_s (before sigmoid × 5) and β
             (before sigmoid × 50). Without it the linear ones start near 0, which is black.
-        generator: of the first weights, on the CPU.
+        generator: CPU generator of the initial weights.
 
     Raises:
         ValueError: a width that is not positive.
-        datasets.errors.UnknownName: no such activation.
+        datasets.errors.UnknownName: no such activation or storage.
     """
 
     def __init__(
@@ -121,18 +122,18 @@ class Decoders(nn.Module):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Networks that there are."""
-        left_out = {"partial": ("normal",), "explicit": ("shading", "normal")}.get(self.storage, ())
+        """Names of the existing networks."""
+        explicit = {"partial": ("normal",), "explicit": ("shading", "normal")}.get(self.storage, ())
         more = ("offset",) if self.storage == "implicit" else ()
-        return tuple(name for name in NETWORKS if name not in left_out) + more
+        return tuple(name for name in NETWORKS if name not in explicit) + more
 
     @property
     def width(self) -> int:
-        """Values of an anchor's feature with all that is stored behind it."""
+        """Values of an anchor's feature and the explicit attributes behind it."""
         return self.features + _EXPLICIT[self.storage] * self.offsets
 
-    def first_stored(self, count: int, generator: torch.Generator | None) -> Tensor:
-        """(count, width - F) first values of what is stored: normals in random directions, first biases."""
+    def initial_explicit(self, count: int, generator: torch.Generator | None) -> Tensor:
+        """(count, width - F) initial explicit attributes: normals in random directions, initial biases."""
         normals = torch.randn((count, self.offsets, 3), generator=generator)
         normals = normals / torch.linalg.vector_norm(normals, dim=-1, keepdim=True)
         if self.storage == "partial":
@@ -154,25 +155,25 @@ class Decoders(nn.Module):
     @torch.no_grad()
     def _show_half(self) -> None:
         network = self.network("opacity")
-        lowest_shown = self.offsets // 2
+        lowest_visible = self.offsets // 2
         first = network.second_weight @ torch.relu(network.first_bias) + network.second_bias
         ascending = first.sort().values
-        below = ascending[lowest_shown - 1] if lowest_shown else ascending[0] - 0.1
-        network.second_bias.sub_(torch.clamp(0.5 * (below + ascending[lowest_shown]), max=0.0))
+        below = ascending[lowest_visible - 1] if lowest_visible else ascending[0] - 0.1
+        network.second_bias.sub_(torch.clamp(0.5 * (below + ascending[lowest_visible]), max=0.0))
 
     @property
     def directions(self) -> int:
-        """Inputs that hold the view direction."""
+        """Number of inputs for the view direction."""
         return 3 if self.view_direction else 0
 
     def network(self, name: str) -> Decoder:
         """One of :data:`NETWORKS`."""
-        found = self.get_submodule(name)
-        assert isinstance(found, Decoder)
-        return found
+        decoder = self.get_submodule(name)
+        assert isinstance(decoder, Decoder)
+        return decoder
 
     def tensors(self) -> list[Tensor]:
-        """The weights and biases of :data:`NETWORKS` that there are, network by network."""
+        """Weights and biases of the existing :data:`NETWORKS`, network by network."""
         return [one for name in NETWORKS if name in self.names for one in self.network(name).tensors()]
 
 

@@ -1,4 +1,4 @@
-"""Anchors whose colors are decoded as they are, without shading (Scaffold-GS, Lu et al. 2024; HAC)."""
+"""Anchors with decoded colors, without shading (Scaffold-GS, Lu et al. 2024; HAC)."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from econgs.anchors.decode import Vector, rotation
 from econgs.anchors.decoders import Decoder
 from econgs.anchors.gaussians import ViewGaussians
 from econgs.anchors.shading import unit
-from econgs.splat.composite import thinned
+from econgs.splat.composite import scale_depth
 from econgs.splat.rasterise import choose_backend
 
 NETWORKS = {"opacity": 1, "covariance": 7, "color": 3}
-"""Network → what it puts out per Gaussian."""
+"""Network → number of outputs per Gaussian."""
 
 
 class ColorDecoders(nn.Module):
     """Three networks: opacity (tanh), scale and quaternion, color (sigmoid).
 
-    Each takes anchor feature (‖ distance camera → anchor) ‖ unit vector camera → anchor.
+    Inputs: anchor feature (‖ distance camera → anchor) ‖ unit vector camera → anchor.
 
     Args:
-        features: F, of an anchor; also the width of the hidden layers.
+        features: F, values of an anchor's feature; also the width of the hidden layers.
         offsets: K, Gaussians per anchor.
         distance: whether the distance is an input (HAC).
-        generator: of the first weights, on the CPU.
+        generator: CPU generator of the initial weights.
 
     Raises:
         ValueError: a width that is not positive.
@@ -49,9 +49,9 @@ class ColorDecoders(nn.Module):
 
     def network(self, name: str) -> Decoder:
         """One of :data:`NETWORKS`."""
-        found = self.get_submodule(name)
-        assert isinstance(found, Decoder)
-        return found
+        decoder = self.get_submodule(name)
+        assert isinstance(decoder, Decoder)
+        return decoder
 
 
 def decode_colors(
@@ -67,8 +67,8 @@ def decode_colors(
 ) -> ViewGaussians:
     """The Gaussians of N anchors as one camera sees them; see :func:`econgs.anchors.decode.decode`.
 
-    Means, culling, scales and quaternions are those of ECoNGS, which took them from here; the color is the
-    sigmoid of the color network. No gradient reaches the anchors' positions.
+    Means, culling, scales and quaternions equal those of ECoNGS; the color is the sigmoid of the color
+    network. No gradient reaches the anchors' positions.
 
     Args:
         anchors: (N, 3) positions.
@@ -84,13 +84,13 @@ def decode_colors(
         ValueError: a wrong shape, or NaN or infinity among the inputs.
     """
     count = len(anchors)
-    wanted = {
+    expected = {
         "anchors": (anchors, (count, 3)),
         "features": (features, (count, decoders.features)),
         "scalings": (scalings, (count, 6)),
         "offsets": (offsets, (count, decoders.offsets, 3)),
     }
-    for name, (tensor, shape) in wanted.items():
+    for name, (tensor, shape) in expected.items():
         if tuple(tensor.shape) != shape:
             raise ValueError(f"{name} has shape {tuple(tensor.shape)}, not {shape}, for {count} anchors")
     anchors = anchors.detach()
@@ -100,7 +100,10 @@ def decode_colors(
         features = torch.cat([features, away], 1)
     inputs = (anchors, features, scalings, offsets)
     if choose_backend(anchors, backend) == "native":
-        decoded = _native_decode(*inputs, decoders, view, opacity > 0.0)
+        from econgs.anchors import native
+
+        weights = [one for name in NETWORKS for one in decoders.network(name).tensors()]
+        decoded = native.decode_plain(inputs, weights, view, opacity > 0.0)
     else:
         tensors = (*inputs, *decoders.parameters())
         if not math.isfinite(float(torch.stack([one.detach().sum() for one in tensors]).sum())):
@@ -108,7 +111,7 @@ def decode_colors(
         decoded = _torch_decode(*inputs, decoders, view, opacity > 0.0)
     if opacity == 1.0:
         return decoded
-    return replace(decoded, opacities=thinned(decoded.opacities, opacity))
+    return replace(decoded, opacities=scale_depth(decoded.opacities, opacity))
 
 
 def _torch_decode(
@@ -128,38 +131,23 @@ def _torch_decode(
         return torch.addmm(second_bias, torch.relu(torch.addmm(first_bias, inputs, first.T)), second.T)
 
     raw = torch.tanh(outputs("opacity"))
-    kept = raw.detach() > 0.0 if visible else torch.zeros_like(raw, dtype=torch.bool)
-    slots = kept.reshape(-1).nonzero()[:, 0]
+    mask = raw.detach() > 0.0 if visible else torch.zeros_like(raw, dtype=torch.bool)
+    slots = mask.reshape(-1).nonzero()[:, 0]
     anchor = slots // many
 
-    def surviving(name: str) -> Tensor:
+    def of_slots(name: str) -> Tensor:
         by_slot = outputs(name).view(count, NETWORKS[name], many).transpose(1, 2)
         return by_slot.reshape(count * many, NETWORKS[name]).index_select(0, slots)
 
-    covariance = surviving("covariance")
+    covariance = of_slots("covariance")
     scale = scalings.index_select(0, anchor)
-    moved = offsets.reshape(-1, 3).index_select(0, slots) * scale[:, :3]
+    displacements = offsets.reshape(-1, 3).index_select(0, slots) * scale[:, :3]
     return ViewGaussians(
-        anchors.index_select(0, anchor) + moved,
+        anchors.index_select(0, anchor) + displacements,
         rotation(covariance[:, 3:]),
         scale[:, 3:] * torch.sigmoid(covariance[:, :3]),
         raw.reshape(-1).index_select(0, slots),
-        torch.sigmoid(surviving("color")),
+        torch.sigmoid(of_slots("color")),
         slots,
         raw.detach(),
     )
-
-
-def _native_decode(
-    anchors: Tensor,
-    features: Tensor,
-    scalings: Tensor,
-    offsets: Tensor,
-    decoders: ColorDecoders,
-    eye: Tensor,
-    visible: bool,
-) -> ViewGaussians:
-    from econgs.anchors import native
-
-    tensors = [one for name in NETWORKS for one in decoders.network(name).tensors()]
-    return native.decode_plain((anchors, features, scalings, offsets), tensors, eye, visible)

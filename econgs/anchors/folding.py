@@ -1,4 +1,4 @@
-"""TF embeddings as biases: a group of few scenes needs no embedding to tell them apart."""
+"""TF embeddings as biases: few scenes need only short embeddings."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from econgs.anchors.decoders import Decoders
 def fold_embeddings(decoders: Decoders, embeddings: Sequence[Tensor]) -> tuple[Decoders, list[Tensor]]:
     """The same networks for n scenes with embeddings of length n - 1.
 
-    All that a first layer sees of an embedding e of length E is W e, a bias. The first scene's becomes part
+    An embedding e of length E enters a first layer as W e, a bias. The first scene's becomes part
     of the layer's own bias; each further scene gets a column with its difference from that, and an embedding
-    that is zero but for this column. Its size is chosen so that the column is no larger in any row than the
-    row's other weights are: rows are stored with one scale.
+    that is zero but for this column. Its size makes the column no larger in any row than the row's
+    other weights: a stored row has one scale.
 
     Args:
-        decoders: with embeddings of length E.
-        embeddings: (E,) of each scene.
+        decoders: networks for embeddings of length E.
+        embeddings: (E,) embedding of each scene.
 
     Returns:
-        Networks and embeddings that decode the same; those given if n - 1 is not less than E.
+        Networks and embeddings that decode the same; the arguments themselves if n - 1 >= E.
     """
     many = len(embeddings) - 1
     if many >= decoders.embedding:
         return decoders, list(embeddings)
     reference, *others = embeddings
-    made = Decoders(
+    networks = Decoders(
         decoders.features,
         decoders.offsets,
         many,
@@ -46,7 +46,7 @@ def fold_embeddings(decoders: Decoders, embeddings: Sequence[Tensor]) -> tuple[D
         width = first.shape[1] - decoders.embedding
         weight = first[:, width:]
         columns[name] = [weight @ (other - reference) for other in others]
-        network = made.network(name)
+        network = networks.network(name)
         network.first_weight[:, :width] = first[:, :width]
         network.first_bias.copy_(bias + weight @ reference)
         network.second_weight.copy_(second)
@@ -54,14 +54,13 @@ def fold_embeddings(decoders: Decoders, embeddings: Sequence[Tensor]) -> tuple[D
         largest = first[:, :width].abs().amax(1).clamp_min(1e-12)
         for j, column in enumerate(columns[name]):
             sizes[j] = max(sizes[j], float((column.abs() / largest).max()))
-    for name, found in columns.items():
-        for j, column in enumerate(found):
-            made.network(name).first_weight[:, made.network(name).first_weight.shape[1] - many + j] = (
-                column / sizes[j]
-            )
-    folded = [reference.new_zeros(many)]
+    for name, additions in columns.items():
+        weight = networks.network(name).first_weight
+        for j, addition in enumerate(additions):
+            weight[:, weight.shape[1] - many + j] = addition / sizes[j]
+    short = [reference.new_zeros(many)]
     for j, size in enumerate(sizes):
         embedding = reference.new_zeros(many)
         embedding[j] = size
-        folded.append(embedding)
-    return made, folded
+        short.append(embedding)
+    return networks, short

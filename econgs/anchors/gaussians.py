@@ -1,4 +1,4 @@
-"""The Gaussians of one view: what decoding anchors gives, masking and splatting."""
+"""The Gaussians of one view, decoded from anchors: masks and splatting."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ViewGaussians:
         opacities: (M,) in (0, 1].
         colors: (M, 3) shaded, in [0, 1].
         slots: (M,) int64, anchor * K + offset, ascending.
-        raw_opacities: (N, K) tanh outputs of all, culled or not, without history: what pruning reads.
+        raw_opacities: (N, K) tanh outputs of all Gaussians, also culled ones, without history; for pruning.
     """
 
     means: Tensor
@@ -35,16 +35,16 @@ class ViewGaussians:
     raw_opacities: Tensor
 
 
-def masked(decoded: ViewGaussians, masks: Tensor) -> ViewGaussians:
-    """Without the Gaussians whose mask is 0; opacities and scales of the others carry its gradient (HAC).
+def apply_masks(decoded: ViewGaussians, masks: Tensor) -> ViewGaussians:
+    """The Gaussians with mask 1; their opacities and scales carry the mask's gradient (HAC).
 
     Args:
-        decoded: of N anchors.
-        masks: (N, K), of 0 and 1.
+        decoded: Gaussians of N anchors.
+        masks: (N, K) of 0 and 1.
     """
     each = masks.to(decoded.opacities.dtype).reshape(-1)
-    drawn = each.detach() > 0.0
-    stay = drawn.index_select(0, decoded.slots).nonzero()[:, 0]
+    visible = each.detach() > 0.0
+    stay = visible.index_select(0, decoded.slots).nonzero()[:, 0]
     slots = decoded.slots.index_select(0, stay)
     factor = each.index_select(0, slots)
     return ViewGaussians(
@@ -54,14 +54,14 @@ def masked(decoded: ViewGaussians, masks: Tensor) -> ViewGaussians:
         decoded.opacities.index_select(0, stay) * factor,
         decoded.colors.index_select(0, stay),
         slots,
-        decoded.raw_opacities * drawn.view(decoded.raw_opacities.shape),
+        decoded.raw_opacities * visible.view(decoded.raw_opacities.shape),
     )
 
 
 def draw(
     decoded: Sequence[ViewGaussians], camera: Camera, screen_offset: Tensor | None = None
 ) -> SplatImages:
-    """Splat what was decoded of one or several scenes, concatenated and sorted once."""
+    """Splat the Gaussians of one or several scenes together."""
 
     def all_of(name: str) -> Tensor:
         parts: list[Tensor] = [getattr(one, name) for one in decoded]

@@ -19,12 +19,12 @@ class AnchorRules:
     Attributes:
         voxel: side of the finest cell, scene units.
         init_factor: the coarsest cell is ``voxel * init_factor``, then a quarter of it, then a sixteenth.
-        gradient: mean screen-space gradient (normalised device coordinates) from which an offset grows an
-            anchor at level 0; doubled at each further level.
-        offset_visits: an offset is judged once it was drawn in more views than this.
-        anchor_visits: an anchor is judged once it was visible in more views than this.
-        prune_opacity: mean summed opacity per visit under which an anchor is pruned.
-        limit: number of anchors at which growing stops; 0 = none.
+        gradient: mean screen-space gradient (normalised device coordinates) at which an offset grows an
+            anchor of level 0; doubled at each further level.
+        offset_visits: number of views with its Gaussian after which an offset is judged.
+        anchor_visits: number of views with it after which an anchor is judged.
+        prune_opacity: mean summed opacity per visit below which an anchor is pruned.
+        limit: maximum number of anchors; 0 = none.
         levels: number of cell sizes, from the coarsest.
     """
 
@@ -52,13 +52,13 @@ class AnchorRules:
 
 @dataclass
 class AnchorStatistics:
-    """What was seen of N anchors with K offsets each since they were last judged.
+    """Statistics of N anchors with K offsets each since their last judgement.
 
     Attributes:
         gradients: (N, K) sum of screen-space gradient norms, normalised device coordinates.
-        draws: (N, K) number of views in which the Gaussian of that offset was drawn.
+        draws: (N, K) number of views with the Gaussian of that offset.
         opacities: (N,) sum over views of the summed opacities of the anchor's Gaussians.
-        visits: (N,) number of views in which the anchor was visible.
+        visits: (N,) number of views with the anchor.
     """
 
     gradients: Tensor
@@ -89,10 +89,10 @@ class AnchorStatistics:
 
         Args:
             visible: (V,) indices of the visible anchors.
-            opacities: (V, K) their Gaussians' opacities before culling (negative ones count as 0).
-            slots: (M,) of each drawn Gaussian, its place v * K + k among those of the visible anchors.
+            opacities: (V, K) opacities of their Gaussians before culling (negative ones count as 0).
+            slots: (M,) index v * K + k of each splatted Gaussian among those of the visible anchors.
             pixel_gradients: (M, 2) gradient of the loss with respect to its centre, in pixels.
-            radii: (M,) 0 where it touches no pixel.
+            radii: (M,) radius in pixels; 0 for a Gaussian without a pixel.
             size: width and height of the view.
         """
         offsets = self.gradients.shape[1]
@@ -100,17 +100,17 @@ class AnchorStatistics:
         self.visits.index_add_(0, visible, torch.ones_like(visible, dtype=self.visits.dtype))
         x, y = pixel_gradients.unbind(1)
         norms = ((0.5 * size[0] * x) ** 2 + (0.5 * size[1] * y) ** 2).sqrt()
-        drawn = radii > 0
-        at = (visible[slots // offsets] * offsets + slots % offsets)[drawn]
-        self.gradients.view(-1).index_add_(0, at, norms[drawn])
-        self.draws.view(-1).index_add_(0, at, torch.ones_like(norms[drawn]))
+        visible_slots = radii > 0
+        at = (visible[slots // offsets] * offsets + slots % offsets)[visible_slots]
+        self.gradients.view(-1).index_add_(0, at, norms[visible_slots])
+        self.draws.view(-1).index_add_(0, at, torch.ones_like(norms[visible_slots]))
 
     def keep(self, rows: Tensor) -> AnchorStatistics:
-        """Those of the anchors kept."""
+        """Statistics of some anchors (mask or indices)."""
         return AnchorStatistics(*(values[rows] for values in vars(self).values()))
 
     def extended(self, count: int) -> AnchorStatistics:
-        """With zeros for ``count`` new anchors."""
+        """The statistics with zeros for ``count`` new anchors."""
         return AnchorStatistics(
             *(torch.cat([v, v.new_zeros((count, *v.shape[1:]))]) for v in vars(self).values())
         )
@@ -123,8 +123,8 @@ class GrownAnchors:
     Attributes:
         anchors: (A, 3) positions, on the lattice of their level.
         log_scalings: (A, 6), the logarithm of the cell's side.
-        features: (A, F) element-wise maximum over the anchors whose Gaussians asked for it.
-        limited: the limit kept some from being added; those with the largest gradients came in.
+        features: (A, F) element-wise maximum over the anchors whose Gaussians grew it.
+        limited: whether the limit dropped the candidates with the smallest gradients.
     """
 
     anchors: Tensor
@@ -143,19 +143,19 @@ def grow(
     rules: AnchorRules,
     generator: torch.Generator,
 ) -> GrownAnchors:
-    """Anchors where Gaussians with high gradients lie in cells that hold none yet.
+    """New anchors in empty cells that hold Gaussians with high gradients.
 
-    Offsets that were judged have their statistics reset.
+    The statistics of all judged offsets are reset.
 
     Args:
         anchors: (N, 3).
-        log_scalings: (N, 6), the first three scale the offsets.
+        log_scalings: (N, 6); the first three scale the offsets.
         features: (N, F).
         offsets: (N, K, 3).
         statistics: changed in place.
         rules: thresholds.
-        generator: CPU generator of the random thinning (half of the candidates of level 0, three quarters,
-            seven eighths are kept).
+        generator: CPU generator of the random thinning (keeps half of the candidates of level 0, then three
+            quarters, then seven eighths).
     """
     count, many = offsets.shape[:2]
     judged = statistics.draws > rules.offset_visits
@@ -167,27 +167,29 @@ def grow(
     limited = False
     for level in range(rules.levels):
         chance = torch.rand((count, many), generator=generator).to(gradients.device)
-        wanted = judged & (gradients >= rules.gradient * 2.0**level) & (chance > 0.5 ** (level + 1))
-        asking = wanted.reshape(-1).nonzero()[:, 0]
-        if not len(asking):
+        candidates = judged & (gradients >= rules.gradient * 2.0**level) & (chance > 0.5 ** (level + 1))
+        candidate_slots = candidates.reshape(-1).nonzero()[:, 0]
+        if not len(candidate_slots):
             continue
         cell = rules.cell(level)
         cells, place = torch.unique(
-            torch.round(positions.reshape(-1, 3)[asking] / cell).to(torch.int64), dim=0, return_inverse=True
+            torch.round(positions.reshape(-1, 3)[candidate_slots] / cell).to(torch.int64),
+            dim=0,
+            return_inverse=True,
         )
-        taken = torch.round(lattice / cell).to(torch.int64)
-        free = ~_among(cells, taken)
+        occupied = torch.round(lattice / cell).to(torch.int64)
+        free = ~_among(cells, occupied)
         new = cells[free].to(anchors.dtype) * cell
         best = features.new_full((len(cells), features.shape[1]), -math.inf)
-        parents = features[asking // many]
+        parents = features[candidate_slots // many]
         best.scatter_reduce_(0, place[:, None].expand_as(parents), parents, "amax")
         best = best[free]
-        if len(new) > room:  # those that ask loudest, wherever they lie
+        if len(new) > room:  # the strongest ones
             limited = True
-            asked = gradients.reshape(-1)[asking]
-            loudest = asked.new_zeros(len(cells)).scatter_reduce_(0, place, asked, "amax")[free]
-            kept = loudest.topk(int(room)).indices.sort().values
-            new, best = new[kept], best[kept]
+            strengths = gradients.reshape(-1)[candidate_slots]
+            strongest = strengths.new_zeros(len(cells)).scatter_reduce_(0, place, strengths, "amax")[free]
+            strongest_rows = strongest.topk(int(room)).indices.sort().values
+            new, best = new[strongest_rows], best[strongest_rows]
         room -= len(new)
         added.append((new, log_scalings.new_full((len(new), 6), math.log(cell)), best))
         lattice = torch.cat([lattice, new])
@@ -202,9 +204,9 @@ def grow(
 
 @torch.no_grad()
 def prunable(statistics: AnchorStatistics, rules: AnchorRules) -> Tensor:
-    """(N,) anchors seen often enough whose Gaussians add next to nothing.
+    """(N,) mask of the anchors with enough visits whose Gaussians add next to nothing.
 
-    Anchors that were judged and stay have their visits reset.
+    The visits of all other judged anchors are reset.
     """
     judged = statistics.visits > rules.anchor_visits
     faint = judged & (statistics.opacities < rules.prune_opacity * statistics.visits)
@@ -215,7 +217,7 @@ def prunable(statistics: AnchorStatistics, rules: AnchorRules) -> Tensor:
 
 
 def lattice_anchors(points: Tensor, voxel: float) -> Tensor:
-    """(A, 3) centres of the cells of side ``voxel`` that hold one of the (n, 3) points."""
+    """(A, 3) centres of the cells of side ``voxel`` that hold any of the (n, 3) points."""
     cells = torch.unique(torch.round(points.double() / voxel).to(torch.int64), dim=0)
     places: Tensor = (cells.double() * voxel).to(points.dtype)
     return places
@@ -228,9 +230,9 @@ def _among(cells: Tensor, others: Tensor) -> Tensor:
     span = both.amax(0) - low + 1
     if math.prod(span.tolist()) >= 2**63:  # cannot be flattened to one integer
         _, place = torch.unique(both, dim=0, return_inverse=True)
-        known: Tensor = torch.isin(place[: len(cells)], place[len(cells) :])
-        return known
+        occurs: Tensor = torch.isin(place[: len(cells)], place[len(cells) :])
+        return occurs
     flat = both - low
     key = (flat[:, 0] * span[1] + flat[:, 1]) * span[2] + flat[:, 2]
-    found: Tensor = torch.isin(key[: len(cells)], key[len(cells) :])
-    return found
+    shared: Tensor = torch.isin(key[: len(cells)], key[len(cells) :])
+    return shared

@@ -73,7 +73,7 @@ class _Decode(torch.autograd.Function):
 def decode(
     *inputs: Tensor, decoders: Decoders, eye: Tensor, light: Tensor | None, factors: Factors
 ) -> ViewGaussians:
-    """What :func:`econgs.anchors.decode.decode` does; inputs as there, in its order, without the decoders.
+    """Native part of :func:`econgs.anchors.decode.decode`; inputs in the same order, without the decoders.
 
     Raises:
         ValueError: NaN or infinity among the inputs.
@@ -89,7 +89,7 @@ def decode(
 def decode_plain(
     inputs: Sequence[Tensor], weights: Sequence[Tensor], eye: Tensor, visible: bool
 ) -> ViewGaussians:
-    """What :func:`econgs.anchors.direct.decode_colors` does: three networks, sigmoid colors, no shading.
+    """Native part of :func:`econgs.anchors.direct.decode_colors`: three networks, sigmoid colors, no shading.
 
     Args:
         inputs: anchors, features, scalings, offsets.

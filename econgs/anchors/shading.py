@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-MIN_NORMAL = 1e-3  # a normal is divided by its length, but by no less than this (iVR-GS)
-MIN_LENGTH = 1e-6  # anything else shorter than this has no direction: zero, without a gradient
-MIN_BASE = 1e-6  # of the power: the derivative of 0 ** shininess is NaN
+MIN_NORMAL = 1e-3  # least divisor of a normal (iVR-GS)
+MIN_LENGTH = 1e-6  # shorter vectors have no direction: zero, without a gradient
+MIN_BASE = 1e-6  # least base of the power: the derivative of 0 ** shininess is NaN
 MAX_SPECULAR = 5.0
 MAX_SHININESS = 50.0
 
 
 @dataclass(frozen=True)
 class Factors:
-    """Edits of a scene, as factors on what was learned.
+    """Edits of a scene: factors on its trained values.
 
     Attributes:
-        opacity: on optical depths: an opacity o becomes 1 - (1 - o)^factor.
-        ambient, diffuse, specular, shininess: on k_a, k_d, k_s and β.
+        opacity: factor on optical depths: an opacity o becomes 1 - (1 - o)^factor.
+        ambient, diffuse, specular, shininess: factors on k_a, k_d, k_s and β.
 
     Raises:
         ValueError: a factor that is negative or not finite.

@@ -20,10 +20,10 @@ _MOST_DIMENSIONS = 4
 
 
 def write_arrays(arrays: Mapping[str, NDArray], precision: Precision) -> tuple[bytes, float]:
-    """Bytes of float arrays and the largest absolute error that their precision costs.
+    """Bytes of float arrays, and the largest absolute error of their precision.
 
     Args:
-        arrays: by name, in order; finite.
+        arrays: finite arrays by name, in order.
         precision: "int8" stores matrices as 8 bits with a float32 scale per row, vectors as float16.
     """
     if precision not in ("float32", "float16", "int8"):
@@ -47,7 +47,7 @@ def write_arrays(arrays: Mapping[str, NDArray], precision: Precision) -> tuple[b
 
 
 def round_arrays(arrays: Mapping[str, NDArray], precision: Precision) -> Arrays:
-    """What :func:`read_arrays` makes of arrays written with this precision."""
+    """The arrays after writing with this precision and :func:`read_arrays`."""
     return read_arrays(Reader(Section(Kind.DECODERS, 0, write_arrays(arrays, precision)[0]), "arrays"))
 
 
@@ -55,7 +55,7 @@ def read_arrays(reader: Reader) -> Arrays:
     """Inverse of :func:`write_arrays`.
 
     Raises:
-        ValueError: what is there is no such arrays; nothing beyond the section's own length is allocated.
+        ValueError: the section holds no such arrays. Allocation stays below the section's own length.
     """
     arrays: Arrays = {}
     (count,) = reader.unpack("H")
@@ -82,7 +82,7 @@ def read_arrays(reader: Reader) -> Arrays:
 
 
 def _pack(values: NDArray[np.float32], kind: int) -> tuple[bytes, NDArray[np.float32]]:
-    """The bytes of an array and what they will be read as."""
+    """The bytes of an array, and the array that reading them gives."""
     if kind == _FLOAT32:
         return values.astype("<f4").tobytes(), values
     if kind == _FLOAT16:
@@ -90,7 +90,7 @@ def _pack(values: NDArray[np.float32], kind: int) -> tuple[bytes, NDArray[np.flo
             halves = values.astype("<f2")
         return halves.tobytes(), halves.astype(np.float32)
     rows = values.reshape(len(values), math.prod(values.shape[1:]))
-    # With few digits, so that 127 scales is exact and what was restored is packed to the same bytes again.
+    # Few digits: 127 scales is exact, and a restored array packs to the same bytes again.
     mantissa, exponent = np.frexp(np.abs(rows).max(1, initial=0.0) / 127.0)
     scales = np.ldexp(np.ceil(mantissa * 2048.0) / 2048.0, exponent).astype(np.float32)
     safe = np.where(scales > 0, scales, np.float32(1))

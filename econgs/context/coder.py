@@ -50,7 +50,7 @@ def _raw_model(bits: int) -> Any:
 
 
 class Encoder:
-    """A range encoder; what is written by one method is read by the same method of :class:`Decoder`."""
+    """A range encoder; each method has its counterpart of the same name in :class:`Decoder`."""
 
     def __init__(self) -> None:
         self._coder = RangeEncoder()
@@ -64,18 +64,18 @@ class Encoder:
         self._coder.encode(np.ascontiguousarray(flags, np.int32), _FAMILY, models)
 
     def raw(self, values: NDArray, bits: int) -> None:
-        """Unsigned numbers of up to 32 bits, at that cost each."""
+        """Unsigned numbers of ``bits`` bits each, up to 32."""
         values = np.ascontiguousarray(values, np.int64)
         for shift, many in _pieces(bits):
             self.symbols((values >> shift) & ((1 << many) - 1), _raw_model(many))
 
     def finish(self) -> bytes:
-        """All that was written: a whole number of 4-byte words, little-endian."""
+        """All bytes: a whole number of 4-byte words, little-endian."""
         return bytes(self._coder.get_compressed().astype("<u4").tobytes())
 
 
 class Decoder:
-    """Reads what :class:`Encoder` wrote; other data gives wrong symbols or ``ValueError``, never more."""
+    """Reader of :class:`Encoder`'s bytes; other data give wrong symbols or ``ValueError``, never worse."""
 
     def __init__(self, data: bytes) -> None:
         if len(data) % 4:
@@ -95,10 +95,10 @@ class Decoder:
         return values
 
     def finish(self) -> None:
-        """Check that all was read.
+        """Check the end of the data.
 
         Raises:
-            ValueError: something is left.
+            ValueError: the data hold more.
         """
         if not self._coder.maybe_exhausted():
             raise ValueError("entropy-coded data is longer than its symbols")
@@ -123,10 +123,10 @@ def _pieces(bits: int) -> Iterator[tuple[int, int]]:
 
 
 class TableOrder:
-    """Which of n symbols share a coding table: those of one table are coded together, in their own order.
+    """Order of n symbols by coding table: the symbols of one table are coded together.
 
     Args:
-        tables: (n,) index of each symbol's table; known to both sides before any symbol is.
+        tables: (n,) index of each symbol's table; both sides know it before any symbol.
     """
 
     def __init__(self, tables: NDArray[np.uint16]) -> None:
@@ -140,8 +140,8 @@ class TableOrder:
 def write_residuals(encoder: Encoder, residuals: NDArray[np.int32], tables: NDArray[np.uint16]) -> None:
     """Code residuals (symbol less the lattice point next to its mean), each by its own table.
 
-    First the symbols table by table, in ascending order; then the raw low bits of those tables that have
-    some; then the escapes: 5 bits for the length of a number, and the number, in zigzag.
+    The symbols come table by table, in ascending order; then the raw low bits of the tables that have any;
+    then the escapes: 5 bits for the length of a number, and the number, in zigzag.
     """
     order = TableOrder(tables)
     sorted_residuals = residuals[order.order]
@@ -158,8 +158,8 @@ def write_residuals(encoder: Encoder, residuals: NDArray[np.int32], tables: NDAr
             escaped[begin:end] = outside
         encoder.symbols(symbols, _table_model(table))
         if shift:
-            kept = part[~outside] if outside.any() else part
-            raw.append((kept & ((1 << shift) - 1), shift))
+            regular = part[~outside] if outside.any() else part
+            raw.append((regular & ((1 << shift) - 1), shift))
     for values, bits in raw:
         encoder.raw(values, bits)
     if escaped.any():
@@ -185,8 +185,8 @@ def read_residuals(decoder: Decoder, tables: NDArray[np.uint16]) -> NDArray[np.i
         if shift:
             raw.append((begin, end, shift))
     for begin, end, bits in raw:
-        kept = np.flatnonzero(~escaped[begin:end]) + begin
-        sorted_residuals[kept] |= decoder.raw(len(kept), bits).astype(np.int32)
+        regular = np.flatnonzero(~escaped[begin:end]) + begin
+        sorted_residuals[regular] |= decoder.raw(len(regular), bits).astype(np.int32)
     if escaped.any():
         lengths = decoder.raw(int(escaped.sum()), 5)
         values = np.zeros(len(lengths), np.int64)
@@ -226,7 +226,7 @@ def _lengths(values: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def write_bits(encoder: Encoder, plus: NDArray[np.bool_]) -> int:
-    """Code bits at their measured frequency of ones, which is returned in 2⁻¹⁶ (the reader must know it)."""
+    """Code bits at their frequency of ones; returns it in units of 2⁻¹⁶, for the reader."""
     share = int(np.clip(round(float(plus.mean()) * 65536), 1, 65535)) if plus.size else 32768
     encoder.symbols(plus.ravel(), _bit_model(share))
     return share

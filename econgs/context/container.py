@@ -1,7 +1,7 @@
 """The container of a bitstream (docs/reference/bitstream.md): a table of sections with lengths and checksums.
 
-Nothing is read beyond what the table announces, nothing announced is believed before it fits the data's
-length, and a section whose checksum differs is never looked into.
+A reader never passes the announced ends, checks every announced length against the data, and never parses a
+section with a wrong checksum.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ANEW = "Fetch or encode it anew"
 
 
 class Kind(IntEnum):
-    """What a section holds; those from ``SCENE`` on belong to one scene."""
+    """Kind of a section; those from ``SCENE`` on belong to one scene."""
 
     GROUP = 1
     CONTEXT = 2
@@ -50,7 +50,7 @@ class Section:
 
 
 def overhead(sections: int) -> int:
-    """Bytes that the container adds."""
+    """Bytes of the container itself."""
     return _HEADER.size + sections * _ENTRY.size + _CHECK.size
 
 
@@ -71,11 +71,11 @@ def read_container(data: bytes, what: str) -> list[Section]:
     """The sections of a container, all checked.
 
     Args:
-        data: the whole of it.
+        data: all bytes.
         what: file or object, for messages.
 
     Raises:
-        DataError: it is something else, of another version, truncated, longer than it says, or damaged.
+        DataError: the data are foreign, of another version, truncated, too long or damaged.
     """
     if len(data) < _HEADER.size or not data.startswith(MAGIC):
         if MAGIC.startswith(data[: len(MAGIC)]):
@@ -85,7 +85,7 @@ def read_container(data: bytes, what: str) -> list[Section]:
         )
     _, version, count, whole = _HEADER.unpack_from(data)
     if version != VERSION:
-        # The checksum cannot tell damage from a later version's other layout.
+        # The checksum cannot distinguish damage from the layout of a later version.
         reason = f"it has format version {version}; this program reads version {VERSION}"
         raise DataError(what, reason, "Update the program, or encode it anew")
     if count > MOST_SECTIONS:
@@ -99,14 +99,14 @@ def read_container(data: bytes, what: str) -> list[Section]:
     if len(data) != whole:
         state = "truncated" if len(data) < whole else "followed by something else"
         raise DataError(what, f"it has {len(data)} bytes where {whole} were announced: it is {state}", ANEW)
-    sections, seen = [], set()
+    sections, keys = [], set()
     for index in range(count):
         kind, zero, scene, length, check = _ENTRY.unpack_from(data, _HEADER.size + index * _ENTRY.size)
         if zero or kind not in Kind.__members__.values():
             raise DataError(what, f"section {index} is of an unknown kind ({kind})", ANEW)
-        if (kind, scene) in seen:
+        if (kind, scene) in keys:
             raise DataError(what, f"section {Kind(kind).name} of scene {scene} comes twice", ANEW)
-        seen.add((kind, scene))
+        keys.add((kind, scene))
         payload = data[start : start + length]
         if len(payload) != length:
             raise DataError(what, f"section {Kind(kind).name} of scene {scene} reaches beyond the end", ANEW)
@@ -120,7 +120,7 @@ def read_container(data: bytes, what: str) -> list[Section]:
 
 
 class Reader:
-    """Reads fixed-size fields from a section, never beyond its end."""
+    """Reader of fixed-size fields of a section, never beyond its end."""
 
     def __init__(self, section: Section, what: str) -> None:
         self._data = section.payload
@@ -129,16 +129,16 @@ class Reader:
         self._what = what
 
     def fail(self, reason: str) -> DataError:
-        """An error that names the section."""
+        """Error that names the section."""
         return DataError(self._what, f"{self._name}: {reason}", ANEW)
 
     def take(self, count: int) -> bytes:
         """The next ``count`` bytes."""
         if count < 0 or count > len(self._data) - self._at:
             raise self.fail(f"it ends before byte {self._at + count}")
-        taken = self._data[self._at : self._at + count]
+        part = self._data[self._at : self._at + count]
         self._at += count
-        return taken
+        return part
 
     def unpack(self, layout: str) -> tuple:
         """The next fields, little-endian, by :mod:`struct`'s letters."""
@@ -146,10 +146,10 @@ class Reader:
         return struct.unpack(form, self.take(struct.calcsize(form)))
 
     def rest(self) -> bytes:
-        """What is left."""
+        """The remaining bytes."""
         return self.take(len(self._data) - self._at)
 
     def finish(self) -> None:
-        """Check that all was read."""
+        """Check that no bytes remain."""
         if self._at != len(self._data):
             raise self.fail(f"{len(self._data) - self._at} bytes too many")

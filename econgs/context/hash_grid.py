@@ -1,4 +1,4 @@
-"""Binary hash grids: the context of an anchor is looked up at its position (BiRF, Shin and Park 2023; HAC).
+"""Binary hash grids: the context of an anchor by its position (BiRF, Shin and Park 2023; HAC).
 
 Entries are ±1, the signs of trained parameters. Interpolation weights are products of fractions of 7 bits, so
 that every interpolated value is a multiple of 2⁻²¹ in [−1, 1], which float32 holds exactly: the order of the
@@ -33,8 +33,8 @@ class GridConfig:
     Attributes:
         volume: vertices per axis of each 3-D level, ascending.
         planes: vertices per axis of each level of the three planes xy, yz and zx.
-        volume_log2: logarithm of the most entries that a 3-D level has; larger levels are hashed.
-        planes_log2: the same of a plane's level.
+        volume_log2: binary logarithm of a 3-D level's maximum number of entries; larger levels are hashed.
+        planes_log2: the same for the level of a plane.
         features: values per entry.
     """
 
@@ -55,7 +55,7 @@ class GridConfig:
 
     @property
     def levels(self) -> list[tuple[tuple[int, ...], int, int]]:
-        """Of each level in order: its axes, vertices per axis and entries."""
+        """Axes, vertices per axis and entries of each level, in order."""
         each: list[tuple[tuple[int, ...], int]] = [((0, 1, 2), one) for one in self.volume]
         each += [(axes, one) for axes in _PLANES for one in self.planes]
         most = {3: 1 << self.volume_log2, 2: 1 << self.planes_log2}
@@ -68,7 +68,7 @@ class GridConfig:
 
     @property
     def outputs(self) -> int:
-        """Values looked up for a position."""
+        """Number of values per position."""
         return len(self.levels) * self.features
 
     @property
@@ -88,20 +88,20 @@ HAC_GRID = GridConfig(
 SMALL_GRID = GridConfig(
     volume=(16, 24, 36, 53, 79, 117, 173, 256), planes=(64, 128), volume_log2=13, planes_log2=14
 )
-"""56 values, 0.06 MiB of bits: what the published sizes leave room for."""
+"""56 values, 0.06 MiB of bits: the room in the published sizes."""
 
 GRIDS = {"small": SMALL_GRID, "hac": HAC_GRID}
-"""By the names that options have."""
+"""Grids by their names in options."""
 
 
 @dataclass(frozen=True)
 class Lookup:
-    """Where N fixed positions fall in a grid: computed once, used in every iteration.
+    """Vertices and weights of N fixed positions in a grid, computed once for all iterations.
 
     Attributes:
         index: (V, N) int32, entry of each of the V vertices around a position, over all levels.
-        weights: (V, N) float32, multiples of 2⁻²¹; those of a level sum to 1.
-        config: the grid it was made for.
+        weights: (V, N) float32, multiples of 2⁻²¹ that sum to 1 over a level.
+        config: sizes of the grid.
     """
 
     index: Tensor
@@ -124,7 +124,7 @@ def make_lookup(config: GridConfig, codes: Tensor, extent: Sequence[int]) -> Loo
     one = 1 << FRACTION_BITS
     spans = torch.tensor([int(span) for span in extent], device=codes.device)
     scaled = codes.to(torch.int64)
-    # Of each resolution and axis, computed once: vertices on both sides of a position, and their weights.
+    # Vertices on both sides of a position and their weights, once per resolution and axis.
     sides: dict[tuple[int, int], tuple[Tensor, Tensor]] = {}
     for size in {*config.volume, *config.planes}:
         places = scaled * (size - 1)
@@ -164,7 +164,7 @@ def make_lookup(config: GridConfig, codes: Tensor, extent: Sequence[int]) -> Loo
 
 
 def signs(parameters: Tensor) -> Tensor:
-    """±1: what is stored of the parameters; zero counts as positive."""
+    """±1, the coded form of the parameters; zero counts as positive."""
     return torch.where(parameters >= 0.0, 1.0, -1.0).to(parameters.dtype)
 
 
@@ -194,9 +194,9 @@ class _NativeLookup(torch.autograd.Function):
         levels = lookup.config.levels
         sizes = [entries for _, _, entries in levels]
         out = plain.new_empty((len(lookup) if rows is None else len(rows), lookup.config.outputs))
-        taken = None if rows is None else rows.contiguous().numpy()
+        row_indices = None if rows is None else rows.contiguous().numpy()
         corners = [2 ** len(axes) for axes, _, _ in levels]
-        arguments = (plain.numpy(), lookup.index.numpy(), lookup.weights.numpy(), taken, corners, sizes)
+        arguments = (plain.numpy(), lookup.index.numpy(), lookup.weights.numpy(), row_indices, corners, sizes)
         positive = native().hash_grid(*arguments, out.numpy())
         bits, ctx.slopes = _entropy(positive, [4 * one for one in sizes])
         ctx.arguments, ctx.shape = arguments, plain.shape
@@ -212,7 +212,7 @@ class _NativeLookup(torch.autograd.Function):
 
 
 def _entropy(positive: Sequence[int], counts: Sequence[int]) -> tuple[float, list[float]]:
-    """Bits of levels coded at their share of +1, and by how much one more of a value (of ±1) changes them."""
+    """Bits of levels coded at their share of +1, and their derivative by a value (of ±1)."""
     bits, slopes = 0.0, []
     for ones, count in zip(positive, counts, strict=True):
         share = min(max(ones / count, 1e-6), 1.0 - 1e-6)
@@ -254,7 +254,7 @@ def _built() -> bool:
 
 
 def native() -> Any:
-    """The compiled module, with its threads and instruction set chosen."""
+    """The compiled module, after the choice of threads and instruction set."""
     import econgs._native
     import econgs.splat.native  # (chooses the number of threads)
 
@@ -270,8 +270,8 @@ def interpolate(table: Tensor, lookup: Lookup, rows: Tensor | None = None) -> tu
     if table.shape != (config.entries, config.features):
         raise ValueError("the lookup was made for another grid")
     if compiled(table) and config.features == 4:
-        looked_up: tuple[Tensor, Tensor] = _NativeLookup.apply(table, lookup, rows)
-        return looked_up
+        values_and_bits: tuple[Tensor, Tensor] = _NativeLookup.apply(table, lookup, rows)
+        return values_and_bits
     index, weights = lookup.index, lookup.weights
     if rows is not None:
         index, weights = index[:, rows], weights[:, rows]
@@ -289,7 +289,7 @@ class HashGrid(nn.Module):
     """A trained binary hash grid.
 
     Attributes:
-        table: (entries, features); what counts is their sign. Drawn from U(±1e-4).
+        table: (entries, features), drawn from U(±1e-4); only the signs count.
     """
 
     def __init__(self, config: GridConfig, generator: torch.Generator | None = None) -> None:
@@ -306,8 +306,8 @@ class HashGrid(nn.Module):
         """Interpolated values of ±1, and the bits of the grid.
 
         Args:
-            lookup: of N positions.
-            rows: (M,) indices (int64) of those asked for; default all, in order.
+            lookup: lookup of N positions.
+            rows: (M,) int64 indices of positions; default: all, in order.
 
         Returns:
             (M, outputs), multiples of 2⁻²¹ in [−1, 1]: level after level, ``features`` values each;

@@ -1,10 +1,10 @@
-"""The context model in integer arithmetic, as the entropy coder needs it.
+"""The context model in integer arithmetic, for the entropy coder.
 
 Weights are 8-bit integers with one power of two per row, biases 32-bit integers of 2⁻¹⁶, activations integers
 of 2⁻¹⁶, looked-up values integers of 2⁻²¹; steps and spreads come from tables. Every sum stays below 2⁵³, so
 that the fast path may multiply matrices in float64: each partial sum is a whole number that float64 holds,
 and neither the order nor the number of threads nor the instruction set can change the result.
-With ``exact`` the same is done in int64 only.
+``exact`` computes the same in int64 only.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ EXPONENT_RANGE = (-16, 20)
 HIDDEN_LIMIT = (1 << (7 + ACTIVATION_BITS)) - 1  # hidden values below 128
 OUTPUT_LIMIT = (1 << 31) - 1
 MOST_INPUTS = 512
-MEAN_LIMIT = 1 << 26  # a lattice point farther out is no mean that a model in use predicts
+MEAN_LIMIT = 1 << 26  # no trained model predicts a mean this far out
 
 Ints = NDArray[np.int64]
 
@@ -50,7 +50,7 @@ def row_exponents(weight: Tensor) -> Tensor:
 
 
 def rounded_weight(weight: Tensor) -> Tensor:
-    """The weight as the coder will use it; the gradient passes straight through."""
+    """The weight as the coder uses it, with a straight-through gradient."""
     with torch.no_grad():
         scale = torch.exp2(row_exponents(weight).to(weight.dtype))[:, None]
         whole = (weight * scale).round().clamp_(-WEIGHT_LIMIT, WEIGHT_LIMIT)
@@ -79,7 +79,7 @@ class IntegerLayer:
 
     @classmethod
     def of(cls, weight: Tensor, bias: Tensor) -> IntegerLayer:
-        """The nearest such layer to a float one."""
+        """The nearest integer layer to a float layer."""
         weight, bias = weight.detach().cpu().double(), bias.detach().cpu().double()
         if not (weight.isfinite().all() and bias.isfinite().all()):
             raise ValueError("the context model has weights that are not finite")
@@ -94,7 +94,7 @@ class IntegerLayer:
         """Itself.
 
         Raises:
-            ValueError: numbers that no layer made by :meth:`of` has.
+            ValueError: numbers outside the range of :meth:`of`.
         """
         low, high = EXPONENT_RANGE
         if (self.weight == -128).any() or (self.exponent < low).any() or (self.exponent > high).any():
@@ -124,12 +124,12 @@ class IntegerLayer:
 
 @dataclass(frozen=True)
 class Coding:
-    """How the attributes of N anchors are coded.
+    """Coding parameters of the attributes of N anchors.
 
     Attributes:
         steps: (N, G) int64, 2¹⁶ q / Q per attribute group.
         center: (N, D) int32, the lattice point next to the mean.
-        table: (N, D) uint16, which coding table.
+        table: (N, D) uint16, index of the coding table.
     """
 
     steps: Ints
@@ -139,7 +139,7 @@ class Coding:
 
 @dataclass(frozen=True)
 class IntegerHead:
-    """The head of the context model: looked-up values → how to code each attribute.
+    """The head of the context model: looked-up values → coding parameters of each attribute.
 
     The rows of ``second`` are D means in units of Q (the group's base step), D logarithms to base 2 of the
     spreads in the same units, and G refinements of the step.
@@ -192,7 +192,7 @@ class IntegerHead:
 
 
 def whole_values(values: Tensor) -> NDArray[np.float64]:
-    """Looked-up values as whole numbers of 2⁻²¹ in float64: exact, as the values are such multiples."""
+    """Looked-up values as whole numbers of 2⁻²¹ in float64, exactly."""
     return values.detach().cpu().double().mul_(float(1 << VALUE_BITS)).numpy()
 
 

@@ -1,9 +1,9 @@
 """The context model: position → distribution and quantisation step of every attribute of an anchor.
 
-A binary hash grid is looked up at the anchor's position; a head of one hidden layer gives, for each of the D
-attribute elements, mean and standard deviation of a normal distribution, and for each attribute group one
-refinement r, from which the step is q = Q (1 + tanh r) (HAC, Chen et al. 2024, with the grids of BiRF). While
-it is trained, attributes carry uniform noise of one step; afterwards they are rounded to multiples of it.
+A binary hash grid gives values at the anchor's position. A head of one hidden layer turns them into mean and
+standard deviation of a normal distribution for each of the D attribute elements, and into one refinement r
+for each attribute group; its step is q = Q (1 + tanh r) (HAC, Chen et al. 2024, with the grids of BiRF). In
+training, attributes carry uniform noise of one step; afterwards they are rounded to multiples of it.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from econgs.context.hash_grid import GRIDS, SMALL_GRID, GridConfig, HashGrid, Lo
 from econgs.context.integer import MOST_INPUTS, IntegerHead, IntegerLayer, rounded_steps, rounded_weight
 
 STEPS = {"features": 0.1, "offset_scalings": 0.001, "gaussian_scalings": 0.001, "offsets": 0.2}
-"""Base steps Q. The paper's are these with 1 for features, which rounds nearly all of them to zero."""
+"""Base steps Q. The paper has 1 for features, which rounds nearly all of them to zero."""
 
-MOST_ELEMENTS = 1024  # per anchor: bounds what a reader of a stream allocates
+MOST_ELEMENTS = 1024  # per anchor: bounds the allocations of a stream's reader
 LEAST_PROBABILITY = 1e-6
 LEAST_SIGMA = 1e-9
 
 
 class Attributes(NamedTuple):
-    """What is coded of M anchors: features (M, F), activated scalings (M, 6) and offsets (M, K, 3)."""
+    """Coded attributes of M anchors: features (M, F), activated scalings (M, 6) and offsets (M, K, 3)."""
 
     features: Tensor
     scalings: Tensor
@@ -36,11 +36,11 @@ class Attributes(NamedTuple):
 
     @property
     def flat(self) -> Tensor:
-        """All in one, (M, F + 6 + 3 K)."""
+        """(M, F + 6 + 3 K) all attributes."""
         return torch.cat([self.features, self.scalings, self.offsets.flatten(1)], 1)
 
     def of(self, rows: Tensor) -> Attributes:
-        """Those of some anchors: indices or a mask."""
+        """Attributes of some anchors (indices or a mask)."""
         if rows.dtype == torch.bool:
             rows = rows.nonzero()[:, 0]
         features, scalings, offsets = (one.index_select(0, rows) for one in self)  # faster than [] backward
@@ -67,8 +67,8 @@ class ContextConfig:
     """Sizes of a context model.
 
     Attributes:
-        features: F, of an anchor.
-        offsets: K.
+        features: F, values of an anchor's feature.
+        offsets: K, Gaussians per anchor.
         steps: base steps Q of features, scalings of offsets, scalings of Gaussians, offsets.
         grid: the hash grids.
         hidden: width of the head's hidden layer.
@@ -92,7 +92,7 @@ class ContextConfig:
 
     @classmethod
     def of(cls, options: CodingOptions, features: int, hidden: int) -> ContextConfig:
-        """With the steps, ``offsets`` and ``grid`` of a method's options."""
+        """Configuration with the steps, ``offsets`` and ``grid`` of a method's options."""
         scaling = options.scaling_step
         steps = (options.feature_step, scaling, scaling, options.offset_step)
         return cls(features, options.offsets, steps, GRIDS[options.grid], hidden)
@@ -110,14 +110,14 @@ class ContextConfig:
 
 @dataclass(frozen=True)
 class Context:
-    """The context of M anchors, of which S are sampled for the rate.
+    """The context of M anchors, with a sample of S for the rate.
 
     Attributes:
         steps: (M, 4) step q of each attribute group.
-        grid_bits: bits of the hash grid as it is now, a scalar.
-        sample: (S,) which of the M.
-        sample_hidden: (S, H) hidden activations of those.
-        sample_steps: (S, 4) their steps.
+        grid_bits: bits of the present hash grid, a scalar.
+        sample: (S,) indices among the M.
+        sample_hidden: (S, H) hidden activations of the sample.
+        sample_steps: (S, 4) steps of the sample.
     """
 
     steps: Tensor
@@ -129,7 +129,7 @@ class Context:
 
 @dataclass(frozen=True)
 class Noisy:
-    """Attributes with noise: of all M anchors, and (S, D) flat of those sampled for the rate."""
+    """Attributes with noise: those of all M anchors, and (S, D) flat ones of the sample."""
 
     values: Attributes
     sample: Tensor
@@ -151,13 +151,13 @@ class Rate:
 
 
 class _NormalBits(torch.autograd.Function):
-    """See :func:`normal_bits`. Written out: autograd's many small steps cost more than the mathematics."""
+    """See :func:`normal_bits`. A function of its own: autograd's many small steps are slow."""
 
     @staticmethod
     def forward(ctx: Any, values: Tensor, mean: Tensor, sigma: Tensor, step: Tensor) -> Tensor:  # type: ignore[override]
         scale = sigma.clamp_min(LEAST_SIGMA).reciprocal_()
         middle, half = (values - mean).mul_(scale), (0.5 * step).mul_(scale)
-        # By symmetry taken on the lower side, where a difference of erfc keeps its digits.
+        # Symmetry moves the interval to the lower side, where a difference of erfc keeps its digits.
         low = middle.abs().sub_(half)
         root = 0.5**0.5
         probability = torch.erfc(low * root).sub_(torch.erfc((low + 2.0 * half).mul_(root))).mul_(0.5)
@@ -181,19 +181,19 @@ class _NormalBits(torch.autograd.Function):
 def normal_bits(values: Tensor, mean: Tensor, sigma: Tensor, step: Tensor) -> Tensor:
     """−log2 of the normal probability of the interval of one step around each value, at most 19.9 bits.
 
-    All of one shape. Where the probability is below its least, the gradient is that of the probability itself
-    over the least one, so that a wrong mean is still pulled.
+    All arguments have one shape. Below the least probability, the gradient is that of the probability divided
+    by the least one, so that it still moves a wrong mean.
     """
     bits: Tensor = _NormalBits.apply(values, mean, sigma, step)
     return bits
 
 
 class Noise:
-    """Uniform noise on (−½, ½), drawn once and handed out from random places: fresh draws are slow.
+    """Uniform noise on (−½, ½) from random places of one pool: fresh draws are slow.
 
     Args:
-        size: numbers in store; larger requests are drawn afresh.
-        generator: of the CPU; its state decides all.
+        size: size of the pool; larger requests get fresh numbers.
+        generator: CPU generator; its state determines all numbers.
     """
 
     def __init__(
@@ -203,7 +203,7 @@ class Noise:
         self.pool = torch.rand(size, generator=generator).sub_(0.5).to(device)
 
     def take(self, *shape: int) -> Tensor:
-        """Noise of a shape; a view, not to be changed."""
+        """Noise of a shape, as a read-only view."""
         count = torch.Size(shape).numel()
         if count > len(self.pool):
             return torch.rand(shape, generator=self.generator).sub_(0.5).to(self.pool.device)
@@ -235,7 +235,7 @@ class _Head(torch.autograd.Function):
 
 
 class _AddNoise(torch.autograd.Function):
-    """Values with noise of their groups' steps, and once more those of a sample."""
+    """Values with noise of their groups' steps, and the same of a sample."""
 
     @staticmethod
     def forward(  # type: ignore[override]
@@ -274,7 +274,7 @@ class _AddNoise(torch.autograd.Function):
 
 
 def draw_sample(count: int, generator: torch.Generator, share: float = 0.05) -> Tensor:
-    """Which of ``count`` visible anchors are sampled for the rate (with replacement), at least 16."""
+    """Random sample (with replacement) of ``count`` visible anchors for the rate, at least 16."""
     many = max(round(share * count), min(count, 16))
     return torch.randint(max(count, 1), (many,), generator=generator)
 
@@ -284,8 +284,8 @@ class ContextModel(nn.Module):
 
     Attributes:
         config: its sizes.
-        coder_exact: evaluate with the weights and steps rounded as the coder will use them, with
-            straight-through gradients; for the last phase of training and for measuring.
+        coder_exact: whether to round weights and steps as the coder does, with straight-through
+            gradients; for the last phase of training and for measurements.
 
     Parameters for the optimiser: ``grid.table``, and :attr:`head`.
     """
@@ -311,7 +311,7 @@ class ContextModel(nn.Module):
             out = (1.0 / config.hidden) ** 0.5
             self.means.weight.uniform_(-0.1 * out, 0.1 * out, generator=generator)
             self.spreads.weight.uniform_(-0.1 * out, 0.1 * out, generator=generator)
-        # The mean is unit · Q · output: powers of two near each element's spread, so that all learn alike.
+        # Mean = unit · Q · output; a unit is the power of two near an element's deviation: all learn alike.
         self.register_buffer("unit", torch.ones(config.total))
 
     @property
@@ -331,29 +331,29 @@ class ContextModel(nn.Module):
 
     @torch.no_grad()
     def calibrate(self, *scenes: Attributes) -> None:
-        """Set the head's biases so that it starts from each element's own mean and spread over all anchors.
+        """Set the head's biases to each element's mean and deviation over all anchors.
 
-        Call it once, when the context model is switched on. Without it training has to find them first.
+        Call it once, at the start of the second stage; otherwise training has to learn them first.
         """
         values = torch.cat([one.flat for one in scenes]) / self.base_steps()
-        if not len(values):  # everything was pruned: there is nothing to start from
+        if not len(values):  # no anchors, no statistics
             return
-        mean, spread = values.mean(0), values.std(0, correction=0).clamp(2.0**-3, 2.0**16)
-        self.unit.copy_(torch.exp2(spread.log2().round()))
+        mean, deviation = values.mean(0), values.std(0, correction=0).clamp(2.0**-3, 2.0**16)
+        self.unit.copy_(torch.exp2(deviation.log2().round()))
         self.means.bias.copy_(mean / self.unit)
-        self.spreads.bias.copy_(spread.log2())
+        self.spreads.bias.copy_(deviation.log2())
 
     def lookup(self, codes: Tensor, extent: Any) -> Lookup:
         """Vertices and weights of anchor positions (``PositionGrid``: its codes and extent), for reuse."""
         return self.grid.lookup(codes.to(self.device), extent)
 
     def forward(self, lookup: Lookup, rows: Tensor | None = None, sample: Tensor | None = None) -> Context:
-        """Context of the anchors ``rows`` of a scene: cheap enough for all visible ones in every iteration.
+        """Context of the anchors ``rows`` of a scene.
 
         Args:
-            lookup: of the scene's anchors.
-            rows: (M,) indices (int64), default all.
-            sample: (S,) which of the rows are taken for the rate (:func:`draw_sample`); default none.
+            lookup: lookup of the scene's anchors.
+            rows: (M,) int64 indices; default: all.
+            sample: (S,) sample of the rows for the rate (:func:`draw_sample`); default: none.
         """
         sample = torch.empty(0, dtype=torch.int64) if sample is None else sample
         sample = sample.to(self.device)
@@ -389,7 +389,7 @@ class ContextModel(nn.Module):
         return steps.repeat_interleave(widths, 1, output_size=self.config.total)
 
     def perturb(self, values: Attributes, context: Context, noise: Noise) -> Noisy:
-        """Attributes of the M anchors with uniform noise of one step, which stands for rounding.
+        """Attributes of the M anchors with uniform noise of one step in place of rounding.
 
         Gradients reach the values and the steps.
         """
@@ -403,8 +403,9 @@ class ContextModel(nn.Module):
     def round(self, values: Attributes, steps: Tensor) -> Attributes:
         """Attributes rounded to multiples of the steps.
 
-        Gradients reach the values straight through, and the steps as those of :meth:`perturb` do, with what
-        rounding adds in place of noise: steps that only the rate pulled at would grow without end.
+        Gradients pass straight through to the values, and reach the steps as in :meth:`perturb`, with the
+        rounding error in place of noise: without them only the rate would act on steps, and they would grow
+        endlessly.
         """
 
         def rounded(one: Tensor, step: Tensor) -> Tensor:
@@ -433,10 +434,10 @@ class ContextModel(nn.Module):
         The paper's loss is L_rec + λ_e (L_entropy + L_hash) / (N d_A): add λ_e · (attributes + grid).
 
         Args:
-            noisy: of :meth:`perturb`.
-            context: of :meth:`forward`, with a sample.
-            anchors: N, number of anchors of all scenes that share this model.
-            share: (S, D) by how much the bits of each element of the sample count; default 1.
+            noisy: result of :meth:`perturb`.
+            context: result of :meth:`forward`, with a sample.
+            anchors: N, number of anchors of all scenes of this model.
+            share: (S, D) weights of the bits of each element of the sample; default 1.
         """
         grid = context.grid_bits / float(max(anchors, 1) * self.config.total)
         if len(context.sample) == 0:
@@ -450,7 +451,7 @@ class ContextModel(nn.Module):
 
     @torch.no_grad()
     def rounded(self, values: Attributes, lookup: Lookup) -> tuple[Attributes, Tensor]:
-        """All anchors of a scene rounded as if coded, and (4,) estimated bits of each attribute group."""
+        """All anchors of a scene after rounding, and (4,) estimated bits of each attribute group."""
         pieces, bits = [], torch.zeros(4, dtype=torch.float64)
         for rows in torch.arange(len(lookup), device=self.device).split(8192):
             context = self(lookup, rows, torch.arange(len(rows)))
@@ -464,7 +465,7 @@ class ContextModel(nn.Module):
 
     @torch.no_grad()
     def integer_head(self) -> IntegerHead:
-        """The head as it is coded."""
+        """The head in its coded form."""
         means = self.means.weight * self.unit[:, None]
         weight = torch.cat([means, self.spreads.weight, self.refinements.weight])
         bias = torch.cat([self.means.bias * self.unit, self.spreads.bias, self.refinements.bias])

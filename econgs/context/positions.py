@@ -1,9 +1,9 @@
 """Anchor positions: whole numbers on a grid, sorted along a Morton curve and coded as an octree.
 
 Every node's eight children are flags, coded level by level with adaptive integer frequencies. The context of
-a flag: the child's place, how many of its siblings are known to be occupied, how many of the three nodes that
-it touches outside its own are occupied, and whether its node was an only child. Counts are brought up to date
-after blocks of nodes, so that a block is coded by a few calls.
+a flag: the child's place, the number of earlier siblings that are occupied, the number of occupied nodes
+among the three that it touches outside its own, and whether its node is an only child. Counts change after
+blocks of nodes, so that a few calls code a block.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from econgs.context.coder import Decoder, Encoder, flag_models
 AXIS_BITS = 16
 EXTENT_LIMIT = (1 << AXIS_BITS) - 1
 _FIRST_BLOCK, _LAST_BLOCK = 32, 8192
-_MEMORY = 48  # counts of a context that a new level starts with
+_MEMORY = 48  # limit of a context's counts at the start of a level
 _CONTEXTS = 8 * 4 * 4 * 2
 
 Codes = NDArray[np.int64]
@@ -26,11 +26,11 @@ Codes = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class PositionGrid:
-    """Where whole-number codes lie: origin + code · cell, in float64, rounded to float32.
+    """Places of whole-number codes: origin + code · cell, in float64, rounded to float32.
 
     Attributes:
-        origin: of code 0, scene units.
-        cell: side per axis, > 0.
+        origin: place of code 0, scene units.
+        cell: side of a cell per axis, > 0.
         extent: largest code per axis, 1 to 65535.
     """
 
@@ -47,16 +47,16 @@ class PositionGrid:
 
     @classmethod
     def box(cls, low: ArrayLike, high: ArrayLike) -> PositionGrid:
-        """16 bits per axis in a box (the paper's way)."""
+        """Grid of 16 bits per axis in a box (as in the paper)."""
         first, last = (np.asarray(one, np.float64).reshape(3) for one in (low, high))
         sizes = np.maximum(last - first, 1e-9) / EXTENT_LIMIT
         return cls(_three(first), _three(sizes), (EXTENT_LIMIT,) * 3)
 
     @classmethod
     def lattice(cls, voxel: float, positions: ArrayLike) -> PositionGrid:
-        """The lattice of multiples of ``voxel`` on which anchors were made: nothing is lost, fewer bits.
+        """The anchors' own lattice, multiples of ``voxel``: lossless, with fewer bits.
 
-        Falls back to :meth:`box` where the lattice has more than 65536 cells along an axis.
+        Falls back to :meth:`box` if the lattice has more than 65536 cells along an axis.
         """
         points = np.asarray(positions, np.float64).reshape(-1, 3)
         if not len(points):
@@ -69,12 +69,12 @@ class PositionGrid:
         return cls(_three(first * voxel), (voxel,) * 3, (spans[0], spans[1], spans[2]))
 
     def codes(self, positions: ArrayLike) -> Codes:
-        """(N, 3) codes nearest to positions; those outside are moved to the border."""
+        """(N, 3) codes nearest to positions; those outside go to the border."""
         points = np.asarray(positions, np.float64).reshape(-1, 3)
         return np.clip(np.rint((points - self.origin) / self.cell), 0, self.extent).astype(np.int64)
 
     def holds(self, positions: ArrayLike) -> bool:
-        """Whether no position would be moved to the border."""
+        """Whether all positions lie within the grid."""
         points = np.asarray(positions, np.float64).reshape(-1, 3)
         whole = np.rint((points - self.origin) / self.cell)
         return bool(((whole >= 0) & (whole <= self.extent)).all())
@@ -96,7 +96,7 @@ def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def _dilate(values: Codes) -> Codes:
-    """Bits of a 16-bit number spread to every third place."""
+    """Dilate a 16-bit number: its bits go to every third place."""
     for shift, mask in ((32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F),
                         (4, 0x10C30C30C30C30C3), (2, 0x1249249249249249)):  # fmt: skip
         values = (values | (values << shift)) & mask
@@ -130,7 +130,7 @@ class _Adaptive:
         self.counts = np.zeros((_CONTEXTS, 2), np.int64)
 
     def models(self) -> NDArray[np.float64]:
-        """Of every context (Krichevsky and Trofimov's estimate)."""
+        """Models of every context (Krichevsky and Trofimov's estimate)."""
         zeros, ones = self.counts.T
         return flag_models(np.clip((2 * ones + 1 << 16) // (2 * (zeros + ones) + 2), 24, 65536 - 24))
 
@@ -144,7 +144,7 @@ class _Adaptive:
 
 
 def _touching(nodes: Codes, level: int) -> NDArray[np.int8]:
-    """(n, 8) how many of the three nodes that each child touches outside its own are occupied."""
+    """(n, 8) number of occupied nodes among the three that each child touches outside its own."""
     every = _dilate(np.array([(1 << level) - 1], np.int64))[0]
     occupied = []
     for axis in range(3):
@@ -179,40 +179,40 @@ def _level(
     children: Codes | None,
     limit: int,
 ) -> Codes:
-    """Code the children of all nodes of a level: known to an encoder, returned by both."""
+    """Code the children of all nodes of a level; an encoder gets them, both coders return them."""
     touching = _touching(nodes, level)
     occupied = np.zeros((len(nodes), 8), np.bool_)
     if children is not None:
         parents = np.searchsorted(nodes, children >> 3)
         occupied[parents, children & 7] = True
-    found = 0
+    occupied_count = 0
     for begin, end in _blocks(len(nodes)):
-        flags, touched, only = occupied[begin:end], touching[begin:end], alone[begin:end]
+        flags, neighbours, only = occupied[begin:end], touching[begin:end], alone[begin:end]
         before = np.zeros(end - begin, np.int64)
         models = model.models()
-        seen: list[tuple[Codes, NDArray]] = []
+        coded: list[tuple[Codes, NDArray]] = []
         for child in range(8):
-            contexts = ((before * 4 + touched[:, child]) * 8 + child) * 2 + only
+            contexts = ((before * 4 + neighbours[:, child]) * 8 + child) * 2 + only
             rows = np.flatnonzero(before > 0) if child == 7 else slice(None)  # a node has a child
-            asked = contexts[rows]
+            row_contexts = contexts[rows]
             if isinstance(coder, Encoder):
-                coder.flags(flags[rows, child], models[asked])
+                coder.flags(flags[rows, child], models[row_contexts])
             else:
                 if child == 7:
                     flags[:, child] = True
-                flags[rows, child] = coder.flags(models[asked]) == 1
-            seen.append((asked, flags[rows, child]))
+                flags[rows, child] = coder.flags(models[row_contexts]) == 1
+            coded.append((row_contexts, flags[rows, child]))
             before = np.minimum(before + flags[:, child], 3)
-        model.add(*(np.concatenate(part) for part in zip(*seen, strict=True)))
-        found += int(flags.sum())
-        if found > limit:
+        model.add(*(np.concatenate(part) for part in zip(*coded, strict=True)))
+        occupied_count += int(flags.sum())
+        if occupied_count > limit:
             raise ValueError("more points than announced")
     rows, places = np.nonzero(occupied)
     return nodes[rows] << 3 | places
 
 
 def encode_positions(codes: Codes, grid: PositionGrid) -> bytes:
-    """Code (N, 3) codes that are sorted along the Morton curve (:func:`morton_order`); N ≥ 1."""
+    """Code (N, 3) codes in Morton order (:func:`morton_order`); N ≥ 1."""
     places = morton(codes)
     if len(places) == 0 or (np.diff(places) < 0).any():
         raise ValueError("positions must be sorted along the Morton curve, and at least one")
@@ -232,7 +232,7 @@ def decode_positions(data: bytes, count: int, grid: PositionGrid) -> Codes:
     """(count, 3) codes in Morton order.
 
     Raises:
-        ValueError: the data does not hold ``count`` positions of this grid.
+        ValueError: the data do not hold ``count`` positions of this grid.
     """
     decoder = Decoder(data)
     unique = _walk(decoder, grid.bits, None, count)
@@ -257,15 +257,15 @@ def _repeat_models(part: int, whole: int) -> NDArray[np.float64]:
 
 
 def _walk(coder: Encoder | Decoder, bits: int, leaves: Codes | None, limit: int) -> Codes:
-    """All levels from the root; an encoder is told the leaves."""
+    """Code all levels from the root; an encoder gets the leaves."""
     nodes, alone = np.zeros(1, np.int64), np.zeros(1, np.bool_)
     model = _Adaptive()
     for level in range(bits):
-        known = None
+        level_nodes = None
         if leaves is not None:
-            known = leaves >> 3 * (bits - level - 1)
-            known = known[np.diff(known, prepend=-1) > 0]
-        children = _level(coder, model, nodes, alone, level, known, limit)
+            level_nodes = leaves >> 3 * (bits - level - 1)
+            level_nodes = level_nodes[np.diff(level_nodes, prepend=-1) > 0]
+        children = _level(coder, model, nodes, alone, level, level_nodes, limit)
         parents = children >> 3
         same = np.diff(parents) == 0
         alone = ~(np.append(same, False) | np.append(False, same)) if len(children) else np.zeros(0, np.bool_)

@@ -35,10 +35,8 @@ from econgs.context.symbols import (
     write_symbols,
 )
 
-ANCHORS_PER_BYTE = (
-    4  # a scene has at most that many per byte of its positions: bounds what a reader allocates
-)
-_PIECE = 8192  # anchors looked up at a time
+ANCHORS_PER_BYTE = 4  # maximum number of anchors per byte of positions: bounds a reader's allocations
+_PIECE = 8192  # anchors per lookup
 _KINDS = (Kind.FEATURES, Kind.SCALINGS, Kind.OFFSETS)
 _PARTS = {
     Kind.GROUP: "metadata",
@@ -56,12 +54,12 @@ _PARTS = {
 
 @dataclass(frozen=True)
 class CodedContext:
-    """A context model in the form in which it is coded.
+    """A context model in its coded form.
 
     Attributes:
-        config: its sizes; steps as float32 holds them.
+        config: sizes; steps rounded to float32.
         head: integer weights.
-        positive: (entries, features) whether a bit of the hash grid is +1.
+        positive: (entries, features) True for the bits +1 of the hash grid.
     """
 
     config: ContextConfig
@@ -70,13 +68,13 @@ class CodedContext:
 
     @classmethod
     def of(cls, model: ContextModel) -> CodedContext:
-        """Of a trained model, which may lie on any device."""
+        """Coded form of a trained model on any device."""
         a, b, c, d = (float(np.float32(one)) for one in model.config.steps)
         positive = (model.grid.table.detach() >= 0.0).cpu().numpy()
         return cls(replace(model.config, steps=(a, b, c, d)), model.integer_head(), positive)
 
     def coding(self, codes: NDArray[np.int64], grid: PositionGrid) -> Coding:
-        """How each attribute of anchors at (N, 3) position codes is coded."""
+        """Coding parameters of anchors at (N, 3) position codes."""
         table = torch.from_numpy(np.where(self.positive, np.float32(1), np.float32(-1)))
         parts = []
         with torch.no_grad():
@@ -101,16 +99,16 @@ class CodedContext:
 
 @dataclass(frozen=True)
 class SceneAttributes:
-    """One scene: N anchors and what belongs to the scene alone.
+    """One scene: N anchors and the scene's own parameters.
 
     Attributes:
-        name: of the scene.
+        name: name of the scene.
         positions: (N, 3) float32, on the group's grid of positions.
         features: (N, F) float32.
         scalings: (N, 6) float32, activated.
         offsets: (N, K, 3) float32.
         parameters: further float32 arrays by name: palette, embedding.
-        masks: (N, K) which offsets there are; the others become 0 and take no bits. None: all.
+        masks: (N, K) True for existing offsets; the others become 0 and take no bits. None: all exist.
     """
 
     name: str
@@ -136,11 +134,11 @@ class GroupAttributes:
     """Scenes that share decoders and a context model.
 
     Attributes:
-        scenes: at least one; equal numbers of features and offsets.
-        grid: where anchor positions lie.
+        scenes: one or more scenes with equal numbers of features and offsets.
+        grid: grid of the anchor positions.
         context: None stores attributes as plain float32.
         decoders: weights of the shared decoders by name, float32.
-        metadata: what JSON can hold (options that a renderer needs).
+        metadata: JSON object (options for the renderer).
     """
 
     scenes: tuple[SceneAttributes, ...]
@@ -151,13 +149,13 @@ class GroupAttributes:
 
     @property
     def masked(self) -> bool:
-        """Whether its scenes have masks."""
+        """Whether the scenes have masks."""
         return self.scenes[0].masks is not None
 
 
 @dataclass(frozen=True)
 class Encoded:
-    """A stream and what is in it.
+    """A stream and its contents.
 
     Attributes:
         data: the bytes.
@@ -173,7 +171,7 @@ class Encoded:
 
     @property
     def attribute_bits(self) -> int:
-        """Bits that features, scalings and offsets take, to be held against :attr:`ideal_bits`."""
+        """Bits of features, scalings and offsets, for comparison with :attr:`ideal_bits`."""
         return 8 * sum(self.ledger[_PARTS[kind]] for kind in _KINDS)
 
 
@@ -234,7 +232,7 @@ def _with_values(
 
 
 def _checked(scene: SceneAttributes, group: GroupAttributes) -> NDArray[np.int64]:
-    """Position codes of a scene that can be coded."""
+    """Position codes of a scene, after checks."""
     count = len(scene)
     first = group.scenes[0]
     width, many = first.features.shape[1], first.offsets.shape[1]
@@ -265,7 +263,7 @@ def _checked(scene: SceneAttributes, group: GroupAttributes) -> NDArray[np.int64
 
 
 def round_group(group: GroupAttributes) -> GroupAttributes:
-    """What decoding the group's stream gives (decoders at full precision), without coding it."""
+    """The group after encoding and decoding (decoders at full precision), without coding."""
     scenes = tuple(_quantise(scene, group).scene for scene in group.scenes)
     decoders = {name: np.asarray(one, np.float32) for name, one in group.decoders.items()}
     return replace(group, scenes=scenes, decoders=decoders)
@@ -275,7 +273,7 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
     """The stream of a group.
 
     Args:
-        group: what to encode; anchors come back in Morton order.
+        group: the scenes; decoding returns anchors in Morton order.
         weights: precision of the decoders' weights: "float32", "float16", or "int8" (8 bits with a scale
             per row of a matrix, 16 for vectors).
 
@@ -316,7 +314,7 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
 
 
 def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
-    """The group of a stream, bit for bit that of :func:`round_group`.
+    """The group of a stream, bit for bit equal to :func:`round_group`.
 
     Args:
         data: the whole stream.
@@ -369,7 +367,7 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
 
 
 def _guarded(reader: Reader, read: Callable[[Reader], Any]) -> Any:
-    """What a section holds; whatever is wrong with it is said with its name."""
+    """The contents of a section; an error names the section."""
     try:
         result = read(reader)
     except (ValueError, RecursionError, UnicodeDecodeError) as error:

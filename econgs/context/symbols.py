@@ -1,4 +1,4 @@
-"""The attributes of a scene as sections of a stream: symbols of some columns, and which offsets there are."""
+"""The attributes of a scene as sections of a stream: symbols of some columns, and masks of offsets."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Present = NDArray[np.bool_]
 
 
 def columns_of(width: int, many: int) -> list[slice]:
-    """Where features, scalings and offsets stand among the D elements."""
+    """Columns of features, scalings and offsets among the D elements."""
     return [slice(0, width), slice(width, width + 6), slice(width + 6, width + 6 + 3 * many)]
 
 
 def present_of(masks: Present | None) -> list[Present | None]:
-    """Of the columns of :func:`columns_of`, (N, columns) which symbols are coded; None: all."""
+    """(N, columns) masks of the coded symbols for each part of :func:`columns_of`; None: all."""
     return [None, None, None if masks is None else masks.repeat(3, 1)]
 
 
@@ -50,8 +50,8 @@ def write_symbols(
     symbols: NDArray[np.int32], coding: Coding, columns: slice, present: Present | None
 ) -> tuple[bytes, float]:
     """Bytes of some columns and their ideal bits; symbols that are not present must be 0."""
-    residuals = _picked(symbols[:, columns] - coding.center[:, columns], present)
-    tables = _picked(coding.table[:, columns], present)
+    residuals = _select(symbols[:, columns] - coding.center[:, columns], present)
+    tables = _select(coding.table[:, columns], present)
     encoder = Encoder()
     write_residuals(encoder, residuals, tables)
     return encoder.finish(), ideal_bits(residuals, tables)
@@ -63,7 +63,7 @@ def read_symbols(
     """Inverse of :func:`write_symbols`."""
     center = coding.center[:, columns]
     decoder = Decoder(reader.rest())
-    residuals = read_residuals(decoder, _picked(coding.table[:, columns], present))
+    residuals = read_residuals(decoder, _select(coding.table[:, columns], present))
     decoder.finish()
     if present is None:
         return residuals.reshape(center.shape) + center
@@ -72,5 +72,5 @@ def read_symbols(
     return symbols
 
 
-def _picked(values: NDArray, present: Present | None) -> NDArray:
+def _select(values: NDArray, present: Present | None) -> NDArray:
     return values.ravel() if present is None else values[present]

@@ -35,7 +35,7 @@ _DECIMAL = Context(prec=50)
 
 @cache
 def step_table() -> NDArray[np.int64]:
-    """(256,) of round(2^16 (1 + tanh(i / 32))) for i from -128 to 127."""
+    """(256,) round(2^16 (1 + tanh(i / 32))) for i from -128 to 127."""
     values = []
     for index in range(-REFINEMENT_LIMIT, REFINEMENT_LIMIT):
         power = _DECIMAL.exp(Decimal(-2 * index) / REFINEMENT_SCALE)
@@ -45,7 +45,7 @@ def step_table() -> NDArray[np.int64]:
 
 @cache
 def step_log_table() -> NDArray[np.int64]:
-    """(256,) of 2^16 log2(1 + tanh(i / 32)), rounded, from the integers of :func:`step_table`."""
+    """(256,) 2^16 log2(1 + tanh(i / 32)), rounded, from the integers of :func:`step_table`."""
     log2 = _DECIMAL.ln(Decimal(2))
     one = Decimal(1 << STEP_BITS)
     return np.array(
@@ -59,7 +59,7 @@ def step_log_table() -> NDArray[np.int64]:
 
 @cache
 def spread_table() -> NDArray[np.int64]:
-    """(SPREADS,) of 2^16 sigma / q."""
+    """(SPREADS,) 2^16 sigma / q."""
     log2 = _DECIMAL.ln(Decimal(2))
     low = SPREAD_OCTAVES[0] * SPREAD_PER_OCTAVE
     exponents = [Decimal(low + i) / SPREAD_PER_OCTAVE for i in range(SPREADS)]
@@ -108,7 +108,7 @@ def table_index(spread: NDArray[np.int64], part: NDArray[np.int64]) -> NDArray[n
 
 
 def low_bits(table: int) -> int:
-    """Bits of a residual that are coded raw because the distribution is flat across them."""
+    """Raw bits of a residual: the distribution is flat across them."""
     spread = _FINE - 1 if table < _FINE * MEAN_PARTS else table - _FINE * (MEAN_PARTS - 1)
     return max(0, (spread + SPREAD_OCTAVES[0] * SPREAD_PER_OCTAVE) // SPREAD_PER_OCTAVE - 3)
 

@@ -1,4 +1,4 @@
-"""Putting a picture over its background, and thinning what it shows."""
+"""Compositing over a background, and factors on optical depth."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from datasets.scene import RGB
 
 MIN_ALPHA = 1.0 / 255.0
 """Contributions below it are skipped."""
-_LEAST_TRANSMITTANCE = 1e-6  # of a Gaussian that is edited; opaque ones have no depth to multiply
+_LEAST_TRANSMITTANCE = 1e-6  # an opaque Gaussian has no finite depth to multiply
 
 
 def over(premultiplied: torch.Tensor, alpha: torch.Tensor, background: RGB | torch.Tensor) -> torch.Tensor:
@@ -17,8 +17,8 @@ def over(premultiplied: torch.Tensor, alpha: torch.Tensor, background: RGB | tor
     return torch.addcmul(premultiplied, (1.0 - alpha)[..., None], back)
 
 
-def thinned(opacities: torch.Tensor, factor: float) -> torch.Tensor:
-    """Opacities of Gaussians whose optical depth is multiplied: 1 - (1 - o)^factor.
+def scale_depth(opacities: torch.Tensor, factor: float) -> torch.Tensor:
+    """Opacities of Gaussians after a factor on their optical depth: 1 - (1 - o)^factor.
 
     A Gaussian stands for many samples of a ray, so a factor on the transfer function's opacity acts on its
     depth. (A factor on o itself, as iVR-GS publishes it, missed the edited ground truth by up to 1.7 dB

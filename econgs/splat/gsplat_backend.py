@@ -1,10 +1,10 @@
 """The splatting core on CUDA, through gsplat's documented functions (1.4 and later).
 
-The three steps of ``gsplat.rasterization`` (project, intersect tiles, rasterise) are called one by one:
-between the first two the screen offset is added, and the extents become those on which alpha reaches 1/255,
-which gsplat cuts at 3 or 3.33 σ by its version. Two of its rules are its own: alpha is held at 0.999, not
-0.99; and with an off-centre principal point the Jacobian is clamped 0.3 half fields of view outside each
-image edge, not 1.3 of them from the axis.
+The three steps of ``gsplat.rasterization`` (project, intersect tiles, rasterise) run one by one:
+between the first two, the screen offset is added, and the extents become those on which alpha reaches 1/255,
+which gsplat cuts at 3 or 3.33 σ by its version. Two rules differ from the other backends: alpha stops at
+0.999, not 0.99; and with an off-centre principal point the Jacobian is clamped 0.3 half fields of view
+outside each image edge, not 1.3 of them from the axis.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def rasterise(
 
     width, height = camera.width, camera.height
     if len(means) == 0:
-        # Zeros that hang on the inputs, so that a backward pass runs.
+        # Zeros with a gradient path to the inputs, for a backward pass.
         nothing = torch.cat([features, means.sum(1, keepdim=True)], dim=1).sum(0)
         image = nothing.expand(height, width, -1)
         return image[..., :-1], image[..., -1], image[..., -1], means.new_zeros(0, dtype=torch.int32)
@@ -76,12 +76,12 @@ def _extents(
     extent = (reach[:, None] * variance).sqrt()
     size = centres.new_tensor([camera.width, camera.height])
     inside = ((centres[0] + extent > 0) & (centres[0] - extent < size)).all(-1)
-    seen = (radii.reshape(1, len(a), -1) > 0).any(-1)[0] & inside & (opacities * 255.0 >= 1.0)
+    visible = (radii.reshape(1, len(a), -1) > 0).any(-1)[0] & inside & (opacities * 255.0 >= 1.0)
 
     middle = 0.5 * (a + c)
     spread = (0.25 * (a - c) ** 2 + b * b).sqrt()
     longest = ((middle + spread) / determinant).sqrt()
     far = torch.finfo(extent.dtype).max
-    extent = torch.where(seen[:, None], extent.ceil(), 0.0).nan_to_num(0.0, far, 0.0)
-    radius = torch.where(seen, (3.0 * longest).ceil(), 0.0).nan_to_num(0.0, far, 0.0)
+    extent = torch.where(visible[:, None], extent.ceil(), 0.0).nan_to_num(0.0, far, 0.0)
+    radius = torch.where(visible, (3.0 * longest).ceil(), 0.0).nan_to_num(0.0, far, 0.0)
     return extent.clamp(max=2**20).int()[None], radius.clamp(max=2**30).int()

@@ -1,7 +1,7 @@
 """Calling layer of the compiled CPU kernels (``econgs._native``): torch tensors in, autograd works.
 
-All tensors are float32 on the CPU. The kernels exist once per instruction set; the best one that the
-processor has is taken, or the one named by the environment variable ``ECONGS_ISA``. ``ECONGS_THREADS`` sets
+All tensors are float32 on the CPU. The kernels exist once per instruction set; the environment
+variable ``ECONGS_ISA`` names one, by default the best one of the processor runs. ``ECONGS_THREADS`` sets
 the number of threads (default: ``torch.get_num_threads()``). Results do not depend on that number.
 """
 
@@ -37,10 +37,10 @@ def isa() -> str:
 
 
 def set_isa(name: str) -> None:
-    """Forces an instruction set, for tests and comparisons.
+    """Force an instruction set, for tests and comparisons.
 
     Raises:
-        datasets.errors.UnknownName: no kernels of that name were built.
+        datasets.errors.UnknownName: the build has no kernels of that name.
         RuntimeError: the processor lacks it.
     """
     built = list(_native.built_isas())
@@ -57,7 +57,7 @@ def threads() -> int:
 
 
 def set_threads(count: int) -> None:
-    """Sets the number of threads, the caller's own included.
+    """Set the number of threads, including the caller's.
 
     Raises:
         ValueError: fewer than 1 or more than 1024.
@@ -68,9 +68,9 @@ def set_threads(count: int) -> None:
 
 
 def _configure() -> None:
-    wanted = os.environ.get("ECONGS_ISA")
-    if wanted:
-        set_isa(wanted)
+    name = os.environ.get("ECONGS_ISA")
+    if name:
+        set_isa(name)
     count = os.environ.get("ECONGS_THREADS")
     if count is not None and not count.strip().isdigit():
         raise ValueError(f"ECONGS_THREADS is {count!r}, not a number of threads")
@@ -78,12 +78,12 @@ def _configure() -> None:
 
 
 def _plain(tensor: Tensor) -> Tensor:
-    """The tensor as the kernels take it: contiguous, without history."""
+    """The tensor in the kernels' form: contiguous, without history."""
     return tensor.detach().contiguous()
 
 
 def _array(tensor: Tensor | None) -> Any:
-    """The memory of a plain tensor as a NumPy array, which nanobind takes in far less time than a tensor."""
+    """The memory of a plain tensor as a NumPy array: nanobind converts it far faster than a tensor."""
     return None if tensor is None else tensor.numpy()
 
 
@@ -119,7 +119,7 @@ class _Rasterise(torch.autograd.Function):
         ctx.offset = offset
         ctx.mark_non_differentiable(radii)
         ctx.set_materialize_grads(False)
-        # The kernel keeps its own view of the outputs: returning the tensors themselves would tie a cycle.
+        # ctx holds the outputs: returning the tensors themselves would make a reference cycle.
         return image.view_as(image), alpha.view_as(alpha), depth.view_as(depth), radii
 
     @staticmethod
@@ -136,9 +136,9 @@ class _Rasterise(torch.autograd.Function):
         outer = [None if one is None else _plain(one) for one in (grad_image, grad_alpha, grad_depth)]
         arrays = map(_array, (*ctx.inputs, *ctx.images, *outer, *grads, grad_offset, ctx.offset))
         _native.backward(ctx.frame, *arrays)
-        needed = ctx.needs_input_grad
-        kept = [grad if need else None for grad, need in zip(grads, needed[:5], strict=True)]
-        return (*kept, grad_offset, None, None, None)
+        needs = ctx.needs_input_grad
+        results = [grad if need else None for grad, need in zip(grads, needs[:5], strict=True)]
+        return (*results, grad_offset, None, None, None)
 
 
 def rasterise(
@@ -204,7 +204,7 @@ def spherical_harmonics(
 class _Photometric(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rendered: Tensor, target: Tensor, absolute: float, structural: float) -> Tensor:  # type: ignore[override]
-        # The loss is a scalar, so its gradient is made at once and only scaled in the backward pass.
+        # The loss is a scalar: its gradient is computed here and only scaled in the backward pass.
         grad = rendered.new_empty(rendered.shape) if ctx.needs_input_grad[0] else None
         images = _array(_plain(rendered)), _array(_plain(target))
         mean_absolute, ssim = _native.photometric(*images, absolute, structural, _array(grad))
@@ -214,7 +214,7 @@ class _Photometric(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
-        factor = grad.item()  # 1 where the loss is what is minimised: one pass over the image less
+        factor = grad.item()  # 1 if the loss itself is minimised: saves a pass over the image
         return ctx.grad if factor == 1.0 else ctx.grad * factor, None, None, None
 
 
@@ -243,7 +243,7 @@ def adam_step(
 ) -> None:
     """One step of Adam (Kingma and Ba 2015) on all tensors at once, in place.
 
-    What has exactly zero gradient and zero moments (spherical harmonics above the active degree) is read but
+    Elements with zero gradient and zero moments (spherical harmonics above the active degree) are read but
     not written.
 
     Args:
@@ -272,7 +272,7 @@ def _in_place(tensor: Tensor) -> Any:
 
 
 def fixed_reference_kernel() -> float:
-    """Seconds of a fixed piece of work (FMA and memory traffic, all threads), to compare moments by."""
+    """Seconds of a fixed piece of work (FMA and memory traffic, all threads), a reference for timings."""
     return float(_native.reference_kernel())
 
 
@@ -282,7 +282,7 @@ def bench_blend(channels: int = 3, backward: bool = False) -> float:
 
 
 def last_frame() -> dict[str, float]:
-    """Of the last frame rasterised: seconds by stage, intersections, lane evaluations of the blend loop."""
+    """Seconds by stage, intersections and lane evaluations of the last frame."""
     return dict(_native.last_frame())
 
 

@@ -21,7 +21,7 @@ BACKENDS = ("native", "gsplat", "torch")
 
 @dataclass(frozen=True)
 class SplatImages:
-    """What :func:`rasterise` returns.
+    """Results of :func:`rasterise`.
 
     Attributes:
         features: (H, W, C) sum of weight × feature: premultiplied, without background.
@@ -48,11 +48,11 @@ def rasterise(
     screen_offset: Tensor | None = None,
     backend: str | None = None,
 ) -> SplatImages:
-    """Splats N Gaussians with C feature channels into one view (Kerbl et al. 2023, with EWA projection).
+    """Splat N Gaussians with C feature channels into one view (Kerbl et al. 2023, with EWA projection).
 
     All tensors share one floating dtype and device. Outputs but ``radii`` are differentiable with respect to
-    every tensor. What is skipped (alpha under 1/255, pixels that ended, Gaussians nearer than ``near``) is
-    constant for the gradient, and so is an alpha held at 0.99.
+    every tensor. Gradients treat skipped contributions (alpha under 1/255, pixels that ended, Gaussians
+    nearer than ``near``) and an alpha clamped at 0.99 as constants.
 
     Args:
         means: (N, 3) centres in scene space.
@@ -61,7 +61,7 @@ def rasterise(
         opacities: (N,) in [0, 1].
         features: (N, C), C ≥ 1: colors, normals, anything that blends.
         camera: the view.
-        near: Gaussians with a camera depth up to this are culled.
+        near: Gaussians of at most this camera depth are culled.
         screen_offset: (N, 2) added to the projected centres, in pixels; its gradient is the screen-space
             gradient that densification reads.
         backend: "native" (CPU, float32), "gsplat" (CUDA, float32) or "torch"; by default the environment
@@ -77,38 +77,36 @@ def rasterise(
         tensors["screen_offset"] = screen_offset
     _check_shapes(tensors)
     _check_camera(camera)
-    chosen = choose_backend(means, backend)
-    if chosen != "native":  # whose kernels check the values as they read them
+    name = choose_backend(means, backend)
+    if name != "native":  # the native kernels check values as they read them
         _check_values(tensors)
     try:
-        images = _module(chosen).rasterise(
+        images = _module(name).rasterise(
             means, quats, scales, opacities, features, camera, near=near, screen_offset=screen_offset
         )
     except ValueError:
-        _find_bad(tensors)  # names the culprit in the same words for every backend
+        _find_bad(tensors)  # the same message for every backend
         raise
     return SplatImages(*images)
 
 
 def choose_backend(like: Tensor, backend: str | None = None) -> str:
-    """The backend for tensors like this one: as asked, as ``ECONGS_BACKEND`` says, or as suits them."""
-    wanted = backend or os.environ.get("ECONGS_BACKEND") or None
-    if wanted is not None:
-        if wanted not in BACKENDS:
-            raise unknown("backend", wanted, BACKENDS, of="the splatting core")
-        place = {"native": "cpu", "gsplat": "cuda", "torch": like.device.type}[wanted]
-        if wanted != "torch" and (like.device.type != place or like.dtype != torch.float32):
+    """Name of the backend: the argument, else ``ECONGS_BACKEND``, else by the tensor's type and device."""
+    name = backend or os.environ.get("ECONGS_BACKEND") or None
+    if name is not None:
+        if name not in BACKENDS:
+            raise unknown("backend", name, BACKENDS, of="the splatting core")
+        place = {"native": "cpu", "gsplat": "cuda", "torch": like.device.type}[name]
+        if name != "torch" and (like.device.type != place or like.dtype != torch.float32):
             raise ValueError(
-                f"the {wanted} backend takes float32 tensors on {place}, not {like.dtype} on {like.device}"
+                f"the {name} backend takes float32 tensors on {place}, not {like.dtype} on {like.device}"
             )
-        if wanted != "torch" and not _present(wanted):
+        if name != "torch" and not _present(name):
             remedy = (
-                "pip install 'econgs-bench[cuda]'"
-                if wanted == "gsplat"
-                else "reinstall with a C++17 compiler"
+                "pip install 'econgs-bench[cuda]'" if name == "gsplat" else "reinstall with a C++17 compiler"
             )
-            raise RuntimeError(f"the {wanted} backend is not installed: {remedy}")
-        return wanted
+            raise RuntimeError(f"the {name} backend is not installed: {remedy}")
+        return name
     suited = {"cpu": "native", "cuda": "gsplat"}.get(like.device.type)
     if suited is None or like.dtype != torch.float32:
         return "torch"
@@ -144,7 +142,7 @@ def _present(backend: str) -> bool:
 
 @cache
 def _notice(missing: str) -> None:
-    """Says once per process that a slower way is taken."""
+    """Warn once per process about a slower backend."""
     warnings.warn(
         f"the {missing} splatting backend is not installed; PyTorch stands in, tens of times slower",
         RuntimeWarning,
@@ -155,12 +153,12 @@ def _notice(missing: str) -> None:
 def _check_shapes(tensors: dict[str, Tensor]) -> None:
     means = tensors["means"]
     count = means.shape[0] if means.ndim else 0
-    wanted = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "screen_offset": (2,)}
+    shapes = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "screen_offset": (2,)}
     for name, tensor in tensors.items():
         tail = tuple(tensor.shape[1:])
-        fits = len(tail) == 1 and tail[0] >= 1 if name == "features" else tail == wanted[name]
+        fits = len(tail) == 1 and tail[0] >= 1 if name == "features" else tail == shapes[name]
         if tensor.ndim == 0 or tensor.shape[0] != count or not fits:
-            size = ", ".join(str(n) for n in (count, *wanted.get(name, ("C ≥ 1",))))
+            size = ", ".join(str(n) for n in (count, *shapes.get(name, ("C ≥ 1",))))
             raise ValueError(f"{name} has shape {tuple(tensor.shape)}, not ({size}), for {count} means")
         if not tensor.dtype.is_floating_point or tensor.dtype != means.dtype:
             raise ValueError(

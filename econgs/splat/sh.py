@@ -38,7 +38,7 @@ def spherical_harmonics(
     Raises:
         ValueError: a degree or shape out of range.
     """
-    used = (degree + 1) ** 2
+    needed = (degree + 1) ** 2
     if not 0 <= degree <= MAX_DEGREE:
         raise ValueError(f"spherical harmonics of degree {degree}: 0 to {MAX_DEGREE} are possible")
     for name, one in (("coefficients", coefficients), ("rest", rest)):
@@ -46,9 +46,9 @@ def spherical_harmonics(
             raise ValueError(f"{name} has shape {tuple(one.shape)}, not ({len(means)}, K, 3)")
     if rest is not None and coefficients.shape[1] != 1:
         raise ValueError(f"coefficients has shape {tuple(coefficients.shape)}, not (N, 1, 3), beside rest")
-    given = coefficients.shape[1] + (0 if rest is None else rest.shape[1])
-    if given < used:
-        raise ValueError(f"degree {degree} needs {used} coefficients, not {given}")
+    available = coefficients.shape[1] + (0 if rest is None else rest.shape[1])
+    if available < needed:
+        raise ValueError(f"degree {degree} needs {needed} coefficients, not {available}")
     if degree == 0:
         rest = None  # no gradient either: an optimiser leaves it alone
     camera_position = torch.as_tensor(camera_position, dtype=means.dtype, device=means.device)
@@ -56,7 +56,7 @@ def spherical_harmonics(
         colors: Tensor = native().spherical_harmonics(degree, means, camera_position, coefficients, rest)
         return colors
     if rest is not None:
-        coefficients = torch.cat([coefficients, rest[:, : used - 1]], dim=1)
+        coefficients = torch.cat([coefficients, rest[:, : needed - 1]], dim=1)
     return torch_spherical_harmonics(degree, means, camera_position, coefficients)
 
 

@@ -91,7 +91,7 @@ class _Scene:
             fallback=0.01 * given.extent,
             device=device,
         )
-        stored = decoders.first_stored(len(self.anchors), generator)
+        stored = decoders.initial_explicit(len(self.anchors), generator)
         self.anchors.initial["features"][:, decoders.features :] = stored.to(device)
         self.palette = torch.from_numpy(color)
         self.images = torch.from_numpy(given.train.images)

@@ -14,7 +14,7 @@ import torch
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.scene import RGB
-from econgs.splat.composite import over, thinned
+from econgs.splat.composite import over, scale_depth
 from econgs.splat.rasterise import rasterise
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.ply import read_ply, write_ply
@@ -183,7 +183,7 @@ class SplatModel(ByScene[SceneGaussians]):
             return opacities
         sizes = [self.primitives(name) for name in names]
         pieces = [
-            o if factor is None else thinned(o, factor)
+            o if factor is None else scale_depth(o, factor)
             for o, factor in zip(opacities.split(sizes), factors, strict=True)
         ]
         return torch.cat(pieces)

@@ -16,7 +16,7 @@ from datasets.camera import Camera
 from datasets.scene import RGB
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
 from econgs.codebooks import quantise_scalars
-from econgs.splat.composite import over, thinned
+from econgs.splat.composite import over, scale_depth
 from econgs.splat.rasterise import SplatImages, rasterise
 from methods.interface import Edit, Refused, edits_by_scene
 from methods.shared.edits import Direction, shading_edit
@@ -281,7 +281,7 @@ class IvrModel(ByScene[ShadedGaussians]):
         shown = [self.gaussians(name) for name in names]
         factors = [edits[name].opacity if name in edits else None for name in names]
         opacities = [
-            one.opacities if factor is None else thinned(one.opacities, factor)
+            one.opacities if factor is None else scale_depth(one.opacities, factor)
             for one, factor in zip(shown, factors, strict=True)
         ]
         return rasterise(

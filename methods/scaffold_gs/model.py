@@ -20,7 +20,7 @@ from datasets.errors import DataError
 from datasets.scene import RGB
 from econgs.anchors.decode import visible_anchors
 from econgs.anchors.direct import ColorDecoders, decode_colors
-from econgs.anchors.gaussians import ViewGaussians, draw, masked
+from econgs.anchors.gaussians import ViewGaussians, apply_masks, draw
 from econgs.context.model import Attributes
 from econgs.splat.composite import over
 from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
@@ -117,7 +117,7 @@ class AnchorModel(ByScene[SceneAnchors]):
         decoded = decode_colors(
             scene.positions[rows], *scene.values.of(rows), scene.decoders, camera.position, opacity=factor
         )
-        return decoded if scene.masks is None else masked(decoded, scene.masks[rows])
+        return decoded if scene.masks is None else apply_masks(decoded, scene.masks[rows])
 
 
 # --------------------------------------------------------------------------- Scaffold-GS's own folder

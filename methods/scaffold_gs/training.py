@@ -15,7 +15,7 @@ from datasets.cloud import random_cloud
 from econgs.anchors.anchor_set import AnchorSet
 from econgs.anchors.decode import visible_anchors
 from econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
-from econgs.anchors.gaussians import draw, masked
+from econgs.anchors.gaussians import apply_masks, draw
 from econgs.anchors.growing import AnchorRules
 from econgs.context.model import Attributes
 from econgs.losses import photometric_loss
@@ -214,7 +214,7 @@ class Trainer(TrainingLoop):
             self.anchors.positions.index_select(0, rows), *prepared.values, self.decoders, camera.position
         )
         if prepared.masks is not None:
-            decoded = masked(decoded, prepared.masks)
+            decoded = apply_masks(decoded, prepared.masks)
         collects = self.schedule.collects(self.iteration)
         offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
         splats = draw([decoded], camera, offset)

@@ -232,21 +232,13 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
     for (int l = 0; l < count; ++l) {
       const int64_t n = start + l;
       const bool visible = splats[n].opacity > 0.0f;
-      out.means[3 * n] = visible ? narrow(mean.x[l]) : 0.0f;
-      out.means[3 * n + 1] = visible ? narrow(mean.y[l]) : 0.0f;
-      out.means[3 * n + 2] = visible ? narrow(mean.z[l]) : 0.0f;
-      out.scales[3 * n] = visible ? narrow(ds.x[l]) : 0.0f;
-      out.scales[3 * n + 1] = visible ? narrow(ds.y[l]) : 0.0f;
-      out.scales[3 * n + 2] = visible ? narrow(ds.z[l]) : 0.0f;
-      out.quats[4 * n] = visible ? narrow(dw[l]) : 0.0f;
-      out.quats[4 * n + 1] = visible ? narrow(dx[l]) : 0.0f;
-      out.quats[4 * n + 2] = visible ? narrow(dy[l]) : 0.0f;
-      out.quats[4 * n + 3] = visible ? narrow(dz[l]) : 0.0f;
+      const double to_mean[3] = {mean.x[l], mean.y[l], mean.z[l]}, to_scale[3] = {ds.x[l], ds.y[l], ds.z[l]};
+      const double to_quat[4] = {dw[l], dx[l], dy[l], dz[l]}, to_offset[2] = {du[l], dv[l]};
+      for (int k = 0; k < 3; ++k) out.means[3 * n + k] = visible ? narrow(to_mean[k]) : 0.0f;
+      for (int k = 0; k < 3; ++k) out.scales[3 * n + k] = visible ? narrow(to_scale[k]) : 0.0f;
+      for (int k = 0; k < 4; ++k) out.quats[4 * n + k] = visible ? narrow(to_quat[k]) : 0.0f;
+      for (int k = 0; k < 2 && out.offset; ++k) out.offset[2 * n + k] = visible ? narrow(to_offset[k]) : 0.0f;
       out.opacities[n] = visible ? (float)(sum[SLOT_SUM][l] / g.opacity[l]) : 0.0f;
-      if (out.offset) {
-        out.offset[2 * n] = visible ? narrow(du[l]) : 0.0f;
-        out.offset[2 * n + 1] = visible ? narrow(dv[l]) : 0.0f;
-      }
     }
   }
 }

@@ -71,8 +71,8 @@ def test_a_mask_shows_its_inside() -> None:
     mask = np.zeros((20, 20, 20), np.uint8)
     mask[5:15, 5:15, 5:15] = 1
     (scene,) = automatic_scenes(_volume(mask), 3)
-    seen = scene.transfer.classify(_volume(mask).normalised())[..., 3] > 0
-    np.testing.assert_array_equal(seen, mask > 0)
+    opaque = scene.transfer.classify(_volume(mask).normalised())[..., 3] > 0
+    np.testing.assert_array_equal(opaque, mask > 0)
 
 
 def test_inverted_values_have_their_background_on_top() -> None:
@@ -108,11 +108,11 @@ def test_masked_voxels_enter_no_histogram() -> None:
     same = np.where(inside, values, 60.0).astype(np.float32)
     low, high = float(values[inside].min()), float(values.max())
     volume = Volume("value", hidden, (1.0, 1.0, 1.0), (low, high), "test", mask=inside)
-    found = statistics(volume)
-    assert found.count.sum() == inside.sum()
+    stats = statistics(volume)
+    assert stats.count.sum() == inside.sum()
     expected = np.histogram((values[inside] - low) / (high - low), 256, (0.0, 1.0))[0]
-    np.testing.assert_array_equal(found.count, expected)
-    assert found.count[-1] < 0.5 * inside.sum()
+    np.testing.assert_array_equal(stats.count, expected)
+    assert stats.count[-1] < 0.5 * inside.sum()
     assert len(automatic_scenes(replace(volume, values=same), 3)) > 1
 
 

@@ -32,18 +32,18 @@ def _folder(folder: Path, n: int = 12, size: int = 8, mode: str = "RGBA") -> Bas
             pixels = generator.integers(0, 256, (size, size, channels), dtype=np.uint8)
             Image.fromarray(pixels).save(folder / split / f"r_{i:04d}.png")
             frames.append({"file_path": f"./{split}/r_{i:04d}", "transform_matrix": np.eye(4).tolist()})
-        said = {"camera_angle_x": 0.5, "frames": frames}
-        (folder / f"transforms_{split}.json").write_text(json.dumps(said))
+        content = {"camera_angle_x": 0.5, "frames": frames}
+        (folder / f"transforms_{split}.json").write_text(json.dumps(content))
     return BasicScene("s", views_folder=folder)
 
 
 def test_a_blender_camera_looks_along_minus_z_with_y_up(tmp_path: Path) -> None:
     matrix = np.eye(4)
     matrix[:3, 3] = [1.0, 2.0, 3.0]
-    said = {"camera_angle_x": math.pi / 2, "w": 4, "h": 2}
-    said["frames"] = [{"file_path": "a/b", "transform_matrix": matrix.tolist()}]
+    content = {"camera_angle_x": math.pi / 2, "w": 4, "h": 2}
+    content["frames"] = [{"file_path": "a/b", "transform_matrix": matrix.tolist()}]
     path = tmp_path / "transforms_train.json"
-    path.write_text(json.dumps(said))
+    path.write_text(json.dumps(content))
     ((camera, file),) = read_transforms(path)
     assert file == tmp_path / "a/b.png"
     origin, directions = camera.rays()
@@ -93,10 +93,10 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize("said", BAD)
-def test_bad_transforms(tmp_path: Path, said: dict) -> None:
+@pytest.mark.parametrize("content", BAD)
+def test_bad_transforms(tmp_path: Path, content: dict) -> None:
     path = tmp_path / "transforms_train.json"
-    path.write_text(json.dumps(said))
+    path.write_text(json.dumps(content))
     with pytest.raises(DataError):
         read_transforms(path)
 

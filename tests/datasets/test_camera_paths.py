@@ -58,9 +58,9 @@ def test_cameras_look_inwards_and_just_see_the_bounding_sphere(width, height):
             rotation = camera.camera_to_world[:3, :3]
             np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
             assert np.linalg.det(rotation) == pytest.approx(1.0)
-            seen = surface @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-            u = camera.fx * seen[:, 0] / seen[:, 2] + camera.cx
-            v = camera.fy * seen[:, 1] / seen[:, 2] + camera.cy
+            local = surface @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+            u = camera.fx * local[:, 0] / local[:, 2] + camera.cx
+            v = camera.fy * local[:, 1] / local[:, 2] + camera.cy
             assert u.min() >= 0.0
             assert u.max() <= width
             assert v.min() >= 0.0

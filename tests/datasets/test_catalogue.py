@@ -93,13 +93,13 @@ def test_resolution() -> None:
 
 @pytest.mark.parametrize("name", sorted(ALL))
 def test_entries_are_sound(name: str) -> None:
-    said = entries.entry(name)
-    scenes = [scene["name"] for scene in said["scenes"]]
+    table = entries.entry(name)
+    scenes = [scene["name"] for scene in table["scenes"]]
     assert len(set(scenes)) == len(scenes) >= 2
-    for parts in entries.compositions_of(said).values():
+    for parts in entries.compositions_of(table).values():
         assert set(parts) <= set(scenes)
         assert len(parts) >= 2
-    for scene in said["scenes"]:
+    for scene in table["scenes"]:
         for bump in scene.get("bumps", []):
             assert bump["range"] == sorted(bump["range"])
             assert 0 <= bump["range"][0] < bump["range"][3] <= 1
@@ -118,15 +118,15 @@ def test_real_sets(data: Path, name: str) -> None:
     if dataset.kind == "views":
         assert all((scene.views_folder / "points3d.ply").is_file() for scene in dataset.scenes)
         return
-    seen = []
+    masks = []
     for scene in dataset.scenes:
         volume = dataset.volume(scene.variable)
         assert volume.dims == info.dims
         visible = scene.transfer.classify(volume.normalised()[::2, ::2, ::2])[..., 3] > 0
         assert 1e-4 < visible.mean() < 0.3, scene.name
-        seen.append((scene.variable, visible))
-    for i, (variable, a) in enumerate(seen):
-        for other, b in seen[:i]:
+        masks.append((scene.variable, visible))
+    for i, (variable, a) in enumerate(masks):
+        for other, b in masks[:i]:
             assert variable != other or (a & b).sum() < 0.1 * min(a.sum(), b.sum())
 
 
@@ -165,16 +165,16 @@ def test_download_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     (served / "f.raw").write_bytes(content)
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=served))
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    said = dict(entries.entry("fuel"))
-    file = {**said["files"][0], "url": f"http://127.0.0.1:{server.server_port}/f.raw"}
+    table = dict(entries.entry("fuel"))
+    file = {**table["files"][0], "url": f"http://127.0.0.1:{server.server_port}/f.raw"}
     monkeypatch.setattr(entries, "user_folder", lambda: user)
     real = entries.entry
-    monkeypatch.setattr(entries, "entry", lambda name: said if name == "fuel" else real(name))
+    monkeypatch.setattr(entries, "entry", lambda name: table if name == "fuel" else real(name))
     try:
-        said["files"] = [{**file, "sha512": "0" * 128}]
+        table["files"] = [{**file, "sha512": "0" * 128}]
         with pytest.raises(DataError, match="could not be fetched"):
             open_dataset("fuel", data_dirs=[user], download=True)
-        said["files"] = [{**file, "sha512": hashlib.sha512(content).hexdigest()}]
+        table["files"] = [{**file, "sha512": hashlib.sha512(content).hexdigest()}]
         dataset = open_dataset("fuel", data_dirs=[user], download=True)
         assert dataset.volume("value").values.tobytes() == content
     finally:
@@ -186,7 +186,7 @@ def test_scenes_may_be_isosurfaces_and_depth_enhanced() -> None:
     from datasets.catalogue.opening import _scenes
     from datasets.scene import Isosurface
 
-    said = tomllib.loads("""
+    table = tomllib.loads("""
         [[scenes]]
         name = "shells"
         variable = "T"
@@ -203,7 +203,7 @@ def test_scenes_may_be_isosurfaces_and_depth_enhanced() -> None:
         value = 0.6
         color = [0.1, 0.5, 0.9]
         """)
-    (scene,) = _scenes(said)
+    (scene,) = _scenes(table)
     assert scene.transfer is None
     assert scene.depth_enhancement == 0.5
     assert (scene.light.model, scene.light.direction) == ("phong", (0.0, 0.6, 0.8))

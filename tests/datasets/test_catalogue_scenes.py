@@ -36,9 +36,9 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> ViewCache:
 def _silhouette(camera: Camera, box: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(height, width) bool: the pixels that the volume's box covers."""
     corners = np.array([[box[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)])
-    seen = (corners - camera.position) @ camera.camera_to_world[:3, :3]
-    x = camera.fx * seen[:, 0] / seen[:, 2] + camera.cx
-    y = camera.fy * seen[:, 1] / seen[:, 2] + camera.cy
+    local = (corners - camera.position) @ camera.camera_to_world[:3, :3]
+    x = camera.fx * local[:, 0] / local[:, 2] + camera.cx
+    y = camera.fy * local[:, 1] / local[:, 2] + camera.cy
     picture = np.zeros((camera.height, camera.width), dtype=bool)
     at = (np.clip(v.astype(int), 0, n - 1) for v, n in ((y, camera.height), (x, camera.width)))
     picture[tuple(at)] = True
@@ -62,8 +62,8 @@ def _unlike(a: ViewSet, b: ViewSet) -> float:
 
 def _check_all(dataset: Dataset, cache: ViewCache) -> None:
     views = {s.name: views_of(dataset, s.name, REQUEST, cache=cache) for s in dataset.scenes}
-    for scene, found in views.items():
-        _check(dataset, scene, found, 0.005)
+    for scene, view_set in views.items():
+        _check(dataset, scene, view_set, 0.005)
     alike = {(a, b): round(_unlike(views[a], views[b]), 3) for a, b in combinations(views, 2)}
     assert min(alike.values(), default=1.0) > 0.05, min(alike, key=lambda pair: alike[pair])
 
@@ -92,7 +92,7 @@ def test_automatic_scenes(data_folder: Path, cache: ViewCache, name: str) -> Non
         for count in (1, 3):
             one = replace(dataset, scenes=automatic_scenes(volume, count), compositions={})
             views = {s.name: views_of(one, s.name, REQUEST, cache=cache) for s in one.scenes}
-            for scene, found in views.items():
-                _check(one, scene, found, 0.002)
+            for scene, view_set in views.items():
+                _check(one, scene, view_set, 0.002)
             for a, b in combinations(views, 2):
                 assert _unlike(views[a], views[b]) > 0.05, (variable, a, b)

@@ -7,22 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy.ndimage import gaussian_filter
 
 from datasets.camera import Camera
-from datasets.camera_paths import look_at_origin, training_cameras
-from datasets.ground_truth import probe
+from datasets.camera_paths import look_at_origin
 from datasets.ground_truth.bricks import BRICK, Bricks
 from datasets.ground_truth.bricks import leaps as leap_distances
 from datasets.ground_truth.model import MarchSettings
 from datasets.ground_truth.reference import ReferenceMarcher
 from datasets.scene import Light
 from datasets.transfer import Bump, TransferFunction
-from datasets.volume import Volume
+from tests.datasets.marching import FIXED, HEAD, PHONG, around, camera_at, mitsuba, noise, volume
 
-HEAD = Light()
-FIXED = Light(direction=(0.6, 0.0, 0.8), ambient=0.2, diffuse=0.6, specular=0.3, shininess=12.5)
-PHONG = Light(ambient=0.3, diffuse=0.5, specular=0.4, shininess=8.0, model="phong")
 PHONG_FIXED = Light((0.6, 0.0, 0.8), 0.3, 0.5, 0.4, 8.0, "phong")
 EVERYTHING = TransferFunction("all", (Bump("all", 0.0, 0.0, 1.0, 1.0, (0.9, 0.4, 0.2), 0.03),))
 NARROW = TransferFunction(
@@ -32,39 +27,6 @@ NARROW = TransferFunction(
         Bump("b", 0.75, 0.8, 1.0, 1.0, (0.2, 0.4, 1.0), 0.95),
     ),
 )
-
-
-def volume(values, spacing=(1.0, 1.0, 1.0)):
-    return Volume("v", np.asarray(values, dtype=np.float32), spacing, (0.0, 1.0), "made here")
-
-
-def noise(shape, sigma, seed=0):
-    field = gaussian_filter(np.random.default_rng(seed).standard_normal(shape), sigma, mode="wrap")
-    return (field - field.min()) / np.ptp(field)
-
-
-def camera_at(position, size=33, fov=0.5):
-    return Camera.with_fov(look_at_origin(np.asarray(position, dtype=float)), fov, size, size)
-
-
-def around(v, size=64, n=12, pick=(0, 5)):
-    cameras = training_cameras(n, 0.5 * float(np.linalg.norm(v.extent)), size, size)
-    return tuple(cameras[i] for i in pick)
-
-
-def mitsuba(v, settings=MarchSettings(), **options):  # noqa: B008
-    backend = probe.find_backend()
-    if backend.name == "none":
-        pytest.fail(f"Mitsuba has no backend: {backend.reason}. {probe.REMEDY}")
-    probe.activate(backend)
-    from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
-
-    return MitsubaMarcher(v, settings, **options)
-
-
-@pytest.fixture(params=["reference", "mitsuba"])
-def marcher(request):
-    return ReferenceMarcher if request.param == "reference" else mitsuba
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -95,9 +57,9 @@ def test_constant_gradient_gives_blinn_phong_in_closed_form(marcher):
         lit = light.ambient + light.diffuse * np.abs(towards @ normal)
         highlight = light.specular * np.abs(half @ normal) ** light.shininess
         expected = np.clip(lit[..., None] * (0.8, 0.5, 0.3) + highlight[..., None], 0.0, 1.0)
-        seen = image[..., 3] > 0.05
-        assert seen.sum() > 100
-        np.testing.assert_allclose(image[seen][:, :3] / image[seen][:, 3:], expected[seen], atol=2e-4)
+        opaque = image[..., 3] > 0.05
+        assert opaque.sum() > 100
+        np.testing.assert_allclose(image[opaque][:, :3] / image[opaque][:, 3:], expected[opaque], atol=2e-4)
 
 
 def test_phong_has_its_highlight_around_the_mirrored_light_on_both_sides(marcher):
@@ -121,9 +83,11 @@ def test_phong_has_its_highlight_around_the_mirrored_light_on_both_sides(marcher
             highlight = light.specular * facing**light.shininess
             expected = np.clip(lit[..., None] * (0.8, 0.5, 0.3) + highlight[..., None], 0.0, 1.0)
             assert np.ptp(highlight) > 0.1
-            seen = image[..., 3] > 0.05
-            assert seen.sum() > 20
-            np.testing.assert_allclose(image[seen][:, :3] / image[seen][:, 3:], expected[seen], atol=3e-4)
+            opaque = image[..., 3] > 0.05
+            assert opaque.sum() > 20
+            np.testing.assert_allclose(
+                image[opaque][:, :3] / image[opaque][:, 3:], expected[opaque], atol=3e-4
+            )
 
 
 def test_phong_without_a_gradient_is_ambient_only(marcher):
@@ -279,10 +243,10 @@ def test_leaps_never_skip_what_a_brute_force_search_finds_visible():
     sampled = map_coordinates(values, grid.T, order=1, mode="nearest")
     visible = np.interp(sampled, np.linspace(0, 1, len(extinction)), extinction) > 0
     bricks = np.minimum((grid // BRICK).astype(int), np.array(leaps.shape) - 1)
-    seen = np.unique(bricks[visible], axis=0)
-    assert 0 < len(seen) < leaps.size
+    opaque = np.unique(bricks[visible], axis=0)
+    assert 0 < len(opaque) < leaps.size
     for index in np.ndindex(leaps.shape):
-        nearest = np.abs(seen - index).max(axis=1).min()
+        nearest = np.abs(opaque - index).max(axis=1).min()
         assert leaps[index] <= nearest
     assert leaps.max() > 1
 

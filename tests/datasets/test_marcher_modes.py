@@ -6,21 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 
-from datasets.camera import Camera
-from datasets.camera_paths import look_at_origin, training_cameras
-from datasets.ground_truth import probe
 from datasets.ground_truth.model import Layer, MarchSettings
 from datasets.ground_truth.occlusion import RADII, bake
 from datasets.ground_truth.reference import ReferenceMarcher
 from datasets.scene import Isosurface, Light
 from datasets.transfer import Bump, TransferFunction
 from datasets.volume import Volume
-
-HEAD = Light()
-FIXED = Light(direction=(0.6, 0.0, 0.8), ambient=0.2, diffuse=0.6, specular=0.3, shininess=12.5)
-PHONG = Light(ambient=0.3, diffuse=0.5, specular=0.4, shininess=8.0, model="phong")
+from tests.datasets.marching import FIXED, HEAD, PHONG, around, camera_at, mitsuba, noise, volume
 
 
 def transfer(*bumps):
@@ -31,39 +24,6 @@ LOW = transfer((0.3, 0.36, 0.4, 0.45, (0.9, 0.5, 0.1), 0.4))
 HIGH = transfer((0.6, 0.65, 0.7, 0.75, (0.1, 0.5, 0.9), 0.6), (0.8, 0.85, 1.0, 1.0, (0.4, 0.9, 0.2), 0.9))
 EVERYTHING = transfer((0.0, 0.0, 1.0, 1.0, (0.5, 0.3, 0.7), 0.02))
 LEVELS = (Isosurface("a", 0.55, (0.9, 0.5, 0.2), 0.4), Isosurface("b", 0.7, (0.2, 0.6, 0.9), 0.8))
-
-
-def volume(values, spacing=(1.0, 1.0, 1.0), **more):
-    return Volume("v", np.asarray(values, dtype=np.float32), spacing, (0.0, 1.0), "made here", **more)
-
-
-def noise(shape, sigma, seed=0):
-    field = gaussian_filter(np.random.default_rng(seed).standard_normal(shape), sigma, mode="wrap")
-    return (field - field.min()) / np.ptp(field)
-
-
-def camera_at(position, size=33, fov=0.5):
-    return Camera.with_fov(look_at_origin(np.asarray(position, dtype=float)), fov, size, size)
-
-
-def around(v, size=48, pick=(0, 5)):
-    cameras = training_cameras(12, 0.5 * float(np.linalg.norm(v.extent)), size, size)
-    return tuple(cameras[i] for i in pick)
-
-
-def mitsuba(v, settings=MarchSettings(), **options):  # noqa: B008
-    backend = probe.find_backend()
-    if backend.name == "none":
-        pytest.fail(f"Mitsuba has no backend: {backend.reason}. {probe.REMEDY}")
-    probe.activate(backend)
-    from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
-
-    return MitsubaMarcher(v, settings, **options)
-
-
-@pytest.fixture(params=["reference", "mitsuba"])
-def marcher(request):
-    return ReferenceMarcher if request.param == "reference" else mitsuba
 
 
 A = volume(noise((30, 40, 35), 2.5), (1.0, 1.2, 0.9))
@@ -92,7 +52,7 @@ SCENES = {
 def test_mitsuba_agrees_with_the_oracle_and_bricks_change_nothing(name):
     layers = SCENES[name]
     volumes = [layer.volume for layer in layers]
-    cameras = around(volumes[0])
+    cameras = around(volumes[0], size=48)
     image = mitsuba(volumes).compose(cameras, layers)
     oracle = ReferenceMarcher(volumes)
     exact = np.stack([oracle.compose_exact(c, layers).numpy() for c in cameras])
@@ -150,7 +110,7 @@ def test_layers_of_one_volume_that_share_a_transfer_function_are_one():
     halves = transfer((0.6, 0.65, 0.7, 0.75, (0.1, 0.5, 0.9), 0.3))
     whole = replace(halves, reference_length=0.5 * halves.reference_length)
     one, two = (
-        mitsuba(A).compose(around(A), layers)
+        mitsuba(A).compose(around(A, size=48), layers)
         for layers in ([Layer(A, whole, FIXED)], [Layer(A, halves, FIXED)] * 2)
     )
     assert one[..., 3].max() > 0.5
@@ -178,7 +138,7 @@ def test_what_lies_beyond_a_mask_is_never_seen(marcher):
     values[far] = np.random.default_rng(3).random(far.sum())
     for layer in (Layer(MASKED, EVERYTHING, HEAD), Layer(MASKED, None, HEAD, LEVELS)):
         other = replace(layer, volume=replace(MASKED, values=values))
-        one, two = (marcher(each.volume).compose(around(A, 24), [each]) for each in (layer, other))
+        one, two = (marcher(each.volume).compose(around(A, size=24), [each]) for each in (layer, other))
         assert one[..., 3].max() > 0.3
         np.testing.assert_array_equal(one, two)
 
@@ -198,10 +158,10 @@ def test_a_plane_is_hit_where_it_is_whatever_the_step(marcher):
             pixel = marcher([v, medium], settings).compose((camera,), layers)[0, 16, 16]
             before = 1.0 - np.exp(-density(0.02) * 0.33 / -direction[0])
             behind = 1.0 - np.exp(-density(0.02) * 0.67 / -direction[0])
-            seen = before + 0.4 * (1.0 - before) * behind
+            medium = before + 0.4 * (1.0 - before) * behind
             surface = 0.6 * (1.0 - before)
-            np.testing.assert_allclose(pixel[3], seen + surface, atol=1e-5)
-            expected = seen * np.array([0.5, 0.3, 0.7]) + surface * np.array([0.2, 0.8, 0.4])
+            np.testing.assert_allclose(pixel[3], medium + surface, atol=1e-5)
+            expected = medium * np.array([0.5, 0.3, 0.7]) + surface * np.array([0.2, 0.8, 0.4])
             np.testing.assert_allclose(pixel[:3], expected, atol=1e-5)
 
 
@@ -269,11 +229,11 @@ def test_silhouettes_are_those_of_marching_cubes():
     local = (points - camera.position) @ rotation
     x = fine * (camera.fx * local[:, 0] / local[:, 2] + camera.cx) - 0.5
     y = fine * (camera.fy * local[:, 1] / local[:, 2] + camera.cy) - 0.5
-    drawn = Image.new("L", (120 * fine, 120 * fine))
-    draw = ImageDraw.Draw(drawn)
+    canvas = Image.new("L", (120 * fine, 120 * fine))
+    draw = ImageDraw.Draw(canvas)
     for face in faces:
         draw.polygon([(x[i], y[i]) for i in face], fill=255, outline=255)
-    covered = np.asarray(drawn).reshape(120, fine, 120, fine).mean(axis=(1, 3)) / 255
+    covered = np.asarray(canvas).reshape(120, fine, 120, fine).mean(axis=(1, 3)) / 255
     clear = (covered == 0.0) | (covered == 1.0)
     assert 0.1 < covered.mean() < 0.9
     wrong = image[..., 3][clear] != covered[clear]
@@ -284,7 +244,8 @@ def test_silhouettes_are_those_of_marching_cubes():
 def test_isosurfaces_do_not_depend_on_the_step():
     layers = [Layer(A, None, HEAD, LEVELS)]
     images = {
-        s: mitsuba(A, MarchSettings(step_voxels=s)).compose(around(A, 96), layers) for s in (1.0, 0.5, 0.125)
+        s: mitsuba(A, MarchSettings(step_voxels=s)).compose(around(A, size=96), layers)
+        for s in (1.0, 0.5, 0.125)
     }
     for step, allowed in ((1.0, 0.02), (0.5, 0.01)):
         differs = np.abs(images[step] - images[0.125]).max(axis=-1) > 1e-3
@@ -368,7 +329,7 @@ def test_a_composition_compiles_once_for_all_its_scenes():
     def kernels(layers):
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            fast.compose(around(A, 24), layers)
+            fast.compose(around(A, size=24), layers)
             return {entry["hash"] for entry in dr.kernel_history([dr.KernelType.JIT])}
 
     first = kernels([Layer(A, LOW, HEAD), Layer(B, HIGH, FIXED)])

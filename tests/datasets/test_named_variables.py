@@ -54,11 +54,11 @@ def _netcdf(
                     stored.units = units[name]
         for name, values in variables.items():
             dims = ("time", "z", "y", "x")[-values.ndim :]
-            said = dict(attributes or {})
-            fill = said.pop("_FillValue", None)
+            entries = dict(attributes or {})
+            fill = entries.pop("_FillValue", None)
             stored = file.createVariable(name, values.dtype, dims, fill_value=fill)
             stored.set_auto_maskandscale(False)
-            stored.setncatts(said)
+            stored.setncatts(entries)
             stored[:] = values
     return path
 
@@ -413,8 +413,8 @@ def peak_bytes(path: Path, variable: str = "") -> int:
     peaks = []
     for what in ("volume", "nothing"):
         command = [sys.executable, "-c", MEASURE, str(path), what, variable]
-        found = subprocess.run(command, capture_output=True, text=True, check=True, cwd=path.parent)
-        peaks.append(json.loads(found.stdout))
+        process = subprocess.run(command, capture_output=True, text=True, check=True, cwd=path.parent)
+        peaks.append(json.loads(process.stdout))
     return peaks[0] - peaks[1]
 
 
@@ -434,9 +434,11 @@ def test_never_more_than_two_copies_in_memory(tmp_path: Path, name: str) -> None
         with h5py.File(path, "w") as file:
             file.create_dataset("v", data=big, **packed)
     else:
-        said = {"_FillValue": np.float32(-1.0)} if "masked" in name else {}
+        entries = {"_FillValue": np.float32(-1.0)} if "masked" in name else {}
         if "masked" in name:
             big[30:200, 40:90, 60:] = -1.0
-        _netcdf(path, {"v": big}, "NETCDF4" if "4" in name else "NETCDF3_64BIT_OFFSET", {}, attributes=said)
+        _netcdf(
+            path, {"v": big}, "NETCDF4" if "4" in name else "NETCDF3_64BIT_OFFSET", {}, attributes=entries
+        )
     masks = 2 * big.size if "masked" in name else 0  # the result, and the one that grows while it is filled
     assert peak_bytes(path) < 2.05 * big.nbytes + masks

@@ -42,25 +42,25 @@ def _mean_color(scene: dict) -> tuple[float, ...]:
     return tuple(np.average([part["color"] for part in parts], axis=0, weights=weights))
 
 
-def _pairs(said: dict) -> set[tuple[str, str]]:
+def _pairs(table: dict) -> set[tuple[str, str]]:
     """Scenes that must be told apart: all; of many, those of one variable or one named composition."""
-    names = [scene["name"] for scene in said["scenes"]]
+    names = [scene["name"] for scene in table["scenes"]]
     if len(names) <= MANY:
         return set(combinations(names, 2))
-    together = list(said.get("compositions", {}).values())
-    variables = {scene["variable"] for scene in said["scenes"]}
-    together += [[s["name"] for s in said["scenes"] if s["variable"] == v] for v in sorted(variables)]
+    together = list(table.get("compositions", {}).values())
+    variables = {scene["variable"] for scene in table["scenes"]}
+    together += [[s["name"] for s in table["scenes"] if s["variable"] == v] for v in sorted(variables)]
     # A palette begins again where a single variable or composition has more than it holds.
     return {pair for part in together if len(part) <= MANY for pair in combinations(part, 2)}
 
 
 @pytest.mark.parametrize("name", [n for n in entries.names() if entries.entry(n)["kind"] != "views"])
 def test_scenes_are_told_apart_by_all_eyes(name: str) -> None:
-    said = entries.entry(name)
-    colors = {scene["name"]: _mean_color(scene) for scene in said["scenes"]}
+    table = entries.entry(name)
+    colors = {scene["name"]: _mean_color(scene) for scene in table["scenes"]}
     near = {
         pair: round(difference, 1)
-        for pair in _pairs(said)
+        for pair in _pairs(table)
         if (difference := _difference(colors[pair[0]], colors[pair[1]])) < LEAST
     }
     assert not near

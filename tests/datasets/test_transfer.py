@@ -37,8 +37,8 @@ def test_colors_are_opacity_weighted_and_continue_where_nothing_is_seen() -> Non
 
 def test_steps_and_ends() -> None:
     transfer = TransferFunction("t", (Bump("b", 0.5, 0.5, 1.0, 1.0, RED, 0.5),))
-    seen = transfer.classify(np.array([0.0, 0.499, 0.5, 1.0]))[:, 3] > 0
-    assert seen.tolist() == [False, False, True, True]
+    opaque = transfer.classify(np.array([0.0, 0.499, 0.5, 1.0]))[:, 3] > 0
+    assert opaque.tolist() == [False, False, True, True]
 
 
 def test_opacity_stays_below_one() -> None:

@@ -116,8 +116,8 @@ def decibels(a: NDArray[np.float32], b: NDArray[np.float32]) -> list[float]:
 
 def foreground(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
     """PSNR of the pixels that either shows."""
-    seen = (a[..., 3] > 0.0) | (b[..., 3] > 0.0)
-    return float(-10.0 * np.log10(np.mean((a[seen] - b[seen]).astype(np.float64) ** 2)))
+    mask = (a[..., 3] > 0.0) | (b[..., 3] > 0.0)
+    return float(-10.0 * np.log10(np.mean((a[mask] - b[mask]).astype(np.float64) ** 2)))
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -125,15 +125,15 @@ def test_agrees_with_vtk(theirs, name):
     case = CASES[name]
     ours = case.ours(case.light)
     assert ours[..., 3].max() > 0.9
-    each, seen = decibels(ours, theirs[name]), foreground(ours, theirs[name])
-    print(name, *(f"{x:.1f}" for x in each), f"foreground {seen:.1f} dB")
+    each, decibels_inside = decibels(ours, theirs[name]), foreground(ours, theirs[name])
+    print(name, *(f"{x:.1f}" for x in each), f"foreground {decibels_inside:.1f} dB")
     if not case.alike:
         # 8 bits a channel, rays stopped at an alpha of 254/255, samples half a step further on.
         assert min(each) >= 55.0
     else:
         # Same samples: what remains is rounding; at the box's faces also the last, shorter step.
         assert min(each) >= (65.0 if case.volume is CUT else 78.0)
-        assert seen >= (62.0 if case.volume is CUT else 72.0)
+        assert decibels_inside >= (62.0 if case.volume is CUT else 72.0)
 
 
 @pytest.mark.data

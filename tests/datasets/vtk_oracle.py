@@ -216,33 +216,33 @@ def _property(transfer: TransferFunction, light: Light | None, top: float) -> An
     colors.BuildFunctionFromTable(0.0, top, _TABLE, classified[:, :3].ravel())
     opacities = vtk.vtkPiecewiseFunction()
     opacities.BuildFunctionFromTable(0.0, top, _TABLE, opacity, 1)
-    made = vtk.vtkVolumeProperty()
-    made.SetColor(colors)
-    made.SetScalarOpacity(opacities)
-    made.SetScalarOpacityUnitDistance(transfer.reference_length)
-    made.SetInterpolationTypeToLinear()
-    made.DisableGradientOpacityOn()
+    result = vtk.vtkVolumeProperty()
+    result.SetColor(colors)
+    result.SetScalarOpacity(opacities)
+    result.SetScalarOpacityUnitDistance(transfer.reference_length)
+    result.SetInterpolationTypeToLinear()
+    result.DisableGradientOpacityOn()
     if light is not None:
-        made.ShadeOn()
-        made.SetAmbient(light.ambient)
-        made.SetDiffuse(light.diffuse)
-        made.SetSpecular(light.specular)
-        made.SetSpecularPower(light.shininess)
-    return made
+        result.ShadeOn()
+        result.SetAmbient(light.ambient)
+        result.SetDiffuse(light.diffuse)
+        result.SetSpecular(light.specular)
+        result.SetSpecularPower(light.shininess)
+    return result
 
 
 def _light(light: Light | None) -> Any:
     import vtk
 
-    made = vtk.vtkLight()
+    result = vtk.vtkLight()
     if light is None or light.direction is None:
-        made.SetLightTypeToHeadlight()
+        result.SetLightTypeToHeadlight()
     else:
-        made.SetLightTypeToSceneLight()
-        made.PositionalOff()
-        made.SetPosition(*light.direction)
-        made.SetFocalPoint(0.0, 0.0, 0.0)
-    return made
+        result.SetLightTypeToSceneLight()
+        result.PositionalOff()
+        result.SetPosition(*light.direction)
+        result.SetFocalPoint(0.0, 0.0, 0.0)
+    return result
 
 
 def _main(job_file: str, result_file: str) -> None:

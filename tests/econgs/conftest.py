@@ -62,7 +62,7 @@ class Reference:
     depth: NDArray[np.float64]
     radii: NDArray[np.int64]
     doubtful: NDArray[np.bool_]
-    held: NDArray[np.bool_]
+    clamped: NDArray[np.bool_]
 
 
 def look_at(position: tuple[float, float, float], size: tuple[int, int], fov: float, shift: float) -> Camera:
@@ -129,7 +129,7 @@ def brute_force(scene: Scene) -> Reference:
     shape = (camera.height, camera.width)
     features, depth = np.zeros((*shape, data["features"].shape[1])), np.zeros(shape)
     transmittance, running = np.ones(shape), np.ones(shape, bool)
-    doubtful, held = np.zeros(shape, bool), np.zeros(shape, bool)
+    doubtful, clamped = np.zeros(shape, bool), np.zeros(shape, bool)
     radii = np.zeros(len(local), int)
     limits = 1.3 * camera.width / 2 / camera.fx, 1.3 * camera.height / 2 / camera.fy
     for one in np.argsort(local[:, 2], kind="stable"):
@@ -148,7 +148,7 @@ def brute_force(scene: Scene) -> Reference:
         alpha = data["opacities"][one] * np.exp(-0.5 * exponent)
         doubtful |= running & (abs(alpha * 255 - 1) < 1e-3)
         doubtful |= running & (abs(alpha / 0.99 - 1) < 1e-4)
-        held |= alpha > 0.99
+        clamped |= alpha > 0.99
         alpha = np.minimum(alpha, 0.99)
         if (alpha >= 1 / 255).any():
             radii[one] = int(np.ceil(3 * np.sqrt(np.linalg.eigvalsh(covariance)[-1])))
@@ -160,7 +160,7 @@ def brute_force(scene: Scene) -> Reference:
         transmittance = np.where(running, after, transmittance)
         features += weight[..., None] * data["features"][one]
         depth += weight * pz
-    return Reference(features, 1 - transmittance, depth, radii, doubtful, held)
+    return Reference(features, 1 - transmittance, depth, radii, doubtful, clamped)
 
 
 def relative(actual: torch.Tensor, expected: torch.Tensor) -> float:

@@ -83,11 +83,11 @@ def group(
 
 def arrays_of(one: GroupAttributes) -> list[np.ndarray]:
     """All arrays of a group in a fixed order."""
-    found = [one.decoders[name] for name in sorted(one.decoders)]
+    arrays = [one.decoders[name] for name in sorted(one.decoders)]
     for each in one.scenes:
-        found += [each.positions, each.features, each.scalings, each.offsets]
-        found += [each.parameters[name] for name in sorted(each.parameters)]
-    return found
+        arrays += [each.positions, each.features, each.scalings, each.offsets]
+        arrays += [each.parameters[name] for name in sorted(each.parameters)]
+    return arrays
 
 
 def attribute_tensors(one: SceneAttributes) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

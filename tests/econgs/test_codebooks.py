@@ -112,8 +112,8 @@ def test_coded_ids_approach_their_entropy():
     shares = np.random.default_rng(0).dirichlet(np.full(64, 0.3))
     ids = np.random.default_rng(1).choice(64, 50_000, p=shares)
     counts = np.bincount(ids, minlength=64)
-    seen = counts[counts > 0] / len(ids)
-    ideal = -len(ids) * float((seen * np.log2(seen)).sum()) / 8
+    shares = counts[counts > 0] / len(ids)
+    ideal = -len(ids) * float((shares * np.log2(shares)).sum()) / 8
     coded = code_ids(Codebook(torch.zeros((64, 1)), torch.from_numpy(ids)))
     assert len(coded) < 1.002 * ideal + 2 * 64 + 8
 

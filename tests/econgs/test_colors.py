@@ -22,10 +22,10 @@ def test_offset_colors_are_those_of_decoding(monkeypatch, storage, activation, d
     options = {"view_direction": direction, "offset_color": activation, "storage": storage}
     decoders = Decoders(8, 5, 4, hidden=16, generator=generator, **options)
     inputs["features"] = torch.randn((40, decoders.width), generator=generator)
-    seen = {}
+    arguments = {}
 
     def shade(means, normals, base, *more):
-        seen["base"] = base
+        arguments["base"] = base
         return base
 
     monkeypatch.setattr(decoding, "shade", shade)
@@ -33,6 +33,6 @@ def test_offset_colors_are_those_of_decoding(monkeypatch, storage, activation, d
     decoded = decoding.decode(
         anchors, features, scalings, offsets, decoders, embedding, palette, EYE, backend="torch"
     )
-    found = offset_colors(decoders, anchors, features, embedding, torch.tensor(EYE))
-    by_slot = found.transpose(1, 2).reshape(-1, 3)[decoded.slots]
-    torch.testing.assert_close(by_slot, seen["base"] - palette)
+    colors = offset_colors(decoders, anchors, features, embedding, torch.tensor(EYE))
+    by_slot = colors.transpose(1, 2).reshape(-1, 3)[decoded.slots]
+    torch.testing.assert_close(by_slot, arguments["base"] - palette)

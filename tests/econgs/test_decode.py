@@ -156,30 +156,30 @@ def by_hand(case: Case) -> dict[str, Any]:
         w1, b1, w2, b2 = (t.detach().double().numpy() for t in decoders.network(name).tensors())
         parts = [x["features"][anchor]]
         if case.view_direction:
-            seen = x["anchors"][anchor] - eye
-            parts.append(seen / np.sqrt((seen**2).sum()))
+            direction = x["anchors"][anchor] - eye
+            parts.append(direction / np.sqrt((direction**2).sum()))
         hidden = w1 @ np.concatenate([*parts, x["embedding"]]) + b1
         return (w2 @ np.where(hidden > 0, hidden, 0) + b2).reshape(-1, case.offsets).T  # per Gaussian
 
     def sigmoid(value: Any) -> Any:
         return 1.0 / (1.0 + np.exp(-value))
 
-    made: dict[str, list[Any]] = {name: [] for name in (*NAMES, "slots", "raw")}
+    expected_values: dict[str, list[Any]] = {name: [] for name in (*NAMES, "slots", "raw")}
     for anchor in range(case.count):
         outputs = {name: network(name, anchor) for name in NETWORKS}
         scaling = x["scalings"][anchor]
-        made["raw"].append(np.tanh(outputs["opacity"][:, 0]))
+        expected_values["raw"].append(np.tanh(outputs["opacity"][:, 0]))
         for k in range(case.offsets):
             opacity = math.tanh(outputs["opacity"][k, 0])
             if opacity <= 0:
                 continue
-            made["slots"].append(anchor * case.offsets + k)
-            made["opacities"].append(1.0 - (1.0 - opacity) ** factors.opacity)
+            expected_values["slots"].append(anchor * case.offsets + k)
+            expected_values["opacities"].append(1.0 - (1.0 - opacity) ** factors.opacity)
             mean = x["anchors"][anchor] + x["offsets"][anchor, k] * scaling[:3]
-            made["means"].append(mean)
+            expected_values["means"].append(mean)
             covariance = outputs["covariance"][k]
-            made["scales"].append(scaling[3:] * sigmoid(covariance[:3]))
-            made["quats"].append(covariance[3:] / np.linalg.norm(covariance[3:]))
+            expected_values["scales"].append(scaling[3:] * sigmoid(covariance[:3]))
+            expected_values["quats"].append(covariance[3:] / np.linalg.norm(covariance[3:]))
             shading = outputs["shading"][k]
             activate = np.tanh if case.offset_color == "tanh" else sigmoid
             base = x["palette"] + activate(shading[:3])
@@ -193,8 +193,8 @@ def by_hand(case: Case) -> dict[str, Any]:
             light = view if case.light is None else np.array(case.light)
             half = (view + light) / np.linalg.norm(view + light)
             color = base * k_a + base * k_d * abs(normal @ light) + k_s * abs(normal @ half) ** beta
-            made["colors"].append(np.clip(color, 0, 1))
-    return {name: np.array(values) for name, values in made.items()}
+            expected_values["colors"].append(np.clip(color, 0, 1))
+    return {name: np.array(values) for name, values in expected_values.items()}
 
 
 def test_formulas_of_the_paper(case: Case, backend: str) -> None:
@@ -431,22 +431,22 @@ def test_decoders_may_start_blind_to_the_view_direction() -> None:
     assert torch.equal(same[0], same[1])
     assert not torch.allclose(seen[0], seen[1], atol=1e-3)
     for name in NETWORKS:  # the same numbers else
-        first, kept = usual.network(name).first_weight, blind.network(name).first_weight
-        assert torch.equal(first[:, :50], kept[:, :50])
-        assert torch.equal(first[:, 53:], kept[:, 53:])
+        first, same_first = usual.network(name).first_weight, blind.network(name).first_weight
+        assert torch.equal(first[:, :50], same_first[:, :50])
+        assert torch.equal(first[:, 53:], same_first[:, 53:])
 
 
 @pytest.mark.parametrize("offsets", [1, 4, 5])
 def test_decoders_that_start_blind_show_half_of_the_gaussians_of_untrained_anchors(offsets: int) -> None:
-    shown = []
+    shares = []
     for seed in range(40):
         _, inputs = Case(count=3, offsets=offsets).make()
         inputs |= {"features": torch.zeros(3, 50), "embedding": torch.zeros(50)}
         decoders = Decoders(50, offsets, generator=torch.Generator().manual_seed(seed), direction_start=0.0)
         decoded = decode(**inputs, decoders=decoders, eye=EYE)
-        shown.append(len(decoded.means) / (3 * offsets))
-    assert min(shown) >= 0.5
-    assert offsets == 1 or min(shown) < 1.0  # no more than it takes
+        shares.append(len(decoded.means) / (3 * offsets))
+    assert min(shares) >= 0.5
+    assert offsets == 1 or min(shares) < 1.0  # no more than it takes
 
 
 def test_decoded_gaussians_can_be_drawn(backend: str) -> None:
@@ -506,7 +506,7 @@ def test_gaussians_of_what_is_not_visible_reach_no_pixel() -> None:
     for rows in (slice(None), seen):
         some = {name: one if name in ("embedding", "palette") else one[rows] for name, one in inputs.items()}
         decoded = decode(**some, decoders=decoders, eye=camera.position, backend="torch")
-        drawn = rasterise(
+        splats = rasterise(
             decoded.means,
             decoded.quats,
             decoded.scales,
@@ -515,6 +515,6 @@ def test_gaussians_of_what_is_not_visible_reach_no_pixel() -> None:
             camera,
             backend="torch",
         )
-        pictures.append(drawn.features)
+        pictures.append(splats.features)
     assert pictures[0].max() > 0.1
     torch.testing.assert_close(pictures[0], pictures[1], rtol=0, atol=0.02)

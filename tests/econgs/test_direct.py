@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from econgs.anchors.direct import ColorDecoders, decode_colors
-from econgs.anchors.gaussians import masked
+from econgs.anchors.gaussians import apply_masks
 
 EYE = [0.3, -2.0, 1.1]
 
@@ -26,7 +26,7 @@ def by_hand(decoders, anchors, values):
     """slot → mean, quaternion, scale, opacity, color; one Gaussian at a time."""
     weights = {name: one.detach().numpy() for name, one in decoders.named_parameters()}
     features, scalings, offsets = (one.numpy() for one in values)
-    found = {}
+    gaussians = {}
     for n, anchor in enumerate(anchors.numpy()):
         away = anchor - np.array(EYE)
         length = np.sqrt((away**2).sum())
@@ -47,14 +47,14 @@ def by_hand(decoders, anchors, values):
             if opaque <= 0.0:
                 continue
             quat = covariance[3 * many + k :: many]
-            found[n * many + k] = (
+            gaussians[n * many + k] = (
                 anchor + offsets[n, k] * scalings[n, :3],
                 quat / np.linalg.norm(quat),
                 scalings[n, 3:] / (1.0 + np.exp(-covariance[k : 3 * many : many])),
                 opaque,
                 1.0 / (1.0 + np.exp(-color[k::many])),
             )
-    return found
+    return gaussians
 
 
 @pytest.mark.parametrize("distance", [False, True])
@@ -65,8 +65,8 @@ def test_every_gaussian_is_that_of_the_formulas(distance):
     assert decoded.slots.tolist() == sorted(expected)
     columns = (decoded.means, decoded.quats, decoded.scales, decoded.opacities, decoded.colors)
     for place, column in enumerate(columns):
-        wanted = np.array([expected[slot][place] for slot in sorted(expected)])
-        np.testing.assert_allclose(column.detach().numpy(), wanted, rtol=1e-10, atol=1e-12)
+        column_expected = np.array([expected[slot][place] for slot in sorted(expected)])
+        np.testing.assert_allclose(column.detach().numpy(), column_expected, rtol=1e-10, atol=1e-12)
 
 
 def gradients(backend, distance, opacity):
@@ -77,8 +77,8 @@ def gradients(backend, distance, opacity):
     generator = torch.Generator().manual_seed(4)
     loss = sum((one * torch.randn(one.shape, generator=generator)).sum() for one in columns)
     loss.backward()
-    made = [one.grad for one in (*leaves, *decoders.parameters())]
-    return [*(one.detach() for one in columns), decoded.slots, decoded.raw_opacities, *made]
+    gradients = [one.grad for one in (*leaves, *decoders.parameters())]
+    return [*(one.detach() for one in columns), decoded.slots, decoded.raw_opacities, *gradients]
 
 
 @pytest.mark.parametrize("distance", [False, True])
@@ -120,7 +120,7 @@ def test_masked_gaussians_are_gone_and_masks_learn_from_the_others():
     soft = torch.full((70, 3), 0.7, requires_grad=True)
     hard = torch.ones(70, 3)
     hard[::2, 1] = 0.0
-    some = masked(whole, hard + (soft - soft.detach()))
+    some = apply_masks(whole, hard + (soft - soft.detach()))
     stay = hard.reshape(-1)[whole.slots] > 0
     assert 0 < int(stay.sum()) < len(stay)
     assert torch.equal(some.slots, whole.slots[stay])

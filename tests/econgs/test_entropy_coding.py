@@ -74,8 +74,8 @@ def test_tables_are_right() -> None:
         edges = np.arange(low, low + len(frequencies)) * 2.0**shift - 0.5
         exact = np.diff(norm.cdf(edges, mean, sigma))
         # Bits lost against the exact distribution.
-        kept = exact > 0
-        loss = (exact[kept] * np.log2(exact[kept] / (frequencies[:-1][kept] / 2**24))).sum()
+        positive = exact > 0
+        loss = (exact[positive] * np.log2(exact[positive] / (frequencies[:-1][positive] / 2**24))).sum()
         assert loss < 1e-4
         assert exact.sum() > 1 - 1e-7
 
@@ -115,8 +115,8 @@ def test_residuals_come_back(data: st.DataObject) -> None:
     many = data.draw(st.integers(0, 60))
     limit = st.one_of(st.integers(-20, 20), st.integers(-(2**25), 2**25))
     residuals = np.array(data.draw(st.lists(limit, min_size=many, max_size=many)), np.int32)
-    chosen = data.draw(st.lists(st.integers(0, tables.TABLES - 1), min_size=many, max_size=many))
-    index = np.array(chosen, np.uint16)
+    indices = data.draw(st.lists(st.integers(0, tables.TABLES - 1), min_size=many, max_size=many))
+    index = np.array(indices, np.uint16)
     encoder = Encoder()
     write_residuals(encoder, residuals, index)
     written = encoder.finish()

@@ -26,10 +26,10 @@ def test_folded_networks_decode_the_same(storage: str, scenes: int) -> None:
     anchors, features, scalings, offsets, _, palette = inputs.values()
     for before, after in zip(embeddings, shorter, strict=True):
         expected = decode(anchors, features, scalings, offsets, decoders, before, palette, EYE)
-        found = decode(anchors, features, scalings, offsets, folded, after, palette, EYE)
-        assert torch.equal(found.slots, expected.slots)
+        actual = decode(anchors, features, scalings, offsets, folded, after, palette, EYE)
+        assert torch.equal(actual.slots, expected.slots)
         for name in NAMES:
-            torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=2e-4, atol=2e-5)
+            torch.testing.assert_close(getattr(actual, name), getattr(expected, name), rtol=2e-4, atol=2e-5)
 
 
 def test_no_column_is_larger_than_its_rows_other_weights() -> None:

@@ -17,29 +17,29 @@ def clouds(seed=0):
 
 
 def test_distances_agree_with_a_plain_loop():
-    found = clouds()
-    distances = chamfer_distances(found)
+    points = clouds()
+    distances = chamfer_distances(points)
     for i in range(3):
         for j in range(3):
-            wanted = 0.0 if i == j else plain_chamfer(found[i], found[j])
-            assert distances[i, j] == pytest.approx(wanted, rel=1e-12)
+            expected = 0.0 if i == j else plain_chamfer(points[i], points[j])
+            assert distances[i, j] == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_sum_of_directions_is_twice_their_mean():
-    found = clouds()
-    twice = chamfer_distances(found, direction="sum")
-    np.testing.assert_allclose(twice, 2.0 * chamfer_distances(found))
+    points = clouds()
+    twice = chamfer_distances(points, direction="sum")
+    np.testing.assert_allclose(twice, 2.0 * chamfer_distances(points))
 
 
 def test_a_sample_is_near_the_whole_and_repeatable():
     generator = np.random.default_rng(1)
-    found = [generator.uniform(0.0, 1.0, (5000, 3)), generator.uniform(0.2, 1.2, (5000, 3))]
-    whole = chamfer_distances(found, sample=10**6)[0, 1]
-    some = chamfer_distances(found)
+    points = [generator.uniform(0.0, 1.0, (5000, 3)), generator.uniform(0.2, 1.2, (5000, 3))]
+    whole = chamfer_distances(points, sample=10**6)[0, 1]
+    some = chamfer_distances(points)
     assert some[0, 1] == pytest.approx(whole, rel=0.05)
-    np.testing.assert_array_equal(some, chamfer_distances(found))
+    np.testing.assert_array_equal(some, chamfer_distances(points))
     # In any order of the points: they are spread over space, not over the list.
-    mixed = [generator.permutation(cloud) for cloud in found]
+    mixed = [generator.permutation(cloud) for cloud in points]
     np.testing.assert_allclose(chamfer_distances(mixed), some, rtol=0.02)
 
 
@@ -67,10 +67,10 @@ def test_groups_of_the_authors_vortex_clouds(data_folder):
     """Average linkage at 0.01 joins three of the four scenes, as the paper's training times imply."""
     from datasets.cloud import read_ply
 
-    found = [
+    points = [
         read_ply(data_folder / f"vortex_views/TF0{i}/points3d.ply").points.astype(float) for i in range(1, 5)
     ]
-    distances = chamfer_distances(found)
+    distances = chamfer_distances(points)
     assert cluster(distances, 0.01) == [[0, 2, 3], [1]]
     assert cluster(distances, 0.02) == [[0, 1, 2, 3]]
     assert cluster(distances, 0.005, "average") == [[0, 3], [1], [2]]

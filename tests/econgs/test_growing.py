@@ -39,15 +39,15 @@ def test_anchors_grow_on_the_lattice_in_free_cells_only():
     # The first Gaussian lies in the anchor's own coarse cell, the others far away and in one cell together.
     offsets = [[0.01, 0.0, 0.0], [1.0, 0.0, 0.0], [1.01, 0.0, 0.0]]
     *state, statistics = setting(offsets, [1.5, 1.5, 1.5])  # level 0 only
-    seen = set()
+    counts = set()
     for seed in range(20):
         copied = AnchorStatistics(*(v.clone() for v in vars(statistics).values()))
         grown = grow(*state, copied, RULES, generator(seed))
         assert len(grown.anchors) <= 1
-        seen.add(len(grown.anchors))
+        counts.add(len(grown.anchors))
         for place in grown.anchors:
             torch.testing.assert_close(place, torch.tensor([round(1.0 / 0.16) * 0.16, 0.0, 0.0]))
-    assert seen == {0, 1}  # thinning keeps about half at level 0
+    assert counts == {0, 1}  # thinning keeps about half at level 0
 
 
 def test_strong_gradients_reach_the_fine_levels():
@@ -69,9 +69,9 @@ def test_features_are_the_maximum_over_those_who_asked():
         statistics.gradients[:] = 150.0
         grown = grow(anchors, torch.zeros(2, 6), features, offsets, statistics, RULES, generator(seed))
         if len(grown.anchors):
-            found = grown.features[0].tolist()
-            assert found in ([3.0, 5.0], [1.0, 5.0], [3.0, 2.0])
-            if found == [3.0, 5.0]:
+            feature = grown.features[0].tolist()
+            assert feature in ([3.0, 5.0], [1.0, 5.0], [3.0, 2.0])
+            if feature == [3.0, 5.0]:
                 return
     pytest.fail("in none of 50 draws did both ask")
 

@@ -100,16 +100,16 @@ def test_gradients_of_both_backends(splat: Any, monkeypatch: pytest.MonkeyPatch)
     seeds = torch.from_numpy(np.random.default_rng(3).normal(size=(500, SMALL_GRID.outputs)))
     exact = gradients(rows, seeds, torch.float64)
     before, isa = splat.native.threads(), splat.native.isa()
-    made = []
+    results = []
     for name in splat.native.available_isas(testing=True):
         for threads in (1, 2, 5):
             splat.native.set_isa(name)
             splat.native.set_threads(threads)
-            made.append(gradients(rows, seeds.float(), torch.float32))
+            results.append(gradients(rows, seeds.float(), torch.float32))
     splat.native.set_threads(before)
     splat.native.set_isa(isa)
-    assert all(torch.equal(one, made[0]) for one in made)
-    assert splat.relative(made[0].double(), exact) < 1e-6
+    assert all(torch.equal(one, results[0]) for one in results)
+    assert splat.relative(results[0].double(), exact) < 1e-6
     monkeypatch.setenv("ECONGS_BACKEND", "torch")
     assert splat.relative(gradients(rows, seeds.float(), torch.float32).double(), exact) < 1e-6
     grid = HashGrid(SMALL_GRID, torch.Generator().manual_seed(1)).table.detach().clone()

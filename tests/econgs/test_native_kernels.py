@@ -88,7 +88,7 @@ def test_instruction_sets_agree() -> None:
             assert (mine - theirs).double().norm() <= 2e-5 * theirs.double().norm(), name
 
 
-def drawn() -> str:
+def digest() -> str:
     """A digest of one frame, by the native kernels alone: torch's own threads do not survive a fork."""
     image, *_ = native.rasterise(*cloud(500), camera())
     return hashlib.sha256(image.numpy().tobytes()).hexdigest()
@@ -96,13 +96,13 @@ def drawn() -> str:
 
 def _in_fork(queue: Any) -> None:
     torch.set_num_threads(1)
-    queue.put(drawn())
+    queue.put(digest())
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_survives_a_fork(threads: Any) -> None:
     threads(2)
-    expected = drawn()
+    expected = digest()
     context = multiprocessing.get_context("fork")
     queue = context.Queue()
     child = context.Process(target=_in_fork, args=(queue,))

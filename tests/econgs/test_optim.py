@@ -45,8 +45,8 @@ def run(dtype: torch.dtype, device: str, steps: int) -> tuple[Adam, dict[str, to
     for step in range(steps):
         ours.zero_grad()
         theirs.zero_grad()
-        drawn = gradients(step, start)
-        for name, gradient in drawn.items():
+        step_gradients = gradients(step, start)
+        for name, gradient in step_gradients.items():
             if name == "odd" and step % 3 == 1:
                 continue
             ours[name].grad = gradient.clone()

@@ -47,7 +47,7 @@ def oracle(splat: Any) -> Any:
             reference = splat.brute_force(scene)
             # Few pixels may be left out: those where rounding decides. All others count in full.
             assert reference.doubtful.mean() < 0.2
-            keep = ~(reference.doubtful | reference.held) if cuda else ~reference.doubtful
+            keep = ~(reference.doubtful | reference.clamped) if cuda else ~reference.doubtful
             seeds = splat.random_seeds(scene, keep)
             cache[key] = scene, keep, seeds, *scene.gradients(torch.float64, "torch", seeds)
         return cache[key]
@@ -73,7 +73,7 @@ def test_extreme_needles(splat: Any, backend: Any, seed: int) -> None:
     """Axis ratios of 1:100, whose moments in pixels would cancel."""
     scene = splat.make_scene(150, seed=seed, stretch=1.2, offset=1e-3)
     reference = splat.brute_force(scene)
-    seeds = splat.random_seeds(scene, ~(reference.doubtful | reference.held))
+    seeds = splat.random_seeds(scene, ~(reference.doubtful | reference.clamped))
     _, expected = scene.gradients(torch.float64, "torch", seeds)
     _, actual = scene.gradients(torch.float32, backend.name, seeds, backend.device)
     errors = {one: splat.relative(actual[one], expected[one]) for one in splat.names}
@@ -94,10 +94,10 @@ def test_radii_match_the_oracle(splat: Any, oracle: Any, backend: Any) -> None:
     actual = scene.render(torch.float32, backend.name, backend.device).radii.cpu().numpy()
     assert actual.dtype == np.int32
     # ⌈·⌉ of a value within rounding of a whole number may differ by one, no more and rarely.
-    seen = (actual > 0) & (expected > 0)
-    assert (seen == (expected > 0)).mean() > 0.97
-    assert abs(actual - expected)[seen].max() <= 1
-    assert (actual == expected)[seen].mean() > 0.99
+    visible = (actual > 0) & (expected > 0)
+    assert (visible == (expected > 0)).mean() > 0.97
+    assert abs(actual - expected)[visible].max() <= 1
+    assert (actual == expected)[visible].mean() > 0.99
 
 
 def test_order_of_the_input_does_not_matter(splat: Any, oracle: Any, backend: Any) -> None:

@@ -124,8 +124,8 @@ def test_absurd_lengths() -> None:
 
 
 def payload(kind: Kind, scene: int = 0) -> bytes:
-    (found,) = [one.payload for one in SECTIONS if (one.kind, one.scene) == (kind, scene)]
-    return found
+    (payload,) = [one.payload for one in SECTIONS if (one.kind, one.scene) == (kind, scene)]
+    return payload
 
 
 def test_absurd_counts_with_right_checksums() -> None:

@@ -15,7 +15,7 @@ from datasets.errors import DataError
 from datasets.names import unknown
 from econgs.losses import photometric_loss
 from econgs.optim import Adam
-from econgs.splat.composite import over, thinned
+from econgs.splat.composite import over, scale_depth
 from econgs.splat.rasterise import rasterise
 from methods.interface import Checkpoint, Diverged, Refused, edits_by_scene
 from methods.shared.method import PerScene
@@ -32,7 +32,7 @@ def splat(blobs, camera, opacity=1.0):
         blobs["positions"],
         torch.eye(4)[:1].to(blobs["positions"]).repeat(len(blobs["positions"]), 1),
         torch.full_like(blobs["positions"], blobs["size"]),
-        thinned(blobs["values"][:, 3], opacity),
+        scale_depth(blobs["values"][:, 3], opacity),
         blobs["values"][:, :3],
     ]
 

@@ -1,0 +1,13 @@
+"""Fixtures of the tests of datasets."""
+
+from __future__ import annotations
+
+import pytest
+
+from datasets.ground_truth.reference import ReferenceMarcher
+from tests.datasets.marching import mitsuba
+
+
+@pytest.fixture(params=["reference", "mitsuba"])
+def marcher(request):
+    return ReferenceMarcher if request.param == "reference" else mitsuba

@@ -1,0 +1,46 @@
+"""Lights, volumes, cameras and marchers for the tests of the ground truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from datasets.camera import Camera
+from datasets.camera_paths import look_at_origin, training_cameras
+from datasets.ground_truth import probe
+from datasets.ground_truth.model import MarchSettings
+from datasets.scene import Light
+from datasets.volume import Volume
+
+HEAD = Light()
+FIXED = Light(direction=(0.6, 0.0, 0.8), ambient=0.2, diffuse=0.6, specular=0.3, shininess=12.5)
+PHONG = Light(ambient=0.3, diffuse=0.5, specular=0.4, shininess=8.0, model="phong")
+
+
+def volume(values, spacing=(1.0, 1.0, 1.0), **more):
+    return Volume("v", np.asarray(values, dtype=np.float32), spacing, (0.0, 1.0), "made here", **more)
+
+
+def noise(shape, sigma, seed=0):
+    field = gaussian_filter(np.random.default_rng(seed).standard_normal(shape), sigma, mode="wrap")
+    return (field - field.min()) / np.ptp(field)
+
+
+def camera_at(position, size=33, fov=0.5):
+    return Camera.with_fov(look_at_origin(np.asarray(position, dtype=float)), fov, size, size)
+
+
+def around(v, size=64, n=12, pick=(0, 5)):
+    cameras = training_cameras(n, 0.5 * float(np.linalg.norm(v.extent)), size, size)
+    return tuple(cameras[i] for i in pick)
+
+
+def mitsuba(v, settings=MarchSettings(), **options):  # noqa: B008
+    backend = probe.find_backend()
+    if backend.name == "none":
+        pytest.fail(f"Mitsuba has no backend: {backend.reason}. {probe.REMEDY}")
+    probe.activate(backend)
+    from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
+
+    return MitsubaMarcher(v, settings, **options)
