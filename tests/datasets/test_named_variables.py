@@ -21,6 +21,7 @@ from datasets.catalogue import open_dataset
 from datasets.catalogue.opening import _reader
 from datasets.errors import DataError, UnknownName
 from datasets.readers import hdf5, list_variables, read_volume
+from tests.datasets.damage import check_volumes, damage, damages
 
 PROPERTY = settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -326,25 +327,13 @@ def _write(path: Path) -> Path:
     return _netcdf(path, {"v": _array("int16"), "w": _array("float32", (2, 4, 5, 6))}, path.stem.upper())
 
 
-def _damaged(path: Path, cut: bool, at: float, value: int) -> None:
-    """Damaged files give a DataError or a valid volume, and no other exception."""
-    _write(path)
-    data = bytearray(path.read_bytes())
-    where = int(at * len(data))
-    data[where:] = b"" if cut else bytes([value]) + data[where + 1 :]
-    path.write_bytes(data)
+def _damaged(path: Path, kind: str, at: float, value: int) -> None:
+    damage(_write(path), kind, at, value)
     for name in ("v", "w"):
-        try:
-            volume = read_volume(path, name)
-        except DataError as error:
-            assert str(path) in str(error)  # noqa: PT017
-        else:
-            assert np.isfinite(volume.normalised()).all()
-            assert min(volume.dims) >= 2
-            assert np.isfinite(volume.extent).all()
+        check_volumes(path, lambda name=name: [read_volume(path, name)])
 
 
-DAMAGE = {"cut": st.booleans(), "at": st.floats(0.0, 0.999), "value": st.integers(0, 255)}
+DAMAGE = damages("cut", "set")
 
 
 @pytest.mark.parametrize(
@@ -352,24 +341,24 @@ DAMAGE = {"cut": st.booleans(), "at": st.floats(0.0, 0.999), "value": st.integer
 )
 @PROPERTY
 @given(**DAMAGE)
-def test_damaged_files(tmp_path: Path, name: str, cut: bool, at: float, value: int) -> None:
-    _damaged(tmp_path / name, cut, at, value)
+def test_damaged_files(tmp_path: Path, name: str, kind: str, at: float, value: int) -> None:
+    _damaged(tmp_path / name, kind, at, value)
 
 
 @pytest.mark.parametrize("name", ["v.h5", "netcdf4.nc"])
 @FEW
-@example(cut=True, at=0.5, value=0)
+@example(kind="cut", at=0.5, value=0)
 @given(**DAMAGE)
-def test_damaged_hdf5(tmp_path: Path, name: str, cut: bool, at: float, value: int) -> None:
-    _damaged(tmp_path / name, cut, at, value)
+def test_damaged_hdf5(tmp_path: Path, name: str, kind: str, at: float, value: int) -> None:
+    _damaged(tmp_path / name, kind, at, value)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["v.h5", "netcdf4.nc"])
 @settings(PROPERTY, max_examples=150)
 @given(**DAMAGE)
-def test_damaged_hdf5_thoroughly(tmp_path: Path, name: str, cut: bool, at: float, value: int) -> None:
-    _damaged(tmp_path / name, cut, at, value)
+def test_damaged_hdf5_thoroughly(tmp_path: Path, name: str, kind: str, at: float, value: int) -> None:
+    _damaged(tmp_path / name, kind, at, value)
 
 
 @PROPERTY

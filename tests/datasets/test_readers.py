@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from datasets.errors import DataError
 from datasets.readers import read_volume
 from datasets.volume import Volume
+from tests.datasets.damage import check_volumes, damage, damages
 
 KINDS = (
     "uint8",
@@ -248,45 +249,14 @@ def test_bad_sidecars(tmp_path: Path, text: str) -> None:
 NAMES = ["v_5x4x3_int16.raw", "v_5x4x3_int16.raw.gz", "v.npy", "v.nrrd", "v.nii", "v.nii.gz"]
 
 
-def _damaged(tmp_path: Path, name: str, damage: str, at: float, value: int) -> None:
-    """Damaged files give a DataError or a valid volume, and no other exception."""
-    path = tmp_path / name
-    _write(path, _array("int16"))
-    data = bytearray(path.read_bytes())
-    where = int(at * len(data))
-    if damage == "cut":
-        data = data[:where]
-    elif damage == "insert":
-        data[where:where] = bytes([value])
-    else:
-        data[where] = value
-    path.write_bytes(data)
-    try:
-        volume = read_volume(path)
-    except DataError as error:
-        assert str(path) in str(error)  # noqa: PT017
-    else:
-        assert np.isfinite(volume.normalised()).all()
-        assert min(volume.dims) >= 2
-        assert np.isfinite(volume.extent).all()
-
-
 @pytest.mark.parametrize("name", NAMES)
 @PROPERTY
-@given(
-    damage=st.sampled_from(["cut", "insert", "set"]),
-    at=st.floats(0.0, 0.999),
-    value=st.integers(0, 255),
-)
-def test_damaged_files(tmp_path: Path, name: str, damage: str, at: float, value: int) -> None:
-    _damaged(tmp_path, name, damage, at, value)
-
-
-@pytest.mark.parametrize("name", ["v.npy", "v.nrrd", "v.nii"])
-@PROPERTY
-@given(at=st.floats(0.0, 0.35), value=st.integers(0, 255))
-def test_damaged_headers(tmp_path: Path, name: str, at: float, value: int) -> None:
-    _damaged(tmp_path, name, "set", at, value)
+@given(**damages("cut", "insert", "set"))
+def test_damaged_files(tmp_path: Path, name: str, kind: str, at: float, value: int) -> None:
+    path = tmp_path / name
+    _write(path, _array("int16"))
+    damage(path, kind, at, value)
+    check_volumes(path, lambda: [read_volume(path)])
 
 
 @PROPERTY

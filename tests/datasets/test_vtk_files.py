@@ -16,9 +16,12 @@ from datasets.cloud import initial_cloud
 from datasets.errors import DataError, UnknownName
 from datasets.readers import list_variables, read_volume
 from datasets.readers import mesh as meshes
+from datasets.readers.fields import Variable
 from datasets.render_views import volume_digest
 from datasets.scene import BasicScene, Dataset
 from datasets.transfer import Bump, TransferFunction
+from datasets.volume import Volume
+from tests.datasets.damage import check_volumes, damage, damages
 from tests.datasets.test_named_variables import peak_bytes
 from tests.datasets.vtk_files import (
     COMPRESSORS,
@@ -402,32 +405,15 @@ def _write(path: Path) -> Path:
 
 
 def _damaged(path: Path, kind: str, at: float, value: int) -> None:
-    """Damaged files give a DataError or a valid volume, and no other exception."""
-    data = bytearray(_write(path).read_bytes())
-    where = int(at * len(data))
-    if kind == "cut":
-        data = data[:where]
-    elif kind == "flip":
-        data[where] ^= 1 << value % 8
-    else:
-        data[where : where + 4] = (b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"9999", b"\0\0\0\0")[value % 4]
-    path.write_bytes(data)
-    try:
-        for variable in list_variables(path)[:2]:
-            resolution = 9 if variable.dims is None else None
-            volume = read_volume(path, array=variable.name, resolution=resolution)
-            assert np.isfinite(volume.normalised()).all()
-            assert min(volume.dims) >= 2
-            assert np.isfinite(volume.extent).all()
-    except DataError as error:
-        assert str(path) in str(error) or "Choose" in str(error)  # noqa: PT017
+    damage(_write(path), kind, at, value)
+    check_volumes(path, lambda: (_read(path, one) for one in list_variables(path)[:2]))
 
 
-DAMAGE = {
-    "kind": st.sampled_from(["cut", "flip", "number"]),
-    "at": st.one_of(st.floats(0.0, 0.999), st.floats(0.0, 0.3)),
-    "value": st.integers(0, 255),
-}
+def _read(path: Path, variable: Variable) -> Volume:
+    return read_volume(path, array=variable.name, resolution=9 if variable.dims is None else None)
+
+
+DAMAGE = damages("cut", "flip", "number")
 FILES = [
     "text.vti",
     "none.vti",

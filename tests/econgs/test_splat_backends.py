@@ -122,23 +122,6 @@ def test_quaternions_are_normalised_and_their_gradient_is_tangential(oracle: Any
     assert radial.norm() < 20 * backend.tolerance * quats.norm()
 
 
-def test_native_is_bit_identical_for_any_thread_count(splat: Any, oracle: Any, backend: Any) -> None:
-    if backend.name != "native":
-        pytest.skip("a promise of the native backend")
-    scene, _, seeds, *_ = oracle("dense")
-    before = splat.native.threads()
-    results = []
-    try:
-        for threads in (1, 2, 3):
-            splat.native.set_threads(threads)
-            results.append(scene.gradients(torch.float32, "native", seeds))
-    finally:
-        splat.native.set_threads(before)
-    for outputs, gradients in results[1:]:
-        assert all(torch.equal(outputs[name], results[0][0][name]) for name in outputs)
-        assert all(torch.equal(gradients[name], results[0][1][name]) for name in gradients)
-
-
 def test_gradients_of_a_single_output_suffice(splat: Any, oracle: Any, backend: Any) -> None:
     """A loss on alpha alone, or depth alone, and inputs of which only some want gradients."""
     scene, _, seeds, *_ = oracle("plain", backend.name)

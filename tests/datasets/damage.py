@@ -1,0 +1,47 @@
+"""Damaged files give a DataError or a valid volume, and no other exception."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+from hypothesis import strategies as st
+
+from datasets.errors import DataError
+from datasets.volume import Volume
+
+_NUMBERS = (b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"9999", b"\0\0\0\0")
+
+
+def damages(*kinds: str) -> dict[str, st.SearchStrategy]:
+    """Strategies for :func:`damage`: of these kinds, often near the head of the file."""
+    at = st.one_of(st.floats(0.0, 0.999), st.floats(0.0, 0.3))
+    return {"kind": st.sampled_from(kinds), "at": at, "value": st.integers(0, 255)}
+
+
+def damage(path: Path, kind: str, at: float, value: int) -> None:
+    """Damage a file at a share of its length."""
+    data = bytearray(path.read_bytes())
+    where = int(at * len(data))
+    if kind == "cut":
+        data = data[:where]
+    elif kind == "insert":
+        data[where:where] = bytes([value])
+    elif kind == "set":
+        data[where] = value
+    elif kind == "flip":
+        data[where] ^= 1 << value % 8
+    else:
+        data[where : where + 4] = _NUMBERS[value % 4]
+    path.write_bytes(data)
+
+
+def check_volumes(path: Path, read: Callable[[], Iterable[Volume]]) -> None:
+    try:
+        for volume in read():
+            assert np.isfinite(volume.normalised()).all()
+            assert min(volume.dims) >= 2
+            assert np.isfinite(volume.extent).all()
+    except DataError as error:
+        assert str(path) in str(error) or "Choose" in str(error)  # noqa: PT017
