@@ -35,7 +35,7 @@ def parse_edits(texts: Iterable[str]) -> dict[str, Edit]:
 
 
 def edit_of(scene: str, text: str) -> dict[str, Edit]:
-    """The edit of one scene as suites and jobs write it: "opacity=0.5 light=1,0,0"; {} for "".
+    """The edit of one scene in the form of suites and jobs: "opacity=0.5 light=1,0,0"; {} for "".
 
     Raises:
         DataError, UnknownName: as :func:`parse_edits`.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,19 +43,17 @@ class PointCloud:
 
 @dataclass(frozen=True, eq=False)
 class CloudSource:
-    """What the initial clouds of a scene are drawn from: its candidates, whatever number and seed.
+    """Candidates of a scene's initial clouds, of which each number of points and seed takes some at random.
 
     Attributes:
-        what: dataset and scene, for messages.
-        values: (n,) float32 normalised values of candidates that take their color from ``scene``.
+        values: (n,) float32 normalised values of the candidates; None where ``colors`` decide.
         points: (n, 3) float32 positions, scene space; None for samples of a grid.
-        colors: (n, 3) float32 colors of a given cloud; None where ``values`` decide.
+        colors: (n, 3) float32 colors of a cloud from a file; None where ``values`` decide.
         inside: (nz, ny, nx) bool, True at the n candidates of a grid that was subsampled.
         placement: (4, 3) low corner and side lengths of the volume's box, its dimensions, and the strides
             of subsampling, all along x, y, z.
     """
 
-    what: str
     values: NDArray[np.float32] | None = None
     points: NDArray[np.float32] | None = None
     colors: NDArray[np.float32] | None = None
@@ -63,7 +61,7 @@ class CloudSource:
     placement: NDArray[np.float64] | None = None
 
     def draw(self, scene: BasicScene, max_points: int, seed: int) -> PointCloud:
-        """A cloud of at most ``max_points`` (a given cloud: and one more) of the candidates.
+        """A cloud of at most ``max_points`` candidates (from a file: and one more).
 
         Raises:
             DataError: no candidate is visible.
@@ -88,7 +86,7 @@ class CloudSource:
             indices, colors = indices[visible][:max_points], classified[visible, :3][:max_points]
         if not len(indices):
             raise DataError(
-                self.what,
+                f"scene {scene.name}",
                 "no voxel has opacity under its transfer function"
                 if scene.transfer
                 else "no voxel lies at its isosurfaces",
@@ -106,13 +104,8 @@ class CloudSource:
 
     def save(self, file: Path) -> None:
         """Write the source for :meth:`load`."""
-        arrays: dict[str, Any] = {"what": np.array(self.what)}
-        for name in ("values", "points", "colors", "placement"):
-            if (array := getattr(self, name)) is not None:
-                arrays[name] = array
-        if self.inside is not None:
-            arrays |= {"inside": np.packbits(self.inside), "shape": np.array(self.inside.shape)}
-        np.savez_compressed(file, **arrays)
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        np.savez_compressed(file, **{name: array for name, array in arrays.items() if array is not None})
 
     @classmethod
     def load(cls, file: Path) -> CloudSource:
@@ -122,11 +115,7 @@ class CloudSource:
             OSError, ValueError, zipfile.BadZipFile: the file is missing or damaged.
         """
         with np.load(file, allow_pickle=False) as archive:
-            arrays = dict(archive)
-        if (shape := arrays.pop("shape", None)) is not None:
-            bits = np.unpackbits(arrays["inside"], count=int(np.prod(shape)))
-            arrays["inside"] = bits.view(bool).reshape(shape)
-        return cls(str(arrays.pop("what")), **arrays)
+            return cls(**archive)
 
 
 def initial_cloud(
@@ -151,18 +140,18 @@ def cloud_source(dataset: Dataset, scene: BasicScene) -> CloudSource:
     Raises:
         DataError: the scene shows nothing of a volume, or the file is missing or cannot be used.
     """
-    what = f"{dataset.name}/{scene.name}"
     if scene.views_folder is not None:
         cloud = read_ply(scene.views_folder / "points3d.ply")
-        return CloudSource(what, points=cloud.points, colors=cloud.colors)
+        return CloudSource(points=cloud.points, colors=cloud.colors)
     if scene.transfer is None and not scene.isosurfaces:
+        what = f"{dataset.name}/{scene.name}"
         raise DataError(what, "the scene has no transfer function", "Give it one in the catalogue")
     volume = dataset.volume(scene.variable)
     if volume.vertices is not None and volume.vertex_values is not None and scene.transfer is not None:
         values = volume.normalise(volume.vertex_values)
         visible = _visible(scene.transfer, values)
         if visible.any():  # a bump may lie between the values of a coarse mesh's vertices
-            return CloudSource(what, values=values[visible], points=volume.vertices[visible])
+            return CloudSource(values=values[visible], points=volume.vertices[visible])
     strides = [-(-n // _GRID) for n in volume.values.shape]
     steps = tuple(slice(None, None, stride) for stride in strides)
     coarse = Volume(volume.name, volume.values[steps], volume.spacing, volume.value_range, volume.source)
@@ -178,7 +167,7 @@ def cloud_source(dataset: Dataset, scene: BasicScene) -> CloudSource:
     if volume.mask is not None:
         inside &= volume.mask[steps]
     placement = np.array([volume.box[0], volume.extent, volume.dims, strides[::-1]], dtype=np.float64)
-    return CloudSource(what, values=normalised[inside], inside=inside, placement=placement)
+    return CloudSource(values=normalised[inside], inside=inside, placement=placement)
 
 
 def _visible(transfer: TransferFunction, normalised: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -1,8 +1,8 @@
-"""Which Mitsuba backend works here, found out once and in a subprocess.
+"""The Mitsuba backend that works here, by trials in subprocesses.
 
 Dr.Jit compiles through libLLVM, which no pip wheel brings. Versions 15 and 16 load but abort the whole
-process at the first float minimum or maximum, which Python cannot catch: so every candidate library is tried
-in a process of its own, newest first, and the verdict is remembered for that file.
+process at the first float minimum or maximum, which Python cannot catch. So every candidate library has a
+trial in a process of its own, newest first, and the verdict is kept for that file.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ sys.stdout.write("works")
 
 @dataclass(frozen=True)
 class Backend:
-    """What Mitsuba can run on here.
+    """A backend of Mitsuba.
 
     Attributes:
         name: "cuda", "llvm" or "none".
@@ -75,8 +75,8 @@ def find_backend() -> Backend:
     """
     if _has_cuda_driver() and not _trial_failure("cuda", ""):
         return Backend("cuda")
-    chosen = os.environ.get("DRJIT_LIBLLVM_PATH", "")
-    candidates = [chosen] if chosen else libllvm_candidates()
+    choice = os.environ.get("DRJIT_LIBLLVM_PATH", "")
+    candidates = [choice] if choice else libllvm_candidates()
     failures = []
     for library in candidates:
         failure = _trial_failure("llvm", library)
@@ -87,7 +87,7 @@ def find_backend() -> Backend:
 
 
 def activate(backend: Backend) -> None:
-    """Import Mitsuba and set its variant for a backend that :func:`find_backend` gave."""
+    """Import Mitsuba and set its variant for a backend of :func:`find_backend`."""
     if backend.library:
         os.environ["DRJIT_LIBLLVM_PATH"] = backend.library  # read when Dr.Jit initialises LLVM
     import mitsuba
@@ -97,7 +97,7 @@ def activate(backend: Backend) -> None:
 
 def libllvm_candidates() -> list[str]:
     """Shared libraries of LLVM 15 and newer in the usual places, newest first, each file once."""
-    found: dict[str, tuple[int, ...]] = {}
+    versions: dict[str, tuple[int, ...]] = {}
     folders = [sys.prefix, *os.environ.get("LD_LIBRARY_PATH", "").split(":")]
     patterns = [*_PATTERNS, *(f"{f}/{lib}libLLVM*.so*" for f in folders if f for lib in ("", "lib/"))]
     for path in (p for pattern in patterns for p in glob.glob(pattern)):
@@ -105,8 +105,8 @@ def libllvm_candidates() -> list[str]:
         digits = re.search(r"libLLVM-?(?:\.so\.|\.dylib)?(\d+(?:\.\d+)*)", os.path.basename(real))
         number = tuple(int(d) for d in digits[1].split(".")) if digits else (0,)
         if os.path.isfile(real) and (number[0] >= 15 or not digits):
-            found[real] = number
-    return sorted(found, key=lambda path: (found[path], path), reverse=True)
+            versions[real] = number
+    return sorted(versions, key=lambda path: (versions[path], path), reverse=True)
 
 
 def _has_cuda_driver() -> bool:
