@@ -36,7 +36,7 @@ def machine_lock() -> FileLock:
 
 
 def synchronise(device: str) -> None:
-    """Wait until the device has done all that was asked of it."""
+    """Wait until the device has finished its work."""
     if device.startswith("cuda"):
         sys.modules["torch"].cuda.synchronize(device)
 
@@ -64,8 +64,8 @@ class FrameTimes:
     """Frame times over a path of cameras, in seconds.
 
     Attributes:
-        median, p05, p95: of all timed frames (at least one per camera).
-        frames, warmup: numbers of timed and of warm-up frames.
+        median, p05, p95: over the frames (at least one per camera).
+        frames, warmup: numbers of frames after and during warm-up.
         stable: whether warm-up ended because times had settled, not because of its limit.
     """
 
@@ -86,7 +86,7 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
     rests meanwhile.
     """
 
-    def timed(camera: Camera) -> float:
+    def seconds_of(camera: Camera) -> float:
         synchronise(device)
         start = time.perf_counter()
         render(camera)
@@ -100,14 +100,14 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
         begin = time.perf_counter()
         stable = False
         while not stable and (time.perf_counter() - begin < WARMUP_SECONDS or len(warm) < 2 * _WINDOW):
-            warm.append(timed(cameras[len(warm) % len(cameras)]))
+            warm.append(seconds_of(cameras[len(warm) % len(cameras)]))
             if len(warm) >= 2 * _WINDOW and len(warm) % _WINDOW == 0:
                 before, now = np.median(warm[-2 * _WINDOW : -_WINDOW]), np.median(warm[-_WINDOW:])
                 stable = bool(abs(now - before) < STABLE * before)
         times: list[float] = []
         begin = time.perf_counter()
         while not times or (time.perf_counter() - begin < MEASURE_SECONDS and len(times) < MEASURE_FRAMES):
-            times += [timed(camera) for camera in cameras]
+            times += [seconds_of(camera) for camera in cameras]
     finally:
         gc.enable()
     p05, median, p95 = np.percentile(times, [5, 50, 95])
