@@ -15,6 +15,14 @@ A block begins with ``<!-- KIND`` and a description in TOML, and ends with ``<!-
     change      a name of VALUES: a further column, the difference to the first row
     titles      a value of `across` -> its title
 
+``chart``    a chart of `bench report`. Keys:
+
+    bundles     as above
+    chart       its file name in a report, as "anytime-psnr"
+    keep        column -> values; rows of all tables that have the column and another value are left out
+    image       file of the SVG, relative to the page
+    alt         text that stands for the picture
+
 ``index``    what each bundle holds; ``commands``: every command of ``bench`` with its options.
 """
 
@@ -35,11 +43,14 @@ import pandas as pd
 from bench.__main__ import _parser
 from bench.store import Store
 from bench.tables import build_tables
+from reports.charts import svg
+from reports.charts.sections import chart_sections
 from reports.style import TITLES
+from reports.tables.protocols import by_training_views
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
-BLOCK = re.compile(r"(<!-- (table|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S)
+BLOCK = re.compile(r"(<!-- (table|chart|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S)
 METHODS = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")
 BY_ITSELF = "kind == 'basic' and rate.isna()"
 
@@ -197,6 +208,27 @@ def _markdown(titles: list[str], cells: list[list[str]]) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
+def chart(description: str) -> str:
+    """The link to a chart as Markdown."""
+    block = tomllib.loads(description)
+    return f"![{block['alt']}]({block['image']})\n"
+
+
+def image(description: str) -> tuple[str, str]:
+    """The file of a chart, relative to its page, and its SVG."""
+    block = tomllib.loads(description)
+    parts = dict(tables(tuple(block["bundles"])))
+    for column, values in block.get("keep", {}).items():
+        for name, part in parts.items():
+            if column in part:
+                parts[name] = part[part[column].isin(values)]
+    for name in parts.keys() - {"results", "curve"}:
+        parts[name] = parts[name].iloc[:0]  # no chart on a page needs them
+    sections = chart_sections(by_training_views(parts))
+    charts = {name: drawing for section in sections for name, drawing in section.charts.items()}
+    return block["image"], svg.file(charts[block["chart"]]) + "\n"
+
+
 def index(_: str) -> str:
     """What each bundle holds, as Markdown."""
     titles = ["bundle", "MB", "rows", "datasets", "methods", "presets", "seeds"]
@@ -240,7 +272,12 @@ def _escaped(text: str | None) -> str:
     return (text or "").replace("|", "\\|").replace("%%", "%")
 
 
-KINDS: dict[str, Callable[[str], str]] = {"table": table, "index": index, "commands": commands}
+KINDS: dict[str, Callable[[str], str]] = {
+    "table": table,
+    "chart": chart,
+    "index": index,
+    "commands": commands,
+}
 
 
 def pages() -> list[Path]:
@@ -248,19 +285,32 @@ def pages() -> list[Path]:
     return sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), MEASURED / "README.md"])
 
 
-def generated(text: str) -> str:
-    """A page's text with its blocks written anew."""
-    return BLOCK.sub(lambda match: match[1] + KINDS[match[2]](match[3]) + match[4], text)
+def generated(page: Path) -> dict[Path, str]:
+    """A page with its blocks written anew, and its charts: file -> content."""
+    text = page.read_text(encoding="utf-8")
+    files = {page: BLOCK.sub(lambda match: match[1] + KINDS[match[2]](match[3]) + match[4], text)}
+    for match in BLOCK.finditer(text):
+        if match[2] == "chart":
+            path, drawing = image(match[3])
+            files[(page.parent / path).resolve()] = drawing
+    return files
+
+
+def outdated() -> dict[Path, str]:
+    """Files that differ from what the bundles and the parser give now -> their new content."""
+    files = {path: text for page in pages() for path, text in generated(page).items()}
+    return {
+        path: text
+        for path, text in files.items()
+        if not path.is_file() or path.read_text(encoding="utf-8") != text
+    }
 
 
 def main() -> None:
     """Write all blocks."""
-    for page in pages():
-        text = page.read_text(encoding="utf-8")
-        new = generated(text)
-        if new != text:
-            page.write_text(new, encoding="utf-8")
-            print(page.relative_to(ROOT))
+    for path, text in outdated().items():
+        path.write_text(text, encoding="utf-8")
+        print(path.relative_to(ROOT))
 
 
 if __name__ == "__main__":
