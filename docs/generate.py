@@ -18,7 +18,7 @@ A block begins with ``<!-- KIND`` and a description in TOML, and ends with ``<!-
 ``chart``    a chart of `bench report`. Keys:
 
     bundles     as above
-    chart       its file name in a report, as "anytime-psnr"
+    chart       a name in CHARTS: its file name in a report
     keep        column -> values; rows of all tables that have the column and another value are left out
     image       file of the SVG, relative to the page
     alt         text that stands for the picture
@@ -43,9 +43,9 @@ import pandas as pd
 from bench.__main__ import _parser
 from bench.store import Store
 from bench.tables import build_tables
-from reports.charts import svg
-from reports.charts.sections import chart_sections
-from reports.style import TITLES
+from reports.charts import kinds, rate_distortion, stability, svg, training
+from reports.charts.chart import Chart
+from reports.style import TITLES, series
 from reports.tables.protocols import by_training_views
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -53,6 +53,23 @@ MEASURED = ROOT / "reports" / "measured"
 BLOCK = re.compile(r"(<!-- (table|chart|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S)
 METHODS = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")
 BY_ITSELF = "kind == 'basic' and rate.isna()"
+
+
+Tables = dict[str, pd.DataFrame]
+CHARTS: dict[str, Callable[[Tables, list[str]], Chart]] = {
+    "anytime-psnr": lambda parts, names: kinds.anytime(
+        training.anytime(parts["curve"], parts["results"], "psnr"), "psnr", names
+    ),
+    "rate-distortion": lambda parts, names: kinds.rate_curves(
+        rate_distortion.drawn(rate_distortion.curves(parts["results"])), names
+    ),
+    "few-views": lambda parts, names: kinds.over(
+        stability.few_views(parts["results"]), "training views", "PSNR [dB]", names, log_y=False
+    ),
+    "complexity-psnr": lambda parts, names: kinds.over(
+        stability.by_complexity(parts["results"], "psnr"), "blobs", "PSNR [dB]", names, log_y=False
+    ),
+}
 
 
 class Value(NamedTuple):
@@ -83,7 +100,7 @@ VALUES = {
 
 
 @cache
-def tables(bundles: tuple[str, ...]) -> dict[str, pd.DataFrame]:
+def tables(bundles: tuple[str, ...]) -> Tables:
     """The tables of a store that holds the records of these bundles."""
     with tempfile.TemporaryDirectory() as folder:
         for bundle in bundles:
@@ -104,16 +121,16 @@ def table(description: str) -> str:
     across = _names(block.get("across", ()))
     rows = _ordered(results, by)
     groups = _ordered(results, across) if across else [()]
+    parts = dict(list(results.groupby(by + across)))
     cells = [[_label(name, value) for name, value in zip(by, row, strict=True)] for row in rows]
     sole = across and len(block["columns"]) == 1  # its name then stands once, at the head of the first column
     titles = [f"{VALUES[block['columns'][0]].title} by {by[0]}", *by[1:]] if sole else list(by)
     for group in groups:
-        part = _rows(results, across, group)
         for name in block["columns"]:
             title = ", ".join(_plain(value, block.get("titles", {})) for value in group)
             titles.append(" ".join(filter(None, [title, "" if sole else VALUES[name].title])))
             spread = block.get("spread", False)
-            numbers = [_number(_rows(part, by, row), VALUES[name], spread) for row in rows]
+            numbers = [_number(parts.get(row + group), VALUES[name], spread) for row in rows]
             for line, (text, _) in zip(cells, numbers, strict=True):
                 line.append(text)
             if block.get("change") == name:
@@ -125,12 +142,6 @@ def table(description: str) -> str:
 
 def _names(names: str | Iterable[str]) -> list[str]:
     return [names] if isinstance(names, str) else list(names)
-
-
-def _rows(results: pd.DataFrame, names: list[str], values: tuple[Any, ...]) -> pd.DataFrame:
-    for name, value in zip(names, values, strict=True):
-        results = results[results[name] == value]
-    return results
 
 
 def _ordered(results: pd.DataFrame, names: list[str]) -> list[tuple[Any, ...]]:
@@ -160,10 +171,9 @@ def _plain(value: Any, titles: dict[str, str]) -> str:
     return titles.get(str(value), TITLES.get(value, f"`{value}`" if isinstance(value, str) else str(value)))
 
 
-def _number(results: pd.DataFrame, value: Value, spread: bool) -> tuple[str, float | None]:
+def _number(results: pd.DataFrame | None, value: Value, spread: bool) -> tuple[str, float | None]:
     """Scenes make one number for each seed, and seeds make a mean."""
-    column = results[value.column]
-    if column.isna().any() or column.empty:
+    if results is None or (column := results[value.column]).isna().any():
         return "\N{EN DASH}", None
     seeds = column.groupby(results["seed"]).agg(value.over_scenes) * value.factor
     text = format(float(seeds.mean()), value.form)
@@ -217,16 +227,13 @@ def chart(description: str) -> str:
 def image(description: str) -> tuple[str, str]:
     """The file of a chart, relative to its page, and its SVG."""
     block = tomllib.loads(description)
-    parts = dict(tables(tuple(block["bundles"])))
+    parts = by_training_views(tables(tuple(block["bundles"])))
     for column, values in block.get("keep", {}).items():
         for name, part in parts.items():
             if column in part:
                 parts[name] = part[part[column].isin(values)]
-    for name in parts.keys() - {"results", "curve"}:
-        parts[name] = parts[name].iloc[:0]  # no chart on a page needs them
-    sections = chart_sections(by_training_views(parts))
-    charts = {name: drawing for section in sections for name, drawing in section.charts.items()}
-    return block["image"], svg.file(charts[block["chart"]]) + "\n"
+    drawing = CHARTS[block["chart"]](parts, series(parts["results"], parts["curve"]))
+    return block["image"], svg.file(drawing) + "\n"
 
 
 def index(_: str) -> str:
