@@ -1,4 +1,4 @@
-"""``python -m reports --table results.csv --out DIR``: a report of a table that any tool made."""
+"""``python -m reports --table results.csv --out DIR``: a report from a table of any tool."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--table", type=Path, required=True, help=f"CSV or Parquet file with at least {columns}"
     )
-    parser.add_argument(
-        "--out", type=Path, required=True, help="folder for report.html and what goes with it"
-    )
+    parser.add_argument("--out", type=Path, required=True, help="folder for report.html and its files")
     options = parser.parse_args(arguments)
     try:
         tables = read_results(options.table)
@@ -30,8 +28,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        told = f"no folder can be made there ({error.strerror}); name another with --out"
-        print(f"error: {options.out}: {told}", file=sys.stderr)
+        reason = f"the folder cannot be created ({error.strerror}); name another with --out"
+        print(f"error: {options.out}: {reason}", file=sys.stderr)
         return 2
     print(write_report(tables, options.table.parent, options.out / "report.html"))
     return 0

@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 
 _LONG = 30
-"""Rows beyond which a table scrolls by itself on a screen, its heads in sight; print has all of it."""
+"""Rows from which a table scrolls on its own on a screen, with fixed heads; print has all rows."""
 
 
 def method(row: Any, names: Sequence[str]) -> str:
-    """A row's method with variant and rate, after a dot in its color of the charts."""
+    """A row's method with variant and rate, after a dot in its color in the charts."""
     shade = color(label(row["method"], row["variant"]), names)
     name = escape(label(row["method"], row["variant"], row["rate"]))
     for after in ",=":
@@ -25,12 +25,12 @@ def method(row: Any, names: Sequence[str]) -> str:
 
 
 def status(row: Any) -> str:
-    """A row's status, and whether it is stale."""
+    """Tags with a row's status and, if it is stale, with that."""
     state = str(row["status"])
     why = "" if absent(row["reason"]) else str(row["reason"])
     tag = f'<span class="tag {"ok" if state == "ok" else "bad"}" title="{escape(why)}">{escape(state)}</span>'
     if not absent(row["stale"]) and row["stale"]:
-        tag += ' <span class="tag stale" title="the method\'s source has changed since">stale</span>'
+        tag += ' <span class="tag stale" title="the method has a newer version">stale</span>'
     return tag
 
 
@@ -43,9 +43,9 @@ def table(caption: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) -> 
     """A plain table that scrolls where it is too wide or long; the first cell names its row.
 
     Args:
-        caption: what it shows, as text.
-        heads: of the columns, as text.
-        rows: their cells, as HTML.
+        caption: title of the table, as text.
+        heads: titles of the columns, as text.
+        rows: cells of each row, as HTML.
     """
     head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
     lines = []

@@ -1,4 +1,4 @@
-"""The page's pictures: panels of each scene, and the dialog that compares two pictures of a view."""
+"""The page's pictures: panels of each scene, and a dialog that compares two pictures of a view."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from reports.page import markup
-from reports.pictures import panel_files as panel_figures
+from reports.pictures import panel_files
 from reports.pictures.difference import DELTA_E_MAX, scale
 from reports.pictures.files import uri
 from reports.pictures.panels import RULE, WHICH, Panel, Shot, models, panels
@@ -21,79 +21,81 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 PICTURE_BYTES = 4_300_000
-"""Room for pictures; with the chart library (4.8 MB) the page stays under 10 MB."""
+"""Most bytes of pictures on the page."""
 TRUTH = "Ground truth"
 
 
 def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) -> str:
-    """Panels of all scenes that have pictures; "" where none was to have any.
+    """Panels of all scenes with pictures, and notes on missing ones; "" without either.
 
-    Where room is short, all median views come before the worst ones.
+    If the pictures exceed :data:`PICTURE_BYTES`, median views have priority over worst ones.
 
     Args:
-        tables: results and views as documented.
-        root: the folder that picture paths are relative to.
-        charts: where panels are also written as PDF and PNG; None for nowhere.
+        tables: the tables `results`, `views` and `scenes`.
+        root: folder that the paths of pictures are relative to.
+        charts: folder for panels as PDF and PNG; None for no files.
     """
     results = tables["results"]
     names = series(results)
     results = results[results["kind"] != "edited"]
     keys = ["dataset", "scene", "preset", "split"]
     blocks: list[tuple[str, dict[str, str]]] = []
-    absent = 0
+    without = 0
     for _, rows in results.groupby(keys, dropna=False, sort=False):
-        shown = models(rows)
-        first = shown.iloc[0]
-        told = [str(first[a]) for a in ("preset", "split") if results[a].nunique(dropna=False) > 1]
-        name = " · ".join([f"{first['dataset']} / {first['scene']}", *told])
+        rows = models(rows)
+        first = rows.iloc[0]
+        axes = [str(first[a]) for a in ("preset", "split") if results[a].nunique(dropna=False) > 1]
+        name = " · ".join([f"{first['dataset']} / {first['scene']}", *axes])
         head = escape(name)
         if first["kind"] == "composed":
             head += ' <span class="soft">composed</span>'
-        made = beside(panels(shown, tables["views"], root), tables.get("scenes"), first)
-        absent += bool(made) and not any(panel.tells for panel in made)
-        made = [panel for panel in made if panel.tells]
-        if not made:
+        of_scene = beside(panels(rows, tables["views"], root), tables.get("scenes"), first)
+        informative = [panel for panel in of_scene if panel.informative]
+        if not informative:
+            without += bool(of_scene)
             continue
         files = ""
-        if charts is not None and any(panel.window for panel in made):
-            short = panel_figures.write(made, name, charts)
+        if charts is not None and any(panel.window for panel in informative):
+            short = panel_files.write(informative, name, charts)
             files = f' <span class="soft">(<a href="charts/{short}.pdf">PDF</a>)</span>'
-        figures = {panel.which: figure(panel, name, names) for panel in made}
+        figures = {panel.which: figure(panel, name, names) for panel in informative}
         blocks.append((f'<section class="scene"><h3>{head}{files}</h3><div class="panels">', figures))
-    kept, left_out = _within(PICTURE_BYTES, [figures for _, figures in blocks])
+    selection, omitted = _within(PICTURE_BYTES, [figures for _, figures in blocks])
     parts = [_legend()] if blocks else []
-    for (head, _), fitting in zip(blocks, kept, strict=True):
-        parts.append(f"{head}{''.join(fitting)}</div></section>")
-    if left_out:
+    for (head, _), figures_of_scene in zip(blocks, selection, strict=True):
+        parts.append(f"{head}{''.join(figures_of_scene)}</div></section>")
+    if omitted:
         parts.append(
-            f'<p class="note">{left_out} panels were left out to keep this page small; '
-            "the PDF of their scene has them.</p>"
+            f'<p class="note">This page omits {omitted} panels to stay small; '
+            "the PDFs of their scenes contain them.</p>"
         )
-    if absent:
-        counted = "1 scene" if absent == 1 else f"{absent} scenes"
-        which = f"The pictures of {counted}" if blocks else "The scenes' pictures"
-        parts.append(f'<p class="note">{which} are not in this store: bundles carry numbers alone.</p>')
+    if without:
+        subject = "1 scene" if without == 1 else f"{without} scenes"
+        parts.append(
+            f'<p class="note">This store has no pictures of {subject if blocks else "the scenes"}: bundles '
+            "contain numbers only.</p>"
+        )
     return "\n".join(parts)
 
 
 def _within(room: int, scenes: list[dict[str, str]]) -> tuple[list[list[str]], int]:
-    """What of each scene's figures fits, and how many do not."""
-    kept: list[list[str]] = [[] for _ in scenes]
-    left_out = 0
+    """The figures of each scene that fit into ``room`` bytes, and the number of those that do not."""
+    selection: list[list[str]] = [[] for _ in scenes]
+    omitted = 0
     for which in WHICH:
-        for figures, fitting in zip(scenes, kept, strict=True):
+        for figures, fitting in zip(scenes, selection, strict=True):
             if which not in figures:
                 continue
             if len(figures[which]) > room:
-                left_out += 1
+                omitted += 1
                 continue
             room -= len(figures[which])
             fitting.append(figures[which])
-    return kept, left_out
+    return selection, omitted
 
 
 def figure(panel: Panel, scene: str, names: list[str]) -> str:
-    """A view as HTML; ``names``: the report's series."""
+    """A view as HTML; ``names`` are the report's series."""
     where = f"{scene}, view {panel.view}"
     cells = []
     if panel.truth is not None:
@@ -126,21 +128,21 @@ def _shot(panel: Panel, shot: Shot, where: str, names: list[str]) -> str:
     if shot.picture is None or shot.difference is None:
         state = "" if shot.row["status"] == "ok" else markup.status(shot.row)
         return f'<div class="shot">{name}<p class="note">{state} {escape(shot.problem)}</p></div>'
-    called = label(shot.row["method"], shot.row["variant"], shot.row["rate"])
-    zoom = _image(panel.zoom(shot.picture), f"{where}: {called}, enlarged")
-    difference = _picture(panel, shot.difference, where, f"ΔE*uv of {called}")
+    model = label(shot.row["method"], shot.row["variant"], shot.row["rate"])
+    zoom = _image(panel.zoom(shot.picture), f"{where}: {model}, enlarged")
+    difference = _picture(panel, shot.difference, where, f"ΔE*uv of {model}")
     values = (
         f"<span><b>{cell('psnr', shot.psnr)}</b> dB ·</span> <span>SSIM {cell('ssim', shot.ssim)} ·</span> "
         f"<span>ΔE {cell('delta_e_uv', shot.delta_e)}</span>"
     )
     return (
-        f'<div class="shot">{name}{_picture(panel, shot.picture, where, called)}'
+        f'<div class="shot">{name}{_picture(panel, shot.picture, where, model)}'
         f'<div class="pair"><div>{zoom}</div>{difference}</div><p class="values">{values}</p></div>'
     )
 
 
-def _picture(panel: Panel, pixels: NDArray[np.uint8], where: str, called: str) -> str:
-    """A picture that can be compared, with the box of the zoom window."""
+def _picture(panel: Panel, pixels: NDArray[np.uint8], where: str, name: str) -> str:
+    """A picture for comparison, with the box of the zoom window."""
     box = ""
     if panel.window is not None:
         height, width = pixels.shape[:2]
@@ -151,14 +153,14 @@ def _picture(panel: Panel, pixels: NDArray[np.uint8], where: str, called: str) -
                 *place
             )
         )
-    return f'<div class="pic">{_image(pixels, f"{where}: {called}", called)}{box}</div>'
+    return f'<div class="pic">{_image(pixels, f"{where}: {name}", name)}{box}</div>'
 
 
-def _image(pixels: NDArray[np.uint8], alt: str, called: str = "") -> str:
+def _image(pixels: NDArray[np.uint8], alt: str, name: str = "") -> str:
     height, width = pixels.shape[:2]
-    named = f' data-as="{escape(called)}"' if called else ""
+    data = f' data-as="{escape(name)}"' if name else ""
     size = f'width="{width}" height="{height}"'
-    return f'<img src="{uri(pixels)}" alt="{escape(alt)}" {size}{named} decoding="async">'
+    return f'<img src="{uri(pixels)}" alt="{escape(alt)}" {size}{data} decoding="async">'
 
 
 def _legend() -> str:
@@ -167,7 +169,7 @@ def _legend() -> str:
         f"<p>{RULE}</p>"
         '<div class="scalebar"><span>Difference: CIELUV ΔE*<sub>uv</sub>&nbsp; 0</span><span class="bar" '
         f'style="background:linear-gradient(to right,{stops})"></span>'
-        f"<span>{DELTA_E_MAX:.0f} and more; about 1 is just noticeable. The scale is the same everywhere."
+        f"<span>{DELTA_E_MAX:.0f} and more; about 1 is just noticeable. All pictures share the scale."
         "</span></div>"
     )
 
@@ -188,4 +190,4 @@ COMPARE = """<dialog id="compare" aria-labelledby="compare-title">
 <span class="divider"></span></div>
 <p role="status"></p>
 </dialog>"""
-"""The dialog, which the page's script fills and opens."""
+"""The dialog for comparison; the page's script fills and opens it."""

@@ -1,7 +1,7 @@
 """CIE 1976 L*u*v* color differences of displayed images, in plain numpy.
 
-colour-science is the oracle in the tests; importing it takes seconds, more than all metrics of a
-scene together, for what is twenty lines.
+colour-science is the oracle in the tests. It is no dependency, because its import takes longer than all
+metrics of a scene.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def linear(srgb: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def cieluv(srgb: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(..., 3) L* in [0, 100], u*, v* of (..., 3) sRGB in [0, 1], relative to D65."""
+    """(..., 3) L* in [0, 100], u*, v* relative to D65, from (..., 3) sRGB in [0, 1]."""
     xyz = linear(srgb) @ _RGB_TO_XYZ.T
     x, y, z = xyz[..., 0], xyz[..., 1], xyz[..., 2]
     lightness = np.where(y > _EPSILON, 116.0 * np.cbrt(y) - 16.0, _KAPPA * y)
@@ -33,14 +33,14 @@ def cieluv(srgb: NDArray[np.floating]) -> NDArray[np.float64]:
     safe = np.where(total > 0.0, total, 1.0)
     white_x, white_y = _WHITE_XY
     white = -2.0 * white_x + 12.0 * white_y + 3.0
-    # Black has no chromaticity; L* = 0 makes u* = v* = 0 whatever is put here.
+    # Black has no chromaticity. L* = 0 makes u* = v* = 0 for any value here.
     u = np.where(total > 0.0, 4.0 * x / safe, 0.0) - 4.0 * white_x / white
     v = np.where(total > 0.0, 9.0 * y / safe, 0.0) - 9.0 * white_y / white
     return np.stack([lightness, 13.0 * lightness * u, 13.0 * lightness * v], axis=-1)
 
 
 def delta_e_uv(a: NDArray[np.floating], b: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(...) Euclidean CIELUV difference of two (..., 3) sRGB images in [0, 1]."""
+    """(...) Euclidean CIELUV distance of two (..., 3) sRGB images in [0, 1]."""
     difference = cieluv(a) - cieluv(b)
     distance: NDArray[np.float64] = np.sqrt((difference * difference).sum(axis=-1))
     return distance

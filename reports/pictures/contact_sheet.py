@@ -1,4 +1,4 @@
-"""Contact sheets: small views of many scenes on one picture, with their transfer functions."""
+"""Contact sheets: one picture with small views of many scenes and their transfer functions."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
     from PIL.ImageFont import FreeTypeFont
 
-_WIDTH = 1500  # pixels of a sheet, or as wide as one tile
+_WIDTH = 1500  # pixels of a sheet, unless a single tile is wider
 _GAP = 14
 _LINE = 18
 _CURVE = 56  # height of a transfer function
 _INK, _PALE, _BARS = (20, 20, 20), AXIS, (222, 222, 222)
-_LEAST = 420  # a tile is at least so wide that its texts have room
+_LEAST = 420  # pixels; least width of a tile, for its texts
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +31,9 @@ class Tile:
     """One scene or composition.
 
     Attributes:
-        title: its name.
-        note: said beside it: its variable, or what it is composed of.
-        views: (height, width, 3) in [0, 1], composited; one or more.
+        title: name.
+        note: text beside the name: the variable, or the scenes of a composition.
+        views: one or more composited views, (height, width, 3) in [0, 1].
         coverage: mean alpha of the views.
         histogram: (n,) counts of normalised values in equal bins; empty for none.
         transfer: (m, 4) color and opacity in [0, 1] at equidistant normalised values; empty for none.
@@ -54,18 +54,18 @@ class Tile:
 
 
 def contact_sheet(title: str, tiles: Sequence[Tile]) -> NDArray[np.uint8]:
-    """A picture of all tiles in rows, by their order.
+    """A picture of all tiles, row by row.
 
-    Under the views of a tile: the logarithmic histogram of its variable (grey) over normalised values 0 to 1,
-    and on it the transfer function, opacity upwards, filled with the color that a value gets; isosurfaces
-    are lines. ``coverage`` stands at the right of the title.
+    A tile has its title, and ``coverage`` to the right of it. Below are the views, and the logarithmic
+    histogram of the variable (gray) over normalised values 0 to 1 with the transfer function on it: the area
+    under the opacity has the color of the value, and isosurfaces are lines.
 
     Args:
         title: heading of the sheet.
-        tiles: at least one; each as wide as its views side by side.
+        tiles: one or more tiles.
 
     Returns:
-        (height, width, 3).
+        (height, width, 3) picture.
     """
     from PIL import Image, ImageDraw
 
@@ -100,9 +100,9 @@ def _height(tile: Tile) -> int:
 
 
 def _head(draw: ImageDraw, tile: Tile, left: int, top: int, wide: int) -> None:
-    said = f"{100 * tile.coverage:.1f} %"
-    right = left + wide - draw.textlength(said, font=_font(13))
-    draw.text((right, top), said, fill=_PALE, font=_font(13))
+    coverage = f"{100 * tile.coverage:.1f} %"
+    right = left + wide - draw.textlength(coverage, font=_font(13))
+    draw.text((right, top), coverage, fill=_PALE, font=_font(13))
     name = _fitting(tile.title, 14, right - left - 10, bold=True)
     draw.text((left, top), name, fill=_INK, font=_font(14, bold=True))
     after = left + draw.textlength(name, font=_font(14, bold=True)) + 10
@@ -129,19 +129,18 @@ def _curve(tile: Tile, wide: int) -> NDArray[np.floating]:
 
 
 def _fitting(text: str, size: int, room: float, *, bold: bool = False) -> str:
-    """The text, shortened to fit."""
+    """The text, with an ellipsis if it does not fit."""
     font = _font(size, bold=bold)
     if font.getlength(text) <= room:
         return text
-    kept = text
-    while kept and font.getlength(kept + "\N{HORIZONTAL ELLIPSIS}") > room:
-        kept = kept[:-1]
-    return kept.rstrip(" ,") + "\N{HORIZONTAL ELLIPSIS}"
+    while text and font.getlength(text + "\N{HORIZONTAL ELLIPSIS}") > room:
+        text = text[:-1]
+    return text.rstrip(" ,") + "\N{HORIZONTAL ELLIPSIS}"
 
 
 @cache
 def _font(size: int, *, bold: bool = False) -> FreeTypeFont:
-    """DejaVu Sans, which Matplotlib brings."""
+    """DejaVu Sans from the package Matplotlib."""
     import matplotlib
     from PIL import ImageFont
 

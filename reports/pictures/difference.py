@@ -10,27 +10,27 @@ from numpy.typing import NDArray
 from reports.pictures.cieluv import cieluv
 
 DELTA_E_MAX = 20.0
-"""End of the fixed color scale of difference maps; larger differences look the same."""
-# Blue is low and red high, as in the field's figures. Unlike in the rainbow used there, lightness grows all
-# the way (L* 13 to 61): the order can be read in gray, and by those who do not tell red from green.
+"""Upper end of the fixed color scale of difference maps."""
+# Blue is low and red is high, as in the figures of the field. Unlike in their rainbow scale, lightness grows
+# monotonically (L* 13 to 61), so that the order is visible in gray and to color-blind readers.
 _STOPS = ("#0a1a5c", "#1f5fd6", "#7d6bd8", "#d3608c", "#ff5a3c")
 
 
 @cache
 def scale() -> NDArray[np.uint8]:
-    """(256, 3) uint8: the color scale, in steps that look equally large (equal distances in CIELUV)."""
+    """(256, 3) uint8 color scale in perceptually equal steps (equal distances in CIELUV)."""
     stops = np.array([[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in _STOPS]) / 255.0
     places = np.linspace(0.0, len(stops) - 1.0, 4001)
     fine = np.stack([np.interp(places, range(len(stops)), stops[:, c]) for c in range(3)], axis=-1)
     steps = np.linalg.norm(np.diff(cieluv(fine), axis=0), axis=-1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
-    chosen = np.searchsorted(length, np.linspace(0.0, length[-1], 256)).clip(0, len(fine) - 1)
-    table: NDArray[np.uint8] = np.rint(fine[chosen] * 255.0).astype(np.uint8)
+    indices = np.searchsorted(length, np.linspace(0.0, length[-1], 256)).clip(0, len(fine) - 1)
+    table: NDArray[np.uint8] = np.rint(fine[indices] * 255.0).astype(np.uint8)
     return table
 
 
 def colored(difference: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """(..., 3) uint8: a difference map in the colors of the fixed scale, 0 to :data:`DELTA_E_MAX`."""
+    """(..., 3) uint8 colors of a difference map on the fixed scale, 0 to :data:`DELTA_E_MAX`."""
     levels = np.rint(np.clip(difference / DELTA_E_MAX, 0.0, 1.0) * 255.0).astype(np.uint8)
     picture: NDArray[np.uint8] = scale()[levels]
     return picture

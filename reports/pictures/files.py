@@ -1,4 +1,4 @@
-"""Picture files of a run store: read, composited, and as data URIs for the page."""
+"""Picture files of a run store: reading, compositing, and data URIs for the page."""
 
 from __future__ import annotations
 
@@ -13,49 +13,49 @@ from numpy.typing import NDArray
 
 from reports.style import absent
 
-_SIDE = 400  # pixels; larger pictures are shown smaller
-_LOSSLESS = 256  # up to this side pictures are shown pixel for pixel
+_SIDE = 400  # pixels; the page reduces larger pictures
+_LOSSLESS = 256  # pixels; the page keeps every pixel of pictures up to this side
 
 
 def inside(root: Path, name: Any) -> Path:
-    """Path of a file that a table names.
+    """Path of a file in a store, from its name in a table.
 
     Raises:
-        ValueError: the table names none, or one that is not in the store.
+        ValueError: the name is empty, or its path is not in the store.
     """
     if absent(name) or not name:
-        raise ValueError("the table names none")
+        raise ValueError("the table has no file name")
     path = (root / str(name)).resolve()
     if not path.is_relative_to(root.resolve()):
-        raise ValueError(f"{name} lies outside the run store")
+        raise ValueError(f"{name} is outside the run store")
     return path
 
 
 def background(value: Any) -> tuple[float, float, float]:
-    """From "#rrggbb".
+    """RGB in [0, 1] of a color "#rrggbb".
 
     Raises:
-        ValueError: it is not known, and a guess would show other pictures than were measured.
+        ValueError: the color is missing. (A guess would give other pictures than the measured ones.)
     """
     if absent(value):
-        raise ValueError("their background is not known")
+        raise ValueError("the table has no background color")
     text = str(value)
     return (int(text[1:3], 16) / 255.0, int(text[3:5], 16) / 255.0, int(text[5:7], 16) / 255.0)
 
 
-def read(path: Path, behind: Iterable[float]) -> NDArray[np.uint8]:
-    """(height, width, 3) uint8 of a picture with straight alpha, composited over the color ``behind``."""
+def read(path: Path, color: Iterable[float]) -> NDArray[np.uint8]:
+    """(height, width, 3) uint8 of a picture with straight alpha, composited over a background color."""
     from PIL import Image
 
     with Image.open(path) as image:
         pixels = np.asarray(image.convert("RGBA"), dtype=np.float64) / 255.0
     alpha = pixels[..., 3:]
-    shown = pixels[..., :3] * alpha + (1.0 - alpha) * np.asarray(list(behind), dtype=np.float64)
-    return np.rint(shown * 255.0).astype(np.uint8)  # type: ignore[no-any-return]
+    composite = pixels[..., :3] * alpha + (1.0 - alpha) * np.asarray(list(color), dtype=np.float64)
+    return np.rint(composite * 255.0).astype(np.uint8)  # type: ignore[no-any-return]
 
 
 def uri(pixels: NDArray[np.uint8]) -> str:
-    """A picture as a WebP data URI: lossless if small, else at no more than 400 pixels a side."""
+    """A picture as a WebP data URI: lossless if small, otherwise reduced to 400 pixels a side."""
     from PIL import Image
 
     image = Image.fromarray(pixels)

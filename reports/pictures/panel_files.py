@@ -20,23 +20,23 @@ if TYPE_CHECKING:
 
 _CELL = 1.5  # inches, width of a picture
 _GAP = 0.06
-_TEXT = 0.17  # a line
+_TEXT = 0.17  # inches; height of a line
 _HALF = (_CELL - _GAP) / 2
-_LETTERS = 29  # of a line that fits below a picture
-_BOLD = 24  # of one above it
-_FRAME = "#d6006c"  # with white around it, seen on light and on dark pictures
+_LETTERS = 29  # letters of a line below a picture
+_BOLD = 24  # letters of a line above a picture
+_FRAME = "#d6006c"  # between white lines, visible on light and on dark pictures
 
 
 def write(panels: list[Panel], scene: str, folder: Path) -> str:
     """Write the panels of a scene, one row of pictures per view.
 
     Args:
-        panels: at least one with pictures.
-        scene: its name, which becomes that of the files.
-        folder: made if it is missing.
+        panels: panels, at least one of them with pictures.
+        scene: name of the scene.
+        folder: folder of the files; it is created if it does not exist.
 
     Returns:
-        Name of the files without ending: "panel-<dataset>-<scene>".
+        Name of the files without suffix: "panel-<dataset>-<scene>".
     """
     name = "panel-" + re.sub(r"[^\w.@=+-]+", "-", scene)
     folder.mkdir(parents=True, exist_ok=True)
@@ -47,7 +47,7 @@ def write(panels: list[Panel], scene: str, folder: Path) -> str:
 
 
 def draw(panels: list[Panel], scene: str) -> Figure:
-    """Ground truth and all models in a row per view: the picture, below it the zoom and the difference."""
+    """A row per view with ground truth and all models: the picture, and below it zoom and difference."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -56,8 +56,8 @@ def draw(panels: list[Panel], scene: str) -> Figure:
     size = (columns * (_CELL + _GAP) + _GAP, sum(heights) + 2.4 * _TEXT)
     figure = Figure(figsize=size)
     FigureCanvasAgg(figure)
-    figure.suppressComposite = True  # every picture keeps its own pixels
-    # One set of axes in inches from the upper left corner; hundreds of them would take seconds.
+    figure.suppressComposite = True  # the PDF keeps the pixels of every picture
+    # One set of axes for all pictures, in inches from the upper left corner: hundreds of axes take seconds.
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
     top = _GAP
@@ -78,13 +78,13 @@ def _row(axes: Axes, panel: Panel, top: float) -> None:
     below = bottom + _CELL * aspect + _GAP
     words = f"{panel.title[:1].lower()}{panel.title[1:]}, {panel.view}"
     words = textwrap.fill(words, _LETTERS)
-    shown: list[tuple[str, Any, Any, str]] = [("Ground truth", panel.truth, None, words)]
+    shots: list[tuple[str, Any, Any, str]] = [("Ground truth", panel.truth, None, words)]
     for shot in panel.shots:
         values = f"{cell('psnr', shot.psnr)} dB, ΔE {cell('delta_e_uv', shot.delta_e)}"
         if shot.picture is None:
             values = str(shot.row["status"]) if shot.row["status"] != "ok" else "no picture"
-        shown.append((_name(shot), shot.picture, shot.difference, values))
-    for column, (name, picture, difference, values) in enumerate(shown):
+        shots.append((_name(shot), shot.picture, shot.difference, values))
+    for column, (name, picture, difference, values) in enumerate(shots):
         left = _GAP + column * (_CELL + _GAP)
         _write(axes, left, bottom - 0.03, name, weight="bold", va="bottom")
         _write(axes, left, below + _HALF + 0.03, values)
@@ -136,7 +136,7 @@ def _name(shot: Shot) -> str:
 
 
 def _above(panel: Panel) -> float:
-    """Inches above the pictures that the longest name takes."""
+    """Height of the longest name above the pictures, in inches."""
     return _TEXT * 0.75 * (max([1, *(_name(shot).count("\n") + 1 for shot in panel.shots)]) + 1 / 3)
 
 

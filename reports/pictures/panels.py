@@ -1,6 +1,6 @@
 """Panels as in papers: ground truth and all models of a scene side by side, for the same view.
 
-Nothing in them is chosen by hand: which views, models and zoom windows are shown follows from the numbers.
+The numbers determine the views, models and zoom windows; nothing is selected by hand.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ WHICH = {
     "worst": "Worst view",
     "lowest": "Lowest PSNR of any model",
 }
-"""The views that are shown, most important first: by mean PSNR over the models, and of any one model."""
+"""Titles of a scene's views, most important first: by mean PSNR over the models, and by PSNR of one model."""
 RULE = (
-    "Views are ranked by mean PSNR over the models of a scene: shown are the worst and the median view, and, "
-    "if it is another one, the view with the lowest PSNR of any one model. The box is the window, a quarter "
-    "of the picture wide, in which the difference is largest on average over the models; it stands enlarged "
-    "below the picture, beside the difference. Of several seeds the first is shown, of several rates the "
-    "default, or the middle one where that was not measured."
+    "Each scene has its median and its worst view, by mean PSNR over the models, and the view with the "
+    "lowest PSNR of a single model, if it is another view. The box is the window, a quarter of the picture "
+    "wide, with the largest mean difference over the models. The enlarged window is below the picture, "
+    "beside the difference. Pictures are from the first seed, and from the default rate, or the middle rate "
+    "if the default was not measured."
 )
 ABSENT = "no picture in this store"
-_ZOOM = 4  # a zoom window is this part of the picture's shorter side
-_LEAST = 12  # pixels, of a zoom window
+_ZOOM = 4  # shorter side of the picture / side of a zoom window
+_LEAST = 12  # pixels; least side of a zoom window
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +45,10 @@ class Shot:
 
     Attributes:
         row: the model's row of `results`.
-        psnr, ssim, delta_e: measured values of this view, None if missing.
-        picture: (height, width, 3) uint8, or None; then ``problem`` says why.
-        difference: to the ground truth in the colors of the fixed scale.
+        psnr, ssim, delta_e: values of this view; None if missing.
+        picture: (height, width, 3) uint8, or None.
+        difference: difference to the ground truth in the colors of the fixed scale.
+        problem: reason why there is no picture.
     """
 
     row: Any
@@ -65,12 +66,12 @@ class Panel:
 
     Attributes:
         which: a key of :data:`WHICH`.
-        view: its name.
-        truth: (height, width, 3) uint8; None if it cannot be read.
-        shots: one per model.
+        view: name of the view.
+        truth: (height, width, 3) uint8 ground truth; None if it cannot be read.
+        shots: one shot per model.
         window: top, left and side of the zoom window in pixels; None without pictures.
-        caption: what it shows, if not the view that ``which`` says.
-        transfer: what the scene shows, as (side, side, 3) uint8; None if it is not known.
+        caption: title, if it is not that of ``which``.
+        transfer: (side, side, 3) uint8 picture of the transfer function; None if there is none.
     """
 
     which: str
@@ -82,8 +83,8 @@ class Panel:
     transfer: NDArray[np.uint8] | None = None
 
     @property
-    def tells(self) -> bool:
-        """Whether it has pictures, or a reason for their lack that is none of the whole store."""
+    def informative(self) -> bool:
+        """Whether it has a picture, or a reason for a missing one other than that the store has none."""
         return self.window is not None or any(shot.problem not in ("", ABSENT) for shot in self.shots)
 
     @property
@@ -98,88 +99,88 @@ class Panel:
 
 
 def models(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows of a scene whose pictures are shown: one per method and variant, rate knobs apart.
+    """One row of a scene per method and variant (without rate knobs), for its pictures.
 
-    Finished rows go before others and current before stale ones; then the default rate; then the first seed;
-    of its rates the middle one by size.
+    Finished rows precede others, and current rows precede stale ones; then the default rate decides, then the
+    first seed. Of several rates it is the one with the median size.
     """
     candidates: dict[tuple[Any, Any], list[tuple[tuple[bool, bool, bool, int], float, Any]]] = {}
     names = ["method", "base", "knob_value", "rate", "status", "stale", "seed", "size_bytes"]
     for index, *cells in rows[names].itertuples():
-        known = (None if absent(value) else value for value in cells)
-        method, base, knob, rate, status, stale, seed, size = known
+        method, base, knob, rate, status, stale, seed, size = (
+            None if absent(value) else value for value in cells
+        )
         default = knob is None and rate is None
         rank = (status != "ok", bool(stale), not default, int(seed or 0))
         candidates.setdefault((method, base), []).append((rank, float(size or 0), index))
-    chosen = []
+    indices = []
     for group in candidates.values():
         first = min(rank for rank, _, _ in group)
         by_size = sorted((size, at) for at, (rank, size, _) in enumerate(group) if rank == first)
-        chosen.append(group[by_size[(len(by_size) - 1) // 2][1]][2])
-    return rows.loc[chosen]
+        indices.append(group[by_size[(len(by_size) - 1) // 2][1]][2])
+    return rows.loc[indices]
 
 
 def choose(views: pd.DataFrame) -> dict[str, str]:
-    """Which (key of :data:`WHICH`) -> name of the view; none is repeated.
+    """Key of :data:`WHICH` -> name of the view; no view occurs twice.
 
     Args:
-        views: the documented table, of one scene and those models that are shown.
+        views: rows of the table `views`, of one scene and the models of its panels.
     """
-    known = views.dropna(subset=["psnr"])
+    measured = views.dropna(subset=["psnr"])
     if views.empty:
         return {}
-    if known.empty:
+    if measured.empty:
         return {"median": str(views["view"].iloc[0])}
-    ranked = known.groupby("view", sort=False)["psnr"].mean().sort_values(kind="stable")
-    wanted = {
+    ranked = measured.groupby("view", sort=False)["psnr"].mean().sort_values(kind="stable")
+    candidates = {
         "median": ranked.index[len(ranked) // 2],
         "worst": ranked.index[0],
-        "lowest": known.sort_values("psnr", kind="stable")["view"].iloc[0],
+        "lowest": measured.sort_values("psnr", kind="stable")["view"].iloc[0],
     }
-    chosen: dict[str, str] = {}
-    for which, view in wanted.items():
-        if str(view) not in chosen.values():
-            chosen[which] = str(view)
-    return chosen
+    distinct: dict[str, str] = {}
+    for which, view in candidates.items():
+        if str(view) not in distinct.values():
+            distinct[which] = str(view)
+    return distinct
 
 
-def panels(shown: pd.DataFrame, views: pd.DataFrame, root: Path) -> Iterator[Panel]:
+def panels(rows: pd.DataFrame, views: pd.DataFrame, root: Path) -> Iterator[Panel]:
     """The panels of a scene, most important first.
 
     Args:
-        shown: its rows of `results`, one per model (:func:`models`).
-        views: the documented table, or those of its rows that are of the scene.
-        root: the folder that its paths are relative to.
+        rows: rows of `results`, one per model (:func:`models`).
+        views: the table `views`.
+        root: folder that the paths in ``views`` are relative to.
     """
-    of_scene = views[views["job"].isin(set(shown["job"].dropna()))]
+    of_scene = views[views["job"].isin(set(rows["job"].dropna()))]
     for which, view in choose(of_scene).items():
-        rows = of_scene[of_scene["view"] == view].drop_duplicates("job").set_index("job")
-        yield _panel(which, view, shown, rows, root)
+        yield _panel(which, view, rows, of_scene, root)
 
 
-def in_view(shown: pd.DataFrame, views: pd.DataFrame, root: Path, view: str, caption: str) -> Panel:
-    """The panel of one view that was chosen elsewhere; arguments as of :func:`panels`."""
-    rows = views[views["job"].isin(set(shown["job"].dropna())) & (views["view"] == view)]
-    return replace(
-        _panel("median", view, shown, rows.drop_duplicates("job").set_index("job"), root), caption=caption
-    )
+def in_view(rows: pd.DataFrame, views: pd.DataFrame, root: Path, view: str, caption: str) -> Panel:
+    """The panel of a given view; arguments as of :func:`panels`."""
+    return replace(_panel("median", view, rows, views, root), caption=caption)
 
 
-def _panel(which: str, view: str, shown: pd.DataFrame, rows: pd.DataFrame, root: Path) -> Panel:
+def _panel(which: str, view: str, models: pd.DataFrame, views: pd.DataFrame, root: Path) -> Panel:
+    rows = views[views["view"] == view].drop_duplicates("job").set_index("job")
     truth, shots, differences = None, [], []
-    for _, model in shown.iterrows():
+    for _, model in models.iterrows():
         if model["job"] not in rows.index:
-            shots.append(Shot(model, problem="" if model["status"] != "ok" else "this view was not measured"))
+            shots.append(
+                Shot(model, problem="" if model["status"] != "ok" else "no measurement of this view")
+            )
             continue
         row = rows.loc[model["job"]]
         psnr, ssim, delta_e = (
             None if absent(row[name]) else float(row[name]) for name in ("psnr", "ssim", "delta_e_uv")
         )
         try:
-            behind = background(row["background"])
-            seen, picture = (read(inside(root, row[name]), behind) for name in ("truth_file", "render_file"))
-            truth = seen if truth is None else truth
-            if not truth.shape == seen.shape == picture.shape:
+            color = background(row["background"])
+            target, picture = (read(inside(root, row[name]), color) for name in ("truth_file", "render_file"))
+            truth = target if truth is None else truth
+            if not truth.shape == target.shape == picture.shape:
                 raise ValueError(f"sizes differ: {truth.shape[:2]} and {picture.shape[:2]}")
         except (OSError, ValueError, SyntaxError) as error:
             shots.append(Shot(model, psnr, ssim, delta_e, problem=_why(error)))
@@ -196,9 +197,9 @@ def _panel(which: str, view: str, shown: pd.DataFrame, rows: pd.DataFrame, root:
 
 
 def _why(error: Exception) -> str:
-    """Why there is no picture, without paths of this machine."""
+    """Reason why there is no picture, without paths of this machine."""
     if isinstance(error, FileNotFoundError):
         return ABSENT
     if isinstance(error, OSError):
-        return f"no picture: {error.strerror or 'the file is none'}"
+        return f"no picture: {error.strerror or 'the file has another format'}"
     return f"no picture: {error}"

@@ -1,4 +1,4 @@
-"""Small pictures of transfer functions: what a value looks like, over values from 0 to 1."""
+"""Small pictures of transfer functions: color and opacity over values from 0 to 1."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     import pandas as pd
 
 AXIS = (110, 110, 110)
-"""Color of the line at no opacity."""
+"""Color of the line at opacity 0."""
 _SIDE = 96  # pixels of a picture beside a panel
-_PALE = 0.85  # of all three channels
+_PALE = 0.85  # least channel of a pale color
 _GAP = 2  # pixels between the functions of a composition
 
 
 def draw_transfer(picture: NDArray[np.floating], transfer: NDArray[np.floating]) -> None:
-    """Draw a function into (height, width, 3) in [0, 1]: opacity upwards, filled with the color of a value.
+    """Draw a function: the area under its opacity, filled with the color of each value.
 
     Args:
-        picture: is changed.
+        picture: (height, width, 3) in [0, 1]; it is changed.
         transfer: (m, 4) color and opacity in [0, 1] at equidistant values.
     """
     height, wide = picture.shape[:2]
@@ -42,7 +42,7 @@ def draw_transfer(picture: NDArray[np.floating], transfer: NDArray[np.floating])
     inside = (up < opacity[None]) & (opacity[None] > 0)
     picture[inside] = np.broadcast_to(color, picture.shape)[inside]
     edge = inside & ~(up + 1.0 / height < opacity[None])
-    # What is as pale as the paper needs its sides drawn too; they would darken narrow peaks of other colors.
+    # Pale colors need an outline at the sides too. It would darken narrow peaks of other colors.
     beyond = np.pad(inside, ((0, 0), (1, 1)))
     edge |= inside & ~(beyond[:, :-2] & beyond[:, 2:]) & (color.min(axis=-1) > _PALE)
     picture[edge] *= 0.6
@@ -55,20 +55,20 @@ def draw_level(picture: NDArray[np.floating], value: float, color: Sequence[floa
 
 
 def pixels(image: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """[0, 1] as 8-bit."""
-    made: NDArray[np.uint8] = np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
-    return made
+    """8-bit values of an image in [0, 1]."""
+    values: NDArray[np.uint8] = np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return values
 
 
-def transfer_picture(said: Any, side: int) -> NDArray[np.uint8] | None:
-    """(side, side, 3): what a scene shows, one strip per part of a composition; None if nothing is known.
+def transfer_picture(transfer: Any, side: int) -> NDArray[np.uint8] | None:
+    """(side, side, 3) picture of a scene's transfer functions, one strip per part; None without a part.
 
     Args:
-        said: the column `transfer` of the table `scenes`: a JSON object, part -> "transfer" ((m, 4) color and
-            opacity) and "levels" (normalised value and color of each isosurface).
-        side: pixels.
+        transfer: a value of the column `transfer` of the table `scenes`: a JSON object, part -> "transfer"
+            ((m, 4) color and opacity) and "levels" (normalised value and color of each isosurface).
+        side: width and height in pixels.
     """
-    parts = [] if absent(said) or not said else list(json.loads(str(said)).values())
+    parts = [] if absent(transfer) or not transfer else list(json.loads(str(transfer)).values())
     if not parts:
         return None
     strips = np.ones((side, side, 3))
@@ -84,17 +84,17 @@ def transfer_picture(said: Any, side: int) -> NDArray[np.uint8] | None:
 
 
 def beside(panels: Iterable[Panel], scenes: pd.DataFrame | None, row: Any) -> list[Panel]:
-    """The panels of a scene with its transfer function, where the table `scenes` has it.
+    """The panels of a scene with the picture of its transfer function, if the table `scenes` has it.
 
     Args:
-        panels: of one scene.
-        scenes: the documented table; None if there is none.
+        panels: the panels of one scene.
+        scenes: the table `scenes`; None if there is none.
         row: one of the scene's rows of `results`.
     """
-    said = None
+    transfer = None
     if scenes is not None and len(scenes):
         keys = ["dataset", "scene", "preset", "split"]
-        found = scenes.loc[(scenes[keys] == [row[key] for key in keys]).all(axis=1), "transfer"]
-        said = found.iloc[0] if len(found) else None
-    picture = transfer_picture(said, _SIDE)
+        matches = scenes.loc[(scenes[keys] == [row[key] for key in keys]).all(axis=1), "transfer"]
+        transfer = matches.iloc[0] if len(matches) else None
+    picture = transfer_picture(transfer, _SIDE)
     return [replace(panel, transfer=picture) for panel in panels]

@@ -1,4 +1,4 @@
-"""Rows that answer different questions are kept apart before anything is averaged or ranked."""
+"""Protocols: rows are averaged and ranked only among rows that answer the same question."""
 
 from __future__ import annotations
 
@@ -13,34 +13,31 @@ _CONDITIONS = ("preset", "split")
 
 
 def comparable(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Title and rows of each dataset at one preset and split: what one chart may compare.
+    """Title and rows of each dataset at one preset and split: the rows that one chart compares.
 
-    Preset and split are in the title where the table has several.
+    The title has preset and split if the table has several.
     """
     axes = ["dataset", *(axis for axis in _CONDITIONS if axis in table)]
-    shown = [axis == "dataset" or table[axis].nunique() > 1 for axis in axes]
+    titled = [axis == "dataset" or table[axis].nunique() > 1 for axis in axes]
     for keys, rows in table.groupby(axes, dropna=False, sort=False):
-        yield " \N{MIDDLE DOT} ".join(str(key) for key, told in zip(keys, shown, strict=True) if told), rows
+        yield " \N{MIDDLE DOT} ".join(str(key) for key, used in zip(keys, titled, strict=True) if used), rows
 
 
 def shared_by_all(seeds: Iterable[Iterable[Any]]) -> set[Any]:
-    """The seeds that all of several settings were measured with; all seeds where none is."""
+    """The seeds that all settings have; all seeds if they have none in common."""
     sets = [set(each) for each in seeds]
     return (set.intersection(*sets) or set.union(*sets)) if sets else set()
 
 
 def by_protocol(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
-    """Datasets as charts and tables for people call them: one for each choice of scenes and number of views.
-
-    :func:`by_training_views` after :func:`by_scene_choice`; the tables given stay as they are.
-    """
+    """Tables with a dataset for each choice of scenes and number of training views, for charts and people."""
     return by_training_views({name: by_scene_choice(table) for name, table in tables.items()})
 
 
 def by_scene_choice(table: pd.DataFrame) -> pd.DataFrame:
-    """A dataset of which fewer scenes than elsewhere were learned together becomes one of its own.
+    """Rename rows with ``scenes_together``, as "vortices, 3 scenes together" or "vortices, scenes alone".
 
-    As "vortices, 3 scenes together" or "vortices, scenes alone"; it comes after the dataset.
+    They are a dataset of their own, after the original one.
     """
     if "scenes_together" not in table or table["scenes_together"].isna().all():
         return table
@@ -54,11 +51,11 @@ def by_scene_choice(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def by_training_views(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
-    """A dataset fitted with several numbers of training views at one preset becomes one dataset for each.
+    """Split each dataset that has several numbers of training views at one preset into one per number.
 
     "vortices" with fits from 6 and from 42 views becomes "vortices, 6 views" and "vortices, 42 views" in all
-    tables; one with a number per preset keeps its name. The tables given stay as they are; renamed ones have
-    the former name in a column :data:`ORIGIN`.
+    tables. A dataset with one number per preset keeps its name. The result has copies of the tables with
+    such datasets, with the original name in a column :data:`ORIGIN`.
     """
     results = tables["results"]
     if results.empty or "requested_views" not in results:
@@ -86,7 +83,7 @@ def _named(table: pd.DataFrame, several: set[tuple[str, int]]) -> pd.DataFrame:
 
 
 def _order(datasets: pd.Series, counts: pd.Series) -> pd.Index:
-    """Datasets stay where they were; rows of one are ordered by a count."""
+    """Rows in the order of their datasets; within a dataset by a count."""
     place = {name: i for i, name in enumerate(dict.fromkeys(datasets))}
     keys = [(place[name], int(count)) for name, count in zip(datasets, counts, strict=True)]
     ranked = sorted(range(len(keys)), key=keys.__getitem__)

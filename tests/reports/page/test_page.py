@@ -10,7 +10,7 @@ from PIL import Image
 
 from reports.charts import data, files, kinds, training
 from reports.page.document import write_report
-from reports.pictures import panel_files as panel_figures
+from reports.pictures import panel_files
 from reports.pictures.panels import ABSENT
 from reports.style import MISSING, color, series
 from tests.reports.charts.test_charts import texts, tradeoff
@@ -46,7 +46,7 @@ def page(maker, draw: bool = False) -> tuple[str, str]:
     with contextlib.ExitStack() as stack:
         if not draw:
             stack.enter_context(patch.object(files, "write"))
-            stack.enter_context(patch.object(panel_figures, "write", return_value="panel"))
+            stack.enter_context(patch.object(panel_files, "write", return_value="panel"))
         path = write_report(maker.tables(), maker.root, maker.root / "report.html")
     source = path.read_text(encoding="utf-8")
     checker = Checker()

@@ -10,7 +10,7 @@ from unittest.mock import patch
 import pytest
 
 from reports.page import document as page_module
-from reports.pictures import panel_files as panel_figures
+from reports.pictures import panel_files
 from reports.style import MISSING
 from tests.reports.conftest import METHODS, Maker, fill
 from tests.reports.page.browser import Browser, executable
@@ -25,7 +25,7 @@ def write(maker: Maker) -> Path:
     with (
         patch.object(page_module, "write_files"),
         patch.object(page_module.verdicts, "section", return_value=""),
-        patch.object(panel_figures, "write", return_value="panel"),
+        patch.object(panel_files, "write", return_value="panel"),
     ):
         return page_module.write_report(maker.tables(), maker.root, maker.root / "report.html")
 

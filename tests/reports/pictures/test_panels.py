@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from reports.page import scenes
-from reports.pictures import panel_files as panel_figures
+from reports.pictures import panel_files
 from reports.pictures.cieluv import cieluv, linear
 from reports.pictures.difference import colored, largest_window, scale
 from reports.pictures.files import read
@@ -177,7 +177,7 @@ def test_captions_of_panels_for_papers_end_at_their_picture(maker):
     maker.run(views=1)
     tables = maker.tables()
     (panel,) = panels(models(tables["results"]), tables["views"], maker.root)
-    axes = panel_figures.draw([replace(panel, which="lowest", view="test_003")], "x").axes[0]
+    axes = panel_files.draw([replace(panel, which="lowest", view="test_003")], "x").axes[0]
     (caption,) = [text for text in axes.texts if text.get_text().startswith("lowest")]
     (values,) = [text for text in axes.texts if " dB" in text.get_text()]
     assert caption.get_window_extent().x1 < values.get_window_extent().x0
@@ -188,7 +188,7 @@ def test_long_names_in_panels_for_papers_keep_off_their_neighbours_and_pictures(
         maker.run(variant=variant, views=1)
     tables = maker.tables()
     (panel,) = panels(models(tables["results"]), tables["views"], maker.root)
-    axes = panel_figures.draw([panel], "x").axes[0]
+    axes = panel_files.draw([panel], "x").axes[0]
     names = [text.get_window_extent() for text in axes.texts if text.get_text().startswith("3DGS")]
     assert "random_half_extent=0.5" in "".join(text.get_text() for text in axes.texts).replace("\n", "")
     assert len(names) == 2
@@ -202,10 +202,10 @@ def test_panels_for_papers_have_odd_names_and_failed_models(maker):
     maker.run("set@64", "a/b c", method="hac", status="oom", reason="no memory")
     tables = maker.tables()
     made = list(panels(models(tables["results"]), tables["views"], maker.root))
-    name = panel_figures.write(made, "set@64 / a/b c", maker.root / "charts")
+    name = panel_files.write(made, "set@64 / a/b c", maker.root / "charts")
     assert name == "panel-set@64-a-b-c"
     assert (maker.root / "charts" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
     with Image.open(maker.root / "charts" / f"{name}.png") as image:
         assert image.width > 600
-    texts = [text.get_text() for text in panel_figures.draw(made, "x").axes[0].texts]
+    texts = [text.get_text() for text in panel_files.draw(made, "x").axes[0].texts]
     assert {"Ground truth", "3DGS", "HAC", "oom", "median view, 0000", "worst view, 0001"} <= set(texts)
