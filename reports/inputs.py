@@ -91,7 +91,7 @@ def _read_csv(path: Path) -> pd.DataFrame:
         raise Unusable(f"{path}: it is empty; write a header and one row per scene and method")
     twice = [name for i, name in enumerate(header) if name in header[:i]]
     if twice:
-        raise Unusable(f"{path}: it has the column {twice[0]} twice; rename or remove one")
+        raise Unusable(f"{path}: it has the column {twice[0]} twice; rename or remove one of them")
     for i, row in enumerate(rows):
         if len(row) != len(header):
             cells = f"{len(row)} cells, the header {len(header)}"

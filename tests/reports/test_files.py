@@ -194,27 +194,29 @@ def test_parquet_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "facts"),
     [
-        ("", "it is empty; write a header"),
-        ("dataset,scene,method,psnr,size_bytes\n", "no rows; write one row"),
-        ("dataset,scene,method,PSNR,size\n", "lacks the columns psnr, size_bytes; rename psnr -> psnr, size"),
-        ("a,b\n1,2\n", "a table needs dataset, scene, method, psnr, size_bytes"),
-        (SMALL.replace("30.5", "30,5"), "line 2 has 6 cells, the header 5; write decimal points"),
-        (SMALL.replace("psnr,size", "psnr,psnr,size"), "has the column psnr twice"),
-        (SMALL.replace("30.5", "high"), "line 2 has psnr = high, not a number; leave it empty if missing"),
-        (SMALL.replace("30.5", "inf"), "line 2 has psnr = inf, not a number"),
-        (SMALL.replace("1000", "1000.5"), "line 2 has size_bytes = 1000.5, not a whole number"),
-        (SMALL.replace("d,b,x", ",b,x"), "line 3 has no dataset; fill the column"),
-        (SMALL.replace("d,b,x", "d,a,x"), "line 3 repeats d / a / x of a row above; tell them apart"),
+        ("", ["header"]),
+        ("dataset,scene,method,psnr,size_bytes\n", ["rows"]),
+        ("dataset,scene,method,PSNR,size\n", ["psnr, size_bytes", "psnr -> psnr, size -> size_bytes"]),
+        ("a,b\n1,2\n", ["dataset, scene, method, psnr, size_bytes"]),
+        (SMALL.replace("30.5", "30,5"), ["line 2", "6", "5"]),
+        (SMALL.replace("psnr,size", "psnr,psnr,size"), ["psnr"]),
+        (SMALL.replace("30.5", "high"), ["line 2", "psnr = high"]),
+        (SMALL.replace("30.5", "inf"), ["line 2", "psnr = inf"]),
+        (SMALL.replace("1000", "1000.5"), ["line 2", "size_bytes = 1000.5"]),
+        (SMALL.replace("d,b,x", ",b,x"), ["line 3", "dataset"]),
+        (SMALL.replace("d,b,x", "d,a,x"), ["line 3", "d / a / x"]),
     ],
 )
-def test_unusable_tables_are_refused_with_file_reason_and_remedy(tmp_path, capsys, text, told):
+def test_unusable_tables_are_refused_with_file_reason_and_remedy(tmp_path, capsys, text, facts):
     path = csv(tmp_path, text)
     assert main(["--table", str(path), "--out", str(tmp_path / "out")]) == 2
     message = capsys.readouterr().err
     assert message.startswith(f"error: {path}: ")
-    assert told in message
+    reason, _, remedy = message.removeprefix(f"error: {path}: ").partition("; ")
+    assert remedy
+    assert all(fact in message for fact in facts), message
     assert not (tmp_path / "out").exists()
 
 

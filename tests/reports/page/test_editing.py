@@ -11,8 +11,9 @@ from reports.tables.means import summary
 @pytest.fixture
 def edited(maker):
     def run(scene, edit, psnr, **more):
-        shown = f"{scene} {edit}".strip()
-        maker.run(scene=shown, kind="edited" if edit else "basic", edit=edit, psnr=psnr, **more)
+        maker.run(
+            scene=f"{scene} {edit}".strip(), kind="edited" if edit else "basic", edit=edit, psnr=psnr, **more
+        )
 
     for scene, base in (("a", 40.0), ("b", 36.0)):
         run(scene, "", base)
@@ -28,7 +29,7 @@ def edited(maker):
 def test_quality_by_edit_is_of_the_edited_scenes_alone(edited) -> None:
     ((name, heads, rows),) = editing.quality(edited.tables()["results"])
     assert name == "vortex"
-    assert heads == ["Method", "unedited", "opacity=2", "light=1,0,0"]
+    assert heads == ["Method", editing.UNEDITED, "opacity=2", "light=1,0,0"]
     assert rows == [["3DGS", "38.00", "34.00", "refused"], ["ECoNGS", "39.00", "36.00", "37.00"]]
 
 
@@ -48,10 +49,10 @@ def test_a_sequence_shows_one_view_of_all_edits(edited) -> None:
     tables = edited.tables()
     (first, second) = editing.sequences(tables, edited.root)
     assert first[0] == "vortex / a"
-    assert [panel.caption for panel in first[1]] == ["unedited", "opacity=2", "light=1,0,0"]
+    assert [panel.caption for panel in first[1]] == [editing.UNEDITED, "opacity=2", "light=1,0,0"]
     assert len({panel.view for panel in first[1]}) == 1
-    told = [[(shot.row["method"], shot.psnr is not None) for shot in panel.shots] for panel in first[1]]
-    assert told == [
+    shots = [[(shot.row["method"], shot.psnr is not None) for shot in panel.shots] for panel in first[1]]
+    assert shots == [
         [("3dgs", True), ("econgs", True)],
         [("3dgs", True), ("econgs", True)],
         [("3dgs", False), ("econgs", True)],
@@ -59,7 +60,7 @@ def test_a_sequence_shows_one_view_of_all_edits(edited) -> None:
     assert second[0] == "vortex / b"
 
 
-def test_page_tells_of_edits_once(edited, tmp_path) -> None:
+def test_the_page_has_edits_once(edited, tmp_path) -> None:
     page = write_report(edited.tables(), edited.root, tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count('id="editing"') == 1
     assert "<h3>vortex / a opacity=2" not in page  # not among the scenes as well
