@@ -8,7 +8,7 @@ import re
 import uuid
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from bench.records import EncodeResult, FitResult, Job, MeasureResult, Record
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Row = dict[str, Any]
+_ORDER = ("dataset", "kind", "scene", "method", "variant", "preset", "seed", "rate", "split")
 
 
 def build_tables(
@@ -82,7 +83,8 @@ def stored_tables(
         for table, facts in _facts(record, by_id, versions or {}).items():
             tables[table] += ({"job": name, **row} for row in facts)
     for table, rows in tables.items():
-        rows.sort(key=partial(_order, table, axes))
+        keys = [key for key in _ORDER if key not in ("kind", "split") or key in TABLES[table].columns]
+        rows.sort(key=partial(_order, keys, axes))
     return {table: frame(table, rows, stored=True) for table, rows in tables.items()}
 
 
@@ -373,15 +375,13 @@ def _all_needed(by_id: Mapping[str, Record], record: Record | None, kind: str) -
     return [by_id[name] for name in names] if all(name in by_id for name in names) else []
 
 
-def _order(table: str, axes: Mapping[str, Row], row: Row) -> list[tuple[Any, ...]]:
+def _order(keys: Iterable[str], axes: Mapping[str, Row], row: Row) -> list[tuple[Any, ...]]:
     """Rows of one experiment together, whatever their jobs' hashes; the sort keeps the order within a job."""
-    keys = ["dataset", "scene", "method", "variant", "preset", "seed", "rate"]
-    keys[1:1] = ["kind"] if "kind" in TABLES[table].columns else []
-    keys += ["split"] if "split" in TABLES[table].columns else []
-    values = axes[row["job"]] | row
-    return [_natural(values[key]) for key in keys]
+    own = axes[row["job"]]
+    return [_natural(row[key] if key in row else own[key]) for key in keys]
 
 
+@cache
 def _natural(value: Any) -> tuple[Any, ...]:
     """Sorts missing values first, numbers by size, and names as people do: tf2 before tf10."""
     if value is None or isinstance(value, int | float):

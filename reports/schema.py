@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -117,7 +118,7 @@ class Table:
     axes: tuple[str, ...]
     facts: tuple[str, ...]
 
-    @property
+    @cached_property
     def columns(self) -> tuple[str, ...]:
         """Axes and facts, as readers get them: in the order of :data:`COLUMNS`."""
         return tuple(name for name in COLUMNS if name in self.axes or name in self.facts)
