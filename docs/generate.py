@@ -46,7 +46,7 @@ from bench.tables import build_tables
 from reports.charts import kinds, rate_distortion, stability, svg, training
 from reports.charts.chart import Chart
 from reports.style import TITLES, series
-from reports.tables.protocols import by_training_views
+from reports.tables.protocols import by_scene_choice, by_training_views
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
@@ -107,7 +107,8 @@ def tables(bundles: tuple[str, ...]) -> Tables:
             with zipfile.ZipFile(MEASURED / f"{bundle}.zip") as archive:
                 names = [name for name in archive.namelist() if not name.startswith("tables/")]
                 archive.extractall(folder, names)
-        return build_tables(Store(Path(folder)), write=False)
+        tables = build_tables(Store(Path(folder)), write=False)
+        return {name: by_scene_choice(table) for name, table in tables.items()}
 
 
 def table(description: str) -> str:

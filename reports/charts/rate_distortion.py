@@ -81,7 +81,7 @@ class Curve:
             if not all(absent(value) for value in values):
                 columns[name] = [None if absent(value) else float(value) for value in values]  # type: ignore[arg-type]
         first = self.points[0].row
-        scenes, seeds = first["scenes"].split()[0], first["seeds"]
+        scenes, seeds = _scenes(first), first["seeds"]
         told = f"{first['dataset']}, preset {first['preset']}, {first['split']} views: "
         told += f"means over {scenes} scenes"
         told += "" if seeds == 1 else f" and {seeds} seeds"
@@ -134,7 +134,7 @@ def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
         gathered: dict[tuple[str, str], list[tuple[str, Point]]] = {}
         for _, row in rows[rows["complete"] & rows["psnr"].notna() & (rows["size_bytes"] > 0)].iterrows():
             rest, knob = knobs[row["method"], row["variant"]]
-            scenes = int(row["scenes"].split()[0])
+            scenes = _scenes(row)
             rate = knob if absent(row["rate"]) else row["rate"]
             point = Point(
                 "" if absent(rate) else f"{rate:g}",
@@ -171,6 +171,11 @@ def with_shared_seeds(results: pd.DataFrame) -> pd.DataFrame:
     shared = {curve: shared_by_all(found.values()) for curve, found in points.items()}
     kept = [seed in shared[tuple(axes)] for *axes, _, _, seed in cells]
     return results[pd.Series(kept, results.index, dtype=bool)]
+
+
+def _scenes(row: Any) -> int:
+    """Number of scenes of a complete row of the summary."""
+    return len(row["jobs"]) // int(row["seeds"])
 
 
 def _distinct(points: list[Point]) -> tuple[Point, ...]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from reports.schema import METRICS
 from reports.style import absent
 from reports.tables.columns import records
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _KEYS = ("dataset", "method", "variant", "rate", "preset", "split")
-_MEAN = ("psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv", "fps")
+_MEAN = (*METRICS, "fps")
 _SUM = ("size_bytes", "train_seconds", "load_seconds", "primitives")
 _MAX = ("peak_host_bytes", "peak_device_bytes")
 _NUMBERS = (*_MEAN, *_SUM, *_MAX)

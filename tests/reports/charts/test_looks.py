@@ -12,6 +12,7 @@ from reports.charts.elements import legend
 from reports.charts.labels import text_width
 from reports.charts.sections import chart_sections
 from reports.page import results as results_table
+from reports.statistics import Views
 from reports.style import MOST_NAMED, OTHERS, OTHERS_NAME, legend_entries, look, looks, named, series
 from tests.reports.charts.test_charts import curve_table, losses, of_training, rates, tradeoff
 
@@ -142,7 +143,7 @@ def test_every_row_of_the_page_has_a_key_of_its_own(maker):
                 maker.run(scene=scene, preset=preset, seed=seed, views=0)
     maker.run(split="val", views=0)
     results = maker.tables()["results"]
-    keys = re.findall('data-key="([^"]*)"', results_table.section(results, maker.tables()["views"]))
+    keys = re.findall('data-key="([^"]*)"', results_table.section(results, Views(maker.tables()["views"])))
     assert len(keys) == len(set(keys)) == 8 + 2 + 1 + 1
     for panel in data.tradeoff(results, "size_bytes"):
         for line in panel.lines:
