@@ -260,9 +260,10 @@ class LocalExecutor:
                 _kill(process)
 
     def _forks(self, job: Job) -> bool:
-        """Whether a job is forked from the server: its method uses torch."""
-        uses_torch = job.method is not None and imports_torch(*self._planner.registry.spec(job.method).source)
-        return uses_torch and sys.platform == "linux"
+        """Whether a job is forked from the server: its method uses torch, on the CPU."""
+        if job.method is None or job.device != "cpu" or sys.platform != "linux":
+            return False
+        return imports_torch(*self._planner.registry.spec(job.method).source)
 
     def _watch(self, process: Process, folder: Path) -> tuple[int, tuple[Status, str] | None]:
         tail = _Tail(folder / "progress.jsonl")
