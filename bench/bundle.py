@@ -1,4 +1,4 @@
-"""Submission bundles: a run store's records, tables and (if wanted) models in one checkable file.
+"""Submission bundles: the records, tables and (optionally) models of a run store in one verifiable file.
 
 A bundle is a zip of a run store without its pictures, so that it can be unpacked and reported on, with
 
@@ -39,18 +39,18 @@ _LIMIT = 16 * 2**30
 
 
 def write_bundle(store: Store, out: Path, *, models: bool = False) -> int:
-    """Write a bundle; the file is whole or not there.
+    """Write a bundle atomically.
 
     Args:
-        store: what to take.
-        out: the zip file.
-        models: take the encoded models too.
+        store: the run store.
+        out: path of the zip file.
+        models: include the encoded models.
 
     Returns:
-        How many records went in.
+        Number of records in the bundle.
 
     Raises:
-        DataError: there are none.
+        DataError: the store has no record.
     """
     records = list(store.records())
     if not records:
@@ -91,7 +91,7 @@ def _contents(store: Store, records: list[Record], models: bool) -> Iterator[tup
 
 
 def _environments(records: list[Record]) -> list[dict[str, Any]]:
-    """The different machines and versions that the records name."""
+    """The distinct environments (machine and versions) of the records."""
     environments: dict[str, dict[str, Any]] = {}
     for record in records:
         if record.provenance is not None:
@@ -101,13 +101,13 @@ def _environments(records: list[Record]) -> list[dict[str, Any]]:
 
 
 def verify_bundle(path: Path) -> list[str]:
-    """Check a bundle again.
+    """Verify a bundle.
 
     Every file is there with its hash and none besides; records are whole and their jobs' names follow from
     what they say they ran; tables follow from the records; models have the bytes that were measured.
 
     Returns:
-        What is wrong, a line each; empty if nothing is.
+        One line per problem; empty for a valid bundle.
 
     Raises:
         DataError: the file is no bundle of this format.
@@ -214,7 +214,7 @@ def _check_store(root: Path, files: set[str], schema: int) -> list[str]:
 
 
 def _check_model(root: Path, record: Record) -> list[str]:
-    """Models need not be there; what is must have the bytes that the ledger counts."""
+    """Models are optional; the files of one must have the bytes that its ledger counts."""
     folder = root / "jobs" / record.job.id / "model"
     if record.encode is None or not folder.is_dir():
         return []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
@@ -23,7 +22,7 @@ from bench.processes import Process, Processes, end_session
 from bench.provenance import imports_torch
 from bench.records import Job, Record, Status, Task
 from bench.store import Store, write_text
-from bench.worker import BUSY, STOPPED, last_progress, log_tail, now
+from bench.worker import BUSY, STOPPED, last_progress, log_tail, now, read_progress
 
 POLL_SECONDS = 0.1
 GRACE_SECONDS = 60.0
@@ -77,7 +76,6 @@ class LocalExecutor:
     Args:
         retry: run failed jobs again.
         plugins: plugin folders for the workers.
-        threads: threads per job, pinned.
     """
 
     def __init__(
@@ -89,7 +87,6 @@ class LocalExecutor:
         retry: bool = False,
         limits: Limits | None = None,
         plugins: tuple[str, ...] = (),
-        threads: int | None = None,
     ) -> None:
         self._store = store
         self._planner = planner
@@ -97,7 +94,7 @@ class LocalExecutor:
         self._retry = retry
         self._limits = limits or Limits()
         self._plugins = plugins
-        self._threads = threads or available_cores()
+        self._threads = available_cores()
         self._processes = Processes(self._environment())
         self._signals = 0
         self._attempted: set[str] = set()
@@ -266,11 +263,12 @@ class LocalExecutor:
         return imports_torch(*self._planner.registry.spec(job.method).source)
 
     def _watch(self, process: Process, folder: Path) -> tuple[int, tuple[Status, str] | None]:
-        tail = _Tail(folder / "progress.jsonl")
+        offset = 0
         start: float | None = None
         stop_time: float | None = None
         while (code := process.poll()) is None:
-            for state in tail.new():
+            states, offset = read_progress(folder, offset)
+            for state in states:
                 if state["time"] < self._started:
                     continue  # from an earlier attempt
                 if state.get("waiting") is False:
@@ -352,31 +350,6 @@ class LocalExecutor:
         if root not in site.getsitepackages():
             environment["PYTHONPATH"] = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
         return environment
-
-
-class _Tail:
-    """New whole lines of a growing JSON-lines file."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._offset = 0
-
-    def new(self) -> list[dict[str, Any]]:
-        try:
-            with self._path.open("rb") as file:
-                file.seek(self._offset)
-                data = file.read()
-        except OSError:
-            return []
-        whole = data[: data.rfind(b"\n") + 1]
-        self._offset += len(whole)
-        states = []
-        for line in whole.splitlines():
-            try:
-                states.append(json.loads(line))
-            except ValueError:  # cut off by an earlier kill
-                continue
-        return states
 
 
 def available_cores() -> int:

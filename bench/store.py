@@ -31,7 +31,7 @@ class Store:
 
     Args:
         root: its folder.
-        create: make it if it is not there.
+        create: create it if it does not exist.
 
     Raises:
         DataError: the folder is no run store, or one of another schema version.
@@ -89,14 +89,14 @@ class Store:
         return self.root / "tables"
 
     def lock(self, name: str) -> FileLock:
-        """A lock held by the process that works on a job (or on "tables"); freed when it dies."""
+        """The lock of a job or of "tables"; the system frees it when its holder dies."""
         return FileLock(self.locks / f"{name}.lock")
 
     def record(self, job: str) -> Record | None:
         """The record of a finished job, or None.
 
         Raises:
-            DataError: it is there but cannot be read.
+            DataError: the file exists but cannot be read.
         """
         path = self.jobs / job / "record.json"
         try:
@@ -123,7 +123,7 @@ class Store:
         return name is None or (self.jobs / record.job.id / name).exists()
 
     def finish(self, record: Record, folder: Path | None = None) -> None:
-        """Write a record into its partial folder and rename that in place.
+        """Write a record into its partial folder and rename that folder into ``jobs/``.
 
         The caller holds the job's lock.
         """
@@ -133,7 +133,7 @@ class Store:
         self.put_in_place(folder, record.job.id)
 
     def put_in_place(self, folder: Path, job: str) -> None:
-        """Rename a folder that holds a whole record into ``jobs/``, instead of an older one."""
+        """Rename a folder with a whole record into ``jobs/``; it replaces an older one."""
         target = self.jobs / job
         if target.exists():
             aside = self.partial / f"old-{uuid.uuid4().hex}"
@@ -145,10 +145,9 @@ class Store:
         _sync(self.jobs)
 
     def reopen(self, record: Record) -> None:
-        """Take a failed job back for another attempt; what it can continue from is kept.
+        """Move a failed job back to ``partial/`` for another attempt.
 
-        A checkpoint is worth keeping where the outside ended the job (time, memory, a signal),
-        not where the method itself failed.
+        Its checkpoint is kept if time, memory or a signal ended the job, and dropped if the method failed.
         """
         source, target = self.jobs / record.job.id, self.partial / record.job.id
         shutil.rmtree(target, ignore_errors=True)
@@ -158,7 +157,7 @@ class Store:
             shutil.rmtree(target)
 
     def sweep(self) -> None:
-        """Remove what a killed process left aside."""
+        """Remove folders that a killed process set aside."""
         for leftover in self.partial.glob("old-*"):
             shutil.rmtree(leftover, ignore_errors=True)
 
@@ -180,7 +179,7 @@ def read_record(path: Path) -> Record:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file so that it is there whole or not at all, also after a power cut."""
+    """Write a file atomically: after a crash or power cut it is whole or as before."""
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     with temporary.open("w", encoding="utf-8") as file:
         file.write(text)
@@ -191,7 +190,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def _sync(folder: Path) -> None:
-    """Make a rename last (a directory can be synchronised on POSIX only)."""
+    """Flush a rename to disk (on POSIX)."""
     if os.name == "posix":
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -1,4 +1,4 @@
-"""The timing protocol: alone on the machine, warmed up, synchronised, with a reference kernel."""
+"""The timing protocol: one timed job per machine, warm-up, synchronisation, a reference kernel."""
 
 from __future__ import annotations
 
@@ -25,10 +25,9 @@ _WINDOW = 5
 
 
 def machine_lock() -> FileLock:
-    """One lock per machine: timed jobs of all runs and users take turns.
+    """The lock of this machine: timed jobs of all runs and users take turns.
 
-    The environment variable BENCH_LOCKS moves it (to a folder that only those runs share that
-    should not overlap).
+    The environment variable BENCH_LOCKS names another folder for it; runs that share it do not overlap.
     """
     folder = Path(os.environ.get("BENCH_LOCKS") or tempfile.gettempdir())
     folder.mkdir(parents=True, exist_ok=True)
@@ -36,15 +35,15 @@ def machine_lock() -> FileLock:
 
 
 def synchronise(device: str) -> None:
-    """Wait until the device has finished its work."""
+    """Wait until the device has finished all its work."""
     if device.startswith("cuda"):
         sys.modules["torch"].cuda.synchronize(device)
 
 
 def reference_seconds() -> float | None:
-    """Time of the fixed reference kernel on this machine now; None without the native core.
+    """Seconds of the fixed reference kernel on this machine; None without the native core.
 
-    Taken from the kernels themselves: their calling layer would bring torch into every process.
+    The function calls the kernel directly: the layer above it would import torch into every process.
     """
     try:
         import econgs._native as native
@@ -55,7 +54,7 @@ def reference_seconds() -> float | None:
 
 
 def mean_of(before: float | None, after: float | None) -> float | None:
-    """Mean of two reference times, None where one is missing."""
+    """Mean of two reference times; None if one is missing."""
     return None if before is None or after is None else 0.5 * (before + after)
 
 
@@ -64,9 +63,9 @@ class FrameTimes:
     """Frame times over a path of cameras, in seconds.
 
     Attributes:
-        median, p05, p95: over the frames (at least one per camera).
-        frames, warmup: numbers of frames after and during warm-up.
-        stable: whether warm-up ended because times had settled, not because of its limit.
+        median, p05, p95: over all timed frames (at least one per camera).
+        frames, warmup: numbers of timed and of warm-up frames.
+        stable: whether frame times had settled when warm-up ended.
     """
 
     median: float
@@ -80,10 +79,9 @@ class FrameTimes:
 def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], device: str) -> FrameTimes:
     """Time ``render`` end to end over a whole path of cameras.
 
-    Warm-up follows the path until the medians of two successive windows of five frames differ by
-    less than 5 %, for at most three seconds (but at least two windows). Then whole passes over the
-    path are timed, frame by frame, until a second has gone by or 500 frames are timed. The garbage collector
-    rests meanwhile.
+    Warm-up follows the path until the medians of two successive windows of five frames differ by less than
+    5 %, for at most three seconds (but at least two windows). Then whole passes over the path are timed,
+    frame by frame, for one second or 500 frames. The garbage collector is off meanwhile.
     """
 
     def seconds_of(camera: Camera) -> float:
@@ -117,14 +115,14 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
 def median_timings(
     timings: Callable[[Camera], Any], cameras: Sequence[Camera], frames: int = 9
 ) -> dict[str, float]:
-    """Median seconds of each part of a frame, over cameras spread along the path, after one warm-up."""
+    """Median seconds of each part of a frame over cameras spread along the path, after one warm-up frame."""
     step = max(1, len(cameras) // frames)
     samples = [dict(timings(camera)) for camera in [cameras[0], *cameras[::step]]][1:]
     return {part: float(np.median([s[part] for s in samples])) for part in samples[0]}
 
 
 def peak_device_bytes(device: str) -> int | None:
-    """Most memory that torch held on a CUDA device; None on the CPU."""
+    """Peak of torch's memory on a CUDA device in bytes; None on the CPU."""
     torch = sys.modules.get("torch")
     if torch is None or not device.startswith("cuda") or not torch.cuda.is_available():
         return None

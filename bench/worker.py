@@ -1,12 +1,13 @@
 """Runs one job in this process: ``python -m bench.worker FOLDER``.
 
-FOLDER is ``RUNS/partial/<kind>-<key>`` with a ``job.json``. Exit codes: 0 the job has its record
-(of success or failure), 75 stopped and resumable, 76 another process works on it, 1 a defect, or
-views of a record that came without its files could not be made again.
+FOLDER is ``RUNS/partial/<kind>-<key>`` with a ``job.json``. Exit codes: 0, the job has a record (of success
+or failure); 75, stopped and resumable; 76, another process works on it; 1, a defect, or the views of a record
+from a bundle could not be rendered again.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import sys
@@ -14,11 +15,11 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from filelock import Timeout
 
@@ -47,11 +48,13 @@ def main(folder: Path) -> int:
             stack.enter_context(store.lock(task.job.id).acquire(timeout=0))
         except Timeout:
             return BUSY
-        if (folder / "record.json").is_file():  # ended between its record and the rename
+        if (folder / "record.json").is_file():  # a kill came between record and rename
             store.put_in_place(folder, task.job.id)
             return 0
         before = store.record(task.job.id)
-        if before is not None and (store.holds_files_of(before) or not before.ok):  # by another run meanwhile
+        if before is not None and (
+            store.holds_files_of(before) or not before.ok
+        ):  # from another run meanwhile
             shutil.rmtree(folder, ignore_errors=True)
             return 0
         stop.install()
@@ -65,7 +68,7 @@ def main(folder: Path) -> int:
             record = run(task, folder, store, stop, report)
         except Stopped:
             return STOPPED
-        if before is not None and before.ok and not record.ok:  # made again in vain: what was measured stays
+        if before is not None and before.ok and not record.ok:  # the record from the bundle stays
             print(record.reason)
             return 1
         store.finish(record, folder)
@@ -73,7 +76,7 @@ def main(folder: Path) -> int:
 
 
 def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) -> Record:
-    """Do the job and describe how it went; only :class:`Stopped` comes out of here."""
+    """Run the job and return its record, of success or failure; only :class:`Stopped` is raised."""
     job = task.job
     started, start = now(), time.perf_counter()
     status: Status = "ok"
@@ -99,7 +102,7 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         traceback.print_exc()
         status = "oom" if is_memory_error(error) else "failed"
         reason = f"{type(error).__name__}: {error}".strip().splitlines()[0]
-    stop.deferred = True  # from here on it is finished: let the record be written
+    stop.deferred = True  # the job is finished: its record must be written
     from bench.provenance import provenance
 
     last = last_progress(folder) if status != "ok" else {}
@@ -121,14 +124,14 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
 
 
 def is_memory_error(error: BaseException) -> bool:
-    """Whether memory ran out, on the host or on the device (torch says so in its own ways)."""
+    """Whether an exception reports lack of memory, on the host or on a device."""
     if isinstance(error, MemoryError) or type(error).__name__ in ("OutOfMemoryError", "_ArrayMemoryError"):
         return True
     return isinstance(error, RuntimeError) and "not enough memory" in str(error)
 
 
 def log_tail(folder: Path) -> str | None:
-    """The last lines that a job printed."""
+    """The last lines of a job's log."""
     sys.stdout.flush()
     sys.stderr.flush()
     try:
@@ -140,24 +143,31 @@ def log_tail(folder: Path) -> str | None:
     return "\n".join(text.splitlines()[-_TAIL:]) or None
 
 
-def last_progress(folder: Path) -> dict:
-    """The last whole state in ``progress.jsonl``."""
-    import json
-
+def read_progress(folder: Path, offset: int = 0) -> tuple[list[dict[str, Any]], int]:
+    """The whole states in ``progress.jsonl`` from a byte offset on, and the offset of the next one."""
     try:
-        lines = (folder / "progress.jsonl").read_text(encoding="utf-8").splitlines()
+        with (folder / "progress.jsonl").open("rb") as file:
+            file.seek(offset)
+            lines = file.read().splitlines(keepends=True)
     except OSError:
-        return {}
-    for line in reversed(lines):
-        try:
-            return dict(json.loads(line))
-        except ValueError:  # cut off by a kill
-            continue
-    return {}
+        return [], offset
+    if lines and not lines[-1].endswith(b"\n"):
+        lines.pop()
+    states = []
+    for line in lines:
+        with suppress(ValueError):  # cut off by a kill, and continued by a later attempt
+            states.append(json.loads(line))
+    return states, offset + sum(map(len, lines))
+
+
+def last_progress(folder: Path) -> dict[str, Any]:
+    """The last state of a job, of its last attempt; empty if there is none."""
+    states, _ = read_progress(folder)
+    return states[-1] if states else {}
 
 
 def now() -> str:
-    """UTC, to the millisecond."""
+    """Time in UTC, to the millisecond."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
@@ -170,7 +180,7 @@ def _spec(task: Task) -> MethodSpec | None:
 
 
 def _loader(spec: MethodSpec | None, threads: int) -> Callable[[], Method]:
-    """Imports the implementation when it is asked for, with torch (if it uses it) held to ``threads``."""
+    """A function that imports the implementation and limits torch, if that is imported, to ``threads``."""
 
     def load() -> Method:
         from methods.registry import load_method
@@ -185,10 +195,10 @@ def _loader(spec: MethodSpec | None, threads: int) -> Callable[[], Method]:
 
 
 def prepare_device(device: str, spec: MethodSpec) -> None:
-    """Make sure that a method can run on a device.
+    """Check that a method can run on a device, and reset the device's memory statistics.
 
     Raises:
-        Refused: the method does not know it, or this machine does not have it.
+        Refused: the method does not support the device, or this machine lacks it.
     """
     if device.split(":")[0] not in spec.devices:
         raise Refused(f"{spec.name} runs on {', '.join(spec.devices)}, not on {device}")
@@ -201,7 +211,7 @@ def prepare_device(device: str, spec: MethodSpec) -> None:
 
 
 def _follow_parent(stop: Stop) -> None:
-    """Stop, as on SIGTERM, once the process that started this one is gone."""
+    """Stop, as on SIGTERM, once the parent process has died."""
     parent = os.getppid()
 
     def watch() -> None:

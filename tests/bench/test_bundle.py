@@ -87,11 +87,11 @@ def test_bundles_are_merged_like_stores(bench, packed, finished, tmp_path):
     done = bench("merge", packed, "--out", tmp_path / "all")
     assert done.returncode == 0, done.stderr
     assert rows(tmp_path / "all") == rows(finished.store)
-    # Its jobs' files are not in it, so that nothing can be said about the room that they need.
-    asked = ("plan", "quick", "--dataset", finished.dataset, "--method", "fake", "--scene", "c", "--plugins",
-             finished.plugins, "--out", tmp_path / "new")  # fmt: skip
-    told = bench(*asked, "--like", tmp_path / "all").stdout
-    assert re.search(r"4 to do, about .*, unknown room on disk, [1-9]\d* MiB of memory\n", told), told
+    # A bundle lacks the jobs' files: the disk that they need cannot be estimated.
+    arguments = ("plan", "quick", "--dataset", finished.dataset, "--method", "fake", "--scene", "c",
+                 "--plugins", finished.plugins, "--out", tmp_path / "new")  # fmt: skip
+    output = bench(*arguments, "--like", tmp_path / "all").stdout
+    assert re.search(r"4 to do, about .*, unknown room on disk, [1-9]\d* MiB of memory\n", output), output
     bad = rewritten(packed, tmp_path, lambda files: files.pop("store.json"))
     refused = bench("merge", bad, "--out", tmp_path / "none")
     assert refused.returncode == 2

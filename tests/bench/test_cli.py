@@ -123,12 +123,12 @@ def test_unusable_files_are_one_line(tmp_path, monkeypatch, capsys, name: str) -
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(content)
-    given = path if path.parent == tmp_path else path.parent
-    said = _refusal(["run", "quick", "--dataset", str(given)], capsys, words)
-    assert str(given) in said
+    source = path if path.parent == tmp_path else path.parent
+    message = _refusal(["run", "quick", "--dataset", str(source)], capsys, words)
+    assert str(source) in message
     assert not (tmp_path / "runs").exists()
     with pytest.raises(DataError):
-        main(["run", "quick", "--dataset", str(given), "--debug"])
+        main(["run", "quick", "--dataset", str(source), "--debug"])
 
 
 def test_a_file_that_is_not_there(tmp_path, monkeypatch, capsys) -> None:
@@ -205,12 +205,12 @@ def test_claims_are_listed_where_they_are_asked_for(finished, capsys) -> None:
     assert main(store) == 0
     assert "uni-ivrgs-psnr" not in capsys.readouterr().out
     assert main([*store, "--check-claims"]) == 0
-    told = capsys.readouterr().out
-    assert "not measured   uni-ivrgs-psnr         0.9 to 2.2 dB above iVR-GS\n" in told
-    assert "[VEG is not implemented here]" in told
-    counts = next(line for line in told.splitlines() if line.endswith(" not evaluated"))
+    output = capsys.readouterr().out
+    assert "not measured   uni-ivrgs-psnr         0.9 to 2.2 dB above iVR-GS\n" in output
+    assert "[VEG is not implemented here]" in output
+    counts = next(line for line in output.splitlines() if line.endswith(" not evaluated"))
     assert counts.startswith("0 holds; 0 holds, exceeds; 0 does not hold; 0 not decided; ")
-    listed = re.findall(r"^not (?:measured|evaluated) ", told, re.MULTILINE)
+    listed = re.findall(r"^not (?:measured|evaluated) ", output, re.MULTILINE)
     assert sum(map(int, re.findall(r"\d+", counts))) == len(listed)
 
 

@@ -65,11 +65,11 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     assert plan.returncode == 0, plan.stderr
     assert "4 jobs, 4 finished, 0 to do" in plan.stdout
 
-    asked = ("plan", "quick", "--dataset", bench.dataset, "--method", "fake", "--scene", "c", "--plugins",
-             bench.plugins, "--out", bench.store.parent / "another")  # fmt: skip
-    assert "4 to do, no past records to estimate from" in bench(*asked).stdout
-    told = bench(*asked, "--like", bench.store).stdout
-    assert re.search(r"4 to do, about .*, \d+ MiB of disk, [1-9]\d* MiB of memory\n", told), told
+    arguments = ("plan", "quick", "--dataset", bench.dataset, "--method", "fake", "--scene", "c",
+                 "--plugins", bench.plugins, "--out", bench.store.parent / "another")  # fmt: skip
+    assert "4 to do, no past records to estimate from" in bench(*arguments).stdout
+    output = bench(*arguments, "--like", bench.store).stdout
+    assert re.search(r"4 to do, about .*, \d+ MiB of disk, [1-9]\d* MiB of memory\n", output), output
 
     printed = bench("results", "--runs", bench.store, "--plugins", bench.plugins)
     assert printed.stdout.splitlines()[0].split(",") == list(TABLES["results"].columns)

@@ -112,11 +112,11 @@ def test_rows_stand_in_the_order_people_expect() -> None:
         )  # fmt: skip
         return _record("failed", encode=None, job=job)
 
-    wanted = [("core", 0, None), ("jet", 2, None), ("jet", 10, None), ("tf2", 0, None), ("tf2", 0, 0.5),
+    rows = [("core", 0, None), ("jet", 2, None), ("jet", 10, None), ("tf2", 0, None), ("tf2", 0, 0.5),
               ("tf2", 0, 10.0), ("tf10", 0, None)]  # fmt: skip
-    tables = joined(stored_tables(measured(*axes) for axes in reversed(wanted)))
+    tables = joined(stored_tables(measured(*axes) for axes in reversed(rows)))
     cells = tables["results"][["scene", "seed", "rate"]].itertuples(index=False, name=None)
-    assert [(scene, seed, None if pd.isna(rate) else rate) for scene, seed, rate in cells] == wanted
+    assert [(scene, seed, None if pd.isna(rate) else rate) for scene, seed, rate in cells] == rows
 
 
 def _views(psnr: list[float], rate=None) -> pd.DataFrame:
