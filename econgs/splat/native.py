@@ -271,11 +271,6 @@ def _in_place(tensor: Tensor) -> Any:
     return _array(tensor.detach())
 
 
-def fixed_reference_kernel() -> float:
-    """Seconds of a fixed piece of work (FMA and memory traffic, all threads), a reference for timings."""
-    return float(_native.reference_kernel())
-
-
 def bench_blend(channels: int = 3, backward: bool = False) -> float:
     """Lane evaluations (pixel × Gaussian) per second of one thread's blend loop on L1-resident data."""
     return float(_native.bench_blend(channels, backward))

@@ -28,15 +28,9 @@ HashGrid grid_of(const In& table, const Indices& index, const In& weights, const
   if (rows)
     for (int64_t m = 0; m < count; ++m)
       expect(rows->data()[m] >= 0 && rows->data()[m] < n, "a row beyond the positions looked up");
-  return {table.data(),
-          index.data(),
-          weights.data(),
-          rows ? rows->data() : nullptr,
-          n,
-          count,
-          static_cast<int>(corners.size()),
-          corners.data(),
-          sizes.data()};
+  const int64_t* const indices = rows ? rows->data() : nullptr;
+  const int levels = static_cast<int>(corners.size());
+  return {table.data(), index.data(), weights.data(), indices, n, count, levels, corners.data(), sizes.data()};
 }
 
 std::vector<int64_t> forward_checked(const In& table, const Indices& index, const In& weights, std::optional<Rows> rows,

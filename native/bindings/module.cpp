@@ -34,14 +34,9 @@ Inputs inputs(const In& means, const In& quats, const In& scales, const In& opac
   expect(features.ndim() == 2 && static_cast<int64_t>(features.shape(0)) == n && features.shape(1) >= 1,
          "features must have shape (N, C) with C >= 1");
   expect(!offset || is(*offset, {n, 2}), "screen_offset must have shape (N, 2)");
-  return {means.data(),
-          quats.data(),
-          scales.data(),
-          opacities.data(),
-          features.data(),
-          data_or_null(offset),
-          n,
-          static_cast<int>(features.shape(1))};
+  const float* const shift = data_or_null(offset);
+  const int channels = static_cast<int>(features.shape(1));
+  return {means.data(), quats.data(), scales.data(), opacities.data(), features.data(), shift, n, channels};
 }
 
 View view_of(const Doubles& numbers, double near, const Array& alpha) {

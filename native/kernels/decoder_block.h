@@ -71,16 +71,8 @@ INLINE V3 direction_backward(const Direction& to, V3 grad) {
 }
 
 // Planes of a block, in this order; raw outputs come without their activations.
-enum {
-  RAW_SCALE = 0,
-  RAW_QUAT = 3,
-  RAW_COLOR = 7,
-  RAW_AMBIENT = 10,
-  RAW_DIFFUSE,
-  RAW_SPECULAR,
-  RAW_SHININESS,
-  RAW_NORMAL
-};
+enum { RAW_SCALE = 0, RAW_QUAT = 3, RAW_COLOR = 7, RAW_AMBIENT = 10 };
+enum { RAW_DIFFUSE = 11, RAW_SPECULAR, RAW_SHININESS, RAW_NORMAL };
 enum { AT_MEAN = 0, AT_SCALING = 3, AT_OPACITY = 6, AT_PLANES };      // by slot, from the anchors
 enum { OUT_MEAN = 0, OUT_QUAT = 3, OUT_SCALE = 7, OUT_COLOR = 10, OUT_PLANES = 13 };
 

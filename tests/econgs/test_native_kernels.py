@@ -360,4 +360,3 @@ def test_timing_hooks_report() -> None:
     assert frame["evaluations"] >= frame["visible"]
     assert native.bench_blend() > 0
     assert native.bench_blend(backward=True) > 0
-    assert native.fixed_reference_kernel() > 0
