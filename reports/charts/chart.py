@@ -80,7 +80,7 @@ def linear_axis(
         title: of the axis.
         least: the least difference between its ends.
         room: share of the axis to keep free above the highest value.
-        start: its low end; then the highest value is the high end but for ``room``.
+        start: its low end; then the margin is but a little above the highest value.
     """
     low, high = (min(values), max(values)) if values else (0.0, 1.0)
     if start is None:
@@ -88,7 +88,7 @@ def linear_axis(
         low, high = low - margin, high + margin
     else:
         low = start
-        high = high if high > low else low + 1.0
+        high = low + 1.03 * (high - low) if high > low else low + 1.0
     high = low + (high - low) / (1.0 - room)
     return Axis(title, low, high, False, tuple(_ticks(low, high)))
 

@@ -40,7 +40,7 @@ _COLUMNS = 3
 _GAP, _TITLE = 14.0, 15.0
 """Pixels between panels, and of a line of a panel's title."""
 _TITLE_SIZE = 12.0
-_LEAST, _MOST = 300.0, 1.25
+_LEAST, _MOST = 300.0, 1.5
 """Least width of a panel on the page in pixels, and by how much it may be enlarged."""
 
 
@@ -132,7 +132,6 @@ def _stages(panel: Panel) -> Iterator[str]:
         across = panel.place(x, panel.y.low)[0]
         dash = f'stroke-dasharray="{_DASHES["dash"]}"'
         yield f'<path d="M{_n(across)} {_n(top)}v{_n(height)}" stroke="{_SOFT}" {dash} fill="none"/>'
-        yield _text(across + 11, top + height - 5, text, color=_SOFT, turned=True)
 
 
 def _series(panel: Panel) -> Iterator[str]:
@@ -155,6 +154,10 @@ def _series(panel: Panel) -> Iterator[str]:
 
 
 def _labels(panel: Panel) -> Iterator[str]:
+    _, top, _, height = panel.box
+    for x, text in panel.stages:
+        across = panel.place(x, panel.y.low)[0]
+        yield _text(across + 11, top + height - 5, text, color=_SOFT, turned=True, halo=True)
     for label, place in panel.placed:
         if place.far:
             x, y = panel.place(label.x, label.y)

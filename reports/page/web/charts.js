@@ -18,13 +18,13 @@
       const data = svg.nextElementSibling ? JSON.parse(svg.nextElementSibling.textContent) : { series: [] };
       const share = (axis, v) => axis.log ? Math.log(v / axis.low) / Math.log(axis.high / axis.low)
         : (v - axis.low) / (axis.high - axis.low);
-      const number = (axis, v) => axis.digits === null ? v.toLocaleString("en", { maximumSignificantDigits: 5 })
+      const number = (axis, v) => axis.digits === null ? v.toLocaleString("en", { maximumSignificantDigits: 4 })
         : v.toFixed(axis.digits);
-      const told = (axis, v) => axis.text ? axis.text.replace("{}", number(axis, v)) : "";
+      const text = (axis, v) => axis.text ? axis.text.replace("{}", number(axis, v)) : "";
       cache.set(svg, data.series.flatMap((series) => series.x.map((x, i) => ({
         x: data.box[0] + data.box[2] * share(data.x, x),
         y: data.box[1] + data.box[3] * (1 - share(data.y, series.y[i])),
-        text: [series.title, series.names?.[i] ?? "", told(data.x, x), told(data.y, series.y[i])],
+        text: [series.title, series.names?.[i] ?? "", text(data.x, x), text(data.y, series.y[i])],
         color: series.color,
         keys: series.keys?.[i] ?? [],
       }))));
@@ -77,6 +77,7 @@
     const point = svg && !about ? nearest(svg, event) : null;
     show(svg, point, about?.split("\n") ?? point?.text, event);
   });
+  addEventListener("scroll", () => show(null, null, null, null), { passive: true });
   document.addEventListener("click", (event) => {
     const svg = event.target.closest("svg.chart");
     const keys = svg ? nearest(svg, event)?.keys ?? [] : [];
