@@ -30,6 +30,11 @@ AXIS = {
 
 _CLOCK = {"fps": "processor", "train_seconds": "fit_processor"}
 """Column that was timed -> the one that tells on what."""
+_NEEDED = (
+    "dataset", "preset", "split", "method", "base", "variant", "rate", "scene", "seed", "job", "status",
+    "size_bytes", "psnr",
+)  # fmt: skip
+"""Columns of a trade-off but for its axis: groups of rows with all columns take five times as long."""
 _FEW = 30  # points of a panel
 _BAR = ["dataset", "method", "variant", "rate", "preset"]
 
@@ -170,8 +175,9 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
     if results.empty or against not in results:
         return []
     unit = AXIS[against].scale
+    columns = list(dict.fromkeys((*_NEEDED, against, *_CLOCK.values())))
     panels = []
-    for title, rows in comparable(with_shared_seeds(results[results["kind"] == "basic"])):
+    for title, rows in comparable(with_shared_seeds(results.loc[results["kind"] == "basic", columns])):
         good = rows[
             (rows["status"] == "ok") & rows["psnr"].notna() & rows[against].notna() & (rows[against] > 0)
         ]

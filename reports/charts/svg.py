@@ -128,7 +128,7 @@ def _bars(panel: Panel) -> Iterator[str]:
 
 def _stages(panel: Panel) -> Iterator[str]:
     _, top, _, height = panel.box
-    for x, text in panel.stages:
+    for x, _ in panel.stages:
         across = panel.place(x, panel.y.low)[0]
         dash = f'stroke-dasharray="{_DASHES["dash"]}"'
         yield f'<path d="M{_n(across)} {_n(top)}v{_n(height)}" stroke="{_SOFT}" {dash} fill="none"/>'
