@@ -40,16 +40,17 @@ _TRADEOFFS = (
 """Name of the file, caption, column."""
 
 
-def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
+def chart_sections(tables: dict[str, pd.DataFrame], views: Views | None = None) -> list[Section]:
     """The sections for which there are data, in the order of the page.
 
     Args:
         tables: as documented (results, views, curve, losses, ledger, timing, features).
+        views: ``tables["views"]``, if the caller has it.
     """
     results = tables["results"]
     names = series(results, tables["curve"], tables["features"])
     sections = (
-        _confidence(results, tables["views"]),
+        _confidence(results, views or Views(tables["views"])),
         _rate_distortion(results, names),
         _tradeoffs(results, names),
         stability_sections.stability_section(tables, names),
@@ -64,11 +65,11 @@ def chart_sections(tables: dict[str, pd.DataFrame]) -> list[Section]:
     return [section for section in sections if section is not None]
 
 
-def _confidence(results: pd.DataFrame, views: pd.DataFrame) -> Section | None:
-    known = confidence.intervals(results, Views(views), ["psnr"])
+def _confidence(results: pd.DataFrame, views: Views) -> Section | None:
+    known = confidence.intervals(results, views, ["psnr"])
     if known.empty:
         return None
-    pairs = confidence.comparisons(results, Views(views), ["psnr"])
+    pairs = confidence.comparisons(results, views, ["psnr"])
     several = [axis for axis in ("preset", "split") if known[axis].nunique() > 1]
     rows = []
     for _, group in known.groupby(["dataset", "preset", "split"], sort=False, dropna=False):

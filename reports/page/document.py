@@ -70,7 +70,7 @@ def write_report(
             *([Section("paper", "The paper's tables", claims)] if claims else []),
             *([Section("scenes", "Scenes", pictures)] if pictures else []),
             *([Section("editing", "Editing", edits)] if edits else []),
-            *chart_sections(tables),
+            *chart_sections(tables, views),
         ]
     if not dvr.empty:
         sections.append(Section("datasets", "Rendering the volumes", datasets.section(dvr)))
