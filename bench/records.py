@@ -1,4 +1,4 @@
-"""What a job is and what it leaves behind: typed, versioned, one JSON file per job."""
+"""Jobs and their records: typed, versioned, one JSON file per job."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ class Job(_Model):
     """One node of the job graph.
 
     Attributes:
-        key: hash of ``identity``, which holds everything that decides the result; what a job only
-            carries along (labels, needs) stands beside it.
-        scenes: the basic scenes the job is about: one (or those of a composition) for views, dvr and
-            measure, a group for fit and encode.
+        key: hash of ``identity``, which holds everything that decides the result; the other fields are labels
+            and needs, or repeat it.
+        scenes: basic scenes of the job: one (or those of a composition) for views, dvr and measure, a group
+            for fit and encode, all of the dataset for partition.
         composition: name of the composition that the scenes make up, "" for a basic scene.
-        edit: what is changed of a basic scene before it is shown (views, measure), as "opacity=0.5".
-        group: name of the group of scenes fitted together; of several (measure of a composition), joined
-            by commas.
-        needs: ids of the jobs that must be finished before.
+        edit: change of a basic scene before rendering (views, measure), as "opacity=0.5".
+        group: label of the scenes that were fitted together; labels of several groups (measure of a
+            composition) are joined by commas.
+        needs: ids of the jobs that must be finished before this one.
         metrics: metric name -> version (measure only).
         overrides: options that differ from the preset's, with "iterations" and "configuration";
             ``variant`` is their label.
         knob: the rate knob among the overrides, "" if there is none.
-        cloud_points: size of the initial cloud.
-        sampled: primitives of a scene whose attributes go into the record (measure only).
+        cloud_points: points of the initial cloud.
+        sampled: number of primitives per scene whose attributes the record keeps (measure only).
     """
 
     kind: Kind
@@ -86,13 +86,13 @@ class Job(_Model):
         return f"{self.kind}-{self.key}"
 
     @property
-    def shows(self) -> str:
-        """Name of the basic scene or composition that a views, dvr or measure job is about."""
+    def subject(self) -> str:
+        """Name of the composition, or of the first basic scene."""
         return self.composition or self.scenes[0]
 
     @property
     def title(self) -> str:
-        """For people: what, of which scenes, by which method."""
+        """Kind, scenes, method and settings, for people."""
         about = self.composition or self.group or "+".join(self.scenes)
         parts = [self.kind, f"{self.dataset_name}/{about}"]
         if self.edit:
@@ -107,7 +107,7 @@ class Job(_Model):
 
 
 class Task(_Model):
-    """``job.json``: a job and how this machine runs it."""
+    """``job.json``: a job, and the plugins and threads with which this machine runs it."""
 
     job: Job
     plugins: tuple[str, ...] = ()
@@ -115,7 +115,7 @@ class Task(_Model):
 
 
 class Provenance(_Model):
-    """Where and with what a job ran; recorded, never hashed."""
+    """Machine and software of a job; recorded, never hashed."""
 
     machine: str
     cpu: str
@@ -133,9 +133,11 @@ class Provenance(_Model):
 
 
 class CurvePoint(_Model):
-    """An anytime evaluation.
+    """An evaluation during a fit.
 
-    ``psnr``: scene -> PSNR of a few of the views that are measured on; none of them is trained on.
+    Attributes:
+        psnr: scene -> PSNR of a few of the views that are measured at the end; no method trains on them.
+        loss_parts: part of the loss -> its weighted value.
     """
 
     iteration: int
@@ -148,15 +150,17 @@ class CurvePoint(_Model):
 
 
 class LossPoint(_Model):
-    """Means over a stretch of a fit, all in one stage.
+    """Means over a stretch of a fit, within one stage.
 
-    ``losses``: "loss" (which is minimised), its parts, and further figures of the method.
+    Attributes:
+        first: first iteration of the stretch.
+        iteration: last iteration of the stretch.
+        losses: "loss" (the minimised sum), its weighted parts and further figures of the method -> mean.
     """
 
     stage: str
     first: int
     iteration: int
-    """The last of the stretch."""
     losses: dict[str, float]
 
 
@@ -165,11 +169,11 @@ class ViewsResult(_Model):
 
     Attributes:
         view_keys: split -> content hash of its views.
-        truth: the split that is measured on -> PNG file names, in the order of its cameras.
-        render_seconds: this job's own wait.
-        cost: split -> what rendering its views took (:attr:`datasets.views.ViewSet.cost`), renderer and
+        truth: the measured split -> PNG file names, in the order of its cameras.
+        render_seconds: time that this job waited for the views.
+        cost: split -> cost of rendering its views (:attr:`datasets.views.ViewSet.cost`), renderer and
             version among it; empty for pre-rendered views.
-        transfer: part -> what it shows (:func:`bench.inputs.transfer_summary`); empty for pre-rendered views.
+        transfer: part -> its transfer function and isosurfaces (:func:`bench.inputs.transfer_summary`); empty for pre-rendered views.
     """
 
     view_keys: dict[str, str]
@@ -184,11 +188,11 @@ class DvrResult(_Model):
     """Cost of direct volume rendering, view by view as an interactive viewer would draw.
 
     Attributes:
-        dims: nx, ny, nz; of the first variable.
-        volume_bytes: of all variables as they are held, in ``dtype``.
-        load_seconds: reading the volumes.
-        setup_seconds: from volumes in memory to the first picture, compilation included.
-        frame_seconds: median of single-view launches over the test path, after warm-up.
+        dims: nx, ny, nz of the first variable.
+        volume_bytes: size of all variables in memory, as ``dtype``.
+        load_seconds: time to read the volumes.
+        setup_seconds: time from the volumes in memory to the first picture, compilation included.
+        frame_seconds: median time of single-view launches over the test path, after warm-up.
     """
 
     dims: tuple[int, int, int]
@@ -209,16 +213,20 @@ class DvrResult(_Model):
 
 
 class PartitionResult(_Model):
-    """Scene names by group."""
+    """Groups of scenes, by name."""
 
     groups: list[list[str]]
     seconds: float
 
 
 class FitResult(_Model):
-    """``seconds``: the training clock, summed over resumes; ``cpu_seconds``: processor time of all threads.
+    """A fit.
 
-    On a machine that others use as well the second says more about the work; the first is what one waits.
+    Attributes:
+        seconds: training clock, summed over resumes.
+        cpu_seconds: processor time of all threads; other work on the machine hardly changes it.
+        primitives: scene -> its primitives.
+        resumed: number of resumes.
     """
 
     seconds: float
@@ -233,7 +241,11 @@ class FitResult(_Model):
 
 
 class EncodeResult(_Model):
-    """``ledger``: scene ("" = shared by the group) -> part -> bytes; sums to ``total_bytes``."""
+    """A saved model.
+
+    Attributes:
+        ledger: scene ("" for what the group shares) -> part -> bytes; sums to ``total_bytes``.
+    """
 
     seconds: float
     total_bytes: int
@@ -241,7 +253,7 @@ class EncodeResult(_Model):
 
 
 class ViewResult(_Model):
-    """Measures of one view. A metric that cannot be computed is None."""
+    """Metrics of one view; a metric that cannot be computed is None."""
 
     view: str
     metrics: dict[str, float | None]
@@ -251,7 +263,12 @@ class ViewResult(_Model):
 
 
 class MeasureResult(_Model):
-    """What a fresh process measured on the loaded model."""
+    """Measurements of the loaded model, by a process of their own.
+
+    Attributes:
+        missing: metric -> why it could not be computed.
+        features: attribute -> rows of some primitives; empty if the method does not expose attributes.
+    """
 
     load_seconds: float
     frame_seconds: float
@@ -264,10 +281,8 @@ class MeasureResult(_Model):
     primitives: int
     metrics: dict[str, float | None]
     missing: dict[str, str]
-    """Metric -> why it could not be computed."""
     views: list[ViewResult]
     features: dict[str, list[list[float]]] = Field(default_factory=dict)
-    """Attribute -> rows of some primitives, of a method that shows them."""
     reference_seconds: float | None
 
 
@@ -275,8 +290,8 @@ class Record(_Model):
     """A finished job, also a failed one.
 
     Attributes:
-        status: "ok" or how it failed; then ``reason``, ``stage``, ``iteration``, ``log_tail`` say more.
-        cause: id of the failed job that kept this one from running at all.
+        status: "ok", or the kind of failure; ``reason``, ``stage``, ``iteration`` and ``log_tail`` detail it.
+        cause: id of the failed job without which this one could not run.
         peak_host_bytes: VmHWM of the process (of the timed part for measure).
     """
 

@@ -132,7 +132,7 @@ def _axes(record: Record, by_id: Mapping[str, Record], choices: Mapping[str, int
     return {
         "step": job.kind,
         "dataset": job.dataset_name,
-        "scene": f"{job.shows} {job.edit}".strip(),
+        "scene": f"{job.subject} {job.edit}".strip(),
         "kind": "composed" if job.composition else "edited" if job.edit else "basic",
         "edit": job.edit,
         "members": json.dumps(job.scenes),

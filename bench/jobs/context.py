@@ -61,5 +61,5 @@ class Context:
 
     def truth(self, scene: str) -> Truth:
         """What the views job of a scene or composition stored."""
-        record = next(record for record in self.all_needed("views") if record.job.shows == scene)
+        record = next(record for record in self.all_needed("views") if record.job.subject == scene)
         return Truth(self.path_of(record))

@@ -22,11 +22,11 @@ def run(context: Context) -> DvrResult:
     dataset = open_dataset(job.dataset)
     context.report(stage="loading")
     start = time.perf_counter()
-    variables = list(dict.fromkeys(part.variable for part in dataset.parts(job.shows)))
+    variables = list(dict.fromkeys(part.variable for part in dataset.parts(job.subject)))
     volumes = [dataset.volume(variable) for variable in variables]
     load_seconds = time.perf_counter() - start
     context.report(stage="set-up")
-    live = live_renderer(dataset, job.shows, view_request(job.request, job.split))
+    live = live_renderer(dataset, job.subject, view_request(job.request, job.split))
     context.report(stage="timing")
     before = reference_seconds()
     # Each picture is copied to the host, so the clock stops when it is there.

@@ -44,9 +44,9 @@ def run(context: Context) -> MeasureResult:
         raise Refused(f"{job.method} cannot render models of several groups together ({job.group})")
     views_job = context.needed("views")
     assert views_job.views is not None
-    truth = context.truth(job.shows)
+    truth = context.truth(job.subject)
     cameras = truth.cameras(job.split)
-    edit = edit_of(job.shows, job.edit)
+    edit = edit_of(job.subject, job.edit)
     background = views_job.views.background
     method = context.method()
 

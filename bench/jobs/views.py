@@ -29,15 +29,15 @@ def run(context: Context) -> ViewsResult:
     sets: dict[Split, ViewSet] = {}
     for split in splits if basic else (job.split,):
         context.report(stage=f"views: {split}")
-        sets[split] = views(dataset, job.shows, job.request, split, job.edit)
+        sets[split] = views(dataset, job.subject, job.request, split, job.edit)
     seconds = time.perf_counter() - start
     measured = sets[job.split]
     if len(measured) == 0:
         raise DataError(
-            f"{job.dataset_name}/{job.shows}", f"no views in split {job.split!r}", "Use another split"
+            f"{job.dataset_name}/{job.subject}", f"no views in split {job.split!r}", "Use another split"
         )
     context.report(stage="storing")
-    scene = dataset.scene(job.shows) if basic else None
+    scene = dataset.scene(job.subject) if basic else None
     write_truth(context.folder, sets, scene, None if scene is None else cloud_source(dataset, scene))
     folder = context.folder / "truth"
     folder.mkdir(exist_ok=True)
@@ -50,5 +50,5 @@ def run(context: Context) -> ViewsResult:
         truth={job.split: names},
         render_seconds=seconds,
         cost={split: dict(one.cost) for split, one in sets.items() if one.cost is not None},
-        transfer=transfer_summary(dataset, job.shows, job.edit),
+        transfer=transfer_summary(dataset, job.subject, job.edit),
     )

@@ -59,7 +59,7 @@ def plan(suite, store=None, **changes):
 
 
 def measured(jobs) -> list[str]:
-    return [job.shows for job in jobs if job.kind == "measure"]
+    return [job.subject for job in jobs if job.kind == "measure"]
 
 
 def test_compositions_are_measured_only_where_they_are_wanted(suite) -> None:
@@ -82,7 +82,7 @@ def test_a_composition_needs_its_views_and_every_model_that_holds_its_scenes(sui
     jobs = {job.id: job for job in plan(suite(), composed=True)}
     (composed,) = [job for job in jobs.values() if job.kind == "measure" and job.composition]
     views, *encodes = (jobs[need] for need in composed.needs)
-    assert (views.kind, views.shows, views.scenes) == ("views", "all", ("shock", "bubble"))
+    assert (views.kind, views.subject, views.scenes) == ("views", "all", ("shock", "bubble"))
     assert [encode.scenes for encode in encodes] == [("shock",), ("bubble",)]
     assert composed.group == "shock,bubble"
     # Jobs come after those they need, and what a basic scene is measured by does not change.

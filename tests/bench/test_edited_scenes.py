@@ -17,14 +17,14 @@ EDITS = 'edits = ["palette=#ff0000", "opacity=0.5 light=1,0,0"]'
 def test_every_scene_is_measured_as_it_is_and_edited(suite) -> None:  # noqa: F811
     jobs = {job.id: job for job in plan(suite(EDITS))}
     measured = [job for job in jobs.values() if job.kind == "measure"]
-    assert [(job.shows, job.edit) for job in measured] == [
+    assert [(job.subject, job.edit) for job in measured] == [
         (scene, edit)
         for scene in ("shock", "bubble")
         for edit in ("", "palette=#ff0000", "opacity=0.5 light=1,0,0")
     ]
     for job in measured:
         (views,) = [jobs[name] for name in job.needs if name.startswith("views-")]
-        assert (views.shows, views.edit) == (job.shows, job.edit)
+        assert (views.subject, views.edit) == (job.subject, job.edit)
     # nobody trains on an edited scene, and what is not edited is the same job as without edits
     assert all(not jobs[name].edit for job in jobs.values() if job.kind == "fit" for name in job.needs)
     assert {job.id for job in jobs.values() if not job.edit} == {job.id for job in plan(suite())}
