@@ -173,8 +173,8 @@ class ViewsResult(_Model):
         render_seconds: time that this job waited for the views.
         cost: split -> cost of rendering its views (:attr:`datasets.views.ViewSet.cost`), renderer and
             version among it; empty for pre-rendered views.
-        transfer: part -> its transfer function and isosurfaces (:func:`bench.inputs.transfer_summary`); empty for
-            pre-rendered views.
+        transfer: part -> its transfer function and isosurfaces (:func:`bench.inputs.transfer_summary`);
+            empty for pre-rendered views.
     """
 
     view_keys: dict[str, str]

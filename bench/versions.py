@@ -114,10 +114,8 @@ def _newest_rows(records: list[Record], choices: Mapping[str, int]) -> list[Reco
     for record in records:
         job = record.job
         if job.kind in ("measure", "dvr"):
-            row = (
-                *(job.kind, *_cell(job), choices.get(job.id, 0)),
-                *(job.subject, bool(job.composition), job.edit, job.rate),
-            )
+            choice = choices.get(job.id, 0)
+            row = (job.kind, *_cell(job), choice, job.subject, bool(job.composition), job.edit, job.rate)
             rival = best.get(row)
             if rival is None or (record.ok, record.finished) > (rival.ok, rival.finished):
                 best[row] = record
