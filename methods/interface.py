@@ -2,11 +2,12 @@
 
 A method is declared by a :class:`MethodSpec` (import-light) and implemented by a class that
 satisfies :class:`Method`, named in the spec as "module:attribute" and imported only when used.
-Shapes are written as trailing comments; torch tensors live on the device given to ``fit``/``load``.
+Shapes are written as trailing comments; torch tensors are on the device of ``fit``, ``restore``, ``load``.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,7 +41,7 @@ class Option:
     """One setting of a method, as its dataclass of options declares it.
 
     Attributes:
-        default: value of the spec; its type is the option's type.
+        default: its type is the option's type.
         doc: one line for people, with the unit.
         minimum, maximum: inclusive range of numbers.
         choices: the only values allowed, if not empty.
@@ -101,7 +102,7 @@ SHARED_SOURCE = ("methods.shared",)
 """What all built-in methods share: part of the ``source`` of each."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MethodSpec:
     """What a method is and can do; pure data, imports nothing heavy.
 
@@ -111,7 +112,8 @@ class MethodSpec:
         reference: citation of its paper.
         version: raised when results may change; part of the fit key. Rows of another version are stale.
         implementation: "module:attribute" of the :class:`Method`.
-        source: import packages or modules whose source decides the results; records keep its hash.
+        source: packages or modules whose hash goes into records; default: the top-level package of the
+            implementation.
         joint: trains several scenes of a dataset as one group.
         composable: models of several groups render together.
         edits: which parts of :class:`Edit` it honours.
@@ -130,18 +132,22 @@ class MethodSpec:
     reference: str
     version: str
     implementation: str
-    source: tuple[str, ...]
-    joint: bool
-    composable: bool
-    edits: frozenset[Literal["palette", "opacity", "light", "shading"]]
-    needs_volume: bool
     uses_alpha: str
-    devices: tuple[str, ...]
     iterations: Mapping[str, int]
+    source: tuple[str, ...] = ()
+    joint: bool = False
+    composable: bool = False
+    edits: frozenset[Literal["palette", "opacity", "light", "shading"]] = frozenset()
+    needs_volume: bool = False
+    devices: tuple[str, ...] = ("cpu", "cuda")
     options: type[Any] = NoOptions
     presets: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
     rate_knobs: tuple[RateKnob, ...] = ()
     configurations: Mapping[str, Configuration] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.source:
+            object.__setattr__(self, "source", (re.split("[.:]", self.implementation)[0],))
 
 
 class Refused(Exception):
@@ -226,10 +232,10 @@ class Monitor(Protocol):
         """
 
     def due(self, iteration: int) -> bool:
-        """Whether an anytime evaluation or a checkpoint is wanted now."""
+        """Whether an anytime evaluation or a checkpoint is due after this iteration."""
 
     def pause(self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]) -> None:
-        """Evaluate and/or checkpoint, as due: calls the given functions only if needed."""
+        """Evaluate and/or checkpoint, as due: calls the functions only if needed."""
 
     def stage(self, name: str) -> None:
         """Name the stage that begins ("warm-up", "context model")."""
@@ -317,12 +323,20 @@ class Method(Protocol):
             seed: the only source of randomness.
             device: "cpu" or "cuda".
             monitor: takes reports at every iteration.
-            resume: continue from here; from the checkpoint of a finished fit the model is
-                returned without training.
+            resume: continue from here.
 
         Raises:
             Refused: the group or an option combination cannot be fitted.
             Diverged: parameters or losses are no longer finite.
+        """
+
+    def restore(self, checkpoint: Checkpoint, options: Any, device: str) -> Model:
+        """The model that a fit returned, from the checkpoint of its last iteration alone.
+
+        Args:
+            checkpoint: holds all that the model needs; neither scenes nor views are at hand.
+            options: as given to the fit.
+            device: "cpu" or "cuda".
         """
 
     def load(self, folder: Path, device: str) -> Model:

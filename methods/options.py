@@ -63,7 +63,7 @@ def declared(options: type[Any]) -> dict[str, Option]:
     parameters = getattr(options, "__dataclass_params__", None)
     if parameters is None or not parameters.frozen:
         raise TypeError(f"{options!r} is no frozen dataclass")
-    types, found = get_type_hints(options), {}
+    types, result = get_type_hints(options), {}
     for one in fields(options):
         if OPTION not in one.metadata:
             raise TypeError(f"the field {one.name!r} is not declared by methods.interface.option")
@@ -71,8 +71,8 @@ def declared(options: type[Any]) -> dict[str, Option]:
         kind = type(choices[0]) if choices else types[one.name]
         if type(one.default) is not kind or kind not in _KINDS:
             raise TypeError(f"the default of {one.name!r}, {one.default!r}, is not of its type {kind!r}")
-        found[one.name] = replace(one.metadata[OPTION], choices=choices)
-    return found
+        result[one.name] = replace(one.metadata[OPTION], choices=choices)
+    return result
 
 
 def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] | None = None) -> Settings:
@@ -95,30 +95,30 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
     options.update(spec.presets.get(preset, {}))
     iterations = spec.iterations[preset]
     changed: dict[str, OptionValue] = {}
-    wanted = dict(overrides or {})
-    if spec.configurations and CONFIGURATION in wanted:
-        chosen = str(wanted.pop(CONFIGURATION))
-        if chosen not in spec.configurations:
-            raise unknown("configuration", chosen, spec.configurations, of=f"method {spec.name}")
-        configuration = spec.configurations[chosen]
+    settings = dict(overrides or {})
+    if spec.configurations and CONFIGURATION in settings:
+        label = str(settings.pop(CONFIGURATION))
+        if label not in spec.configurations:
+            raise unknown("configuration", label, spec.configurations, of=f"method {spec.name}")
+        configuration = spec.configurations[label]
         if configuration.options or configuration.iterations:
-            changed[CONFIGURATION] = chosen
+            changed[CONFIGURATION] = label
         options.update(configuration.options)
         iterations = configuration.iterations.get(preset, iterations)
-    for name, given in wanted.items():
+    for name, text in settings.items():
         if name == ITERATIONS:
-            value = check(spec.name, name, Option(iterations, "budget", minimum=1), given)
+            value = check(spec.name, name, Option(iterations, "budget", minimum=1), text)
             if value != iterations:
                 changed[name] = value
                 iterations = int(value)
         elif name in declarations:
-            value = check(spec.name, name, declarations[name], given)
+            value = check(spec.name, name, declarations[name], text)
             if value != options[name]:
                 changed[name] = value
                 options[name] = value
         else:
-            known = [*declarations, ITERATIONS, *([CONFIGURATION] if spec.configurations else [])]
-            raise unknown("option", name, known, of=f"method {spec.name}")
+            names = [*declarations, ITERATIONS, *([CONFIGURATION] if spec.configurations else [])]
+            raise unknown("option", name, names, of=f"method {spec.name}")
     knob = next((knob.name for knob in spec.rate_knobs if knob.refit and knob.name in changed), "")
     return Settings(spec.options(**options), iterations, changed, knob)
 

@@ -29,10 +29,10 @@ GROUP = "econgs_bench.methods"
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Candidate:
     """A method before its spec is imported."""
 
-    name: str | None  # known without importing it: entry points only
+    name: str | None  # of an entry point; None: only its spec has a name
     origin: str
     load: Callable[[], Any]
 
@@ -56,40 +56,40 @@ class Registry:
         self._origins: dict[str, str] = {}
         self.broken: dict[str, str] = {}
         """Installed plugins that cannot be used: entry point name -> what is wrong."""
-        for found in _built_in():
-            self._add(found)
-        for found in _installed():
+        for candidate in _built_in():
+            self._add(candidate)
+        for candidate in _installed():
             try:
-                self._add(found)
+                self._add(candidate)
             except DataError as error:
-                self.broken[str(found.name)] = str(error)
+                self.broken[str(candidate.name)] = str(error)
         for folder in plugin_folders:
-            for found in _in_folder(Path(folder)):
-                self._add(found)
+            for candidate in _in_folder(Path(folder)):
+                self._add(candidate)
 
-    def _add(self, found: _Found) -> None:
+    def _add(self, candidate: _Candidate) -> None:
         try:
-            spec = found.load()
+            spec = candidate.load()
         except DataError:
             raise
         except Exception as error:
             reason = f"its spec cannot be imported ({type(error).__name__}: {error})"
-            raise DataError(found.origin, reason, "Repair the plugin") from error
-        check_spec(spec, found.origin)
-        if found.name is not None and found.name != spec.name:
+            raise DataError(candidate.origin, reason, "Repair the plugin") from error
+        check_spec(spec, candidate.origin)
+        if candidate.name is not None and candidate.name != spec.name:
             raise DataError(
-                found.origin,
-                f"its entry point is called {found.name!r} but its spec {spec.name!r}",
+                candidate.origin,
+                f"its entry point is called {candidate.name!r} but its spec {spec.name!r}",
                 "Give both the same name",
             )
         if spec.name in self._specs:
             raise DataError(
-                found.origin,
+                candidate.origin,
                 f"a method {spec.name!r} is there already ({self._origins[spec.name]})",
                 "Rename one of them",
             )
         self._specs[spec.name] = spec
-        self._origins[spec.name] = found.origin
+        self._origins[spec.name] = candidate.origin
 
     def __iter__(self) -> Iterator[MethodSpec]:
         return (self._specs[name] for name in self.names())
@@ -184,31 +184,31 @@ def check_spec(spec: Any, origin: str) -> None:
             raise unknown("rate knob", knob.name, options, of=f"method {spec.name}")
 
 
-def _built_in() -> Iterator[_Found]:
+def _built_in() -> Iterator[_Candidate]:
     """Packages beside this module with a ``spec.py``: there without any metadata installed."""
     for module in pkgutil.iter_modules(methods.__path__):
         folder = Path(methods.__path__[0], module.name)
         if module.ispkg and (folder / "spec.py").is_file():
-            yield _Found(
+            yield _Candidate(
                 None, f"built in: methods.{module.name}", _importer(f"methods.{module.name}.spec", "SPEC")
             )
 
 
-def _installed() -> Iterator[_Found]:
+def _installed() -> Iterator[_Candidate]:
     """Entry points of other distributions; one installed twice over counts once."""
     seen: set[tuple[str, str]] = set()
     for point in entry_points(group=GROUP):
         own = point.value.startswith(f"{methods.__name__}.")
         if not own and (point.name, point.value) not in seen:
             seen.add((point.name, point.value))
-            yield _Found(point.name, f"installed: {_distribution(point)}{point.value}", point.load)
+            yield _Candidate(point.name, f"installed: {_distribution(point)}{point.value}", point.load)
 
 
 def _distribution(point: EntryPoint) -> str:
     return f"{point.dist.name} {point.dist.version}, " if point.dist is not None else ""
 
 
-def _in_folder(folder: Path) -> Iterator[_Found]:
+def _in_folder(folder: Path) -> Iterator[_Candidate]:
     folder = folder.expanduser().resolve()
     if not folder.is_dir():
         raise DataError(folder, "not a folder", "Give --plugins the folder that holds the plugins")
@@ -216,24 +216,24 @@ def _in_folder(folder: Path) -> Iterator[_Found]:
         root, candidates = folder.parent, [folder]
     else:
         root, candidates = folder, sorted(folder.iterdir())
-    found = [(path, module) for path in candidates if (module := _spec_module(path)) is not None]
-    if not found:
+    plugins = [(path, module) for path in candidates if (module := _spec_module(path)) is not None]
+    if not plugins:
         raise DataError(
             folder, "no method in it", "A plugin is a module, or a package with spec.py, that defines SPEC"
         )
     if str(root) not in sys.path:
         sys.path.append(str(root))
-    for path, module in found:
+    for path, module in plugins:
         top = path.stem
         located = importlib.util.find_spec(top)
         origin = Path(located.origin) if located is not None and located.origin is not None else None
         if origin is None or not origin.resolve().is_relative_to(root):
             raise DataError(path, f"another module {top!r} comes first ({origin})", "Rename the plugin")
-        yield _Found(None, f"plugin folder: {path}", _importer(module, "SPEC"))
+        yield _Candidate(None, f"plugin folder: {path}", _importer(module, "SPEC"))
 
 
 def _spec_module(path: Path) -> str | None:
-    """The module that defines SPEC, found without running anything; None if ``path`` is no plugin."""
+    """The module that defines SPEC, without running anything; None if ``path`` is no plugin."""
     if path.suffix == ".py" and path.is_file():
         options = [(path, path.stem)]
     else:

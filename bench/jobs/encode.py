@@ -4,46 +4,22 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from bench.checkpoints import read_checkpoint
 from bench.jobs.context import Context
-from bench.jobs.fit import fit_seed
-from bench.jobs.scenes import scene_inputs
 from bench.records import EncodeResult
 from bench.timing import synchronise
-from methods.interface import Budget, Checkpoint, Model
-
-
-class SilentMonitor:
-    """Given to ``fit`` where it only returns the model of a finished checkpoint."""
-
-    def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
-        raise RuntimeError("the method trains although it was given the checkpoint of a finished fit")
-
-    def due(self, iteration: int) -> bool:
-        return False
-
-    def pause(self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]) -> None:
-        pass
-
-    def stage(self, name: str) -> None:
-        pass
 
 
 def run(context: Context) -> EncodeResult:
     """Restore the model of a fit from its checkpoint and save it; the ledger must cover the files."""
     job = context.job
-    found = read_checkpoint(context.path_of(context.needed("fit")) / "checkpoint")
-    if found is None:
+    stored = read_checkpoint(context.path_of(context.needed("fit")) / "checkpoint")
+    if stored is None:
         raise RuntimeError("the fit has no checkpoint")
     context.report(stage="loading")
-    scenes = scene_inputs(context)
-    method = context.method()
-    assert job.iterations is not None
-    model = method.fit(
-        scenes, context.options, Budget(job.iterations), fit_seed(job), job.device, SilentMonitor(), found[0]
-    )
+    model = context.method().restore(stored[0], context.options, job.device)
     folder = context.folder / "model"
     if folder.exists():
         shutil.rmtree(folder)

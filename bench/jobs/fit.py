@@ -32,9 +32,11 @@ def run(context: Context) -> FitResult:
     before = reference_seconds()
     context.stop.deferred = True
     monitor.start()
-    model = method.fit(
-        scenes, context.options, Budget(job.iterations), fit_seed(job), job.device, monitor, resume
-    )
+    if resume is not None and resume.iteration == job.iterations:  # stopped after its last iteration
+        model = method.restore(resume, context.options, job.device)
+    else:
+        budget = Budget(job.iterations)
+        model = method.fit(scenes, context.options, budget, fit_seed(job), job.device, monitor, resume)
     synchronise(job.device)
     monitor.stop()
     context.stop.deferred = False

@@ -158,8 +158,13 @@ class Coding:
         self.noise.pool.copy_(saved["coding/noise"])
         self.model.unit.copy_(saved["coding/unit"])
         if "coding/grid" in saved:
-            x, y, z, a, b, c, *extent = saved["coding/grid"].tolist()
-            self._grid = PositionGrid((x, y, z), (a, b, c), (int(extent[0]), int(extent[1]), int(extent[2])))
+            self._grid = saved_grid(saved)
+
+
+def saved_grid(saved: Mapping[str, Tensor]) -> PositionGrid:
+    """The grid of positions of :meth:`Coding.state`."""
+    x, y, z, a, b, c, *extent = saved["coding/grid"].tolist()
+    return PositionGrid((x, y, z), (a, b, c), (int(extent[0]), int(extent[1]), int(extent[2])))
 
 
 def _sizes(values: Attributes) -> Attributes:

@@ -13,17 +13,15 @@ from econgs.splat.rasterise import SplatImages, rasterise
 
 
 @dataclass(frozen=True)
-class ViewGaussians:
-    """The Gaussians of one view that are not culled, in the order of their slots.
+class Gaussians:
+    """Gaussians with the colors of one view, ready to be splatted.
 
     Attributes:
         means: (M, 3).
         quats: (M, 4) unit quaternions (w, x, y, z).
         scales: (M, 3).
-        opacities: (M,) in (0, 1].
+        opacities: (M,) in [0, 1].
         colors: (M, 3) shaded, in [0, 1].
-        slots: (M,) int64, anchor * K + offset, ascending.
-        raw_opacities: (N, K) tanh outputs of all Gaussians, also culled ones, without history; for pruning.
     """
 
     means: Tensor
@@ -31,6 +29,17 @@ class ViewGaussians:
     scales: Tensor
     opacities: Tensor
     colors: Tensor
+
+
+@dataclass(frozen=True)
+class ViewGaussians(Gaussians):
+    """The Gaussians of one view that decoding anchors gives and does not cull, in the order of their slots.
+
+    Attributes:
+        slots: (M,) int64, anchor * K + offset, ascending.
+        raw_opacities: (N, K) tanh outputs of all Gaussians, also culled ones, without history; for pruning.
+    """
+
     slots: Tensor
     raw_opacities: Tensor
 
@@ -58,9 +67,7 @@ def apply_masks(decoded: ViewGaussians, masks: Tensor) -> ViewGaussians:
     )
 
 
-def draw(
-    decoded: Sequence[ViewGaussians], camera: Camera, screen_offset: Tensor | None = None
-) -> SplatImages:
+def draw(decoded: Sequence[Gaussians], camera: Camera, screen_offset: Tensor | None = None) -> SplatImages:
     """Splat the Gaussians of one or several scenes together."""
 
     def all_of(name: str) -> Tensor:

@@ -1,7 +1,7 @@
 """The contract kit: what every plugin promises to the harness, checked on a tiny scene.
 
 ``bench check-plugin`` runs it, and so do the tests of the methods that come with the harness. Each check is a
-function that takes a :class:`Subject` and returns what it saw in a few words, or raises ``AssertionError``
+function that takes a :class:`Subject` and returns its findings in a few words, or raises :class:`Broken`
 with what is wrong.
 """
 
@@ -13,11 +13,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import torch
+from safetensors.torch import load, save
 
 from datasets.camera import Camera
 from datasets.errors import DataError
@@ -46,11 +48,21 @@ EDITS: Mapping[str, tuple[Edit, ...]] = {
 }
 
 
+class Broken(AssertionError):
+    """A promise of the contract is broken."""
+
+
+def expect(holds: object, problem: str) -> None:
+    """Raise :class:`Broken` unless the promise holds; unlike ``assert`` also under ``python -O``."""
+    if not holds:
+        raise Broken(problem)
+
+
 class Recorder:
-    """A monitor that keeps what it is told, and checkpoints where it is asked to."""
+    """A monitor that keeps every report, and checkpoints after certain iterations."""
 
     def __init__(self, checkpoint_at: Sequence[int] = ()) -> None:
-        self.wanted = set(checkpoint_at)
+        self.stops = set(checkpoint_at)
         self.iterations: list[int] = []
         self.losses: list[float] = []
         self.checkpoints: dict[int, Checkpoint] = {}
@@ -60,18 +72,18 @@ class Recorder:
         self.losses.append(losses["loss"])
 
     def due(self, iteration: int) -> bool:
-        return iteration in self.wanted
+        return iteration in self.stops
 
     def pause(self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]) -> None:
         model().primitives()
-        given = checkpoint()
+        state = checkpoint()
         # As if written and read: what training goes on with must not be shared.
-        arrays = {name: values.clone() for name, values in given.arrays.items()}
+        arrays = load(save({name: values.cpu().contiguous() for name, values in state.arrays.items()}))
         try:
-            scalars = json.loads(json.dumps(given.scalars))
+            scalars = json.loads(json.dumps(state.scalars))
         except TypeError as error:
-            raise AssertionError(f"a checkpoint's scalars cannot be written as JSON: {error}") from error
-        self.checkpoints[iteration] = Checkpoint(given.iteration, arrays, scalars)
+            raise Broken(f"a checkpoint's scalars cannot be written as JSON: {error}") from error
+        self.checkpoints[iteration] = Checkpoint(state.iteration, arrays, scalars)
 
     def stage(self, name: str) -> None:
         pass
@@ -117,6 +129,7 @@ class Subject:
         recorder: Recorder | None = None,
         resume: Checkpoint | None = None,
         iterations: int | None = None,
+        seed: int = 7,
         **changed: OptionValue,
     ) -> Model:
         """A fit; of the tiny scene where no other is given."""
@@ -125,11 +138,16 @@ class Subject:
             [self.scene] if scenes is None else scenes,
             options,
             Budget(self.iterations if iterations is None else iterations),
-            7,
+            seed,
             self.device,
             Recorder() if recorder is None else recorder,
             resume,
         )
+
+    def restore(self, checkpoint: Checkpoint) -> Model:
+        """The model of a finished fit's checkpoint."""
+        options = resolve(self.spec, "quick", self.overrides).options
+        return self.method.restore(checkpoint, options, self.device)
 
     def first(self) -> tuple[Model, Recorder]:
         """The fit that most checks look at."""
@@ -158,17 +176,17 @@ def _picture(model: Model, camera: Camera, **arguments: Any) -> tuple[torch.Tens
 def _same(one: tuple[torch.Tensor, ...], other: tuple[torch.Tensor, ...], what: str) -> None:
     for a, b in zip(one, other, strict=True):
         far = float((a - b).abs().max())
-        assert far <= TOLERANCE, f"{what}: pictures differ by up to {far:.2g}"
+        expect(far <= TOLERANCE, f"{what}: pictures differ by up to {far:.2g}")
 
 
 def _check_ledger(ledger: Mapping[str, Mapping[str, int]], folder: Path, model: Model) -> int:
     total = sum(len(data) for data in files_of(folder).values())
     claimed = sum(count for parts in ledger.values() for count in parts.values())
-    assert claimed == total, f"the ledger sums to {claimed} bytes, the files to {total}"
+    expect(claimed == total, f"the ledger sums to {claimed} bytes, the files to {total}")
     foreign = set(ledger) - {"", *model.scenes}
-    assert not foreign, f"the ledger names {sorted(foreign)}, which are no scenes of the model"
+    expect(not foreign, f"the ledger names {sorted(foreign)}, which are no scenes of the model")
     low = [part for parts in ledger.values() for part, count in parts.items() if count < 0]
-    assert not low, f"the ledger has negative entries: {low}"
+    expect(not low, f"the ledger has negative entries: {low}")
     return total
 
 
@@ -177,13 +195,13 @@ def _refused(what: str, call: Callable[[], object], *kinds: type[Exception]) -> 
     try:
         call()
     except kinds as error:
-        said = str(error).strip()
+        reason = str(error).strip()
     except Exception as error:
-        raise AssertionError(f"{what}: {type(error).__name__} ({error}) instead of a refusal") from error
+        raise Broken(f"{what}: {type(error).__name__} ({error}) instead of a refusal") from error
     else:
-        raise AssertionError(f"{what}: not refused")
-    assert said, f"{what}: refused without a reason"
-    return said
+        raise Broken(f"{what}: not refused")
+    expect(reason, f"{what}: refused without a reason")
+    return reason
 
 
 # --------------------------------------------------------------------------- the checks
@@ -197,7 +215,7 @@ def specification(subject: Subject) -> str:
         for name in ("", *spec.configurations):
             resolve(spec, preset, {CONFIGURATION: name} if name else {})
         for knob in spec.rate_knobs:
-            assert knob.values, f"the rate knob {knob.name!r} has no values"
+            expect(knob.values, f"the rate knob {knob.name!r} has no values")
             if knob.refit:
                 for value in knob.values:
                     resolve(spec, preset, {knob.name: value})
@@ -210,9 +228,9 @@ def partition(subject: Subject) -> str:
     options = resolve(subject.spec, "quick", subject.overrides).options
     groups = subject.method.partition(scenes, options)
     names = [scene.name for group in groups for scene in group]
-    assert sorted(names) == ["a", "b", "c"], f"the groups hold {names}"
+    expect(sorted(names) == ["a", "b", "c"], f"the groups hold {names}")
     if not subject.spec.joint:
-        assert len(groups) == 3, "a method that is not joint put scenes together"
+        expect(len(groups) == 3, "a method that is not joint put scenes together")
         _refused("a group of two scenes", lambda: subject.fit(scenes[:2], iterations=2))
     return f"{len(groups)} groups of 3 scenes"
 
@@ -220,27 +238,31 @@ def partition(subject: Subject) -> str:
 def fit(subject: Subject) -> str:
     """Every iteration is reported, losses are finite, and the pictures are pictures."""
     model, recorder = subject.first()
-    assert recorder.iterations == list(range(1, subject.iterations + 1)), (
-        f"progress was reported {len(recorder.iterations)} times in {subject.iterations} iterations"
+    expect(
+        recorder.iterations == list(range(1, subject.iterations + 1)),
+        f"progress was reported {len(recorder.iterations)} times in {subject.iterations} iterations",
     )
-    assert np.isfinite(recorder.losses).all(), "a loss is not finite"
-    assert model.scenes == ("tiny",), f"the model holds {model.scenes}"
-    assert model.primitives() == model.primitives("tiny") > 0
+    expect(np.isfinite(recorder.losses).all(), "a loss is not finite")
+    expect(model.scenes == ("tiny",), f"the model holds {model.scenes}")
+    expect(
+        model.primitives() == model.primitives("tiny") > 0,
+        f"{model.primitives()} primitives in all, {model.primitives('tiny')} of the only scene",
+    )
     camera = subject.scene.validation.cameras[0]
     white, alpha = _picture(model, camera, background=(1.0, 1.0, 1.0))
-    assert white.shape == (camera.height, camera.width, 3), f"rgb has shape {tuple(white.shape)}"
-    assert alpha.shape == (camera.height, camera.width), f"alpha has shape {tuple(alpha.shape)}"
+    expect(white.shape == (camera.height, camera.width, 3), f"rgb has shape {tuple(white.shape)}")
+    expect(alpha.shape == (camera.height, camera.width), f"alpha has shape {tuple(alpha.shape)}")
     for name, values in (("rgb", white), ("alpha", alpha)):
-        assert float(values.min()) >= 0.0, f"{name} goes down to {float(values.min())}"
-        assert float(values.max()) <= 1.0, f"{name} goes up to {float(values.max())}"
+        expect(float(values.min()) >= 0.0, f"{name} goes down to {float(values.min())}")
+        expect(float(values.max()) <= 1.0, f"{name} goes up to {float(values.max())}")
     _same(_picture(model, camera), (white, alpha), "the default is not the scene's background")
     black, again = _picture(model, camera, background=(0.0, 0.0, 0.0))
     _same((again,), (alpha,), "alpha depends on the background")
     composited = (black + (1.0 - alpha[..., None])).clamp(0.0, 1.0)
     far = float((composited - white).abs().max())
-    assert far < 1e-3, f"the background is not composited with 1 - alpha: {far:.2g} apart"
+    expect(far < 1e-3, f"the background is not composited with 1 - alpha: {far:.2g} apart")
     times = model.timings(camera)
-    assert min(times.values()) >= 0.0, f"timings are {times}"
+    expect(min(times.values()) >= 0.0, f"timings are {times}")
     return f"{model.primitives()} primitives, loss {recorder.losses[0]:.3f} to {recorder.losses[-1]:.3f}"
 
 
@@ -268,12 +290,12 @@ def saved_and_loaded(subject: Subject) -> str:
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments], cwd=root, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, f"a new process cannot load and render it:\n{done.stderr[-2000:]}"
+    expect(done.returncode == 0, f"a new process cannot load and render it:\n{done.stderr[-2000:]}")
     with np.load(subject.folder / "out.npz") as out:
         pictures = torch.from_numpy(out["rgb"]), torch.from_numpy(out["alpha"])
     _same(pictures, _picture(model, camera), "a new process renders something else")
     again, _ = subject.saved(subject.method.load(folder, subject.device), "again")
-    assert files_of(again) == files_of(folder), "saving what was loaded gives other files"
+    expect(files_of(again) == files_of(folder), "saving what was loaded gives other files")
     return f"{total} bytes"
 
 
@@ -286,16 +308,20 @@ def edits(subject: Subject) -> str:
     for kind, examples in EDITS.items():
         declared = kind in subject.spec.edits
         changed = False
-        for edit in examples:
-            wanted = {"tiny": edit}
+        for example in examples:
+            render = partial(model.render, camera, edit={"tiny": example})
             if declared:
-                changed |= not torch.equal(_picture(model, camera, edit=wanted)[0], plain[0])
+                changed |= not torch.equal(render()[0].cpu(), plain[0])
             else:
-                _refused(f"the undeclared {kind} edit", lambda w=wanted: model.render(camera, edit=w))  # type: ignore[misc]
-        assert changed or not declared, f"the declared {kind} edit changes nothing"
+                _refused(f"the undeclared {kind} edit", render)
+        expect(changed or not declared, f"the declared {kind} edit changes nothing")
     if "opacity" in subject.spec.edits:
+        same = _picture(model, camera, edit={"tiny": Edit(opacity=1.0)})
+        _same(same, plain, "an opacity factor of 1 changes something")
+        none = _picture(model, camera, edit={"tiny": Edit(opacity=0.0)})[1]
+        expect(not none.any(), "an opacity factor of 0 leaves something")
         fainter = _picture(model, camera, edit={"tiny": Edit(opacity=0.3)})[1]
-        assert fainter.sum() < plain[1].sum(), "a smaller opacity does not make it fainter"
+        expect(fainter.sum() < plain[1].sum(), "a smaller opacity does not make it fainter")
         _refused("a negative opacity factor", lambda: model.render(camera, edit={"tiny": Edit(opacity=-1.0)}))
     _refused(
         "an edit of a scene that is not there",
@@ -312,13 +338,13 @@ def nothing_visible(subject: Subject) -> str:
     model, _ = subject.first()
     camera = away(subject.scene.validation.cameras[0])
     rgb, alpha = _picture(model, camera, background=(0.25, 0.5, 1.0))
-    assert float(alpha.max()) == 0.0, f"alpha is up to {float(alpha.max())} where nothing is"
+    expect(float(alpha.max()) == 0.0, f"alpha is up to {float(alpha.max())} where nothing is")
     _same((rgb,), (torch.tensor([0.25, 0.5, 1.0]).expand_as(rgb),), "the background")
     train = subject.scene.train
     empty = replace(subject.scene, train=replace(train, images=np.zeros_like(train.images)))
     faded = subject.fit([empty])
     pictures = _picture(faded, subject.scene.validation.cameras[0])
-    assert all(bool(torch.isfinite(one).all()) for one in pictures), "views of nothing give NaN"
+    expect(all(bool(torch.isfinite(one).all()) for one in pictures), "views of nothing give NaN")
     folder, ledger = subject.saved(faded, "faded")
     _check_ledger(ledger, folder, faded)
     camera = subject.scene.validation.cameras[0]
@@ -334,26 +360,43 @@ def deterministic(subject: Subject) -> str:
         np.random.seed(run)  # noqa: NPY002
         folders.append(subject.saved(subject.fit(), f"run{run}")[0])
     one, other = map(files_of, folders)
-    assert one == other, f"two fits differ in {[n for n in one if one[n] != other.get(n)]}"
+    expect(one == other, f"two fits differ in {[n for n in one if one[n] != other.get(n)]}")
     return "same files"
 
 
 def resumable(subject: Subject) -> str:
-    """Interrupted and resumed is uninterrupted; a finished checkpoint gives the model without training."""
+    """Interrupted and resumed is uninterrupted."""
     whole, recorder = subject.first()
     expected = files_of(subject.saved(whole, "whole")[0])
-    assert sorted(recorder.checkpoints) == subject.stops, (
-        f"asked to pause after {subject.stops}, it did after {sorted(recorder.checkpoints)}"
+    expect(
+        sorted(recorder.checkpoints) == subject.stops,
+        f"asked to pause after {subject.stops}, it did after {sorted(recorder.checkpoints)}",
     )
-    for stop in subject.stops:
+    for stop in subject.stops[:-1]:
         rest = Recorder()
         checkpoint = recorder.checkpoints[stop]
-        assert checkpoint.iteration == stop, f"the checkpoint of iteration {stop} says {checkpoint.iteration}"
+        expect(checkpoint.iteration == stop, f"a checkpoint at {stop} is of iteration {checkpoint.iteration}")
         resumed = subject.fit(recorder=rest, resume=checkpoint)
-        assert rest.losses == recorder.losses[stop:], f"losses differ after a stop at {stop}"
-        found = files_of(subject.saved(resumed, f"resumed{stop}")[0])
-        assert found == expected, f"the model differs after a stop at {stop}"
-    return f"stopped at {', '.join(map(str, subject.stops))}"
+        expect(rest.losses == recorder.losses[stop:], f"losses differ after a stop at {stop}")
+        files = files_of(subject.saved(resumed, f"resumed{stop}")[0])
+        expect(files == expected, f"the model differs after a stop at {stop}")
+    return f"stopped at {', '.join(map(str, subject.stops[:-1]))}"
+
+
+def restored(subject: Subject) -> str:
+    """The checkpoint of a finished fit gives the same model, at every rate, without scenes and views."""
+    whole, recorder = subject.first()
+    expect(recorder.checkpoints, "no checkpoint after the last iteration")
+    model = subject.restore(recorder.checkpoints[subject.iterations])
+    knobs = [knob for knob in subject.spec.rate_knobs if not knob.refit]
+    rates = [None, *(value for knob in knobs for value in knob.values)]
+    for rate in rates:
+        files = [
+            files_of(subject.saved(one, f"{name}{rate}", rate)[0])
+            for name, one in (("fitted", whole), ("restored", model))
+        ]
+        expect(files[0] == files[1], f"the restored model has other files (rate {rate})")
+    return f"same files at {len(rates)} rates" if knobs else "same files"
 
 
 def joint(subject: Subject) -> str:
@@ -362,13 +405,16 @@ def joint(subject: Subject) -> str:
         return "each scene on its own"
     pair = [subject.tiny("tiny"), subject.tiny("other", turn=1.0)]
     stop = subject.stops[len(subject.stops) // 2]
-    recorder = Recorder([stop])
+    recorder = Recorder([stop, subject.iterations])
     try:
         model = subject.fit(pair, recorder)
     except Refused as error:
-        raise AssertionError(f"a group of two scenes: refused ({error})") from error
-    assert sorted(model.scenes) == ["other", "tiny"], f"the model holds {model.scenes}"
-    assert model.primitives() == sum(model.primitives(name) for name in model.scenes)
+        raise Broken(f"a group of two scenes: refused ({error})") from error
+    expect(sorted(model.scenes) == ["other", "tiny"], f"the model holds {model.scenes}")
+    counts = [model.primitives(name) for name in model.scenes]
+    expect(
+        model.primitives() == sum(counts), f"{model.primitives()} primitives in all, {counts} of the scenes"
+    )
     folder, ledger = subject.saved(model, "joint")
     total = _check_ledger(ledger, folder, model)
     loaded = subject.method.load(folder, subject.device)
@@ -376,11 +422,13 @@ def joint(subject: Subject) -> str:
     pictures = {name: _picture(model, camera, scenes=[name]) for name in model.scenes}
     for name, pictured in pictures.items():
         _same(_picture(loaded, camera, scenes=[name]), pictured, f"scene {name}, loaded")
-    assert not torch.equal(pictures["tiny"][0], pictures["other"][0]), "both scenes look the same"
-    assert recorder.checkpoints, f"asked to pause after {stop}, it did not"
+    expect(not torch.equal(pictures["tiny"][0], pictures["other"][0]), "both scenes look the same")
+    expect(recorder.checkpoints, f"asked to pause after {stop}, it did not")
     resumed = subject.fit(pair, resume=recorder.checkpoints[stop])
-    found = files_of(subject.saved(resumed, "joint-resumed")[0])
-    assert found == files_of(folder), f"the model of two scenes differs after a stop at {stop}"
+    model = subject.restore(recorder.checkpoints[subject.iterations])
+    for name, one in (("resumed", resumed), ("restored", model)):
+        files = files_of(subject.saved(one, f"joint-{name}")[0])
+        expect(files == files_of(folder), f"the {name} model of two scenes differs")
     return f"2 scenes in {total} bytes"
 
 
@@ -392,15 +440,16 @@ def composition(subject: Subject) -> str:
         _refused("composing", lambda: subject.method.compose([one, other]))
         return "refused"
     both = subject.method.compose([one, other])
-    assert both.scenes == ("tiny", "other"), f"the composed model holds {both.scenes}"
-    assert both.primitives() == one.primitives() + other.primitives()
+    expect(both.scenes == ("tiny", "other"), f"the composed model holds {both.scenes}")
+    counts = [one.primitives(), other.primitives()]
+    expect(both.primitives() == sum(counts), f"{both.primitives()} primitives in all, {counts} of the models")
     camera = subject.scene.validation.cameras[0]
     alone = _picture(one, camera)
     _same(_picture(both, camera, scenes=["tiny"]), alone, "the first scene, alone")
     _same(_picture(both, camera, scenes=["other"]), _picture(other, camera), "the second scene, alone")
     together = _picture(both, camera)
-    assert float((together[1] - alone[1]).min()) > -0.01, "together they hide less than one alone"
-    assert not torch.equal(together[0], alone[0]), "the second scene does not show"
+    expect(float((together[1] - alone[1]).min()) > -0.01, "together they hide less than one alone")
+    expect(not torch.equal(together[0], alone[0]), "the second scene does not show")
     folder, ledger = subject.saved(both, "composed")
     _check_ledger(ledger, folder, both)
     loaded = subject.method.load(folder, subject.device)
@@ -418,31 +467,31 @@ def composition(subject: Subject) -> str:
 def rates(subject: Subject) -> str:
     """Every value of every rate knob gives a model that loads; without one, saving at a rate is refused."""
     model, _ = subject.first()
-    seen = []
+    rows = []
     camera = subject.scene.validation.cameras[0]
     for knob in subject.spec.rate_knobs:
         for value in knob.values:
             fitted = model
             if knob.refit:
-                wanted: dict[str, Any] = {knob.name: value}
-                fitted = subject.fit(iterations=min(20, subject.iterations), **wanted)
+                setting: dict[str, Any] = {knob.name: value}
+                fitted = subject.fit(iterations=min(20, subject.iterations), **setting)
             saved_at = None if knob.refit else value
             folder, ledger = subject.saved(fitted, f"rate-{knob.name}-{value:g}", saved_at)
-            seen.append(f"{knob.name} {value:g}: {_check_ledger(ledger, folder, fitted)} bytes")
+            rows.append(f"{knob.name} {value:g}: {_check_ledger(ledger, folder, fitted)} bytes")
             rgb, _ = _picture(subject.method.load(folder, subject.device), camera)
-            assert bool(torch.isfinite(rgb).all()), f"NaN at {knob.name} {value:g}"
+            expect(bool(torch.isfinite(rgb).all()), f"NaN at {knob.name} {value:g}")
     if all(knob.refit for knob in subject.spec.rate_knobs):
         _refused("saving at a rate", lambda: subject.saved(model, "rate", 1.0))
-    return "; ".join(seen) or "one size"
+    return "; ".join(rows) or "one size"
 
 
 def bad_files(subject: Subject) -> str:
     """Missing, truncated and foreign files are named, never rendered."""
     model, _ = subject.first()
     folder, _ = subject.saved(model, "broken")
-    load = subject.method.load
-    _refused("a folder that is not there", lambda: load(folder / "nowhere", subject.device), DataError)
-    tried = 0
+    read = subject.method.load
+    _refused("a folder that is not there", lambda: read(folder / "nowhere", subject.device), DataError)
+    count = 0
     for file in [path for path in sorted(folder.rglob("*")) if path.is_file()]:
         whole = file.read_bytes()
         for broken in (
@@ -452,16 +501,16 @@ def bad_files(subject: Subject) -> str:
             b"nothing of the kind" * 50,
         ):
             file.write_bytes(broken)
-            said = _refused(
+            reason = _refused(
                 f"{file.name} cut to {len(broken)} of {len(whole)} bytes",
-                lambda: load(folder, subject.device),
+                lambda: read(folder, subject.device),
                 DataError,
             )
-            assert file.stem in said, f"the error does not name {file.name}: {said}"
-            tried += 1
+            expect(file.stem in reason, f"the error does not name {file.name}: {reason}")
+            count += 1
         file.write_bytes(whole)
-    load(folder, subject.device)
-    return f"{tried} damaged files named"
+    read(folder, subject.device)
+    return f"{count} damaged files named"
 
 
 def refusals(subject: Subject) -> str:
@@ -475,7 +524,7 @@ def refusals(subject: Subject) -> str:
     )
     model = subject.fit([single], iterations=min(20, subject.iterations))
     for camera in cameras(2):
-        assert bool(torch.isfinite(_picture(model, camera)[0]).all()), "one point and one view give NaN"
+        expect(bool(torch.isfinite(_picture(model, camera)[0]).all()), "one point and one view give NaN")
     return "no views refused; one point and one view trained"
 
 
@@ -488,6 +537,7 @@ CHECKS: tuple[Callable[[Subject], str], ...] = (
     nothing_visible,
     deterministic,
     resumable,
+    restored,
     joint,
     composition,
     rates,
@@ -503,7 +553,7 @@ class Outcome:
     Attributes:
         name: of the check.
         status: "passed", "failed" (the promise is broken) or "error" (the plugin raised something else).
-        detail: what was seen, or what is wrong.
+        detail: the findings, or what is wrong.
         seconds: it took.
     """
 
@@ -520,7 +570,7 @@ def run_checks(subject: Subject) -> Iterator[Outcome]:
         status: Literal["passed", "failed", "error"] = "passed"
         try:
             detail = check(subject)
-        except AssertionError as error:
+        except Broken as error:
             status, detail = "failed", str(error)
         except Exception as error:
             status, detail = "error", f"{type(error).__name__}: {error}"

@@ -1,4 +1,4 @@
-"""A tiny scene of known Gaussians, rendered by the torch oracle: what the contract kit fits."""
+"""A tiny scene of tiny Gaussians, rendered by the torch oracle: what the contract kit fits."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from econgs.splat.rasterise import rasterise
 from methods.interface import SceneInput
 
 SIZE = 32
-KNOWN = 24
+COUNT = 24
 _DISTANCE = 3.0
 _GOLDEN = 2.399963  # radians between neighbours on a spiral
 
@@ -42,37 +42,39 @@ def away(camera: Camera) -> Camera:
 
 def cameras(count: int, phase: float = 0.0) -> tuple[Camera, ...]:
     """Cameras on a spiral around the origin."""
-    found = []
+    spiral = []
     for i in range(count):
         z = 0.8 * (2.0 * (i + 0.5) / count - 1.0)
         turn, radius = _GOLDEN * i + phase, math.sqrt(1.0 - z * z)
         direction = (radius * math.cos(turn), radius * math.sin(turn), z)
-        found.append(look_at((_DISTANCE * direction[0], _DISTANCE * direction[1], _DISTANCE * direction[2])))
-    return tuple(found)
+        spiral.append(look_at((_DISTANCE * direction[0], _DISTANCE * direction[1], _DISTANCE * direction[2])))
+    return tuple(spiral)
 
 
-def known_gaussians(turn: float = 0.0) -> dict[str, torch.Tensor]:
+def tiny_gaussians(turn: float = 0.0) -> dict[str, torch.Tensor]:
     """Arguments of ``rasterise``: a cloud of Gaussians, turned about z by an angle in radians."""
     generator = torch.Generator().manual_seed(7)
-    means = (torch.rand((KNOWN, 3), generator=generator) - 0.5) * 0.9
+    means = (torch.rand((COUNT, 3), generator=generator) - 0.5) * 0.9
     c, s = math.cos(turn), math.sin(turn)
     return {
         "means": means @ torch.tensor([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]),
-        "quats": torch.randn((KNOWN, 4), generator=generator),
-        "scales": 0.04 + 0.08 * torch.rand((KNOWN, 3), generator=generator),
-        "opacities": 0.5 + 0.45 * torch.rand(KNOWN, generator=generator),
-        "features": torch.rand((KNOWN, 3), generator=generator),
+        "quats": torch.randn((COUNT, 4), generator=generator),
+        "scales": 0.04 + 0.08 * torch.rand((COUNT, 3), generator=generator),
+        "opacities": 0.5 + 0.45 * torch.rand(COUNT, generator=generator),
+        "features": torch.rand((COUNT, 3), generator=generator),
     }
 
 
 def tiny_volume(turn: float = 0.0, size: int = 24) -> Volume:
-    """Summed densities of the known Gaussians on a grid over the unit box."""
-    known = known_gaussians(turn)
+    """Summed densities of the tiny Gaussians on a grid over the unit box."""
+    gaussians = tiny_gaussians(turn)
     axis = torch.linspace(-0.5, 0.5, size)
     z, y, x = torch.meshgrid(axis, axis, axis, indexing="ij")
     places = torch.stack([x, y, z], dim=-1)
     values = torch.zeros(size, size, size)
-    for mean, scales, opacity in zip(known["means"], known["scales"], known["opacities"], strict=True):
+    for mean, scales, opacity in zip(
+        gaussians["means"], gaussians["scales"], gaussians["opacities"], strict=True
+    ):
         squared = ((places - mean) / scales.mean()).square().sum(-1)
         values += opacity * torch.exp(-0.5 * squared)
     return Volume("density", values.numpy(), (1.0, 1.0, 1.0), (0.0, float(values.max())), "contract")
@@ -80,17 +82,17 @@ def tiny_volume(turn: float = 0.0, size: int = 24) -> Volume:
 
 def tiny_scene(name: str, turn: float = 0.0, volume: bool = False) -> SceneInput:
     """Twelve training and three validation views of 32 x 32 pixels; a cloud of noisy gray points."""
-    known = known_gaussians(turn)
+    gaussians = tiny_gaussians(turn)
 
-    def views(chosen: tuple[Camera, ...]) -> ViewSet:
+    def views(path: tuple[Camera, ...]) -> ViewSet:
         images = []
-        for camera in chosen:
-            splats = rasterise(**known, camera=camera, backend="torch")  # type: ignore[arg-type]
+        for camera in path:
+            splats = rasterise(**gaussians, camera=camera, backend="torch")  # type: ignore[arg-type]
             images.append(torch.cat([splats.features, splats.alpha[..., None]], dim=-1).numpy())
-        return ViewSet(chosen, np.stack(images).astype(np.float32), (1.0, 1.0, 1.0), "contract")
+        return ViewSet(path, np.stack(images).astype(np.float32), (1.0, 1.0, 1.0), "contract")
 
-    jitter = 0.03 * torch.randn((4 * KNOWN, 3), generator=torch.Generator().manual_seed(8))
-    points = (known["means"].repeat(4, 1) + jitter).numpy()
+    jitter = 0.03 * torch.randn((4 * COUNT, 3), generator=torch.Generator().manual_seed(8))
+    points = (gaussians["means"].repeat(4, 1) + jitter).numpy()
     return SceneInput(
         scene=BasicScene(name),
         train=views(cameras(12)),

@@ -23,10 +23,10 @@ def group_bytes(group: Sequence[SceneInput], options: EcongsOptions) -> int:
     values = options.features + 6 + 3 * options.offsets
     views = sum(scene.train.images.nbytes + scene.validation.images.nbytes for scene in group)
     anchors = [_anchors(scene, options) for scene in group]
-    held = sum(anchors) * values * 4 * COPIES
+    parameters = sum(anchors) * values * 4 * COPIES
     # One frame decodes and splats the Gaussians of one scene: about 200 bytes each with their gradients.
     frame = max(anchors) * options.offsets * 200
-    return int(PROCESS + views + held + frame)
+    return int(PROCESS + views + parameters + frame)
 
 
 def fit_to_memory(groups: Sequence[Sequence[SceneInput]], options: EcongsOptions) -> list[list[SceneInput]]:
@@ -36,22 +36,22 @@ def fit_to_memory(groups: Sequence[Sequence[SceneInput]], options: EcongsOptions
         Refused: a scene that does not fit alone; names the estimate.
     """
     limit = options.group_memory_mb * MIB or available()
-    fitting: list[list[SceneInput]] = []
-    waiting = [list(group) for group in reversed(groups)]
-    while waiting:
-        group = waiting.pop()
-        needed = group_bytes(group, options)
-        if needed <= limit:
-            fitting.append(group)
+    result: list[list[SceneInput]] = []
+    queue = [list(group) for group in reversed(groups)]
+    while queue:
+        group = queue.pop()
+        estimate = group_bytes(group, options)
+        if estimate <= limit:
+            result.append(group)
         elif len(group) == 1:
             raise Refused(
-                f"scene {group[0].name!r} needs about {needed // MIB} MiB and {limit // MIB} MiB are free: "
+                f"scene {group[0].name!r} needs about {estimate // MIB} MiB and {limit // MIB} MiB are free: "
                 "use fewer or smaller views, or set group_memory_mb"
             )
         else:
             middle = len(group) // 2
-            waiting += [group[middle:], group[:middle]]
-    return fitting
+            queue += [group[middle:], group[:middle]]
+    return result
 
 
 def available() -> int:

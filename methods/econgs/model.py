@@ -15,15 +15,14 @@ from datasets.errors import DataError
 from datasets.scene import RGB
 from econgs.anchors.decode import decode, visible_anchors
 from econgs.anchors.decoders import Decoders
-from econgs.anchors.gaussians import ViewGaussians, draw
+from econgs.anchors.gaussians import Gaussians
 from econgs.context.arrays import Precision
 from econgs.context.container import Kind, overhead, read_container
 from econgs.context.stream import GroupAttributes, SceneAttributes, encode_group
-from econgs.splat.composite import over
-from methods.interface import Edit, Refused, edits_by_scene
+from methods.interface import Edit, Refused
 from methods.shared.edits import Direction, shading_edit
 from methods.shared.files import read_streams
-from methods.shared.model import ByScene, seconds
+from methods.shared.model import SceneModel
 
 SUFFIX = ".econgs"
 
@@ -33,7 +32,9 @@ class SceneAnchors:
     """The anchors of one scene, ready to be decoded.
 
     Attributes:
-        background: of the scene, as recorded.
+        name: of the scene.
+        decoders: networks of its group.
+        background: as recorded.
         light: unit vector to its directional light, or None for a headlight.
         positions: (N, 3).
         features: (N, F).
@@ -43,6 +44,8 @@ class SceneAnchors:
         embedding: (E,).
     """
 
+    name: str
+    decoders: Decoders
     background: RGB
     light: Direction | None
     positions: Tensor
@@ -51,6 +54,9 @@ class SceneAnchors:
     offsets: Tensor
     palette: Tensor
     embedding: Tensor
+
+    def __len__(self) -> int:
+        return len(self.positions)
 
 
 class Group:
@@ -67,9 +73,11 @@ class Group:
     def __init__(self, coded: GroupAttributes, device: str, what: str = "group") -> None:
         self.coded = coded
         try:
-            self.decoders = _decoders(coded).to(device)
+            decoders = _decoders(coded).to(device)
             self.scenes = {
                 scene.name: SceneAnchors(
+                    scene.name,
+                    decoders,
                     background=_triple(coded.metadata["scenes"][scene.name]["background"]),
                     light=_light(coded.metadata["scenes"][scene.name]["light"]),
                     **{
@@ -89,15 +97,15 @@ def _arrays(scene: SceneAttributes) -> dict[str, np.ndarray]:
 
 
 def _decoders(coded: GroupAttributes) -> Decoders:
-    said = coded.metadata["decoders"]
+    sizes = coded.metadata["decoders"]
     decoders = Decoders(
-        int(said["features"]),
-        int(said["offsets"]),
-        int(said["embedding"]),
-        hidden=int(said["hidden"]),
-        view_direction=bool(said["view_direction"]),
-        offset_color=said["offset_color"],
-        storage=said["storage"],
+        int(sizes["features"]),
+        int(sizes["offsets"]),
+        int(sizes["embedding"]),
+        hidden=int(sizes["hidden"]),
+        view_direction=bool(sizes["view_direction"]),
+        offset_color=sizes["offset_color"],
+        storage=sizes["storage"],
     )
     decoders.load_state_dict({name: torch.from_numpy(np.array(v)) for name, v in coded.decoders.items()})
     return decoders.requires_grad_(False)
@@ -118,37 +126,26 @@ def _light(values: Sequence[float] | None) -> Direction | None:
     return None if values is None else _triple(values)
 
 
-class EcongsModel(ByScene[tuple[Group, SceneAnchors]]):
-    """Groups of scenes; what is rendered together is decoded scene by scene, concatenated and sorted once.
+class EcongsModel(SceneModel[SceneAnchors]):
+    """Groups of scenes, decoded for each view; shading is fused with decoding.
 
     Args:
         groups: at least one; no two scenes share a name.
     """
 
+    method = "econgs"
+
     def __init__(self, groups: Sequence[Group]) -> None:
         self.groups = tuple(groups)
-        super().__init__((name, (group, scene)) for group in groups for name, scene in group.scenes.items())
-
-    def anchors(self, scene: str) -> SceneAnchors:
-        """The anchors of one scene.
-
-        Raises:
-            UnknownName: it does not hold that scene.
-        """
-        return self._find(scene)[1]
+        super().__init__(scene for group in groups for scene in group.scenes.values())
 
     def bytes_estimate(self) -> int:
         """Bytes that :meth:`save` would write."""
         return sum(len(_encode(group)) for group in self.groups)
 
-    def primitives(self, scene: str | None = None) -> int:
-        """Number of anchors of one scene or of all."""
-        names = self.scenes if scene is None else (scene,)
-        return sum(len(self.anchors(name).positions) for name in names)
-
     def attributes(self, scene: str, count: int) -> Mapping[str, Tensor]:
         """Features, scalings and offsets of anchors; see :class:`methods.interface.HasAttributes`."""
-        anchors = self.anchors(scene)
+        anchors = self.scene(scene)
         rows = torch.linspace(0, len(anchors.positions) - 1, min(count, len(anchors.positions))).long()
         names = ("features", "scalings", "offsets")
         return {name: getattr(anchors, name)[rows.to(anchors.positions.device)].flatten(1) for name in names}
@@ -171,52 +168,31 @@ class EcongsModel(ByScene[tuple[Group, SceneAnchors]]):
                     into[part] = into.get(part, 0) + count
         return ledger
 
-    def render(
-        self,
-        camera: Camera,
-        scenes: Sequence[str] | None = None,
-        edit: Mapping[str, Edit] | None = None,
-        background: RGB | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`.
-
-        Raises:
-            Refused: an edit out of range.
-            UnknownName: it does not hold such a scene.
-        """
-        names = self.scenes if scenes is None else tuple(scenes)
-        back = self.anchors(names[0]).background if background is None else background
-        edits = edits_by_scene(edit, names)
-        with torch.inference_mode():
-            decoded = [self._decode(name, camera, edits.get(name)) for name in names]
-            splats = draw(decoded, camera)
-            rgb = over(splats.features, splats.alpha, back)
-            return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
-
-    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
-        """Seconds of one frame of these scenes by part; shading is fused with decoding ("decode")."""
-        names = self.scenes if scenes is None else tuple(scenes)
-        with torch.inference_mode():
-            like = self.anchors(names[0]).positions
-            start = seconds(like)
-            decoded = [self._decode(name, camera, None) for name in names]
-            middle = seconds(like)
-            draw(decoded, camera)
-            return {"decode": middle - start, "shade": 0.0, "rasterise": seconds(like) - middle}
-
-    def _decode(self, name: str, camera: Camera, edit: Edit | None) -> ViewGaussians:
-        group, scene = self._find(name)
-        palette, light, factors = scene.palette, scene.light, None
-        if edit is not None:
-            palette, light, factors = shading_edit(name, palette, light, edit)
+    def gaussians(self, scene: SceneAnchors, camera: Camera, edit: Edit) -> Gaussians:
+        """The shaded Gaussians of the anchors in view."""
+        palette, light, factors = shading_edit(scene.name, scene.palette, scene.light, edit)
         tensors = (scene.positions, scene.features, scene.scalings, scene.offsets)
-        seen = visible_anchors(camera, scene.positions, scene.scalings)
-        if not bool(seen.all()):
-            rows = seen.nonzero()[:, 0]
+        visible = visible_anchors(camera, scene.positions, scene.scalings)
+        if not bool(visible.all()):
+            rows = visible.nonzero()[:, 0]
             tensors = tuple(tensor.index_select(0, rows) for tensor in tensors)  # type: ignore[assignment]
         return decode(
-            *tensors, group.decoders, scene.embedding, palette, camera.position, light=light, factors=factors
+            *tensors, scene.decoders, scene.embedding, palette, camera.position, light=light, factors=factors
         )
+
+    @classmethod
+    def load(cls, folder: Path, device: str) -> EcongsModel:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            DataError: a stream is missing, damaged or of another kind.
+        """
+        return cls([Group(coded, device, file) for file, coded in read_streams(folder, SUFFIX, "econgs")])
+
+    @classmethod
+    def join(cls, models: Sequence[EcongsModel]) -> EcongsModel:
+        """One model of the groups of several."""
+        return cls([group for model in models for group in model.groups])
 
 
 def _encode(group: Group) -> bytes:
@@ -233,12 +209,3 @@ def _ledger(data: bytes, scenes: Sequence[str]) -> dict[str, dict[str, int]]:
         part = section.kind.name.lower()
         parts[part] = parts.get(part, 0) + len(section.payload)
     return ledger
-
-
-def load_model(folder: Path, device: str) -> EcongsModel:
-    """Read what :meth:`EcongsModel.save` wrote.
-
-    Raises:
-        DataError: a stream is missing, damaged or of another kind.
-    """
-    return EcongsModel([Group(g, device, file) for file, g in read_streams(folder, SUFFIX, "econgs")])

@@ -24,8 +24,8 @@ Measure = Callable[[Sequence[int], Tensor], Tensor]
 
 def some_views(count: int, most: int = VIEWS) -> list[int]:
     """At most so many of ``count`` views, evenly spread."""
-    shown = min(count, most)
-    return [round(i * (count - 1) / max(shown - 1, 1)) for i in range(shown)]
+    number = min(count, most)
+    return [round(i * (count - 1) / max(number - 1, 1)) for i in range(number)]
 
 
 def contributions(anchors: int, cameras: Sequence[Camera], decode: Decode, device: torch.device) -> Tensor:
@@ -64,9 +64,9 @@ def who_stays(weights: Tensor, allowance: float, views: Sequence[int], measure: 
     low, high = 0, len(weights) - 1  # at least one stays
     for _ in range(min(_HALVINGS, max(high, 1).bit_length())):
         middle = math.ceil((low + high) / 2)
-        tried = kept.clone()
-        tried[order[:middle]] = False
-        if bool((measure(views, tried) <= limit).all()):
+        trial = kept.clone()
+        trial[order[:middle]] = False
+        if bool((measure(views, trial) <= limit).all()):
             low = middle
         else:
             high = middle - 1

@@ -123,9 +123,7 @@ SPEC = MethodSpec(
     joint=True,
     composable=True,
     edits=frozenset({"palette", "opacity", "light", "shading"}),
-    needs_volume=False,
     uses_alpha="views are composited on the scene's background; alpha is also a target of its own",
-    devices=("cpu", "cuda"),
     options=EcongsOptions,
     # So short a fit cannot train as many anchors: half of them, for 0.15 to 0.3 dB (docs/results/choices.md).
     presets={"quick": {"growth_gradient": 6e-4, "alpha_weight": 0.2}},

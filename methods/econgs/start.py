@@ -14,7 +14,7 @@ from methods.interface import Refused, SceneInput
 
 
 def starting_points(
-    given: SceneInput, options: EcongsOptions, seed: int
+    scene: SceneInput, options: EcongsOptions, seed: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Points that become anchors, and the first palette color.
 
@@ -27,11 +27,11 @@ def starting_points(
     Raises:
         Refused: the cloud is empty.
     """
-    cloud, start = given.cloud, options.start
+    cloud, start = scene.cloud, options.start
     if start == "random":
         cloud = random_cloud(options.random_points, options.random_half_extent, seed)
     if len(cloud) == 0:
-        raise Refused(f"the initial cloud of scene {given.name!r} is empty; set start=random")
+        raise Refused(f"the initial cloud of scene {scene.name!r} is empty; set start=random")
     points = np.array(cloud.points, dtype=np.float32)
     color = np.array(cloud.colors, dtype=np.float32).mean(axis=0)
     if start == "random":
@@ -39,7 +39,7 @@ def starting_points(
     many = options.cloud_points
     if 0 < many < len(points):
         points = points[np.random.default_rng(seed).permutation(len(points))[:many]]
-    side = options.start_spacing * pixel_size(given.train.cameras, points)
+    side = options.start_spacing * pixel_size(scene.train.cameras, points)
     points = one_per_cell(points, side)
     return points, np.full(3, 0.5, np.float32) if start == "positions" else color
 

@@ -23,7 +23,7 @@ from econgs.anchors.growing import AnchorRules
 from econgs.context.arrays import round_arrays
 from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
-from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, round_group
+from econgs.context.stream import GroupAttributes, SceneAttributes, round_group
 from econgs.losses import photometric_loss
 from econgs.optim import Adam
 from econgs.splat.composite import over
@@ -33,8 +33,9 @@ from methods.econgs.rent import contributions, some_views, who_stays
 from methods.econgs.schedule import Schedule
 from methods.econgs.spec import EcongsOptions
 from methods.econgs.start import starting_points
-from methods.interface import Checkpoint, Refused, SceneInput
-from methods.shared.training import CHECK_EVERY, TrainingLoop, to_numpy, under
+from methods.interface import Checkpoint, SceneInput
+from methods.shared.coding import coded_context
+from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, to_numpy, under
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class _Scene:
     def __init__(
         self,
         key: str,
-        given: SceneInput,
+        source: SceneInput,
         start: tuple[NDArray[np.float32], NDArray[np.float32]],
         options: EcongsOptions,
         decoders: Decoders,
@@ -81,22 +82,22 @@ class _Scene:
         device: str,
     ) -> None:
         points, color = start
-        self.key, self.given, self.name = key, given, given.name
+        self.key, self.source, self.name = key, source, source.name
         self.anchors = AnchorSet(
             key,
             torch.from_numpy(points),
             voxel=options.voxel,
             features=decoders.width,
             offsets=decoders.offsets,
-            fallback=0.01 * given.extent,
+            fallback=0.01 * source.extent,
             device=device,
         )
         stored = decoders.initial_explicit(len(self.anchors), generator)
         self.anchors.initial["features"][:, decoders.features :] = stored.to(device)
         self.palette = torch.from_numpy(color)
-        self.images = torch.from_numpy(given.train.images)
+        self.images = torch.from_numpy(source.train.images)
         self.transparent = bool((self.images[..., 3] < 1).any())
-        light = given.scene.light
+        light = source.scene.light
         self.light = None if light is None else light.direction
 
 
@@ -114,6 +115,7 @@ class Trainer(TrainingLoop):
         Refused: a scene without views or points.
     """
 
+    options: EcongsOptions
     schedule: Schedule
 
     def __init__(
@@ -124,31 +126,18 @@ class Trainer(TrainingLoop):
         seed: int,
         device: str,
     ) -> None:
-        super().__init__(seed, device)
+        super().__init__(group, iterations, seed, device)
         self.options = options
-        self.schedule = Schedule(iterations, options.growth_stop, options.context)
-        bias = options.shading_bias
-        for given in group:
-            if len(given.train) == 0:
-                raise Refused(f"scene {given.name!r} has no training views")
-        starts = [starting_points(given, options, seed) for given in group]
+        self.schedule = make_schedule(options, iterations)
+        starts = [starting_points(source, options, seed) for source in group]
         first = sum(len(points) for points, _ in starts)
-        self.decoders = Decoders(
-            options.features,
-            options.offsets,
-            options.embedding,
-            hidden=options.hidden or _units(first, 50, 25),
-            view_direction=options.view_direction,
-            direction_start=options.direction_start,
-            offset_color=options.offset_color,
-            storage=options.storage,
-            shading_bias=(bias, bias, 0.0, 0.0),
-            generator=self.generator,
-        ).to(device)
+        self.decoders = make_decoders(options, options.hidden or _units(first, 50, 25), self.generator).to(
+            device
+        )
         shared = (options, self.decoders, self.generator, device)
         self.scenes = [
-            _Scene(str(i), given, start, *shared)
-            for i, (given, start) in enumerate(zip(group, starts, strict=True))
+            _Scene(str(i), source, start, *shared)
+            for i, (source, start) in enumerate(zip(group, starts, strict=True))
         ]
         self.rules = AnchorRules(
             voxel=options.voxel,
@@ -168,9 +157,9 @@ class Trainer(TrainingLoop):
             groups[f"{scene.key}/embedding"] = (_EMBEDDING_SPREAD * embedding).to(device)
         groups |= {name: list(self.decoders.network(name).tensors()) for name in self.decoders.names}
         self.coding = None
+        self.context_hidden = options.context_hidden or _units(first, 100, 4)
         if self.schedule.context:
-            hidden = options.context_hidden or _units(first, 100, 4)
-            config = ContextConfig.of(options, self.decoders.width, hidden)
+            config = ContextConfig.of(options, self.decoders.width, self.context_hidden)
             self.coding = Coding(config, self.schedule, self.generator, device)
             groups |= self.coding.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
@@ -186,7 +175,7 @@ class Trainer(TrainingLoop):
         """Whether no gradients wait for the rest of a batch."""
         return self.fresh
 
-    def _stage(self) -> str:
+    def stage(self) -> str:
         stage = self.schedule.stage(self.iteration + 1)
         return f"{stage}, stopped at {self.rules.limit} anchors" if self.limited else stage
 
@@ -205,11 +194,11 @@ class Trainer(TrainingLoop):
         if self.coding is not None and self.iteration == self.schedule.context_start + 1:
             self.coding.place([scene.anchors for scene in self.scenes])
             self.coding.begin([self._attributes(scene) for scene in self.scenes])
-        place, view = self._next_view()
+        place, view = self.next_view()
         scene = self.scenes[place]
-        camera = scene.given.train.cameras[view]
+        camera = scene.source.train.cameras[view]
         truth = scene.images[view].to(self.device)
-        target = over(truth[..., :3], truth[..., 3], scene.given.train.background)
+        target = over(truth[..., :3], truth[..., 3], scene.source.train.background)
         anchors, values = scene.anchors, self._attributes(scene)
         rows = visible_anchors(camera, anchors.positions, values.scalings).nonzero()[:, 0]
         positions = anchors.positions
@@ -223,7 +212,7 @@ class Trainer(TrainingLoop):
         collects = self.schedule.collects(self.iteration)
         offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
         splats = draw([decoded], camera, offset)
-        image = over(splats.features, splats.alpha, scene.given.train.background)
+        image = over(splats.features, splats.alpha, scene.source.train.background)
         parts = {"image": photometric_loss(image, target, self.options.ssim_weight)}
         if self._asks_alpha(scene):
             parts["alpha"] = self._alpha_loss(splats.alpha, truth[..., 3])
@@ -233,7 +222,7 @@ class Trainer(TrainingLoop):
         if rate is not None:
             parts["rate"] = self._rate_weight * (rate.attributes + rate.grid)
         loss = sum(parts.values(), torch.zeros((), device=self.device))
-        shown = self._shown(parts)
+        losses = self.numbers(parts)
         if self.fresh:
             self.optimiser.zero_grad()
             self.fresh = False
@@ -254,9 +243,9 @@ class Trainer(TrainingLoop):
             model = self.model()
             self.control.correct(model.bytes_estimate(), self._psnr(model))
         if self.iteration % CHECK_EVERY == 0:
-            self._check_finite()
+            self.check_finite()
         bits = {} if rate is None else {"bits per attribute": float(rate.attributes.detach())}
-        return {"loss": sum(shown.values()), **shown, **bits}
+        return {"loss": sum(losses.values()), **losses, **bits}
 
     def _closes_batch(self) -> bool:
         """Whether the optimiser steps now: when each scene had its view, or anchors are about to change."""
@@ -318,8 +307,8 @@ class Trainer(TrainingLoop):
         if not len(positions):
             return positions.new_zeros(())
         if len(positions) > COLOR_SAMPLE:
-            chosen = torch.randint(len(positions), (COLOR_SAMPLE,), generator=self.generator).to(self.device)
-            positions, features = positions.index_select(0, chosen), features.index_select(0, chosen)
+            sample = torch.randint(len(positions), (COLOR_SAMPLE,), generator=self.generator).to(self.device)
+            positions, features = positions.index_select(0, sample), features.index_select(0, sample)
         eye = torch.as_tensor(camera.position, dtype=positions.dtype, device=self.device)
         embedding, palette = (self.optimiser[f"{scene.key}/{what}"] for what in ("embedding", "palette"))
         offsets = offset_colors(self.decoders, positions, features, embedding, eye)
@@ -327,16 +316,16 @@ class Trainer(TrainingLoop):
         beyond = (base - base.clamp(0.0, 1.0)).square().mean()
         return self.options.color_weight * (offsets.square().mean() + BEYOND * beyond)
 
-    def _round(self) -> list[tuple[int, int]]:
+    def views(self) -> list[tuple[int, int]]:
         """Pairs of scene and view; with a minibatch of every scene, scenes take turns."""
         counts = [len(scene.images) for scene in self.scenes]
         if self.batch > 1:
-            orders = [self._order(count) for count in counts]
+            orders = [self.shuffled(count) for count in counts]
             return [
                 (i, order[turn % len(order)]) for turn in range(max(counts)) for i, order in enumerate(orders)
             ]
         pairs = [(i, view) for i, count in enumerate(counts) for view in range(count)]
-        return [pairs[i] for i in self._order(len(pairs))]
+        return [pairs[i] for i in self.shuffled(len(pairs))]
 
     def _settle_rent(self) -> None:
         """Anchors whose removal the pictures hardly show go; what is left learns to do without them."""
@@ -350,7 +339,7 @@ class Trainer(TrainingLoop):
 
     def _who_stays(self, scene: _Scene, allowance: float) -> Tensor:
         positions, values = scene.anchors.positions, self._attributes(scene)
-        cameras, background = scene.given.train.cameras, scene.given.train.background
+        cameras, background = scene.source.train.cameras, scene.source.train.background
 
         def frame(camera: Camera, kept: Tensor) -> tuple[ViewGaussians, Tensor]:
             rows = (kept & visible_anchors(camera, positions, values.scalings)).nonzero()[:, 0]
@@ -381,13 +370,13 @@ class Trainer(TrainingLoop):
         """Mean of the scenes' PSNR on validation views, or on some training views where there are none."""
         values = []
         for scene in self.scenes:
-            views = scene.given.validation if len(scene.given.validation) else scene.given.train
-            chosen = some_views(len(views), 8)
+            views = scene.source.validation if len(scene.source.validation) else scene.source.train
+            sample = some_views(len(views), 8)
             error = 0.0
-            for view in chosen:
+            for view in sample:
                 rgb, _ = model.render(views.cameras[view], [scene.name], background=views.background)
                 truth = torch.from_numpy(views.composited(view)).to(rgb.device)
-                error += float((rgb - truth).square().mean()) / len(chosen)
+                error += float((rgb - truth).square().mean()) / len(sample)
             values.append(-10.0 * math.log10(max(error, 1e-10)))
         return sum(values) / len(values)
 
@@ -400,14 +389,14 @@ class Trainer(TrainingLoop):
             rates[name] = now(DECODER_RATES[name])
         for parameter, rate in ANCHOR_RATES.items():
             rates[scene.anchors.name(parameter)] = now(rate)
-        rates[scene.anchors.name("offsets")] = now(OFFSET_RATE, scene.given.extent)
+        rates[scene.anchors.name("offsets")] = now(OFFSET_RATE, scene.source.extent)
         rates[f"{scene.key}/embedding"] = now(EMBEDDING_RATE)
         rates[f"{scene.key}/palette"] = self.options.palette_lr
         if self.coding is not None:
             rates["grid"] = rates["head"] = now(CONTEXT_RATE)
 
     def _grow(self) -> None:
-        self._check_finite()
+        self.check_finite()
         for scene in self.scenes:
             event = scene.anchors.grow_and_prune(
                 self.optimiser, self.rules, self.generator, self._implicit_offsets(scene)
@@ -426,62 +415,71 @@ class Trainer(TrainingLoop):
 
     # ------------------------------------------------------------------ what comes out
 
+    @staticmethod
     @torch.no_grad()
-    def model(self) -> EcongsModel:
-        """The present state as a model of its own: rounded as its stream would be, in the second stage."""
-        now = self.optimiser
-        positions = np.concatenate([to_numpy(scene.anchors.positions) for scene in self.scenes])
-        embeddings = [now[f"{scene.key}/embedding"].detach() for scene in self.scenes]
-        decoders = self.decoders
-        if self.options.fold_embeddings:
+    def restored(state: TrainingState, options: EcongsOptions) -> EcongsModel:
+        """As the state's stream would give it back: rounded, in the second stage."""
+        keys = [str(place) for place in range(len(state.scenes))]
+        places = [to_numpy(state.arrays[f"anchors/{key}/positions"]) for key in keys]
+        hidden, context_hidden = state.scalars["hidden"]
+        decoders = make_decoders(options, hidden, torch.Generator()).to(state.device)
+        for name in decoders.names:
+            state.fill(name, decoders.network(name).tensors())
+        embeddings = [state.value(f"{key}/embedding") for key in keys]
+        if options.fold_embeddings:
             decoders, embeddings = fold_embeddings(decoders, embeddings)
         scenes = tuple(
             SceneAttributes(
-                name=scene.name,
-                positions=to_numpy(scene.anchors.positions),
-                **{name: to_numpy(v) for name, v in self._attributes(scene)._asdict().items()},
+                label.name,
+                positions,
+                features=to_numpy(state.value(f"{key}/features")),
+                scalings=to_numpy(state.value(f"{key}/log_scalings").exp()),
+                offsets=to_numpy(state.value(f"{key}/offsets")),
                 parameters={
-                    "palette": to_numpy(now[f"{scene.key}/palette"]),
+                    "palette": to_numpy(state.value(f"{key}/palette")),
                     "embedding": to_numpy(embedding),
                 },
             )
-            for scene, embedding in zip(self.scenes, embeddings, strict=True)
+            for label, key, positions, embedding in zip(state.scenes, keys, places, embeddings, strict=True)
         )
-        coded = self.coding is not None and self.schedule.coded(self.iteration)
-        precision = self.options.decoder_precision
+        context = None
+        if make_schedule(options, state.iterations).coded(state.iteration):
+            context = coded_context(state, ContextConfig.of(options, decoders.width, context_hidden))
+        precision = options.decoder_precision
         group = GroupAttributes(
             scenes,
-            PositionGrid.lattice(self.options.voxel, positions),
-            context=CodedContext.of(self.coding.model) if coded and self.coding is not None else None,
+            PositionGrid.lattice(options.voxel, np.concatenate(places)),
+            context=context,
             decoders=round_arrays(
                 {name: to_numpy(v) for name, v in decoders.state_dict().items()}, precision
             ),
             metadata={
                 "decoders": decoders_metadata(decoders, precision),
                 "scenes": {
-                    scene.name: {
-                        "background": list(scene.given.train.background),
-                        "light": None if scene.light is None else list(scene.light),
+                    label.name: {
+                        "background": list(label.background),
+                        "light": None if label.light is None else list(label.light),
                     }
-                    for scene in self.scenes
+                    for label in state.scenes
                 },
             },
         )
-        return EcongsModel([Group(round_group(group), self.device)])
+        return EcongsModel([Group(round_group(group), state.device)])
 
     def checkpoint(self) -> Checkpoint:
-        """All that :meth:`restore` needs to go on as if nothing had happened."""
+        """All that :meth:`resume` needs to go on as if nothing had happened."""
         state = super().checkpoint()
         for scene in self.scenes:
             state.arrays |= {f"anchors/{name}": v.clone() for name, v in scene.anchors.state().items()}
         if self.coding is not None:
             state.arrays |= self.coding.state()
         state.scalars["rate_factor"] = self.control.factor
+        state.scalars["hidden"] = [self.decoders.hidden, self.context_hidden]
         return state
 
-    def restore(self, checkpoint: Checkpoint) -> None:
+    def resume(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint of the same fit."""
-        super().restore(checkpoint)
+        super().resume(checkpoint)
         arrays = self.arrays(checkpoint)
         for scene in self.scenes:
             scene.anchors.load_state(under("anchors/", arrays))
@@ -495,3 +493,25 @@ class Trainer(TrainingLoop):
 def _units(anchors: int, per_unit: int, least: int) -> int:
     """Hidden units of a network that so many first anchors are to pay for; 50, the paper's, at most."""
     return min(max(anchors // per_unit, least), 50)
+
+
+def make_schedule(options: EcongsOptions, iterations: int) -> Schedule:
+    """When things happen in a fit of that budget."""
+    return Schedule(iterations, options.growth_stop, options.context)
+
+
+def make_decoders(options: EcongsOptions, hidden: int, generator: torch.Generator) -> Decoders:
+    """The networks at their start."""
+    bias = options.shading_bias
+    return Decoders(
+        options.features,
+        options.offsets,
+        options.embedding,
+        hidden=hidden,
+        view_direction=options.view_direction,
+        direction_start=options.direction_start,
+        offset_color=options.offset_color,
+        storage=options.storage,
+        shading_bias=(bias, bias, 0.0, 0.0),
+        generator=generator,
+    )

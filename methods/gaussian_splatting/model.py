@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
@@ -14,14 +14,14 @@ import torch
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.scene import RGB
-from econgs.splat.composite import over, scale_depth
-from econgs.splat.rasterise import rasterise
+from econgs.anchors.gaussians import Gaussians
+from econgs.splat.composite import scale_depth
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.ply import read_ply, write_ply
 from methods.interface import Edit, Refused
-from methods.shared.edits import opacity_factors
+from methods.shared.edits import opacity_factor
 from methods.shared.files import saved_files
-from methods.shared.model import ByScene, seconds
+from methods.shared.model import SceneModel
 
 FORMAT = "econgs-bench 3dgs 1"
 SH_REST = 15  # coefficients above the DC part, degree 3
@@ -52,6 +52,9 @@ class SceneGaussians:
     sh_dc: torch.Tensor
     sh_rest: torch.Tensor
 
+    def __len__(self) -> int:
+        return len(self.means)
+
     def rows(self) -> np.ndarray:
         """(N, 62) float32 in the order of the PLY; f_rest is channel-major."""
         n = len(self.means)
@@ -79,114 +82,28 @@ class SceneGaussians:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Activated:
-    """What a frame needs of the scenes rendered together, ready for the rasteriser."""
-
-    means: torch.Tensor
-    quats: torch.Tensor
-    scales: torch.Tensor
-    opacities: torch.Tensor
-    sh_dc: torch.Tensor
-    sh_rest: torch.Tensor
-    sh_degree: int
-
-    @classmethod
-    def of(cls, scenes: Sequence[SceneGaussians]) -> _Activated:
-        return cls(
-            means=torch.cat([s.means for s in scenes]),
-            quats=torch.nn.functional.normalize(torch.cat([s.quats for s in scenes]), dim=1),
-            scales=torch.cat([s.log_scales for s in scenes]).exp(),
-            opacities=torch.cat([s.logits for s in scenes]).sigmoid(),
-            sh_dc=torch.cat([s.sh_dc for s in scenes]),
-            sh_rest=torch.cat([s.sh_rest for s in scenes]),
-            sh_degree=max(s.sh_degree for s in scenes),
-        )
-
-
-class SplatModel(ByScene[SceneGaussians]):
-    """Gaussians of one or several scenes, rendered separately or concatenated and sorted once.
-
-    Args:
-        scenes: at least one, with distinct names, on one device.
-    """
+class SplatModel(SceneModel[SceneGaussians]):
+    """Gaussians of 3DGS, as the methods that begin like it render them too."""
 
     method = "3dgs"
-    """Name of the method, for messages."""
+    preparation = "shade"
 
-    def __init__(self, scenes: Sequence[SceneGaussians]) -> None:
-        super().__init__((scene.name, scene) for scene in scenes)
-        self._activated: tuple[tuple[str, ...], _Activated] | None = None
+    def __init__(self, scenes: Iterable[SceneGaussians]) -> None:
+        super().__init__(scenes)
+        self._activated: dict[str, tuple[torch.Tensor, ...]] = {}
 
-    def gaussians(self, scene: str) -> SceneGaussians:
-        """The stored Gaussians of one scene.
-
-        Raises:
-            UnknownName: it does not hold that scene.
-        """
-        return self._find(scene)
-
-    def primitives(self, scene: str | None = None) -> int:
-        """Number of Gaussians of one scene or of all."""
-        names = self.scenes if scene is None else (scene,)
-        return sum(len(self.gaussians(name).means) for name in names)
-
-    def render(
-        self,
-        camera: Camera,
-        scenes: Sequence[str] | None = None,
-        edit: Mapping[str, Edit] | None = None,
-        background: RGB | None = None,
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`.
-
-        Raises:
-            Refused: an edit of anything but opacity.
-            UnknownName: it does not hold such a scene.
-        """
-        names = self.scenes if scenes is None else tuple(scenes)
-        back = self.gaussians(names[0]).background if background is None else background
-        with torch.inference_mode():
-            ready = self._ready(names)
-            opacities = self._edited(ready.opacities, names, edit)
-            colors = _shade(ready, camera)
-            splats = rasterise(ready.means, ready.quats, ready.scales, opacities, colors, camera)
-            rgb = over(splats.features, splats.alpha, back)
-            return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
-
-    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
-        """Seconds of one frame of scenes (default: all) by part.
-
-        "decode" is 0: loading activates the attributes once, so that no frame pays for it.
-        """
-        with torch.inference_mode():
-            ready = self._ready(self.scenes if scenes is None else tuple(scenes))
-            times = [seconds(ready.means)]
-            colors = _shade(ready, camera)
-            times.append(seconds(ready.means))
-            rasterise(ready.means, ready.quats, ready.scales, ready.opacities, colors, camera)
-            times.append(seconds(ready.means))
-        return {"decode": 0.0, "shade": times[1] - times[0], "rasterise": times[2] - times[1]}
-
-    def _ready(self, names: tuple[str, ...]) -> _Activated:
-        """Activated attributes of these scenes, kept for the next frame."""
-        if self._activated is None or self._activated[0] != names:
-            self._activated = names, _Activated.of([self.gaussians(name) for name in names])
-        return self._activated[1]
-
-    def _edited(
-        self, opacities: torch.Tensor, names: tuple[str, ...], edit: Mapping[str, Edit] | None
-    ) -> torch.Tensor:
-        wanted = opacity_factors(self.method, names, edit)
-        factors = [wanted.get(name) for name in names]
-        if all(factor is None for factor in factors):
-            return opacities
-        sizes = [self.primitives(name) for name in names]
-        pieces = [
-            o if factor is None else scale_depth(o, factor)
-            for o, factor in zip(opacities.split(sizes), factors, strict=True)
-        ]
-        return torch.cat(pieces)
+    def gaussians(self, scene: SceneGaussians, camera: Camera, edit: Edit) -> Gaussians:
+        """Activated attributes, which are kept for the next frame, and the colors of a view."""
+        factor = opacity_factor(self.method, scene.name, edit)
+        if scene.name not in self._activated:
+            quats = torch.nn.functional.normalize(scene.quats, dim=1)
+            self._activated[scene.name] = quats, scene.log_scales.exp(), scene.logits.sigmoid()
+        quats, scales, opacities = self._activated[scene.name]
+        position = torch.as_tensor(camera.position, dtype=scene.means.dtype, device=scene.means.device)
+        colors = spherical_harmonics(scene.sh_degree, scene.means, position, scene.sh_dc, scene.sh_rest)
+        return Gaussians(
+            scene.means, quats, scales, opacities if factor == 1.0 else scale_depth(opacities, factor), colors
+        )
 
 
 class GaussianModel(SplatModel):
@@ -218,14 +135,14 @@ class GaussianModel(SplatModel):
             ledger[name] = parts
         return ledger
 
+    @classmethod
+    def load(cls, folder: Path, device: str) -> GaussianModel:
+        """Read what :meth:`save` wrote.
 
-def load_model(folder: Path, device: str) -> GaussianModel:
-    """Read what :meth:`GaussianModel.save` wrote.
-
-    Raises:
-        DataError: a file is missing, damaged or of another kind.
-    """
-    return GaussianModel([_load_scene(file, device) for file in saved_files(folder, ".json", "3dgs")])
+        Raises:
+            DataError: a file is missing, damaged or of another kind.
+        """
+        return cls(_load_scene(file, device) for file in saved_files(folder, ".json", "3dgs"))
 
 
 def _load_scene(file: Path, device: str) -> SceneGaussians:
@@ -242,8 +159,3 @@ def _load_scene(file: Path, device: str) -> SceneGaussians:
         raise DataError(file, f"SH degree {degree}", "Save the model again")
     rows = read_ply(file.with_suffix(".ply"))
     return SceneGaussians.from_rows(name, (red, green, blue), degree, rows, device)
-
-
-def _shade(ready: _Activated, camera: Camera) -> torch.Tensor:
-    position = torch.as_tensor(camera.position, dtype=ready.means.dtype, device=ready.means.device)
-    return spherical_harmonics(ready.sh_degree, ready.means, position, ready.sh_dc, ready.sh_rest)

@@ -77,9 +77,11 @@ def read_ply(path: Path, parts: Parts = PARTS) -> NDArray[np.float32]:
     return rows
 
 
-def _parse_header(path: Path, head: bytes, wanted: tuple[str, ...]) -> tuple[int, list[str], int]:
+def _parse_header(path: Path, head: bytes, columns: tuple[str, ...]) -> tuple[int, list[str], int]:
     """Number of vertices, property names in file order, offset of the data."""
-    remedy = f"Give a binary little-endian PLY with these {len(wanted)} float32: {wanted[0]} ... {wanted[-1]}"
+    remedy = (
+        f"Give a binary little-endian PLY with these {len(columns)} float32: {columns[0]} ... {columns[-1]}"
+    )
     marker = b"end_header\n"
     end = head.find(marker)
     if not head.startswith(b"ply") or end < 0:
@@ -101,7 +103,7 @@ def _parse_header(path: Path, head: bytes, wanted: tuple[str, ...]) -> tuple[int
                 raise DataError(path, f"unexpected header line {' '.join(words)!r}", remedy)
     if count is None:
         raise DataError(path, "no element vertex in the header", remedy)
-    missing = [name for name in wanted if name not in names]
+    missing = [name for name in columns if name not in names]
     if missing:
         raise DataError(path, f"property {missing[0]!r} is missing ({len(missing)} in all)", remedy)
     return count, names, end + len(marker)

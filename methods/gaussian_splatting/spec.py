@@ -63,12 +63,9 @@ SPEC = MethodSpec(
         "econgs.optim",
         "econgs.points",
     ),
-    joint=False,
     composable=True,
     edits=frozenset({"opacity"}),
-    needs_volume=False,
     uses_alpha="views are composited on the training background; alpha is no target of its own",
-    devices=("cpu", "cuda"),
     options=GaussianOptions,
     presets={
         "quick": {"sh_rest_lr": 1e-3},

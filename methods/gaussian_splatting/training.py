@@ -13,11 +13,11 @@ from econgs.splat.rasterise import SplatImages, rasterise
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, capped_logits, grow
 from methods.gaussian_splatting.initialise import initial_parameters
-from methods.gaussian_splatting.model import GaussianModel, SceneGaussians
+from methods.gaussian_splatting.model import GaussianModel, SceneGaussians, SplatModel
 from methods.gaussian_splatting.schedule import Schedule
 from methods.gaussian_splatting.spec import GaussianOptions
-from methods.interface import Checkpoint, Refused, SceneInput
-from methods.shared.training import CHECK_EVERY, TrainingLoop, under
+from methods.interface import Checkpoint, SceneInput
+from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, under
 
 PARAMETERS = ("means", "log_scales", "quats", "logits", "sh_dc", "sh_rest")
 LEARNING_RATES = {"log_scales": 5e-3, "quats": 1e-3, "sh_dc": 2.5e-3}
@@ -44,14 +44,13 @@ class Trainer(TrainingLoop):
         Refused: no views, no initial points, or too many of them.
     """
 
+    options: GaussianOptions
     schedule: Schedule
 
     def __init__(
         self, scene: SceneInput, options: GaussianOptions, iterations: int, seed: int, device: str
     ) -> None:
-        if len(scene.train) == 0:
-            raise Refused(f"scene {scene.name!r} has no training views")
-        super().__init__(seed, device)
+        super().__init__([scene], iterations, seed, device)
         self.scene, self.options = scene, options
         choice = options.background
         self.background = scene.train.background if choice == "scene" else _BACKGROUNDS.get(choice)
@@ -96,7 +95,7 @@ class Trainer(TrainingLoop):
         """Number of Gaussians."""
         return len(self.optimiser["means"])
 
-    def _stage(self) -> str:
+    def stage(self) -> str:
         if self.count == 0:
             return "no Gaussians left"
         if not self.schedule.collects(self.iteration + 1):
@@ -113,11 +112,11 @@ class Trainer(TrainingLoop):
             Diverged: a loss or a parameter is not finite.
         """
         self.iteration += 1
-        view = self._next_view()
+        view = self.next_view()
         camera = self.scene.train.cameras[view]
         back = self._background_color()
         parts, offset, radii = self._losses(camera, self.images[view].to(self.device), back)
-        shown = self._shown(parts)
+        losses = self.numbers(parts)
         loss = sum(parts.values(), torch.zeros((), device=self.device))
         if loss.requires_grad:
             self.optimiser.zero_grad()
@@ -131,8 +130,8 @@ class Trainer(TrainingLoop):
         if self.schedule.resets_opacity(self.iteration):
             self.optimiser.overwrite("logits", capped_logits(self.optimiser["logits"]))
         if self.iteration % CHECK_EVERY == 0:
-            self._check_finite()
-        return {"loss": sum(shown.values()), **(shown if len(shown) > 1 else {})}
+            self.check_finite()
+        return {"loss": sum(losses.values()), **(losses if len(losses) > 1 else {})}
 
     def _losses(
         self, camera: Camera, truth: torch.Tensor, back: RGB | torch.Tensor
@@ -159,7 +158,7 @@ class Trainer(TrainingLoop):
                 screen_offset=offset,
             )
         except ValueError:
-            self._check_finite()  # the usual reason; any other is a fault of the program
+            self.check_finite()  # the usual reason; any other is a fault of the program
             raise
         return splats, offset
 
@@ -171,7 +170,7 @@ class Trainer(TrainingLoop):
         return photometric_loss(over(colors, alpha, back), target, self.options.ssim_weight)
 
     def _record(self, gradients: torch.Tensor, radii: torch.Tensor, camera: Camera) -> None:
-        """Keep what densification wants to know of a view."""
+        """Add a view to the statistics that densification reads."""
         self.statistics.record(gradients, radii, camera.width, camera.height)
 
     def _colors(self, camera: Camera) -> torch.Tensor:
@@ -179,8 +178,8 @@ class Trainer(TrainingLoop):
         position = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
         return spherical_harmonics(degree, now["means"], position, now["sh_dc"], now["sh_rest"])
 
-    def _round(self) -> list[int]:
-        return self._order(len(self.scene.train))
+    def views(self) -> list[int]:
+        return self.shuffled(len(self.scene.train))
 
     def _background_color(self) -> RGB | torch.Tensor:
         return torch.rand(3, generator=self.generator) if self.background is None else self.background
@@ -191,7 +190,7 @@ class Trainer(TrainingLoop):
         self.optimiser.rates["means"] = self.schedule.decayed(self.iteration, first, POSITION_DECAY * first)
 
     def _grow(self, also: torch.Tensor | None = None) -> None:
-        self._check_finite()
+        self.check_finite()
         growth = grow(
             {name: self.optimiser[name].detach() for name in self.names},
             self.statistics,
@@ -207,20 +206,26 @@ class Trainer(TrainingLoop):
 
     # ------------------------------------------------------------------ what comes out
 
-    def model(self) -> GaussianModel:
-        """The present state as a model of its own."""
-        values = {name: self.optimiser[name].detach().clone() for name in PARAMETERS}
-        background, degree = self.scene.train.background, self.schedule.sh_degree
-        return GaussianModel([SceneGaussians(self.scene.name, background, degree, **values)])
+    @staticmethod
+    def restored(state: TrainingState, options: GaussianOptions) -> SplatModel:
+        """Every Gaussian, in float32."""
+        return GaussianModel([plain_gaussians(state, options.sh_degree)])
 
     def checkpoint(self) -> Checkpoint:
-        """All that :meth:`restore` needs to go on as if nothing had happened."""
+        """All that :meth:`resume` needs to go on as if nothing had happened."""
         state = super().checkpoint()
         state.arrays |= {f"statistics/{name}": v.clone() for name, v in vars(self.statistics).items()}
         return state
 
-    def restore(self, checkpoint: Checkpoint) -> None:
+    def resume(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint of the same fit."""
-        super().restore(checkpoint)
+        super().resume(checkpoint)
         statistics = under("statistics/", self.arrays(checkpoint))
         self.statistics = GrowthStatistics(**{name: values.clone() for name, values in statistics.items()})
+
+
+def plain_gaussians(state: TrainingState, sh_degree: int) -> SceneGaussians:
+    """The scene of a fit of 3DGS, or of the part of a fit that is one."""
+    (label,) = state.scenes
+    values = {name: state.value(name) for name in PARAMETERS}
+    return SceneGaussians(label.name, label.background, sh_degree, **values)

@@ -40,10 +40,12 @@ class HacModel(AnchorModel):
         DataError: a group is not one of this method.
     """
 
+    method = _METHOD
+
     def __init__(self, groups: Sequence[GroupAttributes], device: str, files: Sequence[str] = ()) -> None:
         self.groups, self.device = tuple(groups), device
         named = zip(self.groups, files or ["group"] * len(self.groups), strict=True)
-        super().__init__(_METHOD, [_ready(group, device, file) for group, file in named])
+        super().__init__(_ready(group, device, file) for group, file in named)
 
     def bytes_estimate(self) -> int:
         """Bytes that :meth:`save` would write."""
@@ -65,15 +67,20 @@ class HacModel(AnchorModel):
             ledger[name] = dict(encoded.ledger)
         return ledger
 
+    @classmethod
+    def load(cls, folder: Path, device: str) -> HacModel:
+        """Read what :meth:`save` wrote.
 
-def load_model(folder: Path, device: str) -> HacModel:
-    """Read what :meth:`HacModel.save` wrote.
+        Raises:
+            DataError: a stream is missing, damaged or of another kind.
+        """
+        files, groups = zip(*read_streams(folder, SUFFIX, _METHOD), strict=True)
+        return cls(groups, device, files)
 
-    Raises:
-        DataError: a stream is missing, damaged or of another kind.
-    """
-    files, groups = zip(*read_streams(folder, SUFFIX, _METHOD), strict=True)
-    return HacModel(groups, device, files)
+    @classmethod
+    def join(cls, models: Sequence[HacModel]) -> HacModel:
+        """One model of the scenes of several."""
+        return cls([group for model in models for group in model.groups], models[0].device)
 
 
 def _ready(group: GroupAttributes, device: str, what: str) -> SceneAnchors:

@@ -33,13 +33,9 @@ SPEC = MethodSpec(
     version="1",
     implementation="methods.hac.method:Hac",
     source=("methods.hac", *SOURCE, "econgs"),
-    # The first failed where a start had more points than max_anchors; the others, where one shows nothing.
-    joint=False,
     composable=True,
     edits=frozenset({"opacity"}),
-    needs_volume=False,
     uses_alpha="views are composited on the training background; alpha is no target of its own",
-    devices=("cpu", "cuda"),
     options=HacOptions,
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     rate_knobs=(RateKnob("rate_weight", (5e-4, 1e-3, 2e-3, 3e-3, 4e-3), refit=True),),

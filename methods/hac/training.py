@@ -8,16 +8,18 @@ import torch
 from torch import Tensor
 
 from econgs.anchors.anchor_set import MASKS
-from econgs.anchors.coding import Coding
+from econgs.anchors.coding import Coding, saved_grid
 from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
-from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, round_group
+from econgs.context.stream import GroupAttributes, SceneAttributes, round_group
 from methods.hac.model import HacModel, metadata_of
 from methods.hac.spec import HacOptions
 from methods.interface import Checkpoint
 from methods.scaffold_gs import training as scaffold_gs
-from methods.scaffold_gs.training import Prepared
-from methods.shared.training import to_numpy
+from methods.scaffold_gs.schedule import Schedule
+from methods.scaffold_gs.training import KEY, Prepared, color_decoders
+from methods.shared.coding import coded_context
+from methods.shared.training import TrainingState, to_numpy
 
 LEAST_MASK = 0.01
 """An offset is there if the sigmoid of its mask exceeds this."""
@@ -36,7 +38,7 @@ class Trainer(scaffold_gs.Trainer):
 
     def groups(self) -> dict[str, Tensor | Sequence[Tensor]]:
         """What the optimiser trains; the context model is made here, after the decoders."""
-        config = ContextConfig.of(self.options, self.options.features, self.options.context_hidden)
+        config = context_config(self.options)
         self.coding = Coding(config, self.schedule, self.generator, self.device, margin=BOX_MARGIN)
         return {**super().groups(), **self.coding.groups()}
 
@@ -78,31 +80,41 @@ class Trainer(scaffold_gs.Trainer):
         if self.schedule.coded(self.iteration):
             self.coding.place([self.anchors])
 
+    @staticmethod
     @torch.no_grad()
-    def model(self) -> HacModel:
-        """The present state as its stream would give it back: rounded once the context model is on."""
-        masks = self.present().cpu().numpy()
+    def restored(state: TrainingState, options: HacOptions) -> HacModel:  # type: ignore[override]
+        """As the state's stream would give it back: rounded once the context model is on."""
+        (label,) = state.scenes
+        masks = (state.value(f"{KEY}/{MASKS}").sigmoid() > LEAST_MASK).cpu().numpy()
         keep = masks.any(1)
-        positions = to_numpy(self.anchors.positions)[keep]
-        features, scalings, offsets = (to_numpy(one)[keep] for one in self.attributes())
-        coded = self.schedule.coded(self.iteration)
-        scene = SceneAttributes(self.scene.name, positions, features, scalings, offsets, masks=masks[keep])
+        positions = to_numpy(state.arrays[f"anchors/{KEY}/positions"])[keep]
+        raw = {name: state.value(f"{KEY}/{name}") for name in ("features", "log_scalings", "offsets")}
+        values = raw["features"], raw["log_scalings"].exp(), raw["offsets"]
+        features, scalings, offsets = (to_numpy(one)[keep] for one in values)
+        coded = Schedule(state.iterations, coding=True).coded(state.iteration)
+        decoders = color_decoders(state, options, distance=True)
         group = GroupAttributes(
-            (scene,),
-            self.coding.grid if coded else PositionGrid.lattice(self.anchors.voxel, positions),
-            CodedContext.of(self.coding.model) if coded else None,
-            {name: to_numpy(one) for name, one in self.decoders.state_dict().items()},
-            metadata_of(self.scene.train.background),
+            (SceneAttributes(label.name, positions, features, scalings, offsets, masks=masks[keep]),),
+            saved_grid(state.arrays) if coded else PositionGrid.lattice(state.scalars["voxel"], positions),
+            coded_context(state, context_config(options)) if coded else None,
+            {name: to_numpy(one) for name, one in decoders.state_dict().items()},
+            metadata_of(label.background),
         )
-        return HacModel([round_group(group)], self.device)
+        return HacModel([round_group(group)], state.device)
 
     def checkpoint(self) -> Checkpoint:
-        """All that :meth:`restore` needs to go on as if nothing had happened."""
+        """All that :meth:`resume` needs to go on as if nothing had happened."""
         checkpoint = super().checkpoint()
         checkpoint.arrays.update(self.coding.state())
+        checkpoint.scalars["voxel"] = self.anchors.voxel
         return checkpoint
 
-    def restore(self, checkpoint: Checkpoint) -> None:
+    def resume(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint of the same fit."""
-        super().restore(checkpoint)
+        super().resume(checkpoint)
         self.coding.load_state(self.arrays(checkpoint))
+
+
+def context_config(options: HacOptions) -> ContextConfig:
+    """Sizes of the context model."""
+    return ContextConfig.of(options, options.features, options.context_hidden)

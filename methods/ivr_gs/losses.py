@@ -23,8 +23,8 @@ def depth_normals(depth: Tensor, alpha: Tensor, camera: Camera) -> tuple[Tensor,
         (H, W, 3) normals in scene space, zero where there is none, and the (H, W) mask: pixels whose four
         neighbours all show something.
     """
-    shown = alpha > _LEAST_ALPHA
-    mean = torch.where(shown, depth / alpha.clamp(min=_LEAST_ALPHA), 0.0)
+    opaque = alpha > _LEAST_ALPHA
+    mean = torch.where(opaque, depth / alpha.clamp(min=_LEAST_ALPHA), 0.0)
     u = (torch.arange(camera.width, device=depth.device) + 0.5 - camera.cx) / camera.fx
     v = (torch.arange(camera.height, device=depth.device) + 0.5 - camera.cy) / camera.fy
     points = torch.stack([u[None, :] * mean, v[:, None] * mean, mean], dim=-1).to(depth)
@@ -32,9 +32,9 @@ def depth_normals(depth: Tensor, alpha: Tensor, camera: Camera) -> tuple[Tensor,
     down = points[2:, 1:-1] - points[:-2, 1:-1]
     inner = torch.linalg.cross(down, across)
     length = torch.linalg.vector_norm(inner, dim=-1, keepdim=True)
-    mask = torch.zeros_like(shown)
+    mask = torch.zeros_like(opaque)
     mask[1:-1, 1:-1] = (
-        shown[1:-1, 2:] & shown[1:-1, :-2] & shown[2:, 1:-1] & shown[:-2, 1:-1] & (length[..., 0] > 1e-12)
+        opaque[1:-1, 2:] & opaque[1:-1, :-2] & opaque[2:, 1:-1] & opaque[:-2, 1:-1] & (length[..., 0] > 1e-12)
     )
     normals = torch.zeros_like(points)
     normals[1:-1, 1:-1] = inner / length.clamp(min=1e-12)

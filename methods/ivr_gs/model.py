@@ -14,13 +14,13 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.scene import RGB
+from econgs.anchors.gaussians import Gaussians
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
 from econgs.codebooks import quantise_scalars
-from econgs.splat.composite import over, scale_depth
-from econgs.splat.rasterise import SplatImages, rasterise
-from methods.interface import Edit, Refused, edits_by_scene
+from econgs.splat.composite import scale_depth
+from methods.interface import Edit, Refused
 from methods.shared.edits import Direction, shading_edit
-from methods.shared.model import ByScene, seconds
+from methods.shared.model import SceneModel
 from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, read_folder
 
 FORMAT = "econgs-bench ivr-gs 1"
@@ -72,6 +72,9 @@ class ShadedGaussians:
     normals: Tensor
     offsets: Tensor
     coefficients: Tensor
+
+    def __len__(self) -> int:
+        return len(self.means)
 
     def colors(self, eye: Tensor, palette: Tensor, light: Direction | None, factors: Factors) -> Tensor:
         """(N, 3) shaded colors, seen from ``eye``."""
@@ -193,30 +196,28 @@ def _direction(values: Sequence[float]) -> Direction:
     return x, y, z
 
 
-class IvrModel(ByScene[ShadedGaussians]):
-    """Scenes of shaded Gaussians; what is rendered together is concatenated and sorted once.
+class IvrModel(SceneModel[ShadedGaussians]):
+    """Scenes of shaded Gaussians; codebooks are decoded when they are loaded.
 
     Args:
-        shown: at least one, with distinct names, on one device.
+        scenes: at least one, with distinct names, on one device.
         stored: the same scenes as they are saved; None while training is under way.
     """
 
-    def __init__(self, shown: Sequence[ShadedGaussians], stored: Sequence[Stored] | None) -> None:
-        super().__init__((scene.name, scene) for scene in shown)
+    method = METHOD
+    preparation = "shade"
+
+    def __init__(self, scenes: Sequence[ShadedGaussians], stored: Sequence[Stored] | None) -> None:
+        super().__init__(scenes)
         self.stored = stored
 
-    def gaussians(self, scene: str) -> ShadedGaussians:
-        """The Gaussians of one scene.
-
-        Raises:
-            UnknownName: it does not hold that scene.
-        """
-        return self._find(scene)
-
-    def primitives(self, scene: str | None = None) -> int:
-        """Number of Gaussians of one scene or of all."""
-        names = self.scenes if scene is None else (scene,)
-        return sum(len(self.gaussians(name).means) for name in names)
+    def gaussians(self, scene: ShadedGaussians, camera: Camera, edit: Edit) -> Gaussians:
+        """The scene shaded for a view."""
+        eye = torch.as_tensor(camera.position, dtype=scene.means.dtype, device=scene.means.device)
+        palette, light, factors = shading_edit(scene.name, scene.palette, scene.light, edit)
+        colors = scene.colors(eye, palette, light, factors)
+        opacities = scene.opacities if factors.opacity == 1.0 else scale_depth(scene.opacities, factors.opacity)
+        return Gaussians(scene.means, scene.quats, scene.scales, opacities, colors)
 
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
         """Write ``<scene>.safetensors`` per scene.
@@ -232,76 +233,24 @@ class IvrModel(ByScene[ShadedGaussians]):
             raise Refused("ivr-gs is quantised at the end of a fit only")
         return {one.coded.name: one.at(rate).write(folder, FORMAT) for one in self.stored}
 
-    def render(
-        self,
-        camera: Camera,
-        scenes: Sequence[str] | None = None,
-        edit: Mapping[str, Edit] | None = None,
-        background: RGB | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`.
+    @classmethod
+    def load(cls, folder: Path, device: str) -> IvrModel:
+        """Read what :meth:`save` wrote.
 
         Raises:
-            Refused: an edit out of range.
-            UnknownName: it does not hold such a scene.
+            DataError: a file is missing, damaged or of another kind.
         """
-        names = self.scenes if scenes is None else tuple(scenes)
-        back = self.gaussians(names[0]).background if background is None else background
-        edits = edits_by_scene(edit, names)
-        with torch.inference_mode():
-            splats = self._rasterise(names, self._shade(names, edits, camera), edits, camera)
-            rgb = over(splats.features, splats.alpha, back)
-            return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
+        read = read_folder(folder, METHOD, FORMAT, WIDTHS, partial(_checked, device=device))
+        return cls([scene for _, scene in read], [Stored(coded, None, frozenset()) for coded, _ in read])
 
-    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
-        """Seconds of one frame of these scenes by part; codebooks are decoded when the model is loaded."""
-        names = self.scenes if scenes is None else tuple(scenes)
-        with torch.inference_mode():
-            like = self.gaussians(names[0]).means
-            start = seconds(like)
-            colors = self._shade(names, {}, camera)
-            middle = seconds(like)
-            self._rasterise(names, colors, {}, camera)
-            return {"decode": 0.0, "shade": middle - start, "rasterise": seconds(like) - middle}
-
-    def _shade(self, names: Sequence[str], edits: Mapping[str, Edit], camera: Camera) -> list[Tensor]:
-        colors = []
-        for name in names:
-            scene = self.gaussians(name)
-            eye = torch.as_tensor(camera.position, dtype=scene.means.dtype, device=scene.means.device)
-            palette, light, factors = scene.palette, scene.light, Factors()
-            if name in edits:
-                palette, light, factors = shading_edit(name, palette, light, edits[name])
-            colors.append(scene.colors(eye, palette, light, factors))
-        return colors
-
-    def _rasterise(
-        self, names: Sequence[str], colors: Sequence[Tensor], edits: Mapping[str, Edit], camera: Camera
-    ) -> SplatImages:
-        shown = [self.gaussians(name) for name in names]
-        factors = [edits[name].opacity if name in edits else None for name in names]
-        opacities = [
-            one.opacities if factor is None else scale_depth(one.opacities, factor)
-            for one, factor in zip(shown, factors, strict=True)
-        ]
-        return rasterise(
-            torch.cat([one.means for one in shown]),
-            torch.cat([one.quats for one in shown]),
-            torch.cat([one.scales for one in shown]),
-            torch.cat(opacities),
-            torch.cat(list(colors)),
-            camera,
+    @classmethod
+    def join(cls, models: Sequence[IvrModel]) -> IvrModel:
+        """One model of the scenes of several."""
+        whole = all(model.stored is not None for model in models)
+        stored = [one for model in models for one in model.stored or ()]
+        return cls(
+            [model.scene(name) for model in models for name in model.scenes], stored if whole else None
         )
-
-
-def load_model(folder: Path, device: str) -> IvrModel:
-    """Read what :meth:`IvrModel.save` wrote.
-
-    Raises:
-        DataError: a file is missing, damaged or of another kind.
-    """
-    read = read_folder(folder, METHOD, FORMAT, WIDTHS, partial(_checked, device=device))
-    return IvrModel([shown for _, shown in read], [Stored(coded, None, frozenset()) for coded, _ in read])
 
 
 def _checked(coded: QuantisedScene, device: str) -> ShadedGaussians:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -28,6 +29,7 @@ from methods.ivr_gs.model import (
 )
 from methods.ivr_gs.schedule import IvrSchedule
 from methods.ivr_gs.spec import IvrOptions
+from methods.shared.training import SceneLabel, TrainingState
 
 GEOMETRY = ("means", "log_scales", "quats", "logits", "normals")
 SHADING = ("offset_color", "ambient", "diffuse", "specular", "shininess")
@@ -49,12 +51,11 @@ class IvrTrainer(Trainer):
     def __init__(
         self, scene: SceneInput, options: IvrOptions, iterations: int, seed: int, device: str
     ) -> None:
-        self.with_codebooks = attributes_with_codebooks(options.quantised)
+        attributes_with_codebooks(options.quantised)  # refuses names that are none
         super().__init__(scene, options, iterations, seed, device)
         self.normal_gradients = torch.zeros(self.count, device=device)
         self.palette = _mean_color(self.images).to(device)
-        light = scene.scene.light
-        self.light = None if light is None else light.direction
+        self.light = self.labels[0].light
 
     def _schedule(self, iterations: int) -> IvrSchedule:
         return IvrSchedule(
@@ -71,9 +72,9 @@ class IvrTrainer(Trainer):
         parameters["normals"] = torch.nn.functional.normalize(normals, dim=1)
         return parameters, rates | {"normals": NORMAL_RATE}
 
-    def _stage(self) -> str:
+    def stage(self) -> str:
         if not self.schedule.shaded(self.iteration + 1) or self.count == 0:
-            return super()._stage()
+            return super().stage()
         return "shading, growth" if self.schedule.collects(self.iteration + 1) else "shading"
 
     @property
@@ -91,19 +92,7 @@ class IvrTrainer(Trainer):
 
     def _begin_shading(self, geometry: dict[str, Tensor]) -> None:
         """A fresh optimiser for what the second stage learns."""
-        count = len(geometry["means"])
-
-        def full(value: float, width: int = 1) -> Tensor:
-            return torch.full((count, width), value, device=self.device)
-
-        first = self.options.shading_start
-        shading = {
-            "offset_color": full(0.0, 3),
-            "ambient": full(first),
-            "diffuse": full(first),
-            "specular": full(0.0),
-            "shininess": full(FIRST_SHININESS),
-        }
+        shading = first_shading(geometry["means"], self.options.shading_start)
         plain = {name: LEARNING_RATES[name] for name in ("log_scales", "quats")}
         rates = plain | {"means": 0.0, "logits": self.options.opacity_lr, "normals": NORMAL_RATE}
         rates |= dict.fromkeys(SHADING, self.options.shading_lr)
@@ -128,8 +117,8 @@ class IvrTrainer(Trainer):
         splats, offset = self._splat(features, camera)
         losses = self._common_losses(splats, camera, truth, back)
         offsets, coefficients = splats.features[..., 6:9], splats.features[..., 9:12]
-        shown = truth[..., 3] > 0
-        losses["offset colors"] = self._weight("offset") * mean_over(offsets.square(), shown)
+        opaque = truth[..., 3] > 0
+        losses["offset colors"] = self._weight("offset") * mean_over(offsets.square(), opaque)
         losses["smoothness"] = self._weight("smoothness") * smoothness_loss(coefficients, truth[..., :3])
         if bool((seen := splats.radii > 0).any()):
             losses["opacity"] = self._weight("opacity") * scene.opacities[seen].mean()
@@ -152,23 +141,10 @@ class IvrTrainer(Trainer):
     def _weight(self, part: str) -> float:
         return float(getattr(self.options, f"{part}_weight"))
 
-    def _columns(self) -> dict[str, Tensor]:
-        """The second stage's parameters as columns of the model."""
-        now = self.optimiser
-        unit = torch.nn.functional.normalize(now["quats"], dim=1)
-        return {
-            "opacity": now["logits"][:, None],
-            "scale": now["log_scales"],
-            "rotation real": unit[:, :1],
-            "rotation imaginary": unit[:, 1:],
-            "normal": now["normals"],
-            **{name.replace("_", " "): now[name] for name in SHADING},
-        }
-
     def _shaded(self) -> ShadedGaussians:
-        name, background = self.scene.name, self.scene.train.background
-        values = activated(self._columns())
-        return ShadedGaussians(name, background, self.light, self.palette, self.optimiser["means"], **values)
+        return shaded_gaussians(
+            self.labels[0], self.palette, {name: self.optimiser[name] for name in self.names}
+        )
 
     # ------------------------------------------------------------------ growth
 
@@ -197,48 +173,84 @@ class IvrTrainer(Trainer):
 
     # ------------------------------------------------------------------ what comes out
 
+    @staticmethod
     @torch.no_grad()
-    def model(self) -> Any:
-        """The present state: in the first stage as 3DGS, at the end as it will be stored."""
-        if not self.shading and self.iteration < self.iterations:
-            return super().model()
-        if not self.shading:  # too short a budget for a second stage
-            self._begin_shading({name: self.optimiser[name].detach().clone() for name in GEOMETRY})
-        if self.iteration < self.iterations:
-            return IvrModel([_detached(self._shaded())], None)
-        seen = self.optimiser["logits"].sigmoid() >= MIN_ALPHA
-        raw = {name: values.detach()[seen].clone() for name, values in self._columns().items()}
+    def restored(state: TrainingState, options: IvrOptions) -> Any:  # type: ignore[override]
+        """In the first stage as 3DGS, then shaded, at the end as it will be stored."""
+        finished = state.iteration == state.iterations
+        shading = "optimiser/ambient/0/value" in state.arrays
+        if not shading and not finished:
+            return Trainer.restored(state, options)
+        now = {name: state.value(name) for name in (*GEOMETRY, *(SHADING if shading else ()))}
+        if not shading:  # too short a budget for a second stage
+            now |= first_shading(now["means"], options.shading_start)
+        (label,) = state.scenes
+        if not finished:
+            palette = torch.tensor(state.scalars["palette"], device=state.device)
+            return IvrModel([shaded_gaussians(label, palette, now)], None)
+        visible = now["logits"].sigmoid() >= MIN_ALPHA
+        raw = {name: values[visible] for name, values in columns(now).items()}
         normals = raw["normal"]
         length = torch.linalg.vector_norm(normals, dim=1, keepdim=True)
         raw["normal"] = normals / length.clamp(min=MIN_NORMAL)
         stored = Stored.of(
-            self.scene.name,
-            self.scene.train.background,
-            self.light,
-            self.palette.tolist(),
-            self.optimiser["means"].detach()[seen],
+            label.name,
+            label.background,
+            label.light,
+            state.scalars["palette"],
+            now["means"][visible],
             raw,
-            self.with_codebooks,
-            self.options.codebook_size,
+            attributes_with_codebooks(options.quantised),
+            options.codebook_size,
         )
-        return IvrModel([ready(stored.coded, self.device)], [stored])
+        return IvrModel([ready(stored.coded, state.device)], [stored])
 
     def checkpoint(self) -> Checkpoint:
         state = super().checkpoint()
         state.arrays["normal_gradients"] = self.normal_gradients.clone()
+        state.scalars["palette"] = self.palette.tolist()
         return state
 
-    def restore(self, checkpoint: Checkpoint) -> None:
+    def resume(self, checkpoint: Checkpoint) -> None:
         arrays = self.arrays(checkpoint)
         if "optimiser/ambient/0/value" in arrays:
             self._begin_shading({name: arrays[f"optimiser/{name}/0/value"].clone() for name in GEOMETRY})
-        super().restore(checkpoint)
+        super().resume(checkpoint)
         self.normal_gradients = arrays["normal_gradients"].clone()
 
 
-def _detached(scene: ShadedGaussians) -> ShadedGaussians:
-    values = vars(scene) | {n: v.detach().clone() for n, v in vars(scene).items() if isinstance(v, Tensor)}
-    return ShadedGaussians(**values)
+def first_shading(means: Tensor, coefficient: float) -> dict[str, Tensor]:
+    """What shades each Gaussian, before it is learned; ``coefficient`` of ambient and diffuse light."""
+
+    def full(value: float, width: int = 1) -> Tensor:
+        return torch.full((len(means), width), value, device=means.device)
+
+    return {
+        "offset_color": full(0.0, 3),
+        "ambient": full(coefficient),
+        "diffuse": full(coefficient),
+        "specular": full(0.0),
+        "shininess": full(FIRST_SHININESS),
+    }
+
+
+def columns(parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The second stage's parameters as columns of the model; differentiable."""
+    unit = torch.nn.functional.normalize(parameters["quats"], dim=1)
+    return {
+        "opacity": parameters["logits"][:, None],
+        "scale": parameters["log_scales"],
+        "rotation real": unit[:, :1],
+        "rotation imaginary": unit[:, 1:],
+        "normal": parameters["normals"],
+        **{name.replace("_", " "): parameters[name] for name in SHADING},
+    }
+
+
+def shaded_gaussians(label: SceneLabel, palette: Tensor, parameters: Mapping[str, Tensor]) -> ShadedGaussians:
+    """A scene of the second stage; differentiable."""
+    values = activated(columns(parameters))
+    return ShadedGaussians(label.name, label.background, label.light, palette, parameters["means"], **values)
 
 
 def _mean_color(images: Tensor) -> Tensor:

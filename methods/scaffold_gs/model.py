@@ -20,14 +20,13 @@ from datasets.errors import DataError
 from datasets.scene import RGB
 from econgs.anchors.decode import visible_anchors
 from econgs.anchors.direct import ColorDecoders, decode_colors
-from econgs.anchors.gaussians import ViewGaussians, apply_masks, draw
+from econgs.anchors.gaussians import Gaussians, apply_masks
 from econgs.context.model import Attributes
-from econgs.splat.composite import over
 from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
 from methods.interface import Edit, Refused
-from methods.shared.edits import opacity_factors
+from methods.shared.edits import opacity_factor
 from methods.shared.files import saved_files
-from methods.shared.model import ByScene, seconds
+from methods.shared.model import SceneModel
 
 FORMAT = "econgs-bench scaffold-gs 1"
 
@@ -52,67 +51,16 @@ class SceneAnchors:
     values: Attributes
     masks: Tensor | None = None
 
+    def __len__(self) -> int:
+        return len(self.positions)
 
-class AnchorModel(ByScene[SceneAnchors]):
-    """Scenes of anchors; what is rendered together is decoded scene by scene, concatenated and sorted once.
 
-    Args:
-        method: name, for messages.
-        scenes: at least one, with distinct names, on one device.
-    """
+class AnchorModel(SceneModel[SceneAnchors]):
+    """Scenes of anchors, decoded for each view."""
 
-    def __init__(self, method: str, scenes: Sequence[SceneAnchors]) -> None:
-        self.method = method
-        super().__init__((scene.name, scene) for scene in scenes)
-
-    def anchors(self, scene: str) -> SceneAnchors:
-        """The anchors of one scene.
-
-        Raises:
-            UnknownName: it does not hold that scene.
-        """
-        return self._find(scene)
-
-    def primitives(self, scene: str | None = None) -> int:
-        """Number of anchors of one scene or of all."""
-        names = self.scenes if scene is None else (scene,)
-        return sum(len(self.anchors(name).positions) for name in names)
-
-    def render(
-        self,
-        camera: Camera,
-        scenes: Sequence[str] | None = None,
-        edit: Mapping[str, Edit] | None = None,
-        background: RGB | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`.
-
-        Raises:
-            Refused: an edit of anything but opacity.
-            UnknownName: it does not hold such a scene.
-        """
-        names = self.scenes if scenes is None else tuple(scenes)
-        back = self.anchors(names[0]).background if background is None else background
-        factors = opacity_factors(self.method, names, edit)
-        with torch.inference_mode():
-            decoded = [self._decode(name, camera, factors.get(name)) for name in names]
-            splats = draw(decoded, camera)
-            rgb = over(splats.features, splats.alpha, back)
-            return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
-
-    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
-        """Seconds of one frame of these scenes by part; colors are decoded, nothing is shaded."""
-        names = self.scenes if scenes is None else tuple(scenes)
-        with torch.inference_mode():
-            like = self.anchors(names[0]).positions
-            start = seconds(like)
-            decoded = [self._decode(name, camera, None) for name in names]
-            middle = seconds(like)
-            draw(decoded, camera)
-            return {"decode": middle - start, "shade": 0.0, "rasterise": seconds(like) - middle}
-
-    def _decode(self, name: str, camera: Camera, opacity: float | None) -> ViewGaussians:
-        scene, factor = self.anchors(name), 1.0 if opacity is None else opacity
+    def gaussians(self, scene: SceneAnchors, camera: Camera, edit: Edit) -> Gaussians:
+        """The Gaussians of the anchors in view."""
+        factor = opacity_factor(self.method, scene.name, edit)
         rows = visible_anchors(camera, scene.positions, scene.values.scalings).nonzero()[:, 0]
         decoded = decode_colors(
             scene.positions[rows], *scene.values.of(rows), scene.decoders, camera.position, opacity=factor
@@ -198,9 +146,11 @@ class ScaffoldModel(AnchorModel):
         device: where it renders.
     """
 
+    method = "scaffold-gs"
+
     def __init__(self, stored: Sequence[StoredScene], device: str) -> None:
         self.stored, self.device = tuple(stored), device
-        super().__init__("scaffold-gs", [scene.ready(device) for scene in stored])
+        super().__init__(scene.ready(device) for scene in stored)
 
     def bytes_estimate(self) -> int:
         """Bytes of anchors and networks; headers and metadata add a few thousand."""
@@ -238,15 +188,20 @@ class ScaffoldModel(AnchorModel):
             ledger[scene.name] = parts | {"decoders": numbers, "metadata": len(data) - numbers}
         return ledger
 
+    @classmethod
+    def load(cls, folder: Path, device: str) -> ScaffoldModel:
+        """Read what :meth:`save` wrote.
 
-def load_model(folder: Path, device: str) -> ScaffoldModel:
-    """Read what :meth:`ScaffoldModel.save` wrote.
+        Raises:
+            DataError: a file is missing, damaged or of another kind.
+        """
+        files = saved_files(folder, ".safetensors", cls.method)
+        return cls([_load_scene(file, device) for file in files], device)
 
-    Raises:
-        DataError: a file is missing, damaged or of another kind.
-    """
-    files = saved_files(folder, ".safetensors", "scaffold-gs")
-    return ScaffoldModel([_load_scene(file, device) for file in files], device)
+    @classmethod
+    def join(cls, models: Sequence[ScaffoldModel]) -> ScaffoldModel:
+        """One model of the scenes of several."""
+        return cls([scene for model in models for scene in model.stored], models[0].device)
 
 
 def _load_scene(file: Path, device: str) -> StoredScene:

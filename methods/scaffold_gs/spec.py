@@ -66,13 +66,9 @@ SPEC = MethodSpec(
         "econgs.optim",
         "econgs.points",
     ),
-    # The first failed where a start had more points than max_anchors; the second, where one shows nothing.
-    joint=False,
     composable=True,
     edits=frozenset({"opacity"}),
-    needs_volume=False,
     uses_alpha="views are composited on the training background; alpha is no target of its own",
-    devices=("cpu", "cuda"),
     options=ScaffoldOptions,
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -26,7 +25,7 @@ from methods.interface import Checkpoint, Model, Refused, SceneInput
 from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
 from methods.scaffold_gs.spec import ScaffoldOptions
-from methods.shared.training import CHECK_EVERY, TrainingLoop, to_numpy, under
+from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, to_numpy, under
 
 Rate = tuple[float, float]
 """First and last learning rate; between them it decays log-linearly."""
@@ -34,6 +33,8 @@ DECODER_RATES: dict[str, Rate] = {"opacity": (2e-3, 2e-5), "covariance": (4e-3, 
 FEATURE_RATE, SCALING_RATE = 7.5e-3, 7e-3
 OFFSET_RATE: Rate = (1e-2, 1e-4)
 """Times the extent."""
+KEY = "scene"
+"""Of the anchors' parameters in the optimiser."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class Trainer(TrainingLoop):
         Refused: no views, no points to start from, or more than ``max_anchors``.
     """
 
+    options: ScaffoldOptions
     schedule: Schedule
     distance = False
     quantised = False
@@ -78,15 +80,13 @@ class Trainer(TrainingLoop):
         seed: int,
         device: str,
     ) -> None:
-        if len(scene.train) == 0:
-            raise Refused(f"scene {scene.name!r} has no training views")
-        super().__init__(seed, device)
+        super().__init__([scene], iterations, seed, device)
         self.scene, self.options = scene, options
         self.schedule = Schedule(iterations, self.quantised)
         points = torch.from_numpy(_start(scene, options, seed))
         voxel = options.voxel or median_neighbour_distance(points, 0.01 * scene.extent)
         self.anchors = AnchorSet(
-            "scene",
+            KEY,
             points,
             voxel=voxel,
             features=options.features,
@@ -169,24 +169,18 @@ class Trainer(TrainingLoop):
         """
         return Prepared(values)
 
-    @torch.no_grad()
-    def model(self) -> Model:
-        """The present state as a model of its own."""
-        features, log_scalings, offsets = (
-            to_numpy(self.optimiser[self.anchors.name(name)])
-            for name in ("features", "log_scalings", "offsets")
-        )
-        decoders = copy.deepcopy(self.decoders).requires_grad_(False)
+    @staticmethod
+    def restored(state: TrainingState, options: ScaffoldOptions) -> Model:
+        """The anchors of a state, in float32."""
+        (label,) = state.scenes
         stored = StoredScene.of(
-            self.scene.name,
-            self.scene.train.background,
-            decoders,
-            to_numpy(self.anchors.positions),
-            features,
-            log_scalings,
-            offsets,
+            label.name,
+            label.background,
+            color_decoders(state, options, distance=False),
+            to_numpy(state.arrays[f"anchors/{KEY}/positions"]),
+            *(to_numpy(state.value(f"{KEY}/{name}")) for name in ("features", "log_scalings", "offsets")),
         )
-        return ScaffoldModel([stored], self.device)
+        return ScaffoldModel([stored], state.device)
 
     # ------------------------------------------------------------------ a step
 
@@ -200,7 +194,7 @@ class Trainer(TrainingLoop):
             Diverged: a loss or a parameter is not finite.
         """
         self.iteration += 1
-        view = self._next_view()
+        view = self.next_view()
         camera = self.camera = self.scene.train.cameras[view]
         background = self._background_now()
         truth = self.images[view].to(self.device)
@@ -223,7 +217,7 @@ class Trainer(TrainingLoop):
         if len(decoded.scales):
             losses["scale"] = self.options.scale_weight * decoded.scales.prod(dim=1).mean()
         losses |= prepared.losses
-        shown = self._shown(losses)
+        numbers = self.numbers(losses)
         loss = torch.stack(list(losses.values())).sum()
         if loss.requires_grad:
             self.optimiser.zero_grad()
@@ -242,8 +236,8 @@ class Trainer(TrainingLoop):
         if self.schedule.grows(self.iteration):
             self.grow()
         if self.iteration % CHECK_EVERY == 0:
-            self._check_finite()
-        return {"loss": sum(shown.values()), **shown}
+            self.check_finite()
+        return {"loss": sum(numbers.values()), **numbers}
 
     def attributes(self) -> Attributes:
         """Attributes of all anchors as they are optimised, scalings activated."""
@@ -257,17 +251,17 @@ class Trainer(TrainingLoop):
 
     def grow(self) -> None:
         """One growth event."""
-        self._check_finite()
+        self.check_finite()
         self.limited |= self.anchors.grow_and_prune(self.optimiser, self.rules, self.generator).limited
 
-    def _stage(self) -> str:
+    def stage(self) -> str:
         stage = self.schedule.stage(self.iteration + 1)
         if len(self.anchors) == 0:
             return f"{stage}, no anchors left"
         return f"{stage}, stopped at {self.rules.limit} anchors" if self.limited else stage
 
-    def _round(self) -> list[int]:
-        return self._order(len(self.images))
+    def views(self) -> list[int]:
+        return self.shuffled(len(self.images))
 
     def _background_now(self) -> tuple[float, float, float]:
         if self.background is not None:
@@ -278,15 +272,25 @@ class Trainer(TrainingLoop):
     # ------------------------------------------------------------------ checkpoints
 
     def checkpoint(self) -> Checkpoint:
-        """All that :meth:`restore` needs to go on as if nothing had happened."""
+        """All that :meth:`resume` needs to go on as if nothing had happened."""
         state = super().checkpoint()
         state.arrays |= {f"anchors/{name}": values.clone() for name, values in self.anchors.state().items()}
         return state
 
-    def restore(self, checkpoint: Checkpoint) -> None:
+    def resume(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint of the same fit."""
-        super().restore(checkpoint)
+        super().resume(checkpoint)
         self.anchors.load_state(under("anchors/", self.arrays(checkpoint)))
+
+
+def color_decoders(state: TrainingState, options: ScaffoldOptions, *, distance: bool) -> ColorDecoders:
+    """The networks of a state."""
+    decoders = ColorDecoders(
+        options.features, options.offsets, distance=distance, generator=torch.Generator()
+    ).to(state.device)
+    for name in NETWORKS:
+        state.fill(name, decoders.network(name).tensors())
+    return decoders.requires_grad_(False)
 
 
 def _start(scene: SceneInput, options: ScaffoldOptions, seed: int) -> NDArray[np.float32]:
@@ -298,7 +302,7 @@ def _start(scene: SceneInput, options: ScaffoldOptions, seed: int) -> NDArray[np
     return np.array(cloud.points, dtype=np.float32)
 
 
-def _background(scene: SceneInput, wanted: str) -> tuple[float, float, float] | None:
+def _background(scene: SceneInput, choice: str) -> tuple[float, float, float] | None:
     """What views are composited on; None: a random color each time."""
     fixed = {"scene": scene.train.background, "white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
-    return fixed.get(wanted)
+    return fixed.get(choice)

@@ -3,35 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
 
 from econgs.anchors.shading import Factors
-from methods.interface import Edit, Refused, edits_by_scene
+from methods.interface import Edit, Refused
 
 Direction = tuple[float, float, float]
 
 
-def opacity_factors(
-    method: str, names: Sequence[str], edit: Mapping[str, Edit] | None
-) -> dict[str, float | None]:
-    """Factors of opacity by scene, of a method that edits nothing else; None where it stays.
+def opacity_factor(method: str, name: str, edit: Edit) -> float:
+    """The factor of opacity of a scene, of a method that edits nothing else; 1 where it stays.
 
     Raises:
-        Refused: an edit of anything else, a scene that is not rendered, a factor out of range.
+        Refused: an edit of anything else, a factor out of range.
     """
-    factors = {}
-    for name, wanted in edits_by_scene(edit, names).items():
-        refused = [k for k, v in vars(wanted).items() if v is not None and k != "opacity"]
-        if refused:
-            raise Refused(f"{method} cannot edit {', '.join(refused)} of scene {name!r}: only opacity")
-        factor = wanted.opacity
-        if factor is not None and not (math.isfinite(factor) and factor >= 0.0):
-            raise Refused(f"opacity factor {factor} of scene {name!r} is not a finite number >= 0")
-        factors[name] = factor
-    return factors
+    others = [part for part, value in vars(edit).items() if value is not None and part != "opacity"]
+    if others:
+        raise Refused(f"{method} cannot edit {', '.join(others)} of scene {name!r}: only opacity")
+    factor = 1.0 if edit.opacity is None else edit.opacity
+    if not (math.isfinite(factor) and factor >= 0.0):
+        raise Refused(f"opacity factor {factor} of scene {name!r} is not a finite number >= 0")
+    return factor
 
 
 def shading_edit(
@@ -43,7 +37,7 @@ def shading_edit(
         name: of the scene.
         palette: (3,) its own color.
         light: unit vector to its own directional light; None for a headlight.
-        edit: what is wanted.
+        edit: the changes.
 
     Raises:
         Refused: a value out of range.

@@ -1,53 +1,30 @@
-"""What methods have in common that fit every scene on its own."""
+"""What methods have in common: a trainer that fits, a model that loads and joins."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, ClassVar
 
 from methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
-
-M = TypeVar("M", bound=Model)
-
-
-class SceneTrainer(Protocol):
-    """The fit of one scene."""
-
-    def restore(self, checkpoint: Checkpoint) -> None: ...
-
-    def run(self, monitor: Monitor) -> None: ...
-
-    def model(self) -> Any: ...
+from methods.shared.model import SceneModel
+from methods.shared.training import TrainingLoop, TrainingState
 
 
-class PerScene(ABC, Generic[M]):
-    """A :class:`methods.interface.Method` whose groups are single scenes and that composes its own models.
+class TrainerMethod:
+    """A :class:`methods.interface.Method` whose groups are single scenes, unless it is joint.
 
     Attributes:
         name: of the method, for messages.
+        trainer: of a scene (of a group, if joint): called with it, options, iterations, seed and device.
+        model: class of its models.
+        joint: whether several scenes make a group; such a method has a ``partition`` of its own.
     """
 
-    name: str
-
-    @abstractmethod
-    def trainer(
-        self, scene: SceneInput, options: Any, iterations: int, seed: int, device: str
-    ) -> SceneTrainer:
-        """A fit at its beginning."""
-
-    @abstractmethod
-    def load(self, folder: Path, device: str) -> M:
-        """Read a saved model."""
-
-    @abstractmethod
-    def joined(self, models: Sequence[M]) -> M:
-        """Models of this method as one."""
-
-    @abstractmethod
-    def owns(self, model: Model) -> bool:
-        """Whether a model is of this method."""
+    name: ClassVar[str]
+    trainer: ClassVar[type[TrainingLoop]]
+    model: ClassVar[type[SceneModel[Any]]]
+    joint: ClassVar[bool] = False
 
     def partition(self, scenes: Sequence[SceneInput], options: Any) -> list[list[SceneInput]]:
         """One group per scene."""
@@ -62,20 +39,28 @@ class PerScene(ABC, Generic[M]):
         device: str,
         monitor: Monitor,
         resume: Checkpoint | None = None,
-    ) -> M:
-        """Train one scene; see :class:`methods.interface.Method`."""
-        if len(group) != 1:
+    ) -> Any:
+        """Train one group; see :class:`methods.interface.Method`."""
+        if len(group) != 1 and not self.joint:
             raise Refused(f"{self.name} trains each scene on its own, not {len(group)} together")
-        trainer = self.trainer(group[0], options, budget.iterations, seed, device)
+        subject: Any = group if self.joint else group[0]
+        make: Any = self.trainer
+        trainer: TrainingLoop = make(subject, options, budget.iterations, seed, device)
         if resume is not None:
-            trainer.restore(resume)
+            trainer.resume(resume)
         trainer.run(monitor)
-        model: M = trainer.model()
-        return model
+        return trainer.model()
 
-    def compose(self, models: Sequence[Model]) -> M:
-        """Hold the primitives of all models; they are concatenated and sorted once when rendered."""
-        own: list[Any] = list(models)
-        if not own or not all(self.owns(model) for model in own):
+    def restore(self, checkpoint: Checkpoint, options: Any, device: str) -> Any:
+        """The model of a checkpoint, of a finished fit or an earlier one."""
+        return self.trainer.restored(TrainingState(checkpoint, device), options)
+
+    def load(self, folder: Path, device: str) -> Any:
+        """Read a saved model."""
+        return self.model.load(folder, device)
+
+    def compose(self, models: Sequence[Model]) -> Any:
+        """One model of the scenes of all; they are concatenated and sorted once when rendered."""
+        if not models or not all(isinstance(model, self.model) for model in models):
             raise Refused(f"{self.name} composes with models of its own only")
-        return self.joined(own)
+        return self.model.join(models)

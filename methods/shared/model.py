@@ -1,53 +1,131 @@
-"""What models have in common: scenes under their names, and a clock."""
+"""What models have in common: scenes under their names, rendered alone or together."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
-from typing import Generic, TypeVar
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
 import torch
+from torch import Tensor
 
+from datasets.camera import Camera
 from datasets.names import unknown
-from methods.interface import Refused
+from datasets.scene import RGB
+from econgs.anchors.gaussians import Gaussians, draw
+from econgs.splat.composite import over
+from methods.interface import Edit, Refused, edits_by_scene
 
-S = TypeVar("S")
+
+class Scene(Protocol):
+    """What a model holds of a scene; its length is the number of primitives."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def background(self) -> RGB: ...
+
+    def __len__(self) -> int: ...
 
 
-class ByScene(Generic[S]):
-    """Scenes under their names.
+S = TypeVar("S", bound=Scene)
+
+
+class SceneModel(ABC, Generic[S]):
+    """A :class:`methods.interface.Model` of scenes; their Gaussians are concatenated and sorted once.
+
+    A method's model adds ``gaussians`` and ``save``, and the class methods ``load`` and ``join``.
 
     Args:
-        scenes: names, each once, with what is held of the scene.
+        scenes: at least one, with distinct names, on one device.
+
+    Attributes:
+        method: name, for messages.
+        preparation: what makes a frame's Gaussians, in :meth:`timings`.
 
     Raises:
         Refused: two scenes have the same name.
     """
 
-    def __init__(self, scenes: Iterable[tuple[str, S]]) -> None:
-        pairs = list(scenes)
+    method: ClassVar[str]
+    preparation: ClassVar[Literal["decode", "shade"]] = "decode"
+
+    def __init__(self, scenes: Iterable[S]) -> None:
+        pairs = [(scene.name, scene) for scene in scenes]
         self._scenes = dict(pairs)
         if len(self._scenes) != len(pairs):
             raise Refused("two of the scenes to compose have the same name")
+
+    @abstractmethod
+    def gaussians(self, scene: S, camera: Camera, edit: Edit) -> Gaussians:
+        """The Gaussians of a scene as one camera sees them.
+
+        Raises:
+            Refused: an edit that the method cannot make.
+        """
+
+    @classmethod
+    def load(cls, folder: Any, device: str) -> Any:
+        """Read a saved model; see :class:`methods.interface.Method`."""
+        raise NotImplementedError
+
+    @classmethod
+    def join(cls, models: Sequence[Any]) -> Any:
+        """One model of the scenes of several, of at least one."""
+        return cls(model.scene(name) for model in models for name in model.scenes)
 
     @property
     def scenes(self) -> tuple[str, ...]:
         """Names of the scenes it holds."""
         return tuple(self._scenes)
 
-    def _find(self, scene: str) -> S:
-        """What is held of a scene.
+    def scene(self, name: str) -> S:
+        """What it holds of a scene.
 
         Raises:
             UnknownName: it does not hold that scene.
         """
-        if scene not in self._scenes:
-            raise unknown("scene", scene, self._scenes, of="this model")
-        return self._scenes[scene]
+        if name not in self._scenes:
+            raise unknown("scene", name, self._scenes, of="this model")
+        return self._scenes[name]
+
+    def primitives(self, scene: str | None = None) -> int:
+        """Number of primitives of one scene or of all."""
+        return sum(len(self.scene(name)) for name in (self.scenes if scene is None else (scene,)))
+
+    def render(
+        self,
+        camera: Camera,
+        scenes: Sequence[str] | None = None,
+        edit: Mapping[str, Edit] | None = None,
+        background: RGB | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Render scenes together; see :class:`methods.interface.Model`."""
+        subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
+        back = subset[0].background if background is None else background
+        edits = edits_by_scene(edit, [scene.name for scene in subset])
+        with torch.inference_mode():
+            parts = [self.gaussians(scene, camera, edits.get(scene.name, Edit())) for scene in subset]
+            splats = draw(parts, camera)
+            rgb = over(splats.features, splats.alpha, back)
+            return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
+
+    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
+        """Seconds of one frame of scenes (default: all) by part."""
+        subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
+        with torch.inference_mode():
+            start = seconds()
+            parts = [self.gaussians(scene, camera, Edit()) for scene in subset]
+            middle = seconds()
+            draw(parts, camera)
+            times = {self.preparation: middle - start, "rasterise": seconds() - middle}
+        return {"decode": 0.0, "shade": 0.0} | times
 
 
-def seconds(like: torch.Tensor) -> float:
-    """The clock, once the tensor's device has done all it was asked to."""
-    if like.is_cuda:
-        torch.cuda.synchronize(like.device)
+def seconds() -> float:
+    """The clock, once the GPU has finished its work."""
+    if torch.cuda.is_initialized():
+        torch.cuda.synchronize()
     return time.perf_counter()

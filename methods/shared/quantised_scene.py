@@ -101,7 +101,7 @@ def read_folder(
     widths: Mapping[str, int],
     ready: Callable[[QuantisedScene], R],
 ) -> list[tuple[QuantisedScene, R]]:
-    """The scenes of a folder that a method saved, as they are stored (on the CPU) and as they are shown.
+    """The scenes of a folder that a method saved, as they are stored (on the CPU) and ready to render.
 
     Args:
         folder: of the model.
@@ -156,8 +156,8 @@ def _codebook(tensors: Mapping[str, Tensor], name: str, count: int, width: int, 
     if per_row is None or packed.dtype != torch.uint8 or packed.ndim != 1:
         raise ValueError(f"{name} is no codebook of {width} numbers")
     read = unpack_ids if ids == "fixed" else decode_ids
-    found = read(packed.numpy().tobytes(), count * per_row, len(words))
-    return Codebook(words, torch.from_numpy(found))
+    numbers = read(packed.numpy().tobytes(), count * per_row, len(words))
+    return Codebook(words, torch.from_numpy(numbers))
 
 
 def _halves(tensors: Mapping[str, Tensor], name: str, width: int | None) -> Tensor:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,44 +13,105 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets.scene import RGB
 from econgs.optim import Adam
-from methods.interface import Checkpoint, Diverged, Monitor
-from methods.shared.schedule import Proportional
+from methods.interface import Checkpoint, Diverged, Monitor, Refused, SceneInput
+from methods.shared.edits import Direction
 
 CHECK_EVERY = 100
 """Iterations between looks at whether parameters are finite."""
 _LOGARITHMS = ("log_scales", "log_scalings")  # may be finite where their exponentials are not
 
 
+@dataclass(frozen=True)
+class SceneLabel:
+    """What a model keeps of a scene's definition.
+
+    Attributes:
+        light: unit vector to its directional light, or None for a headlight.
+    """
+
+    name: str
+    background: RGB
+    light: Direction | None
+
+    @classmethod
+    def of(cls, scene: SceneInput) -> SceneLabel:
+        """Name, background and light of a scene."""
+        light = scene.scene.light
+        return cls(scene.name, scene.train.background, None if light is None else light.direction)
+
+
+class TrainingState:
+    """The state that a :meth:`TrainingLoop.checkpoint` holds, from which a model is made.
+
+    Args:
+        checkpoint: of a fit.
+        device: where its arrays go.
+
+    Attributes:
+        iteration: steps done.
+        iterations: the budget.
+        scenes: of the group, in order.
+        arrays: of the checkpoint.
+        scalars: of the checkpoint.
+    """
+
+    def __init__(self, checkpoint: Checkpoint, device: str) -> None:
+        self.device = device
+        self.iteration = checkpoint.iteration
+        self.iterations = int(checkpoint.scalars["iterations"])
+        self.scenes = [
+            SceneLabel(name, tuple(background), None if light is None else tuple(light))
+            for name, background, light in checkpoint.scalars["scenes"]
+        ]
+        self.arrays = {name: values.to(device) for name, values in checkpoint.arrays.items()}
+        self.scalars = checkpoint.scalars
+
+    def value(self, name: str, place: int = 0) -> Tensor:
+        """A tensor of the optimiser's group of that name."""
+        return self.arrays[f"optimiser/{name}/{place}/value"]
+
+    @torch.no_grad()
+    def fill(self, name: str, tensors: Iterable[Tensor]) -> None:
+        """Set tensors, such as the weights of a network, to the values of the optimiser's group."""
+        for place, tensor in enumerate(tensors):
+            tensor.copy_(self.value(name, place))
+
+
 class TrainingLoop(ABC):
     """A fit that takes one view at a time and goes on bit for bit from a checkpoint.
 
     Args:
+        scenes: the group, each with training views.
+        iterations: the whole budget.
         seed: of the one generator that every choice is drawn from.
         device: "cpu" or "cuda".
 
     Attributes:
         optimiser: holds the parameters.
-        schedule: fitted to the budget.
-        iteration: how many were done.
+        options: of the method.
+        iteration: steps done.
         pending: views not yet drawn in this round.
         limited: growth has met its limit.
+
+    Raises:
+        Refused: a scene without training views.
     """
 
     optimiser: Adam
-    schedule: Proportional
+    options: Any
 
-    def __init__(self, seed: int, device: str) -> None:
-        self.device = device
+    def __init__(self, scenes: Sequence[SceneInput], iterations: int, seed: int, device: str) -> None:
+        for scene in scenes:
+            if len(scene.train) == 0:
+                raise Refused(f"scene {scene.name!r} has no training views")
+        self.labels = [SceneLabel.of(scene) for scene in scenes]
+        self.iterations, self.device = iterations, device
         self.generator = torch.Generator().manual_seed(seed)
         self.iteration = 0
         self.pending: list[Any] = []
         self.limited = False
-
-    @property
-    def iterations(self) -> int:
-        """The whole budget."""
-        return self.schedule.iterations
 
     @property
     @abstractmethod
@@ -72,16 +134,21 @@ class TrainingLoop(ABC):
             Diverged: a loss or a parameter is not finite.
         """
 
+    @staticmethod
     @abstractmethod
+    def restored(state: TrainingState, options: Any) -> Any:
+        """The model of a state: as it will be stored, once the fit is finished."""
+
     def model(self) -> Any:
         """The present state as a model of its own."""
+        return self.restored(TrainingState(self.checkpoint(), self.device), self.options)
 
     @abstractmethod
-    def _round(self) -> list[Any]:
+    def views(self) -> list[Any]:
         """Every view in a new random order, the first one last."""
 
     @abstractmethod
-    def _stage(self) -> str:
+    def stage(self) -> str:
         """Name of the stage that the next iteration belongs to, for people."""
 
     def run(self, monitor: Monitor) -> None:
@@ -92,47 +159,53 @@ class TrainingLoop(ABC):
         """
         stage = ""
         while self.iteration < self.iterations:
-            if stage != (stage := self._stage()):
+            if stage != (stage := self.stage()):
                 monitor.stage(stage)
             losses = self.step()
             monitor.progress(self.iteration, losses, self.count)
             if self.may_pause and monitor.due(self.iteration):
                 monitor.pause(self.iteration, self.model, self.checkpoint)
-        self._check_finite()
+        self.check_finite()
 
-    def _shown(self, losses: Mapping[str, Tensor]) -> dict[str, float]:
+    def numbers(self, losses: Mapping[str, Tensor]) -> dict[str, float]:
         """Parts of the loss as numbers."""
-        shown = {name: float(part.detach()) for name, part in losses.items()}
-        for name, value in shown.items():
+        numbers = {name: float(part.detach()) for name, part in losses.items()}
+        for name, value in numbers.items():
             if not math.isfinite(value):
                 raise Diverged(f"the {name} loss is {value} at iteration {self.iteration}")
-        return shown
+        return numbers
 
     @torch.no_grad()
-    def _check_finite(self) -> None:
+    def check_finite(self) -> None:
         for name, group in self.optimiser.parameters.items():
             for tensor in group:
                 values = tensor.exp() if name.endswith(_LOGARITHMS) else tensor
                 if not math.isfinite(float(values.sum())):
                     raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
 
-    def _next_view(self) -> Any:
+    def next_view(self) -> Any:
         """Views come in random order, none twice before all were seen."""
         if not self.pending:
-            self.pending = self._round()
+            self.pending = self.views()
         return self.pending.pop()
 
-    def _order(self, count: int) -> list[int]:
+    def shuffled(self, count: int) -> list[int]:
         order: list[int] = torch.randperm(count, generator=self.generator).tolist()
         return order
 
     def checkpoint(self) -> Checkpoint:
-        """All that :meth:`restore` needs to go on as if nothing had happened."""
+        """All that :meth:`resume` needs to go on as if nothing had happened, and :meth:`restored`."""
         arrays = {f"optimiser/{name}": values.clone() for name, values in self.optimiser.state().items()}
         arrays["generator"] = self.generator.get_state()
-        return Checkpoint(self.iteration, arrays, {"pending": list(self.pending), "limited": self.limited})
+        scalars = {
+            "pending": list(self.pending),
+            "limited": self.limited,
+            "iterations": self.iterations,
+            "scenes": [[label.name, label.background, label.light] for label in self.labels],
+        }
+        return Checkpoint(self.iteration, arrays, scalars)
 
-    def restore(self, checkpoint: Checkpoint) -> None:
+    def resume(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint of the same fit."""
         self.optimiser.load_state(under("optimiser/", self.arrays(checkpoint)))
         self.generator.set_state(checkpoint.arrays["generator"].cpu())

@@ -70,16 +70,16 @@ class VqModel(SplatModel):
 
     Args:
         stored: of each scene, the default first; none while it is not quantised yet.
-        shown: what is rendered.
+        rendered: Gaussians of each scene.
         device: where.
     """
 
     method = "vq-3dgs"
 
     def __init__(
-        self, stored: Sequence[Sequence[QuantisedScene]], shown: Sequence[SceneGaussians], device: str
+        self, stored: Sequence[Sequence[QuantisedScene]], rendered: Sequence[SceneGaussians], device: str
     ) -> None:
-        super().__init__(shown)
+        super().__init__(rendered)
         self.stored, self.device = tuple(stored), device
 
     @classmethod
@@ -98,14 +98,30 @@ class VqModel(SplatModel):
             raise Refused("vq-3dgs is quantised in the last part of a fit only")
         return {sizes[0].name: _at(sizes, rate).write(folder, FORMAT) for sizes in self.stored}
 
+    @classmethod
+    def load(cls, folder: Path, device: str) -> VqModel:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            DataError: a file is missing, damaged or of another kind.
+        """
+        read = read_folder(folder, "vq-3dgs", FORMAT, WIDTHS, partial(_checked, device=device))
+        return cls([[coded] for coded, _ in read], [ready for _, ready in read], device)
+
+    @classmethod
+    def join(cls, models: Sequence[VqModel]) -> VqModel:
+        """One model of the scenes of several."""
+        stored = [scene for model in models for scene in model.stored]
+        return cls(stored, [model.scene(name) for model in models for name in model.scenes], models[0].device)
+
 
 def _at(sizes: Sequence[QuantisedScene], rate: float | None) -> QuantisedScene:
     if rate is None:
         return sizes[0]
     there = {float(str(one.about["codebook size"])): one for one in sizes}
     if rate not in there:
-        known = ", ".join(f"{size:g}" for size in there)
-        raise Refused(f"vq-3dgs has no codebooks of {rate:g} words for scene {sizes[0].name!r}, only {known}")
+        names = ", ".join(f"{size:g}" for size in there)
+        raise Refused(f"vq-3dgs has no codebooks of {rate:g} words for scene {sizes[0].name!r}, only {names}")
     return there[rate]
 
 
@@ -114,23 +130,13 @@ def _placed(scene: SceneGaussians, device: str) -> SceneGaussians:
     return SceneGaussians(scene.name, scene.background, scene.sh_degree, **tensors)
 
 
-def load_model(folder: Path, device: str) -> VqModel:
-    """Read what :meth:`VqModel.save` wrote.
-
-    Raises:
-        DataError: a file is missing, damaged or of another kind.
-    """
-    read = read_folder(folder, "vq-3dgs", FORMAT, WIDTHS, partial(_checked, device=device))
-    return VqModel([[coded] for coded, _ in read], [shown for _, shown in read], device)
-
-
 def _checked(coded: QuantisedScene, device: str) -> SceneGaussians:
     degree, size = coded.about["sh degree"], coded.about["codebook size"]
     if not isinstance(degree, int) or not 0 <= degree <= 3 or not isinstance(size, int):
         raise ValueError(f"SH degree {degree}, codebooks of {size} words")
-    shown = _placed(gaussians(coded), device)
-    if not bool((shown.quats.square().sum(1) > 0).all()):
+    ready = _placed(gaussians(coded), device)
+    if not bool((ready.quats.square().sum(1) > 0).all()):
         raise ValueError("a rotation is zero")
-    if not bool(torch.isfinite(shown.log_scales.exp()).all()):
+    if not bool(torch.isfinite(ready.log_scales.exp()).all()):
         raise ValueError("a scale is not finite")
-    return shown
+    return ready

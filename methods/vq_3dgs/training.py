@@ -15,9 +15,11 @@ from econgs.optim import Adam
 from econgs.splat.rasterise import rasterise
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.model import SceneGaussians
-from methods.gaussian_splatting.training import LEARNING_RATES, PARAMETERS, Trainer
+from methods.gaussian_splatting.schedule import Schedule
+from methods.gaussian_splatting.training import LEARNING_RATES, PARAMETERS, Trainer, plain_gaussians
 from methods.interface import Checkpoint, SceneInput
 from methods.shared.quantised_scene import QuantisedScene
+from methods.shared.training import TrainingState
 from methods.vq_3dgs.model import GROUPS, VqModel, gaussians, quantised
 from methods.vq_3dgs.spec import SIZES, VqOptions
 
@@ -36,25 +38,25 @@ class VqTrainer(Trainer):
     def __init__(
         self, scene: SceneInput, options: VqOptions, iterations: int, seed: int, device: str
     ) -> None:
-        self.total, self.seed = iterations, seed
+        self.seed = seed
         self.coded: dict[int, QuantisedScene] = {}
-        super().__init__(scene, options, max(1, round((1.0 - options.tuning) * iterations)), seed, device)
+        super().__init__(scene, options, iterations, seed, device)
 
-    @property
-    def iterations(self) -> int:
-        return self.total
+    def _schedule(self, iterations: int) -> Schedule:
+        return super()._schedule(max(1, round((1.0 - self.options.tuning) * iterations)))
 
     @property
     def count(self) -> int:
         """Number of Gaussians."""
         return len(next(iter(self.coded.values())).positions) if self.coded else super().count
 
-    def _stage(self) -> str:
-        return "codebooks" if self.iteration >= self.schedule.iterations else super()._stage()
+    def stage(self) -> str:
+        return "codebooks" if self.iteration >= self.schedule.iterations else super().stage()
 
     def step(self) -> dict[str, float]:
         if self.iteration >= self.schedule.iterations and not self.coded:
-            self._place({size: self._quantised(size) for size in SIZES})
+            plain = self._plain()
+            self._place({size: quantised(plain, size, self.options.stages, self.seed) for size in SIZES})
         return super().step()
 
     def _losses(
@@ -78,7 +80,8 @@ class VqTrainer(Trainer):
         if not self.coded:
             super()._set_rates()
             return
-        done = (self.iteration - self.schedule.iterations) / max(1, self.total - self.schedule.iterations)
+        tuning = max(1, self.iterations - self.schedule.iterations)
+        done = (self.iteration - self.schedule.iterations) / tuning
         for name, first in self._word_rates().items():
             self.optimiser.rates[name] = first * _LAST**done
 
@@ -87,9 +90,6 @@ class VqTrainer(Trainer):
     def _plain(self) -> SceneGaussians:
         values = {name: self.optimiser[name].detach().clone() for name in PARAMETERS}
         return SceneGaussians(self.scene.name, self.scene.train.background, self.schedule.sh_degree, **values)
-
-    def _quantised(self, size: int) -> QuantisedScene:
-        return quantised(self._plain(), size, self.options.stages, self.seed)
 
     def _place(self, coded: Mapping[int, QuantisedScene]) -> None:
         """Begin to optimise the words of these codebooks, and nothing else."""
@@ -126,49 +126,57 @@ class VqTrainer(Trainer):
 
     # ------------------------------------------------------------------ what comes out
 
-    def model(self) -> VqModel:  # type: ignore[override]
-        """The present state: as 3DGS until it is quantised, then as it will be stored."""
-        first = self.options.codebook_size
-        sizes = [first, *(size for size in SIZES if size != first)]
-        if self.coded:
-            return VqModel.of([[_rounded(self._now(size)) for size in sizes]], self.device)
-        if self.iteration >= self.total:
-            return VqModel.of([[self._quantised(size) for size in sizes]], self.device)
-        return VqModel([], [self._plain()], self.device)
+    @staticmethod
+    def restored(state: TrainingState, options: VqOptions) -> VqModel:  # type: ignore[override]
+        """As 3DGS until it is quantised, then as it will be stored."""
+        sizes = [options.codebook_size, *(size for size in SIZES if size != options.codebook_size)]
+        if _is_coded(state):
+            return VqModel.of([[_rounded(_coded(size, state, options)) for size in sizes]], state.device)
+        plain = plain_gaussians(state, options.sh_degree)
+        if state.iteration < state.iterations:
+            return VqModel([], [plain], state.device)
+        seed = int(state.scalars["seed"])
+        return VqModel.of([[quantised(plain, size, options.stages, seed) for size in sizes]], state.device)
 
     def checkpoint(self) -> Checkpoint:
         state = super().checkpoint()
+        state.scalars["seed"] = self.seed
         for size, scene in self.coded.items():
             state.arrays[f"positions/{size}"] = scene.positions.clone()
-            for group, column in scene.columns.items():
-                assert not isinstance(column, Tensor)
-                for stage, book in enumerate(column):
+            for group in scene.columns:
+                for stage, book in enumerate(_books(scene, group)):
                     state.arrays[f"ids/{_name(size, group, stage)}"] = book.ids.clone()
                     if group not in GROUPS:
                         state.arrays[f"words/{_name(size, group, stage)}"] = book.words.clone()
         return state
 
-    def restore(self, checkpoint: Checkpoint) -> None:
-        arrays = self.arrays(checkpoint)
-        if f"positions/{SIZES[0]}" in arrays:
-            self._place({size: self._stored(size, arrays) for size in SIZES})
-        super().restore(checkpoint)
+    def resume(self, checkpoint: Checkpoint) -> None:
+        state = TrainingState(checkpoint, self.device)
+        if _is_coded(state):
+            self._place({size: _coded(size, state, self.options) for size in SIZES})
+        super().resume(checkpoint)
 
-    def _stored(self, size: int, arrays: Mapping[str, Tensor]) -> QuantisedScene:
-        """A coded scene of a checkpoint."""
-        columns: dict[str, tuple[Codebook, ...]] = {}
-        for group in ("opacity", *GROUPS):
-            stages = self.options.stages if group in GROUPS else 1
-            books = []
-            for stage in range(stages):
-                name = _name(size, group, stage)
-                words = arrays[f"words/{name}" if group not in GROUPS else f"optimiser/{name}/0/value"]
-                books.append(Codebook(words, arrays[f"ids/{name}"]))
-            columns[group] = tuple(books)
-        about = {"codebook size": size, "sh degree": self.schedule.sh_degree}
-        background = self.scene.train.background
-        positions = arrays[f"positions/{size}"]
-        return QuantisedScene(self.scene.name, background, about, positions, columns, "entropy")
+
+def _is_coded(state: TrainingState) -> bool:
+    return f"positions/{SIZES[0]}" in state.arrays
+
+
+def _coded(size: int, state: TrainingState, options: VqOptions) -> QuantisedScene:
+    """A coded scene, with the words that are being optimised."""
+    columns: dict[str, tuple[Codebook, ...]] = {}
+    for group in ("opacity", *GROUPS):
+        names = [_name(size, group, stage) for stage in range(options.stages if group in GROUPS else 1)]
+        columns[group] = tuple(
+            Codebook(
+                state.value(name) if group in GROUPS else state.arrays[f"words/{name}"],
+                state.arrays[f"ids/{name}"],
+            )
+            for name in names
+        )
+    about = {"codebook size": size, "sh degree": options.sh_degree}
+    (label,) = state.scenes
+    positions = state.arrays[f"positions/{size}"]
+    return QuantisedScene(label.name, label.background, about, positions, columns, "entropy")
 
 
 def _name(size: int, group: str, stage: int) -> str:

@@ -11,7 +11,7 @@ import torch
 from datasets.cloud import PointCloud
 from datasets.views import ViewSet
 from econgs.splat.rasterise import rasterise
-from methods.contract.scene import cameras, known_gaussians, look_at, tiny_scene
+from methods.contract.scene import cameras, look_at, tiny_gaussians, tiny_scene
 from methods.gaussian_splatting.spec import SPEC
 from methods.options import resolve
 
@@ -43,7 +43,7 @@ class Recorder:
 def oracle_views(views, background=(1.0, 1.0, 1.0)):
     images = []
     for camera in views:
-        splats = rasterise(**known_gaussians(), camera=camera, backend="torch")
+        splats = rasterise(**tiny_gaussians(), camera=camera, backend="torch")
         images.append(torch.cat([splats.features, splats.alpha[..., None]], dim=-1).numpy())
     return ViewSet(tuple(views), np.stack(images).astype(np.float32), background, "oracle")
 
@@ -83,7 +83,7 @@ def tiny():
         Recorder=Recorder,
         look_at=look_at,
         cameras=cameras,
-        known=known_gaussians,
+        known=tiny_gaussians,
         views=oracle_views,
         psnr=psnr,
         with_cloud=with_cloud,

@@ -7,20 +7,24 @@ import dataclasses
 import pytest
 import torch
 
-from methods.contract.checks import CHECKS, Subject, run_checks
+from methods.contract.checks import CHECKS, Subject, files_of, run_checks
 from methods.gaussian_splatting.method import GaussianSplatting
 from methods.gaussian_splatting.model import GaussianModel
 from methods.gaussian_splatting.spec import SPEC as PLAIN
+from methods.gaussian_splatting.training import Trainer
 from methods.interface import Edit, RateKnob
 from methods.registry import Registry, load_method
 
+ANCHORS = {"features": 16, "offsets": 4, "voxel": 0.01, "growth_gradient": 0.0}
 SMALL = {
-    "scaffold-gs": {"features": 16, "offsets": 4, "voxel": 0.01},
-    "hac": {"features": 16, "offsets": 4, "voxel": 0.01, "grid": "small", "context_hidden": 24},
-    "econgs": {"features": 16, "offsets": 4, "voxel": 0.01, "hidden": 16, "embedding": 4},
+    "3dgs": {"background": "random"},
+    "scaffold-gs": {**ANCHORS, "background": "random"},
+    "hac": {**ANCHORS, "background": "random", "grid": "small", "context_hidden": 24},
+    "econgs": {**ANCHORS, "hidden": 16, "embedding": 4},
     "vq-3dgs": {"max_gaussians": 300},
     "ivr-gs": {"max_gaussians": 300},
 }
+"""Small models; growth at every occasion and random backgrounds, so that resuming has more to keep."""
 METHODS = [name for name in Registry().names() if Registry().origin(name).startswith("built in")]
 
 
@@ -35,6 +39,11 @@ def subject(request, tmp_path_factory):
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 def test_built_in_methods_keep_the_contract(subject, check):
     assert check(subject)
+
+
+def test_another_seed_gives_another_model(subject):
+    one, other = (subject.saved(subject.fit(iterations=8, seed=seed), f"seed{seed}")[0] for seed in (7, 8))
+    assert files_of(one) != files_of(other)
 
 
 # --------------------------------------------------------------------------- what the kit must catch
@@ -81,11 +90,19 @@ class Whimsical(GaussianSplatting):
 class Hoarder(GaussianSplatting):
     """Keeps in its checkpoints what JSON cannot hold."""
 
-    def trainer(self, *arguments):
-        trainer = super().trainer(*arguments)
-        given = trainer.checkpoint
-        trainer.checkpoint = lambda: dataclasses.replace(given(), scalars={"seen": {1, 2}})
-        return trainer
+    class trainer(Trainer):
+        def checkpoint(self):
+            state = super().checkpoint()
+            return dataclasses.replace(state, scalars={**state.scalars, "views": {1, 2}})
+
+
+class Amnesiac(GaussianSplatting):
+    """Restores the first Gaussian only."""
+
+    def restore(self, *arguments):
+        scene = super().restore(*arguments).scene("tiny")
+        arrays = {name: v[:1] for name, v in vars(scene).items() if isinstance(v, torch.Tensor)}
+        return GaussianModel([dataclasses.replace(scene, **arrays)])
 
 
 class Gullible(GaussianSplatting):
@@ -102,7 +119,7 @@ def with_model(kind):
     class Method(GaussianSplatting):
         def fit(self, *arguments):
             model = super().fit(*arguments)
-            return kind([model.gaussians(name) for name in model.scenes])
+            return kind([model.scene(name) for name in model.scenes])
 
     return Method()
 
@@ -122,6 +139,7 @@ KNOB = RateKnob("size", (4.0, 8.0), refit=False)
         (Hoarder(), {}, "fit", "cannot be written as JSON"),
         (GaussianSplatting(), {"composable": False}, "composition", "composing: not refused"),
         (Forgetful(), {}, "resumable", "losses differ after a stop"),
+        (Amnesiac(), {}, "restored", "other files"),
         (Whimsical(), {}, "deterministic", "two fits differ"),
         (Gullible(), {}, "bad_files", "not refused"),
     ],

@@ -125,7 +125,7 @@ def test_rate_control_resumes(scene):
     for _ in range(220):
         first.step()
     second = Trainer([scene], options(target_psnr=20.0), 300, 0, "cpu")
-    second.restore(first.checkpoint())
+    second.resume(first.checkpoint())
     assert second.control.factor == first.control.factor != 1.0
     for _ in range(80):
         second.step()

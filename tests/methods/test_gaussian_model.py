@@ -1,7 +1,5 @@
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -161,30 +159,6 @@ def test_the_ledger_sums_to_the_files_and_loading_gives_the_same_pictures(
     for name in names:
         for one, other in zip(model.render(camera, [name]), again.render(camera, [name]), strict=True):
             assert torch.equal(one, other)
-
-
-def test_a_fresh_process_renders_the_saved_folder(tiny, camera, tmp_path):
-    model = model_of(tiny.known())
-    (tmp_path / "model").mkdir()
-    model.save(tmp_path / "model")
-    code = f"""
-import sys; sys.path.insert(0, {str(ROOT)!r})
-from pathlib import Path
-import numpy as np
-from datasets.camera import Camera
-from methods.registry import Registry, load_method
-model = load_method(Registry().spec("3dgs")).load(Path({str(tmp_path / "model")!r}), "cpu")
-pose = np.array({camera.camera_to_world.tolist()})
-rgb, alpha = model.render(Camera(pose, {camera.fx!r}, {camera.fy!r}, 16.0, 16.0, 32, 32))
-np.save({str(tmp_path / "rgb.npy")!r}, rgb.numpy())
-"""
-    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=120)
-    np.testing.assert_array_equal(np.load(tmp_path / "rgb.npy"), model.render(camera)[0].numpy())
-
-
-def test_saving_at_a_rate_is_refused(tiny, tmp_path):
-    with pytest.raises(Refused, match="rate"):
-        model_of(tiny.known()).save(tmp_path, rate=1.0)
 
 
 def test_damaged_folders_are_named(tiny, tmp_path):

@@ -19,7 +19,7 @@ def fit(scene, recorder, iterations=120, seed=0, resume=None, **overrides):
 
 def assert_same_model(one, other):
     for name in PARAMETERS:
-        first, second = (getattr(model.gaussians("tiny"), name) for model in (one, other))
+        first, second = (getattr(model.scene("tiny"), name) for model in (one, other))
         assert torch.equal(first, second), name
 
 
@@ -34,61 +34,10 @@ def test_training_recovers_views_it_never_saw(tiny, scene):
     assert recorder.stages == ["growth", "refinement"]
 
 
-@pytest.mark.parametrize("overrides", [{"background": "random"}, {"start": "random", "random_points": 200}])
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tiny, scene, tmp_path, overrides):
-    files = []
-    for run, seed in enumerate((5, 5, 6)):
-        torch.manual_seed(run)  # the global generator must not matter
-        np.random.seed(run)  # noqa: NPY002
-        folder = tmp_path / str(run)
-        folder.mkdir()
-        fit(scene, tiny.Recorder(), 40, seed, **overrides).save(folder)
-        files.append((folder / "tiny.ply").read_bytes())
-    assert files[0] == files[1] != files[2]
-
-
-@pytest.mark.parametrize("stop", [1, 17, 60, 119])
-def test_interrupted_and_resumed_is_uninterrupted_bit_for_bit(tiny, scene, stop):
-    recorder = tiny.Recorder(checkpoint_at=[stop])
-    whole = fit(scene, recorder, 120, background="random")
-    checkpoint = recorder.checkpoints[stop]
-    assert checkpoint.iteration == stop
-    rest = tiny.Recorder()
-    resumed = fit(scene, rest, 120, background="random", resume=checkpoint)
-    assert rest.losses == recorder.losses[stop:]
-    assert_same_model(whole, resumed)
-
-
-def test_a_finished_checkpoint_gives_the_model_without_training(tiny, scene):
-    recorder = tiny.Recorder(checkpoint_at=[50])
-    whole = fit(scene, recorder, 50)
-    again = tiny.Recorder()
-    assert_same_model(whole, fit(scene, again, 50, resume=recorder.checkpoints[50]))
-    assert again.losses == []
-
-
-def test_a_checkpoint_survives_being_written_as_arrays_and_json(tiny, scene, tmp_path):
-    import json
-
-    from safetensors.torch import load_file, save_file
-
-    recorder = tiny.Recorder(checkpoint_at=[30])
-    whole = fit(scene, recorder, 60)
-    checkpoint = recorder.checkpoints[30]
-    save_file(checkpoint.arrays, tmp_path / "arrays.safetensors")
-    (tmp_path / "scalars.json").write_text(json.dumps(checkpoint.scalars))
-    read = replace(
-        checkpoint,
-        arrays=load_file(tmp_path / "arrays.safetensors"),
-        scalars=json.loads((tmp_path / "scalars.json").read_text()),
-    )
-    assert_same_model(whole, fit(scene, tiny.Recorder(), 60, resume=read))
-
-
 def test_views_come_without_replacement(scene, options):
     trainer = Trainer(scene, options, 100, 0, "cpu")
     count = len(scene.train)
-    rounds = [[trainer._next_view() for _ in range(count)] for _ in range(3)]
+    rounds = [[trainer.next_view() for _ in range(count)] for _ in range(3)]
     assert all(sorted(one) == list(range(count)) for one in rounds)
     assert rounds[0] != rounds[1]
 
@@ -105,7 +54,7 @@ def test_initial_scales_are_neighbour_distances():
 def test_start_from_the_cloud_takes_its_points_and_colors(tiny, scene, options):
     colors = np.array([[1.0, 0.0, 0.25], [0.5, 0.5, 0.5]])
     model = Trainer(tiny.with_cloud(scene, [[0, 0, 0.1], [0.1, 0, 0]], colors), options, 10, 0, "cpu").model()
-    gaussians = model.gaussians("tiny")
+    gaussians = model.scene("tiny")
     np.testing.assert_allclose(gaussians.means, [[0, 0, 0.1], [0.1, 0, 0]], atol=1e-7)
     np.testing.assert_allclose(gaussians.sh_dc[:, 0] * 0.28209479177387814 + 0.5, colors, atol=1e-6)
     np.testing.assert_allclose(gaussians.logits.sigmoid(), 0.1, atol=1e-6)
@@ -115,7 +64,7 @@ def test_start_from_the_cloud_takes_its_points_and_colors(tiny, scene, options):
 def test_random_start_fills_its_cube(scene):
     wanted = {"start": "random", "random_half_extent": "0.7", "random_points": "5000"}
     options = resolve(SPEC, "paper", wanted).options
-    means = Trainer(scene, options, 10, 0, "cpu").model().gaussians("tiny").means
+    means = Trainer(scene, options, 10, 0, "cpu").model().scene("tiny").means
     assert means.shape == (5000, 3)
     assert means.abs().max() <= 0.7
     assert means.abs().amax(0).min() > 0.69
@@ -131,7 +80,7 @@ def test_no_visible_gaussian_leaves_the_background_and_learns_nothing(tiny, scen
     rgb, alpha = model.render(scene.train.cameras[0])
     assert not alpha.any()
     assert torch.equal(rgb, torch.ones(32, 32, 3))
-    assert torch.equal(model.gaussians("tiny").means, torch.tensor(points))
+    assert torch.equal(model.scene("tiny").means, torch.tensor(points))
 
 
 def test_all_pruned_away_ends_in_an_empty_model(tiny, scene, tmp_path):
@@ -192,7 +141,3 @@ def test_what_cannot_be_fitted_is_refused(tiny, scene, options):
     blind = replace(scene, train=replace(scene.train, cameras=(), images=scene.train.images[:0]))
     with pytest.raises(Refused, match="no training views"):
         fit(blind, tiny.Recorder(), 10)
-
-
-def test_every_scene_is_a_group(scene, options):
-    assert GaussianSplatting().partition([scene, scene], options) == [[scene], [scene]]

@@ -165,7 +165,7 @@ def test_the_palette_is_the_mean_color_and_moves_every_color(scene, fitted):
     model, _ = fitted
     images = torch.from_numpy(scene.train.images)
     mean = images[..., :3].sum((0, 1, 2)) / images[..., 3].sum()
-    torch.testing.assert_close(model.gaussians("tiny").palette, mean, atol=1e-5, rtol=0)
+    torch.testing.assert_close(model.scene("tiny").palette, mean, atol=1e-5, rtol=0)
     camera = scene.validation.cameras[0]
     lifted = {"tiny": Edit(palette=(1.0, float(mean[1]), float(mean[2])))}
     plain, red = (model.render(camera, edit=edit)[0] for edit in (None, lifted))
@@ -179,7 +179,7 @@ def test_light_of_the_scene_and_of_edits(scene, tiny, tmp_path):
     camera = scene.validation.cameras[0]
     plain = model.render(camera)[0]
     again, _ = saved(model, tmp_path / "a")
-    assert again.gaussians("tiny").light == (0.0, 0.0, 1.0)
+    assert again.scene("tiny").light == (0.0, 0.0, 1.0)
     assert torch.equal(again.render(camera)[0], plain)
     up = model.render(camera, edit={"tiny": Edit(light=(0.0, 0.0, 1.0))})[0]
     assert torch.equal(up, plain)

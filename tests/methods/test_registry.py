@@ -22,8 +22,7 @@ class Options:
 
 SPEC = MethodSpec(
     name={name!r}, title="A toy", reference="", version="1",
-    implementation="{module}:Toy", source=("{module}",),
-    joint=False, composable=False, edits=frozenset(), needs_volume=False, uses_alpha="no", devices=("cpu",),
+    implementation="{module}:Toy", uses_alpha="no",
     options=Options, presets={{"paper": {preset}}},
     iterations={{"quick": 1, "standard": 2, "paper": 3}},
 )

@@ -19,13 +19,9 @@ SPEC = MethodSpec(
     reference="docs/guide/add-a-method.md",
     version="1",
     implementation="toy_blobs.method:ToyBlobs",
-    source=("toy_blobs",),
-    joint=False,
     composable=True,
     edits=frozenset({"opacity"}),
-    needs_volume=False,
     uses_alpha="views are composited on the scene's background",
-    devices=("cpu", "cuda"),
     options=ToyOptions,
     iterations={"quick": 300, "standard": 2_000, "paper": 10_000},
 )

@@ -40,7 +40,6 @@ def _spec(name: str, joint: bool, implementation: str = "") -> MethodSpec:
         joint=joint,
         composable=not joint,
         edits=frozenset({"palette"}),
-        needs_volume=False,
         uses_alpha="no",
         devices=("cpu",),
         options=Options,
@@ -104,7 +103,7 @@ class Single:
         start = 0
         if resume is not None:
             start, colors = resume.iteration, {k: list(v) for k, v in resume.scalars["colors"].items()}
-        behaviour = _behaviour(options, group)
+        behaviour = _behaviour(options, targets)
         if behaviour == "refuse":
             raise Refused("this scene is not to its taste")
         monitor.stage("colors")
@@ -123,13 +122,17 @@ class Single:
                 loss = _misbehave(behaviour, loss)
             monitor.progress(iteration, {"loss": loss}, len(colors))
             state = Checkpoint(iteration, {}, {"colors": {k: list(v) for k, v in colors.items()}})
-            if half and _behaviour(options, group) == "hold":
+            if half and _behaviour(options, targets) == "hold":
                 monitor.stage("held")
-                while _behaviour(options, group) == "hold" and not monitor.due(iteration):
+                while _behaviour(options, targets) == "hold" and not monitor.due(iteration):
                     time.sleep(0.01)
             if behaviour != "no-checkpoint" and monitor.due(iteration):
                 monitor.pause(iteration, lambda: Color(colors), partial(copy.copy, state))
-        return Color(colors, wrong_ledger=behaviour == "ledger")
+        return self.restore(state, options, device)
+
+    def restore(self, checkpoint, options, device):
+        colors = checkpoint.scalars["colors"]
+        return Color(colors, wrong_ledger=_behaviour(options, colors) == "ledger")
 
     def load(self, folder, device):
         return Color({p.stem: json.loads(p.read_text()) for p in sorted(folder.glob("*.json"))})
@@ -141,7 +144,7 @@ class Single:
 class Joint(Single):
     def partition(self, scenes, options):
         """All but the last scene together."""
-        if _behaviour(options, scenes) == "apart":
+        if _behaviour(options, [scene.name for scene in scenes]) == "apart":
             raise RuntimeError("these scenes cannot be compared")
         return [list(scenes[:-1]), list(scenes[-1:])] if len(scenes) > 1 else [list(scenes)]
 
@@ -151,10 +154,10 @@ def _target(images: np.ndarray) -> np.ndarray:
     return white.reshape(-1, 3).mean(axis=0)
 
 
-def _behaviour(options, group) -> str:
+def _behaviour(options, scenes) -> str:
     if options.file and os.path.exists(options.file):
         return "good"
-    if options.only and options.only not in [s.name for s in group]:
+    if options.only and options.only not in scenes:
         return "good"
     return options.behaviour
 
