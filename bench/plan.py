@@ -131,8 +131,7 @@ class Planner:
             yield fit
             for rate in rates:
                 identity = {"kind": "encode", "fit": fit.key, "rate": rate}
-                needs = (fit.id, *(views[scene].id for scene in fit.scenes))
-                encode = _after(fit, identity, needs=needs, rate=rate)
+                encode = _after(fit, identity, needs=(fit.id,), rate=rate)
                 yield encode
                 for scene in fit.scenes:
                     encodes[scene, rate] = encode

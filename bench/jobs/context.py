@@ -1,4 +1,4 @@
-"""What a job works with."""
+"""The context of a job."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Context:
     """What a job works with.
 
     Attributes:
-        folder: where its files go.
-        store: finished jobs it may read.
-        spec: of the method (None for views and dvr).
-        method: loads its implementation.
-        peak_host_bytes, peak_device_bytes: of the part that counts, where that is not the whole process.
+        folder: takes the files of the job.
+        store: holds the finished jobs.
+        spec: declaration of the method; None for views and dvr.
+        method: loads the implementation of the method.
+        peak_host_bytes, peak_device_bytes: peak of a part of the job; None: that of the whole process counts.
     """
 
     job: Job
@@ -40,15 +40,19 @@ class Context:
     def options(self) -> Any:
         """The method's options, typed."""
         if self.spec is None:
-            raise RuntimeError(f"{self.job.id} is of no method")
+            raise RuntimeError(f"{self.job.id} has no method")
         return self.spec.options(**self.job.options)
 
-    def needed(self, kind: str) -> Record:
-        """The finished job of that kind that this one builds on."""
-        return self.all_needed(kind)[0]
+    def input(self, kind: str) -> Record:
+        """The finished job of a kind that this one builds on."""
+        return self.inputs(kind)[0]
 
-    def all_needed(self, kind: str) -> list[Record]:
-        """The finished jobs of that kind that this one builds on, at least one."""
+    def inputs(self, kind: str) -> list[Record]:
+        """The finished jobs of a kind that this one builds on.
+
+        Raises:
+            RuntimeError: there is none, or one of them has failed.
+        """
         names = [name for name in self.job.needs if name.startswith(f"{kind}-")]
         records = [record for record in map(self.store.record, names) if record is not None and record.ok]
         if not records or len(records) < len(names):
@@ -61,5 +65,5 @@ class Context:
 
     def truth(self, scene: str) -> Truth:
         """What the views job of a scene or composition stored."""
-        record = next(record for record in self.all_needed("views") if record.job.subject == scene)
+        record = next(record for record in self.inputs("views") if record.job.subject == scene)
         return Truth(self.path_of(record))

@@ -15,7 +15,7 @@ from bench.timing import synchronise
 def run(context: Context) -> EncodeResult:
     """Restore the model of a fit from its checkpoint and save it; the ledger must cover the files."""
     job = context.job
-    stored = read_checkpoint(context.path_of(context.needed("fit")) / "checkpoint")
+    stored = read_checkpoint(context.path_of(context.input("fit")) / "checkpoint")
     if stored is None:
         raise RuntimeError("the fit has no checkpoint")
     context.report(stage="loading")

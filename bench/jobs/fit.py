@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from bench.jobs.context import Context
 from bench.jobs.scenes import scene_inputs
 from bench.monitor import FitMonitor
-from bench.records import FitResult, Job, derived_seed
+from bench.records import FitResult, derived_seed
 from bench.timing import mean_of, reference_seconds, synchronise
 from datasets.views import ViewSet, evenly_spaced
 from methods.interface import Budget, MethodSpec, Refused, SceneInput
 
 CURVE_VIEWS = 4
-"""Of each scene, for anytime evaluations."""
+"""Number of views of each scene for anytime evaluations."""
 
 
 def run(context: Context) -> FitResult:
@@ -24,10 +24,8 @@ def run(context: Context) -> FitResult:
     method = context.method()
     refuse_without_volume(context.spec, scenes)
     assert job.iterations is not None
-    held_out = {scene.name: _curve_views(context, scene.name) for scene in scenes}
-    monitor = FitMonitor(
-        context.folder / "checkpoint", job.iterations, held_out, context.report, context.stop
-    )
+    views = {scene.name: _curve_views(context, scene.name) for scene in scenes}
+    monitor = FitMonitor(context.folder / "checkpoint", job.iterations, views, context.report, context.stop)
     resume = monitor.resume()
     before = reference_seconds()
     context.stop.deferred = True
@@ -35,8 +33,9 @@ def run(context: Context) -> FitResult:
     if resume is not None and resume.iteration == job.iterations:  # stopped after its last iteration
         model = method.restore(resume, context.options, job.device)
     else:
+        seed = derived_seed("fit", job.method, job.dataset_name, job.group, job.seed)
         budget = Budget(job.iterations)
-        model = method.fit(scenes, context.options, budget, fit_seed(job), job.device, monitor, resume)
+        model = method.fit(scenes, context.options, budget, seed, job.device, monitor, resume)
     synchronise(job.device)
     monitor.stop()
     context.stop.deferred = False
@@ -74,8 +73,3 @@ def refuse_without_volume(spec: MethodSpec | None, scenes: Sequence[SceneInput])
     for scene in scenes:
         if spec is not None and spec.needs_volume and scene.volume is None:
             raise Refused(f"{spec.name} reads the volume itself, and scene {scene.name!r} has only views")
-
-
-def fit_seed(job: Job) -> int:
-    """The seed of a fit, of its own for each method, dataset, group and seed of the run."""
-    return derived_seed("fit", job.method, job.dataset_name, job.group, job.seed)

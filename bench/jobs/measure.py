@@ -39,10 +39,10 @@ def run(context: Context) -> MeasureResult:
             make the edit.
     """
     job, scenes = context.job, list(context.job.scenes)
-    encodes = context.all_needed("encode")
+    encodes = context.inputs("encode")
     if context.spec is not None and len(encodes) > 1 and not context.spec.composable:
         raise Refused(f"{job.method} cannot render models of several groups together ({job.group})")
-    views_job = context.needed("views")
+    views_job = context.input("views")
     assert views_job.views is not None
     truth = context.truth(job.subject)
     cameras = truth.cameras(job.split)
