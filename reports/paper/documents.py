@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from html import escape
-from typing import Any
 
 from reports.paper.values import NOT_MEASURED, QUANTITIES, Block, PaperTable, Quantity, Value
 from reports.style import MISSING
-from reports.tables.documents import tex, tex_notes
+from reports.tables.documents import MARKDOWN_MARKS, TEX_MARKS, tex, tex_notes
 from reports.tables.ranks import UNDECIDED, UNDECIDED_SIGN
 
 
@@ -42,34 +41,35 @@ def _heading(block: Block) -> str:
 
 def to_markdown(table: PaperTable) -> str:
     """A pipe table per block; best in bold, second best in italics."""
-    lines, near = [f"### {table.title}"], f"{{}} {UNDECIDED_SIGN}"
+    lines = [f"### {table.title}"]
     for block in table.blocks:
-        lines += ["", _heading(block), ""]
-        lines.append(
-            f"| {table.head} | " + " | ".join(QUANTITIES[name].title for name in table.columns) + " |"
-        )
+        lines += ["", _heading(block), "", f"| {' | '.join(_heads(table))} |"]
         lines.append("|---|" + "---:|" * len(table.columns))
-        for label, cells in _cells(table, block, {1: "**{}**", 2: "*{}*", UNDECIDED: near}, "<br>{}", str):
-            lines.append(f"| {label} | " + " | ".join(cells) + " |")
+        for label, measured, published in _rows(table, block, MARKDOWN_MARKS, str):
+            cells = (f"{m}<br>{p}" if p else m for m, p in zip(measured, published, strict=True))
+            lines.append(f"| {' | '.join([label, *cells])} |")
         lines += [line for text in _remarks(block) for line in ("", text)]
     return "\n".join(lines) + "\n"
 
 
 def to_html(table: PaperTable) -> str:
-    """A table element per block, published values small under the measured ones."""
+    """A table element per block, with small published values below the measured ones."""
     marks = {1: '<b class="first">{}</b>', 2: '<u class="second">{}</u>', UNDECIDED: f"{{}} {UNDECIDED_SIGN}"}
     parts = [f"<h3>{escape(table.title)}</h3>"]
-    head = "".join(f'<th scope="col" class="r">{escape(QUANTITIES[n].title)}</th>' for n in table.columns)
+    first, *others = map(escape, _heads(table))
+    head = f'<th scope="col">{first}</th>' + "".join(f'<th scope="col" class="r">{h}</th>' for h in others)
     for block in table.blocks:
-        body = "".join(
-            f'<tr><th scope="row">{label}</th>' + "".join(f'<td class="r">{c}</td>' for c in cells) + "</tr>"
-            for label, cells in _cells(table, block, marks, '<br><span class="soft">{}</span>', escape)
-        )
+        body = ""
+        for label, measured, published in _rows(table, block, marks, escape):
+            cells = "".join(
+                f'<td class="r">{m}' + (f'<br><span class="soft">{p}</span>' if p else "") + "</td>"
+                for m, p in zip(measured, published, strict=True)
+            )
+            body += f'<tr><th scope="row">{label}</th>{cells}</tr>'
         remarks = "".join(f'<p class="note">{escape(text)}</p>' for text in _remarks(block))
         parts.append(
             f'<div class="wide"><table><caption>{escape(_heading(block))}</caption>'
-            f'<thead><tr><th scope="col">{escape(table.head)}</th>{head}'
-            f"</tr></thead><tbody>{body}</tbody></table></div>{remarks}"
+            f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{remarks}"
         )
     return "\n".join(parts)
 
@@ -77,30 +77,16 @@ def to_html(table: PaperTable) -> str:
 def to_latex(table: PaperTable) -> str:
     """One booktabs tabular with a rule between blocks; best bold, second best underlined; notes below it."""
     lines = ["% needs \\usepackage{booktabs}", f"\\begin{{tabular}}{{l{'r' * len(table.columns)}}}"]
-    lines += [
-        "\\toprule",
-        tex(table.head) + "".join(f" & {tex(QUANTITIES[n].title)}" for n in table.columns) + r" \\",
-    ]
-    marks = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", UNDECIDED: r"{}\rlap{{$^{{\approx}}$}}"}
+    lines += ["\\toprule", " & ".join(map(tex, _heads(table))) + r" \\"]
+    remarks: dict[str, list[str]] = {}
     for block in table.blocks:
         lines.append(r"\midrule")
         lines.append(rf"\multicolumn{{{len(table.columns) + 1}}}{{l}}{{\emph{{{tex(_heading(block))}}}}} \\")
-        for i, row in enumerate(block.rows):
-            cells = [
-                marks.get(block.marks.get((i, name), 0), "{}").format(
-                    tex(measured_text(row.values[name], QUANTITIES[name]))
-                )
-                for name in table.columns
-            ]
-            lines.append(tex(row.label) + "".join(f" & {text}" for text in cells) + r" \\")
-            second = [
-                published_text(row.values[name], QUANTITIES[name], block.same) for name in table.columns
-            ]
-            if any(second):
-                small = "".join(f" & \\footnotesize {tex(text)}" if text else " &" for text in second)
+        for label, measured, published in _rows(table, block, TEX_MARKS, tex):
+            lines.append(" & ".join([label, *measured]) + r" \\")
+            if any(published):
+                small = "".join(rf" & \footnotesize {text}" if text else " &" for text in published)
                 lines.append(r"\quad \footnotesize published" + small + r" \\")
-    remarks: dict[str, list[str]] = {}
-    for block in table.blocks:
         for text in _remarks(block):
             remarks.setdefault(text, []).append(f"{block.dataset} ({block.protocol})")
     # A remark on all blocks appears once, without their names.
@@ -112,43 +98,40 @@ def to_latex(table: PaperTable) -> str:
 
 
 def to_text(table: PaperTable) -> str:
-    """For a terminal: two lines a row, best marked with ``*`` and second best with ``+``."""
+    """Text for a terminal: two lines a row; ``*`` marks the best and ``+`` the second best value."""
+    marks = {0: "{} ", 1: "{}*", 2: "{}+", UNDECIDED: f"{{}}{UNDECIDED_SIGN}"}
     lines = [table.title]
     for block in table.blocks:
-        grid: list[list[str]] = [[table.head, *(QUANTITIES[name].title for name in table.columns)]]
-        for i, row in enumerate(block.rows):
-            signs = {1: "*", 2: "+", UNDECIDED: UNDECIDED_SIGN}
-            values = [(row.values[name], QUANTITIES[name]) for name in table.columns]
-            marks = [signs.get(block.marks.get((i, name), 0), " ") for name in table.columns]
-            texts = (measured_text(*value) + mark for value, mark in zip(values, marks, strict=True))
-            grid.append([row.label, *texts])
-            second = [published_text(*value, block.same) for value in values]
-            if any(second):
-                grid.append(["  published", *(f"{text} " for text in second)])
+        grid = [_heads(table)]
+        for label, measured, published in _rows(table, block, marks, str):
+            grid.append([label, *measured])
+            if any(published):
+                grid.append(["  published", *(f"{text} " for text in published)])
         widths = [max(len(line[i]) for line in grid) for i in range(len(grid[0]))]
         lines += ["", _heading(block)]
-        for line in grid:
-            cells = [line[0].ljust(widths[0])]
-            cells += [text.rjust(width) for text, width in zip(line[1:], widths[1:], strict=True)]
-            lines.append("  ".join(cells).rstrip())
+        for first, *others in grid:
+            cells = [text.rjust(width) for text, width in zip(others, widths[1:], strict=True)]
+            lines.append("  ".join([first.ljust(widths[0]), *cells]).rstrip())
         lines += ["", *_remarks(block)]
     return "\n".join(lines) + "\n"
 
 
-def _cells(
-    table: PaperTable, block: Block, marks: Mapping[int, str], under: str, write: Any
-) -> Iterator[tuple[str, list[str]]]:
-    """Label and cells of each row: the measured value with its mark, and the published value under it."""
+def _heads(table: PaperTable) -> list[str]:
+    return [table.head, *(QUANTITIES[name].title for name in table.columns)]
+
+
+def _rows(
+    table: PaperTable, block: Block, marks: Mapping[int, str], write: Callable[[str], str]
+) -> Iterator[tuple[str, list[str], list[str]]]:
+    """Label, measured values with their marks, and published values of each row."""
     for i, row in enumerate(block.rows):
-        cells = []
+        measured, published = [], []
         for name in table.columns:
             value, quantity = row.values[name], QUANTITIES[name]
-            text = marks.get(block.marks.get((i, name), 0), "{}").format(
-                write(measured_text(value, quantity))
-            )
-            published = published_text(value, quantity, block.same)
-            cells.append(text + (under.format(write(published)) if published else ""))
-        yield write(row.label), cells
+            mark = marks.get(block.marks.get((i, name), 0), "{}")
+            measured.append(mark.format(write(measured_text(value, quantity))))
+            published.append(write(published_text(value, quantity, block.same)))
+        yield write(row.label), measured, published
 
 
 def _remarks(block: Block) -> list[str]:

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from reports.statistics import Views
 
 
+MARKDOWN_MARKS = {1: "**{}**", 2: "*{}*", UNDECIDED: f"{{}} {UNDECIDED_SIGN}"}
+TEX_MARKS = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", UNDECIDED: r"{}\rlap{{$^{{\approx}}$}}"}
+"""Formats of marked values. LaTeX's sign of an undecided value takes no width: digits stay aligned."""
+
+
 def to_csv(table: pd.DataFrame) -> str:
     """All columns with raw values; a missing value is empty.
 
@@ -50,9 +55,8 @@ def to_markdown(table: pd.DataFrame, views: Views | None = None, remark: str = "
         "| " + " | ".join(_md(column.header) for column in columns) + " |",
         "|" + "|".join("---:" if column.numeric else "---" for column in columns) + "|",
     ]
-    formats = {1: "**{}**", 2: "*{}*", UNDECIDED: f"{{}} {UNDECIDED_SIGN}"}
     for row in _rows(table, marks):
-        texts = (formats.get(mark, "{}").format(_md(text)) for text, mark in row)
+        texts = (MARKDOWN_MARKS.get(mark, "{}").format(_md(text)) for text, mark in row)
         lines.append("| " + " | ".join(texts) + " |")
     notes += [remark] if remark else []
     notes += [UNDECIDED_NOTE] if UNDECIDED in marks.values() else []
@@ -81,10 +85,8 @@ def to_latex(table: pd.DataFrame, views: Views | None = None, remark: str = "") 
         lines += [rf"\begin{{longtable}}{{{spec}}}", *head, r"\endhead", r"\bottomrule", r"\endfoot"]
     else:
         lines = [r"% needs \usepackage{booktabs}", rf"\begin{{tabular}}{{{spec}}}", *head]
-    # The sign of an undecided value takes no width, so that digits stay aligned.
-    formats = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", UNDECIDED: r"{}\rlap{{$^{{\approx}}$}}"}
     for row in _rows(table, marks):
-        lines.append(" & ".join(formats.get(mark, "{}").format(tex(text)) for text, mark in row) + r" \\")
+        lines.append(" & ".join(TEX_MARKS.get(mark, "{}").format(tex(text)) for text, mark in row) + r" \\")
     lines += [r"\end{longtable}"] if results else [r"\bottomrule", r"\end{tabular}"]
     return "\n".join([*lines, *tex_notes(notes)]) + "\n"
 

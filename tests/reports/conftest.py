@@ -1,4 +1,4 @@
-"""Synthetic run stores: tables as documented, and pictures that are really there."""
+"""Synthetic run stores: tables of the schema, and picture files."""
 
 from __future__ import annotations
 
@@ -41,120 +41,45 @@ class Maker:
         self.rows: dict[str, list[dict]] = {name: [] for name in TABLES}
 
     def run(
-        self,
-        dataset="vortex",
-        scene="tf0",
-        method="3dgs",
-        variant="",
-        rate=None,
-        psnr=33.98,
-        size=4_000_000,
-        fps=120.0,
-        seconds=42.0,
-        seed=0,
-        status="ok",
-        reason=NO_LPIPS,
-        stale=False,
-        lpips=None,
-        side=96,
-        views=5,
+        self, dataset="vortex", scene="tf0", method="3dgs", variant="", rate=None, psnr=33.98, size=4_000_000,
+        fps=120.0, seconds=42.0, seed=0, status="ok", reason=NO_LPIPS, stale=False, lpips=None, side=96, views=5,
         **more,
-    ) -> None:
+    ) -> None:  # fmt: skip
         job = f"measure-{len(self.rows['results']):04d}"
-        ok = status == "ok"
-        axes = {
-            "dataset": dataset,
-            "scene": scene,
-            "method": method,
-            **settings(variant),
-            "rate": rate,
-            "preset": "quick",
-            "split": "test",
-            "seed": seed,
-            "job": job,
-            "requested_views": more.pop("requested_views", 42),
-        }
-        row = {
-            **axes,
-            "kind": "basic",
-            "edit": "",
-            "status": status,
-            "reason": reason,
-            "stale": stale,
-            "group": scene,
-            "iterations": 700,
-            "train_views": 38,
-            "width": side,
-            "height": side,
-            "device": "cpu",
-            "machine": "laptop",
-            "threads": 2,
-            "commit": "68a71d8fe012",
-            "stage": None if ok else "densify",
-        }
-        if ok:
-            row |= {
-                "psnr": psnr,
-                "psnr_fg": psnr - 4,
-                "ssim": 1 - 2 / psnr,
-                "lpips_vgg": lpips,
-                "flip": 1.2 / psnr,
-                "delta_e_uv": 40 / psnr,
-                "size_bytes": size,
-                "group_bytes": size,
-                "standalone_bytes": size,
-                "primitives": size // 236,
-                "train_seconds": seconds,
-                "group_seconds": seconds,
-                "load_seconds": 0.04,
-                "fps": fps,
-                "peak_host_bytes": 700 << 20,
-                "group_peak_host_bytes": 650 << 20,
-                "fps_p05": fps * 0.8,
-                "fps_p95": fps * 1.1,
-                "encode_seconds": 0.1,
-                "reference_seconds": 0.0123,
-                "identical_views": 0,
-            }
+        axes = {"dataset": dataset, "scene": scene, "method": method, **settings(variant), "rate": rate,
+                "preset": "quick", "split": "test", "seed": seed, "job": job,
+                "requested_views": more.pop("requested_views", 42)}  # fmt: skip
+        row = {**axes, "kind": "basic", "edit": "", "status": status, "reason": reason, "stale": stale,
+               "group": scene, "iterations": 700, "train_views": 38, "width": side, "height": side,
+               "device": "cpu", "machine": "laptop", "threads": 2, "commit": "68a71d8fe012",
+               "stage": None if status == "ok" else "densify"}  # fmt: skip
+        if status != "ok":
+            self.rows["results"].append(row | more)
+            return
+        quality = {"ssim": 1 - 2 / psnr, "flip": 1.2 / psnr, "delta_e_uv": 40 / psnr, "psnr_fg": psnr - 4}
+        row |= {**quality, "psnr": psnr, "lpips_vgg": lpips, "size_bytes": size, "group_bytes": size,
+                "standalone_bytes": size, "primitives": size // 236, "train_seconds": seconds,
+                "group_seconds": seconds, "load_seconds": 0.04, "fps": fps, "peak_host_bytes": 700 << 20,
+                "group_peak_host_bytes": 650 << 20, "fps_p05": fps * 0.8, "fps_p95": fps * 1.1,
+                "encode_seconds": 0.1, "reference_seconds": 0.0123, "identical_views": 0}  # fmt: skip
         self.rows["results"].append(row | more)
-        for i in range(views if ok else 0):
-            truth, render = (
-                f"jobs/views-{dataset}-{scene}/truth/{i:04d}.png",
-                f"jobs/{job}/renders/{i:04d}.png",
-            )
+        for i in range(views):
+            truth = f"jobs/views-{dataset}-{scene}/truth/{i:04d}.png"
+            render = f"jobs/{job}/renders/{i:04d}.png"
             if not (self.root / truth).exists():
                 picture(self.root / truth, side, 0.1 * i - 0.2, 0.0, 0)
             picture(self.root / render, side, 0.1 * i - 0.2 + 0.01 * i, 0.02 + 0.02 * i, i)
-            view = {k: row[k] for k in ("ssim", "flip", "delta_e_uv", "psnr_fg")}
-            self.rows["views"].append(
-                {
-                    **axes,
-                    **view,
-                    "view": f"{i:04d}",
-                    "psnr": psnr + 2 - i,
-                    "identical": False,
-                    "truth_file": truth,
-                    "render_file": render,
-                    "background": "#ffffff",
-                }
-            )
-        for step in range(0 if not ok else 8):
-            self.rows["curve"].append(
-                {
-                    **axes,
-                    "job": f"fit-{job}",
-                    "iteration": step * 100,
-                    "train_seconds": seconds * step / 7,
-                    "loss": 0.1,
-                    "psnr": psnr - 12 * 0.5**step,
-                    "primitives": 1000,
-                }
-            )
+            files = {"truth_file": truth, "render_file": render, "background": "#ffffff"}
+            values = {"view": f"{i:04d}", "psnr": psnr + 2 - i, "identical": False}
+            self.rows["views"].append(axes | quality | values | files)
+        for step in range(8):
+            point = {"iteration": step * 100, "train_seconds": seconds * step / 7, "loss": 0.1,
+                     "psnr": psnr - 12 * 0.5**step, "primitives": 1000}  # fmt: skip
+            self.rows["curve"].append(axes | {"job": f"fit-{job}"} | point)
         shares = {"positions": 0.05, "spherical harmonics": 0.76, "opacity, scale, rotation": 0.19}
-        for part, portion in shares.items() if ok else ():
-            self.rows["ledger"].append(
-                {**axes, "job": f"encode-{job}", "part": part, "bytes": int(size * portion)}
-            )
+        for part, portion in shares.items():
+            size_of_part = {"job": f"encode-{job}", "part": part, "bytes": int(size * portion)}
+            self.rows["ledger"].append(axes | size_of_part)
 
     def dvr(self, dataset="vortex", scene="tf0", ms=40.0, **more) -> None:
         """Cost of rendering a volume."""
@@ -183,7 +108,7 @@ METHODS = {
 
 
 def fill(maker: Maker, case: str) -> None:
-    """The cases a report must stand."""
+    """Fill a store with a case of the report."""
     if case == "normal":
         maker.run(scene="tf0", psnr=34.2)
         maker.run(scene="tf1", psnr=31.7, size=5_100_000, seconds=51.0)
@@ -201,17 +126,10 @@ def fill(maker: Maker, case: str) -> None:
                     knob = [(None, 1.0)] if method != "econgs" else [(0.5, 0.6), (1.0, 1.0), (2.0, 1.8)]
                     for rate, factor in knob:
                         maker.run(
-                            dataset,
-                            f"tf{scene}",
-                            method,
-                            rate=rate,
-                            psnr=psnr + offset + scene + 2 * (factor - 1),
+                            dataset, f"tf{scene}", method, rate=rate, reason=None, lpips=3 / psnr, seconds=seconds,
+                            psnr=psnr + offset + scene + 2 * (factor - 1), fps=fps / (1 + scene / 3),
                             size=int(size * factor * (1 + scene / 4)),
-                            fps=fps / (1 + scene / 3),
-                            seconds=seconds,
-                            lpips=3 / psnr,
-                            reason=None,
-                        )
+                        )  # fmt: skip
     elif case == "seeds":
         for seed, shift in enumerate((0.0, 0.3, -0.3)):
             for scene in ("tf0", "tf1"):

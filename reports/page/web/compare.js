@@ -6,14 +6,14 @@
   const find = (selector) => dialog.querySelector(selector);
   const choice = { a: find("select[data-side=a]"), b: find("select[data-side=b]") };
   const image = { a: find("img[data-side=a]"), b: find("img[data-side=b]") };
-  const mode = find("[data-mode]"), range = find("input[type=range]"), stage = find(".stage"), said = find("[role=status]");
+  const mode = find("[data-mode]"), range = find("input[type=range]"), stage = find(".stage"), status = find("[role=status]");
   let pictures = new Map(), at = 0, second = false, truth = false;
 
   function show() {
-    const shown = { a: choice.a.value, b: choice.b.value };
-    if (truth) shown[mode.value === "flip" ? (second ? "b" : "a") : "b"] = "Ground truth";
+    const names = { a: choice.a.value, b: choice.b.value };
+    if (truth) names[mode.value === "flip" ? (second ? "b" : "a") : "b"] = "Ground truth";
     for (const side of ["a", "b"]) {
-      const from = pictures.get(shown[side]);
+      const from = pictures.get(names[side]);
       if (!from) continue;
       if (image[side].src !== from.src) image[side].src = from.src;
       image[side].alt = from.alt;
@@ -29,7 +29,7 @@
     find("[data-slider]").hidden = mode.value !== "slider";
     find("[data-do=flip]").hidden = mode.value !== "flip";
     find("[data-do=truth]").setAttribute("aria-pressed", truth);
-    said.textContent = mode.value === "flip" ? `Shown: ${shown[second ? "b" : "a"]}` : `${shown.a} | ${shown.b}`;
+    status.textContent = mode.value === "flip" ? `Shown: ${names[second ? "b" : "a"]}` : `${names.a} | ${names.b}`;
   }
 
   function fill(index, right) {

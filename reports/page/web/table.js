@@ -6,7 +6,7 @@
   const details = JSON.parse($("#details").textContent);
   const bodies = Array.from(table.tBodies);
   const heads = Array.from(table.tHead.rows[0].cells);
-  // Scenes stand above the means of their dataset, whatever they are sorted by; composed and edited scenes below.
+  // In any order, scenes precede the means of their dataset, and composed and edited scenes follow them.
   const ranks = { scene: 0, mean: 1, composed: 2, edited: 3 };
   const rows = Array.from(table.querySelectorAll("tr.row"), (tr, index) => ({
     tr, index, body: tr.parentNode, data: tr.dataset, detail: null,
@@ -67,14 +67,14 @@
 
   const filters = Array.from(document.querySelectorAll("[data-filter]"));
   function show() {
-    const wanted = Object.fromEntries(filters.map((input) => [input.dataset.filter, input.value]));
-    const words = wanted.text.toLowerCase().split(/\s+/).filter(Boolean);
+    const filter = Object.fromEntries(filters.map((input) => [input.dataset.filter, input.value]));
+    const words = filter.text.toLowerCase().split(/\s+/).filter(Boolean);
     let count = 0;
     const full = new Set();
     for (const row of rows) {
       const kind = row.kind === "mean" ? "mean" : "scene";
-      const fits = ["dataset", "method", "status"].every((name) => !wanted[name] || row.data[name] === wanted[name])
-        && (!wanted.kind || wanted.kind === kind) && words.every((word) => row.text.includes(word));
+      const fits = ["dataset", "method", "status"].every((name) => !filter[name] || row.data[name] === filter[name])
+        && (!filter.kind || filter.kind === kind) && words.every((word) => row.text.includes(word));
       row.tr.classList.toggle("off", !fits);
       if (row.detail) row.detail.classList.toggle("off", !fits || !row.open);
       if (fits) { count += 1; full.add(row.tr.parentNode); }
@@ -93,11 +93,11 @@
     details.rows[row.index].forEach((text, i) => {
       if (!text) return;
       const pair = document.createElement("div");
-      const name = document.createElement("dt"), said = document.createElement("dd");
+      const name = document.createElement("dt"), value = document.createElement("dd");
       if (text.length > 60) pair.className = "long";
       name.textContent = details.names[i];
-      said.textContent = text;
-      pair.append(name, said);
+      value.textContent = text;
+      pair.append(name, value);
       list.append(pair);
     });
     cell.append(list);
@@ -123,7 +123,7 @@
   heads.forEach((head, column) => head.firstChild.addEventListener("click", () => sort(column)));
   table.addEventListener("click", (event) => {
     const row = byElement.get(event.target.closest("tr"));
-    // Who selects text does not want to open the row.
+    // A selection of text opens no row.
     if (row && !event.target.closest("a") && getSelection().isCollapsed) toggle(row);
   });
   filters.forEach((input) => input.addEventListener("input", show));
@@ -140,15 +140,15 @@
     for (const row of rows) row.tr.classList.toggle("hit", event.detail.includes(row.data.key));
   });
   document.addEventListener("pointclick", (event) => {
-    const found = rows.filter((row) => event.detail.includes(row.data.key));
-    if (!found.length) return;
-    if (found[0].tr.classList.contains("off")) {
+    const matches = rows.filter((row) => event.detail.includes(row.data.key));
+    if (!matches.length) return;
+    if (matches[0].tr.classList.contains("off")) {
       filters.forEach((input) => { input.value = ""; });
       show();
     }
-    found.forEach((row) => toggle(row, true));
-    found[0].tr.scrollIntoView({ block: "center" });
-    found[0].button.focus({ preventScroll: true });
+    matches.forEach((row) => toggle(row, true));
+    matches[0].tr.scrollIntoView({ block: "center" });
+    matches[0].button.focus({ preventScroll: true });
   });
   $(".controls[role=search]").hidden = false;
   show();

@@ -1,4 +1,4 @@
-// Light or dark: as the system says, until the reader says otherwise.
+// Light or dark: the setting of the system, until the reader selects one.
 (function () {
   const root = document.documentElement;
   const button = document.getElementById("theme");
