@@ -42,8 +42,8 @@ class Maker:
 
     def run(
         self, dataset="vortex", scene="tf0", method="3dgs", variant="", rate=None, psnr=33.98, size=4_000_000,
-        fps=120.0, seconds=42.0, seed=0, status="ok", reason=NO_LPIPS, stale=False, lpips=None, side=96, views=5,
-        **more,
+        fps=120.0, seconds=42.0, seed=0, status="ok", reason=NO_LPIPS, stale=False, lpips=None, side=96,
+        views=5, **more,
     ) -> None:  # fmt: skip
         job = f"measure-{len(self.rows['results']):04d}"
         axes = {"dataset": dataset, "scene": scene, "method": method, **settings(variant), "rate": rate,
@@ -126,9 +126,9 @@ def fill(maker: Maker, case: str) -> None:
                     knob = [(None, 1.0)] if method != "econgs" else [(0.5, 0.6), (1.0, 1.0), (2.0, 1.8)]
                     for rate, factor in knob:
                         maker.run(
-                            dataset, f"tf{scene}", method, rate=rate, reason=None, lpips=3 / psnr, seconds=seconds,
+                            dataset, f"tf{scene}", method, rate=rate, reason=None, lpips=3 / psnr,
                             psnr=psnr + offset + scene + 2 * (factor - 1), fps=fps / (1 + scene / 3),
-                            size=int(size * factor * (1 + scene / 4)),
+                            size=int(size * factor * (1 + scene / 4)), seconds=seconds,
                         )  # fmt: skip
     elif case == "seeds":
         for seed, shift in enumerate((0.0, 0.3, -0.3)):
