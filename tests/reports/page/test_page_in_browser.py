@@ -170,6 +170,8 @@ def test_points_of_charts_and_rows_are_linked(browser: Browser) -> None:
         "const y = top + height * (d.y.high - s.y[0]) / (d.y.high - d.y.low);"
         "return [m.e + m.a * x, m.f + m.d * y, s.keys[0][0], s.title]; })()"
     )
+    # The event of the scroll comes a frame later and would hide the tip.
+    browser.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
     browser.point(*place[:2], press=False)
     browser.until("!!document.querySelector('tr.row.hit')")
     assert browser.run("document.querySelector('tr.row.hit').dataset.key") == place[2]
