@@ -200,7 +200,7 @@ def _conditions(results: pd.DataFrame) -> str:
     ]
     fitted = results.dropna(subset=["fit_processor"])
     machines = {
-        processor: [TITLES.get(name, name) for (name,) in _ordered(group, ["method"])]
+        str(processor): [TITLES.get(name, name) for (name,) in _ordered(group, ["method"])]
         for processor, group in fitted.groupby("fit_processor")
     }
     if len(machines) == 1 or len({tuple(names) for names in machines.values()}) == 1:
@@ -258,9 +258,9 @@ def index(_: str) -> str:
 def commands(_: str) -> str:
     """Every command of ``bench`` with its arguments and options, as Markdown."""
     parser = _parser()
-    (found,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    (subcommands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     text = f"{parser.epilog}\n"
-    for name, command in found.choices.items():
+    for name, command in subcommands.choices.items():
         purpose = _escaped(command.description)
         text += f"\n## bench {name}\n\n{purpose[:1].upper()}{purpose[1:]}.\n\n"
         actions = [action for action in command._actions if action.dest not in ("help", "debug")]
