@@ -38,7 +38,7 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
     if results.empty:
         return []
     results = _with_parts(results, tables.get("timing"))
-    made = []
+    papers = []
     for name, layout in layouts()["tables"].items():
         blocks = [
             block
@@ -46,8 +46,8 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
             for block in _blocks(name, layout, dataset, rows, views, tables.get("superseded"))
         ]
         if blocks:
-            made.append(PaperTable(name, layout["title"], layout["head"], layout["columns"], blocks))
-    return made
+            papers.append(PaperTable(name, layout["title"], layout["head"], layout["columns"], blocks))
+    return papers
 
 
 def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFrame:
@@ -297,7 +297,7 @@ def _of_dataset(scenes: pd.DataFrame, column: str) -> float | None:
 def _value(seeds: list[float | None], published_row: Mapping[str, str], quantity: Quantity) -> Value:
     text = published_row.get(quantity.published, "")
     published = float(text) if text.replace(".", "", 1).isdigit() else None
-    known = [value for value in seeds if value is not None]
-    if not known or len(known) < len(seeds):
+    measured = [value for value in seeds if value is not None]
+    if not measured or len(measured) < len(seeds):
         return Value(None, published)
-    return Value(sum(known) / len(known), published, tuple(known))
+    return Value(sum(measured) / len(measured), published, tuple(measured))

@@ -97,10 +97,10 @@ def test_rows_sort_by_click_within_datasets_and_means_stay_below(browser: Browse
         kinds = browser.run(f"{rows}.map((row) => row.classList[0] + (row.classList[1] ?? ''))")
         assert kinds[0] == "group"
         assert kinds[1:] == sorted(kinds[1:], key=["rowscene", "rowmean"].index)
-        shown = column(browser, "PSNR [dB]", f"{rows}.filter((row) => row.classList.contains('scene'))")
-        known = [float(text.split()[0]) for text in shown if text != MISSING]  # ≈ may follow
-        assert known == sorted(known, reverse=True)
-        assert shown[: len(known)] == [text for text in shown if text != MISSING]  # the missing stand last
+        names = column(browser, "PSNR [dB]", f"{rows}.filter((row) => row.classList.contains('scene'))")
+        present = [float(text.split()[0]) for text in names if text != MISSING]  # ≈ may follow
+        assert present == sorted(present, reverse=True)
+        assert names[: len(present)] == [text for text in names if text != MISSING]  # the missing stand last
     browser.click(head(browser, "PSNR [dB]"))
     assert browser.run("document.querySelector('th[aria-sort]').ariaSort") == "ascending"
     browser.click(head(browser, "PSNR [dB]"))
@@ -149,9 +149,9 @@ def test_filters_leave_what_fits_and_say_how_much(browser: Browser) -> None:
 def test_a_row_opens_to_its_provenance_and_stays_with_it(browser: Browser) -> None:
     browser.run("document.querySelector('tr.row th button').focus()")
     browser.key("Enter")
-    told = browser.run("document.querySelector('tr.detail').innerText")
+    details = browser.run("document.querySelector('tr.detail').innerText")
     for words in ("measure-0000", "68a71d8fe012", "laptop", "12.3 ms"):
-        assert words in told
+        assert words in details
     assert browser.run("document.activeElement.ariaExpanded") == "true"
     browser.click(head(browser, "SSIM"))
     assert browser.run("document.querySelector('tr.detail').previousSibling.dataset.key") == "measure-0000"
@@ -187,19 +187,19 @@ def test_points_of_charts_and_rows_are_linked(browser: Browser) -> None:
 
 
 def test_pictures_are_compared_with_the_keyboard_alone(browser: Browser) -> None:
-    shown = "Array.from(document.querySelectorAll('.stage img')).filter((i) => !i.hidden).map((i) => i.alt)"
+    names = "Array.from(document.querySelectorAll('.stage img')).filter((i) => !i.hidden).map((i) => i.alt)"
     browser.run("document.querySelector('button.compare').focus()")
     browser.key("Enter")
     assert browser.run("document.querySelector('#compare').open")
     view = browser.run("document.querySelector('#compare h2').textContent")
-    assert browser.run(shown) == [f"{view}: Ground truth", f"{view}: 3DGS"]
+    assert browser.run(names) == [f"{view}: Ground truth", f"{view}: 3DGS"]
     browser.run("document.querySelector('#compare input[type=range]').focus()")
     browser.key("ArrowRight")
     assert browser.run("document.querySelector('.stage').style.getPropertyValue('--at')") == "51%"
     browser.key("f")  # from slider to flip: the other picture
-    assert browser.run(shown) == [f"{view}: 3DGS"]
+    assert browser.run(names) == [f"{view}: 3DGS"]
     browser.key("f")
-    assert browser.run(shown) == [f"{view}: Ground truth"]
+    assert browser.run(names) == [f"{view}: Ground truth"]
     assert (
         browser.run("document.querySelector('#compare [role=status]').textContent") == "Shown: Ground truth"
     )
@@ -209,15 +209,15 @@ def test_pictures_are_compared_with_the_keyboard_alone(browser: Browser) -> None
             f"(() => {{ const s = document.querySelector('select[data-side={side}]'); s.value = '{name}';"
             "s.dispatchEvent(new Event('input')); })()"
         )
-    assert browser.run(shown) == [f"{view}: ECoNGS"]
+    assert browser.run(names) == [f"{view}: ECoNGS"]
     browser.key("f")
-    assert browser.run(shown) == [f"{view}: HAC"]
+    assert browser.run(names) == [f"{view}: HAC"]
     browser.key("g")
-    assert browser.run(shown) == [f"{view}: Ground truth"]
+    assert browser.run(names) == [f"{view}: Ground truth"]
     browser.key("n")
     other = browser.run("document.querySelector('#compare h2').textContent")
     assert other != view
-    assert browser.run(shown) == [f"{other}: ECoNGS"]
+    assert browser.run(names) == [f"{other}: ECoNGS"]
     browser.key("Escape")
     assert not browser.run("document.querySelector('#compare').open")
     assert browser.run("document.activeElement.className") == "compare"

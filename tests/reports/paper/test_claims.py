@@ -31,39 +31,41 @@ time-raster time-total time-mlp qual-bp hp-feat100 hp-k20 hp-small concl ext-1s 
 
 def published(name):
     """A table as if the paper's own values had been measured."""
-    said = layouts()["tables"][name]
+    layout = layouts()["tables"][name]
     blocks = []
     for dataset in dict.fromkeys(one["dataset"] for one in reference_rows(name)):
         rows = []
-        for one in said["rows"]:
+        for one in layout["rows"]:
             match = one.get("match")
-            found = [
+            result = [
                 r for r in reference_rows(name)
                 if match is not None and r["dataset"] == dataset and all(r[k] == v for k, v in match.items())
             ]  # fmt: skip
-            assert len(found) <= 1, "a row of the layout names one published row"
+            assert len(result) <= 1, "a row of the layout names one published row"
             cells = {}
-            for column in said["columns"]:
-                text = found[0].get(QUANTITIES[column].published, "") if found else ""
+            for column in layout["columns"]:
+                text = result[0].get(QUANTITIES[column].published, "") if result else ""
                 mean = float(text) if text else None
                 cells[column] = Value(mean, None, () if mean is None else (mean,))
             rows.append(Row(one["label"], cells))
         blocks.append(Block(dataset, dataset, True, "", rows, {}))
-    return PaperTable(name, said["title"], said["head"], said["columns"], blocks)
+    return PaperTable(name, layout["title"], layout["head"], layout["columns"], blocks)
 
 
 def test_every_claim_of_the_paper_is_evaluated_or_says_why_not():
-    known = {one["id"]: one for one in claims()}
-    assert len(known) == len(claims()), "two of a name"
+    by_id = {one["id"]: one for one in claims()}
+    assert len(by_id) == len(claims()), "two of a name"
     assert len(set(PUBLISHED.split())) == 86
-    assert set(PUBLISHED.split()) <= set(known)
+    assert set(PUBLISHED.split()) <= set(by_id)
     for one in claims():
         assert ("table" in one) != ("why" in one), one
         if "table" in one:
-            said = layouts()["tables"][one["table"]]
-            rows = [row for given in one["rows"] for row in ([given] if isinstance(given, str) else given)]
-            assert set(rows) <= {row["label"] for row in said["rows"]}, one
-            assert {one["column"], one.get("of", one["column"])} <= set(said["columns"]), one
+            layout = layouts()["tables"][one["table"]]
+            rows = [
+                row for labels in one["rows"] for row in ([labels] if isinstance(labels, str) else labels)
+            ]
+            assert set(rows) <= {row["label"] for row in layout["rows"]}, one
+            assert {one["column"], one.get("of", one["column"])} <= set(layout["columns"]), one
             assert {"least", "most"} & set(one), one
 
 
@@ -84,27 +86,27 @@ def test_the_papers_own_numbers_bear_out_its_claims_but_for_those_it_contradicts
 
 
 def verdicts_of(rows, views=None):
-    made = check(paper_tables(rows, views), Views(views))
-    return {one.claim: one for one in made}
+    verdicts = check(paper_tables(rows, views), Views(views))
+    return {one.claim: one for one in verdicts}
 
 
 def test_a_claim_is_held_against_what_was_measured():
     rows = results(*four("econgs", 35.0, size_bytes=10), *four("3dgs", 32.24, size_bytes=1000))
-    made = verdicts_of(rows)
-    assert made["vortex-3dgs-psnr"].verdict == HOLDS
-    assert made["vortex-3dgs-psnr"].measured == pytest.approx(2.76)
-    assert made["vortex-3dgs-psnr"].where == "vortex_views, paper, 92 views"
-    assert made["vortex-3dgs-size"].measured == pytest.approx(100.0)
-    assert made["vortex-fps"].verdict == FAILS
-    assert made["uni-ivrgs-psnr"].verdict == UNKNOWN
-    assert made["uni-best"].measured == pytest.approx(2.76), "against the best that was measured"
-    text = to_text(list(made.values()))
+    verdicts = verdicts_of(rows)
+    assert verdicts["vortex-3dgs-psnr"].verdict == HOLDS
+    assert verdicts["vortex-3dgs-psnr"].measured == pytest.approx(2.76)
+    assert verdicts["vortex-3dgs-psnr"].where == "vortex_views, paper, 92 views"
+    assert verdicts["vortex-3dgs-size"].measured == pytest.approx(100.0)
+    assert verdicts["vortex-fps"].verdict == FAILS
+    assert verdicts["uni-ivrgs-psnr"].verdict == UNKNOWN
+    assert verdicts["uni-best"].measured == pytest.approx(2.76), "against the best that was measured"
+    text = to_text(list(verdicts.values()))
     (line,) = (line for line in text.splitlines() if "vortex-3dgs-psnr" in line)
     assert line.startswith(HOLDS)
     assert line.count("2.76") == 3, "in the claim, measured, and its bound"
-    assert f"{sum(one.verdict == SKIPPED for one in made.values())} {SKIPPED}" in text.splitlines()[-1]
-    page = to_html(list(made.values()))
-    for verdict in made.values():
+    assert f"{sum(one.verdict == SKIPPED for one in verdicts.values())} {SKIPPED}" in text.splitlines()[-1]
+    page = to_html(list(verdicts.values()))
+    for verdict in verdicts.values():
         if verdict.verdict == SKIPPED:
             assert verdict.why in text
             assert escape(verdict.why) in page
@@ -115,9 +117,9 @@ def test_a_claim_is_held_against_what_was_measured():
     ("gain", "verdict"), [(0.8, FAILS), (0.9, HOLDS), (2.2, HOLDS), (2.3, EXCEEDS), (5.53, EXCEEDS)]
 )
 def test_a_gain_above_the_papers_range_exceeds_the_claim(gain, verdict):
-    made = verdicts_of(results(*four("econgs", 30.0 + gain), *four("ivr-gs", 30.0)))
-    found = made["uni-ivrgs-psnr"]
-    assert (found.verdict, found.bounds) == (verdict, "0.9 to 2.2 dB")
+    verdicts = verdicts_of(results(*four("econgs", 30.0 + gain), *four("ivr-gs", 30.0)))
+    result = verdicts["uni-ivrgs-psnr"]
+    assert (result.verdict, result.bounds) == (verdict, "0.9 to 2.2 dB")
 
 
 @pytest.mark.parametrize(
@@ -126,19 +128,19 @@ def test_a_gain_above_the_papers_range_exceeds_the_claim(gain, verdict):
 )
 def test_a_bound_within_the_interval_is_not_decided(gain, noise, verdict):
     rows = results(*four("econgs", 30.0 + gain), *four("ivr-gs", 30.0))
-    found = verdicts_of(rows, seen(rows, waves(noise)))["uni-ivrgs-psnr"]
-    assert found.verdict == verdict
-    assert found.interval.low < found.measured < found.interval.high or np.isclose(noise, 0.1)
-    assert "95" not in to_text([found])
-    assert f"({found.interval.low:.2f}".replace("-", "\N{MINUS SIGN}") in to_text([found])
+    result = verdicts_of(rows, seen(rows, waves(noise)))["uni-ivrgs-psnr"]
+    assert result.verdict == verdict
+    assert result.interval.low < result.measured < result.interval.high or np.isclose(noise, 0.1)
+    assert "95" not in to_text([result])
+    assert f"({result.interval.low:.2f}".replace("-", "\N{MINUS SIGN}") in to_text([result])
 
 
 def test_each_preset_has_a_verdict():
     rows = [*four("econgs", 35.0), *four("3dgs", 30.0)]
     quick = [one | {"preset": "quick", "requested_views": 42, "job": f"q{i}"} for i, one in enumerate(rows)]
-    made = check(paper_tables(results(*rows, *quick)), Views())
-    found = [one.where for one in made if one.claim == "vortex-fps"]
-    assert found == ["vortex_views, paper, 92 views", "vortex_views, quick, 42 views"]
+    verdicts = check(paper_tables(results(*rows, *quick)), Views())
+    result = [one.where for one in verdicts if one.claim == "vortex-fps"]
+    assert result == ["vortex_views, paper, 92 views", "vortex_views, quick, 42 views"]
 
 
 def test_univariate_data_do_not_decide_claims_on_several_variables():
@@ -157,7 +159,7 @@ def test_bounds_of_ours_have_no_tolerance():
 def test_a_claim_on_rows_of_several_versions_has_a_remark():
     rows = [*four("econgs", 35.0, method_version="2"), *four("3dgs", 32.0, method_version="1")]
     rows += four("econgs", 33.0, variant="start=random", method_version="1")
-    made = verdicts_of(results(*rows))
-    assert made["init-gain"].why
-    assert made["init-gain"].why in to_text(list(made.values()))
-    assert made["vortex-3dgs-psnr"].why == "", "another method has other versions"
+    verdicts = verdicts_of(results(*rows))
+    assert verdicts["init-gain"].why
+    assert verdicts["init-gain"].why in to_text(list(verdicts.values()))
+    assert verdicts["vortex-3dgs-psnr"].why == "", "another method has other versions"

@@ -21,14 +21,14 @@ SCENES = ("TF01", "TF02", "TF03", "TF04")
 
 
 def row(method="econgs", scene="TF01", psnr=36.0, **changed):
-    said = {
+    values = {
         "dataset": "vortex_views", "scene": scene, "kind": "basic", "method": method, "variant": "",
         "preset": "paper", "split": "test", "seed": 0, "status": "ok", "psnr": psnr, "fps": 100.0,
         "size_bytes": 2**19, "train_seconds": 120.0, "primitives": 1000, "group": "g", "train_views": 92,
         "requested_views": 92, "width": 200, "height": 200, "machine": "x",
     }  # fmt: skip
-    said |= changed
-    return {"job": f"{method}-{said['variant']}-{scene}-{said['seed']}"} | said
+    values |= changed
+    return {"job": f"{method}-{values['variant']}-{scene}-{values['seed']}"} | values
 
 
 def results(*rows):
@@ -52,8 +52,8 @@ def line(block, label):
 
 
 def test_measured_values_stand_beside_the_published_ones_in_their_units():
-    found = paper_tables(results(*four("econgs", 35.0), *four("3dgs", 34.0, fps=300.0)))
-    block = table(found, "univariate").blocks[0]
+    papers = paper_tables(results(*four("econgs", 35.0), *four("3dgs", 34.0, fps=300.0)))
+    block = table(papers, "univariate").blocks[0]
     assert (block.dataset, block.published, block.same) == ("vortex_views", "vortex", True)
     ours = line(block, "ECoNGS").values
     assert ours["psnr"].mean == pytest.approx(36.5)
@@ -63,7 +63,7 @@ def test_measured_values_stand_beside_the_published_ones_in_their_units():
     assert ours["size_bytes"].mean == pytest.approx(2.0)  # MiB, sum
     assert line(block, "HAC").values["psnr"].mean is None
     assert line(block, "HAC").values["psnr"].published == 26.74
-    text = to_text(table(found, "univariate"))
+    text = to_text(table(papers, "univariate"))
     assert "36.74 (-0.24)" in text
 
 
@@ -114,12 +114,12 @@ def test_a_failed_scene_leaves_the_cells_empty():
 def test_other_data_than_the_papers_are_compared_with_no_published_difference():
     rows = [row(dataset="jet_flame", scene=f"mf_{i}") for i in range(9)]
     rows += [row(dataset="jet_flame", scene=f"mf_{i}", variant="joint=false", psnr=37.0) for i in range(9)]
-    found = paper_tables(results(*rows))
-    block = table(found, "joint-gain").blocks[0]
+    papers = paper_tables(results(*rows))
+    block = table(papers, "joint-gain").blocks[0]
     assert (block.published, block.same) == ("combustion (MF)", False)
-    assert "98,174 (" not in to_text(table(found, "joint-gain"))
-    assert "98,174" in to_text(table(found, "joint-gain"))
-    assert "design" in {one.name for one in found}, "unknown data: beside the paper's only dataset"
+    assert "98,174 (" not in to_text(table(papers, "joint-gain"))
+    assert "98,174" in to_text(table(papers, "joint-gain"))
+    assert "design" in {one.name for one in papers}, "unknown data: beside the paper's only dataset"
     # A part of a dataset is not the dataset.
     assert not [one for one in paper_tables(results(*rows[:5])) if one.name == "univariate"]
 
@@ -193,8 +193,8 @@ def seen(rows, noise):
 def waves(size):
     """Noise of views, other noise for each method, and no seed or scene without it."""
     rng = np.random.default_rng(0)
-    made = {}
-    return lambda job: made.setdefault(job.split("-")[0], size * rng.normal(size=40))
+    noises = {}
+    return lambda job: noises.setdefault(job.split("-")[0], size * rng.normal(size=40))
 
 
 def places(block, column="psnr"):
@@ -247,17 +247,17 @@ def test_a_ranking_without_views_has_a_remark_with_the_rows_that_lack_them():
 
 
 def test_speed_and_time_are_ranked_in_one_place_and_where_seeds_agree():
-    def found(*fps, **changed):
+    def block_of(*fps, **changed):
         rows = [*four("econgs", 38.0, fps=fps[0]), *four("econgs", 38.0, fps=fps[1], seed=1)]
         rows += [*four("3dgs", 35.0, fps=fps[2], **changed)]
         rows += [*four("3dgs", 35.0, fps=fps[3], seed=1, **changed)]
         return table(paper_tables(results(*rows)), "univariate").blocks[0]
 
-    assert places(found(90.0, 100.0, 110.0, 120.0), "fps") == {"3DGS": 1, "ECoNGS": 2}
-    near = found(90.0, 112.0, 110.0, 120.0)
+    assert places(block_of(90.0, 100.0, 110.0, 120.0), "fps") == {"3DGS": 1, "ECoNGS": 2}
+    near = block_of(90.0, 112.0, 110.0, 120.0)
     assert places(near, "fps") == {"3DGS": 3, "ECoNGS": 3}
     assert SEEDS_NOTE in near.remarks
-    apart = found(90.0, 100.0, 110.0, 120.0, threads=1)
+    apart = block_of(90.0, 100.0, 110.0, 120.0, threads=1)
     assert places(apart, "fps") == {}
     assert any(remark.startswith("FPS") and remark.endswith(ELSEWHERE) for remark in apart.remarks)
 
@@ -286,11 +286,11 @@ def test_rows_of_several_versions_of_a_method_have_a_remark():
 
 def test_rows_left_out_are_counted():
     superseded = results(*four("econgs", 30.0)[:3], row(dataset="other"))
-    found = paper_tables(results(*four("econgs", 35.0), *four("3dgs", 34.0)), superseded=superseded)
+    papers = paper_tables(results(*four("econgs", 35.0), *four("3dgs", 34.0)), superseded=superseded)
     note = superseded_note(superseded[superseded["dataset"] != "other"])
     assert note.startswith("3 rows")
     for write in (to_markdown, to_html, to_latex, to_text):
-        assert note in write(table(found, "univariate"))
+        assert note in write(table(papers, "univariate"))
 
 
 def test_times_of_a_frame_come_from_their_own_table():
@@ -328,8 +328,8 @@ def test_documents_hold_every_row_and_escape_what_they_must():
 
 
 def test_every_layout_row_with_a_published_one_finds_it():
-    for name, said in layouts()["tables"].items():
-        for one in said["rows"]:
+    for name, values in layouts()["tables"].items():
+        for one in values["rows"]:
             match = one.get("match")
             assert not match or any(all(r[k] == v for k, v in match.items()) for r in reference_rows(name)), (
                 one

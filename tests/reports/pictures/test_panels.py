@@ -89,9 +89,9 @@ def test_all_models_are_shown_in_the_same_view_and_window(maker):
     maker.run(method="hac", views=3, psnr=30)
     maker.run(method="veg", status="oom")
     tables = maker.tables()
-    made = list(panels(models(tables["results"]), tables["views"], maker.root))
-    assert {panel.which for panel in made} == {"median", "worst"}
-    for panel in made:
+    of_scene = list(panels(models(tables["results"]), tables["views"], maker.root))
+    assert {panel.which for panel in of_scene} == {"median", "worst"}
+    for panel in of_scene:
         assert [shot.picture is None for shot in panel.shots] == [False, False, True]
         truth = read(maker.root / f"jobs/views-vortex-tf0/truth/{panel.view}.png", (1, 1, 1))
         assert np.array_equal(panel.truth, truth)
@@ -205,11 +205,11 @@ def test_panels_for_papers_have_odd_names_and_failed_models(maker):
     maker.run("set@64", "a/b c", views=2)
     maker.run("set@64", "a/b c", method="hac", status="oom", reason="no memory")
     tables = maker.tables()
-    made = list(panels(models(tables["results"]), tables["views"], maker.root))
-    name = panel_files.write(made, "set@64 / a/b c", maker.root / "charts")
+    of_scene = list(panels(models(tables["results"]), tables["views"], maker.root))
+    name = panel_files.write(of_scene, "set@64 / a/b c", maker.root / "charts")
     assert name == "panel-set@64-a-b-c"
     assert (maker.root / "charts" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
     with Image.open(maker.root / "charts" / f"{name}.png") as image:
         assert image.width > 600
-    texts = [text.get_text() for text in panel_files.draw(made, "x").axes[0].texts]
+    texts = [text.get_text() for text in panel_files.draw(of_scene, "x").axes[0].texts]
     assert {"Ground truth", "3DGS", "HAC", "oom", "median view, 0000", "worst view, 0001"} <= set(texts)
