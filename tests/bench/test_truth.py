@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from bench.jobs import scenes
 from bench.jobs.context import Context
+from bench.jobs.fit import refuse_without_volume
 from bench.jobs.truth import Truth, write_truth
 from bench.monitor import Stop
 from bench.records import Record, derived_seed
@@ -17,28 +21,20 @@ from datasets.cloud import cloud_source, initial_cloud
 from datasets.errors import DataError
 from datasets.render_views import views_of
 from datasets.views import ViewRequest, ViewSet
+from methods.contract.scene import tiny_scene
+from methods.gaussian_splatting.spec import SPEC
+from methods.interface import Refused
 
 from .test_compositions import plan, suite  # noqa: F401
 
 REQUEST = {"train_views": 12, "test_views": 4, "width": 16, "height": 16}
 
 
-@pytest.fixture
-def no_dataset(monkeypatch):
-    """From here on no dataset can be opened by a job."""
-
-    def absent(name: str):
-        raise FileNotFoundError(f"{name} is gone")
-
-    return lambda: monkeypatch.setattr(scenes, "open_dataset", absent)
-
-
 @pytest.mark.parametrize("split", ["test", "val"])
 def test_a_fit_reads_what_was_rendered_bit_for_bit_and_opens_no_dataset(
-    suite,  # noqa: F811
+    suite,
     tmp_path,
     monkeypatch,
-    no_dataset,
     split,
 ) -> None:
     monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
@@ -53,7 +49,7 @@ def test_a_fit_reads_what_was_rendered_bit_for_bit_and_opens_no_dataset(
     write_truth(folder, sets, dataset.scene("shock"), cloud_source(dataset, dataset.scene("shock")))
     store.finish(Record(job=views, status="ok", started="2026", finished="2026", wall_seconds=0.0), folder)
 
-    no_dataset()
+    monkeypatch.setattr(scenes, "open_dataset", lambda name: Path("/nowhere").stat())
     context = Context(fit, tmp_path, store, None, lambda: None, Stop(), lambda **state: None)
     (scene,) = scenes.scene_inputs(context)
     assert scene.scene == dataset.scene("shock")
@@ -69,7 +65,7 @@ def test_a_fit_reads_what_was_rendered_bit_for_bit_and_opens_no_dataset(
         np.testing.assert_array_equal(camera.camera_to_world, rendered.camera_to_world)
         assert (camera.fx, camera.cy, camera.name) == (rendered.fx, rendered.cy, rendered.name)
     assert measured.background == other.background
-    with pytest.raises(FileNotFoundError, match="is gone"):
+    with pytest.raises(FileNotFoundError):
         scene.volume()  # what a method asks for that reads the volume itself
 
 
@@ -98,6 +94,14 @@ def test_damaged_truth_is_an_error_that_names_the_file(tmp_path, name, damage) -
         file.write_bytes(damage(file.read_bytes()))
     with pytest.raises(DataError, match=f"{name}.*bench run makes it again"):
         Truth(tmp_path).views("test")
+
+
+def test_a_method_that_reads_volumes_refuses_scenes_that_have_only_views():
+    reads = replace(SPEC, needs_volume=True)
+    with pytest.raises(Refused, match="scene 'there' has only views"):
+        refuse_without_volume(reads, [tiny_scene("here", volume=True), tiny_scene("there")])
+    refuse_without_volume(reads, [tiny_scene("here", volume=True)])
+    refuse_without_volume(SPEC, [tiny_scene("there")])
 
 
 def test_a_renderer_that_comes_or_goes_between_two_jobs_changes_nothing(bench, suite) -> None:  # noqa: F811
