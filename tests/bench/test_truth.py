@@ -32,7 +32,7 @@ REQUEST = {"train_views": 12, "test_views": 4, "width": 16, "height": 16}
 
 @pytest.mark.parametrize("split", ["test", "val"])
 def test_a_fit_reads_what_was_rendered_bit_for_bit_and_opens_no_dataset(
-    suite,
+    suite,  # noqa: F811
     tmp_path,
     monkeypatch,
     split,
