@@ -163,6 +163,8 @@ def _natural(value: Any) -> list[Any]:
 
 
 def _label(column: str, value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
     if column == "variant":
         return f"`{value}`" if value else "**default**"
     return f"`{value}`" if column in ("dataset", "scene", "edit") else TITLES.get(value, str(value))
