@@ -183,7 +183,7 @@ def _head(name: str, tables: dict[str, pd.DataFrame], sections: list[Section]) -
         for status, count in results["status"].value_counts().items()
     )
     if (results["status"] != "ok").any():
-        tags += ' <a href="#failures">what did not finish</a>'
+        tags += ' <a href="#failures">unfinished runs</a>'
     stale = int(results["stale"].fillna(False).astype(bool).sum())
     if stale:
         tags += f' <span class="tag stale">{stale} stale</span>'

@@ -130,14 +130,14 @@ def test_the_papers_tables_compile(size, tmp_path):
     rows += [one | {"variant": "view_direction=false", "job": f"v{i}"} for i, one in enumerate(rows[:4])]
     rows += [one | {"preset": "quick", "requested_views": 42, "job": f"q{i}"} for i, one in enumerate(rows)]
     table = results(*rows)
-    made = {one.name: one for one in paper_tables(table, seen(table, waves(size)))}
-    assert {"univariate", "design"} <= set(made)
-    for one in made.values():
+    by_name = {one.name: one for one in paper_tables(table, seen(table, waves(size)))}
+    assert {"univariate", "design"} <= set(by_name)
+    for one in by_name.values():
         kind, after = check_latex(paper_documents.to_latex(one), tmp_path)
         assert kind == "tabular"
         unmeasured = any(line.note == NOT_MEASURED for block in one.blocks for line in block.rows)
         assert ("with -- only" in after) == unmeasured
-    _, after = check_latex(paper_documents.to_latex(made["univariate"]), tmp_path)
+    _, after = check_latex(paper_documents.to_latex(by_name["univariate"]), tmp_path)
     assert (UNDECIDED_NOTE.partition("%")[2] in after) == (size > 1), "a note explains a printed sign"
     assert "seed 1: TF04 oom" in after
 

@@ -62,9 +62,9 @@ def test_blocks_are_a_sixth_of_the_path():
 
 
 def test_too_few_views_have_no_interval():
-    made = interval([np.array([1.0, 2.0, 3.0])])
-    assert (made.mean, made.low, made.high, made.views) == (2.0, None, None, 3)
-    assert not made.excludes_zero
+    result = interval([np.array([1.0, 2.0, 3.0])])
+    assert (result.mean, result.low, result.high, result.views) == (2.0, None, None, 3)
+    assert not result.excludes_zero
 
 
 def test_several_paths_weigh_the_same():

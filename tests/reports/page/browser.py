@@ -20,13 +20,13 @@ _KEYS = {"Enter": 13, "Escape": 27, " ": 32, "ArrowLeft": 37, "ArrowRight": 39, 
 
 def executable() -> str | None:
     """Path of a Chromium on this machine; CHROMIUM names another."""
-    wanted = os.environ.get("CHROMIUM")
-    return wanted or next((path for name in _NAMES if (path := shutil.which(name))), None)
+    name = os.environ.get("CHROMIUM")
+    return name or next((path for name in _NAMES if (path := shutil.which(name))), None)
 
 
 class Browser:
     """One tab. ``problems`` collects console errors and exceptions, ``requests`` every
-    address asked for that is not part of the page."""
+    request beyond the page."""
 
     def __init__(self, profile: Path) -> None:
         program = executable()
@@ -84,10 +84,10 @@ class Browser:
         data = json.dumps(message).encode() + b"\0"
         while data:
             data = data[os.write(self._write, data) :]
-        wanted = self._count
+        number = self._count
         while True:
             answer = self._next()
-            if answer.get("id") == wanted:
+            if answer.get("id") == number:
                 assert "error" not in answer, f"{method}: {answer['error']}"
                 result: dict[str, Any] = answer["result"]
                 return result
@@ -176,5 +176,5 @@ class Browser:
 
     def pdf(self, path: Path) -> None:
         """Print the page."""
-        made = self.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)["data"]
-        path.write_bytes(base64.b64decode(made))
+        pdf = self.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)["data"]
+        path.write_bytes(base64.b64decode(pdf))
