@@ -98,8 +98,8 @@ class Configuration:
     iterations: Mapping[str, int] = field(default_factory=dict)
 
 
-SHARED_SOURCE = ("methods.shared",)
-"""What all built-in methods share: part of the ``source`` of each."""
+SHARED_SOURCE = ("econgs", "methods")
+"""The ``source`` of every built-in method."""
 
 
 @dataclass(frozen=True, kw_only=True)

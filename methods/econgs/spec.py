@@ -119,7 +119,7 @@ SPEC = MethodSpec(
     ),
     version="1",
     implementation="methods.econgs.method:Econgs",
-    source=("methods.econgs", *SHARED_SOURCE, "econgs", "datasets.cloud"),
+    source=SHARED_SOURCE,
     joint=True,
     composable=True,
     edits=frozenset({"palette", "opacity", "light", "shading"}),

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from methods.interface import Configuration, MethodSpec, RateKnob, option
-from methods.scaffold_gs.spec import PUBLISHED, SOURCE, ScaffoldOptions
+from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
+from methods.scaffold_gs.spec import PUBLISHED, ScaffoldOptions
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ SPEC = MethodSpec(
     ),
     version="1",
     implementation="methods.hac.method:Hac",
-    source=("methods.hac", *SOURCE, "econgs"),
+    source=SHARED_SOURCE,
     composable=True,
     edits=frozenset({"opacity"}),
     uses_alpha="views are composited on the training background; alpha is no target of its own",

@@ -48,13 +48,6 @@ SPEC = replace(
     ),
     version="1",
     implementation="methods.ivr_gs.method:IvrGs",
-    source=(
-        "methods.ivr_gs",
-        "methods.gaussian_splatting",
-        "econgs.codebooks",
-        "econgs.anchors.shading",
-        *PLAIN.source[1:],
-    ),
     edits=frozenset({"palette", "opacity", "light", "shading"}),
     uses_alpha=(
         "views are composited on the training background; alpha is also a target of its own, by SSIM; the "

@@ -43,8 +43,6 @@ class ScaffoldOptions:
     scale_weight: float = option(0.01, "weight of the mean product of scales of drawn Gaussians", minimum=0.0)
 
 
-SOURCE = ("methods.scaffold_gs", "methods.gaussian_splatting.ply", *SHARED_SOURCE, "datasets.cloud")
-
 PUBLISHED: dict[str, OptionValue] = {"start": "random", "background": "white", "max_anchors": 0}
 """How the released code starts on scenes without a cloud of their own."""
 
@@ -57,15 +55,7 @@ SPEC = MethodSpec(
     ),
     version="1",
     implementation="methods.scaffold_gs.method:ScaffoldGS",
-    source=(
-        *SOURCE,
-        "econgs.anchors",
-        "econgs.context.model",
-        "econgs.splat",
-        "econgs.losses",
-        "econgs.optim",
-        "econgs.points",
-    ),
+    source=SHARED_SOURCE,
     composable=True,
     edits=frozenset({"opacity"}),
     uses_alpha="views are composited on the training background; alpha is no target of its own",

@@ -36,13 +36,6 @@ SPEC = replace(
     ),
     version="1",
     implementation="methods.vq_3dgs.method:VectorQuantised",
-    source=(
-        "methods.vq_3dgs",
-        "methods.gaussian_splatting",
-        "econgs.codebooks",
-        "econgs.context.coder",
-        *PLAIN.source[1:],
-    ),
     options=VqOptions,
     rate_knobs=(RateKnob("codebook size", SIZES, refit=False),),
 )
