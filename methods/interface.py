@@ -75,7 +75,7 @@ class RateKnob:
 
     Attributes:
         name: "codebook size", "lambda".
-        values: what draws the method's rate curve.
+        values: points of the method's rate curve.
         refit: True if each value needs its own fit (then ``name`` is an option); False if one fit
             can be saved at any value (``Model.save(rate=value)``).
     """
@@ -104,7 +104,7 @@ SHARED_SOURCE = ("econgs", "methods")
 
 @dataclass(frozen=True, kw_only=True)
 class MethodSpec:
-    """What a method is and can do; pure data, imports nothing heavy.
+    """A method's declaration; pure data, imports nothing heavy.
 
     Attributes:
         name: identifier on the command line ("3dgs").
@@ -217,7 +217,7 @@ class Checkpoint:
 
 
 class Monitor(Protocol):
-    """What the harness gives to ``fit``. The training clock stands still inside its calls."""
+    """Receives the reports of ``fit``. The training clock stops inside its calls."""
 
     def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
         """Report at every iteration: cheap, and throttled by the monitor.

@@ -1,4 +1,4 @@
-"""The contract kit: what every plugin promises to the harness, checked on a tiny scene.
+"""The contract kit: checks of a plugin's promises on a tiny scene.
 
 ``bench check-plugin`` runs it, and so do the tests of the methods that come with the harness. Each check is a
 function that takes a :class:`Subject` and returns its findings in a few words, or raises :class:`Broken`
@@ -77,7 +77,7 @@ class Recorder:
     def pause(self, iteration: int, model: Callable[[], Model], checkpoint: Callable[[], Checkpoint]) -> None:
         model().primitives()
         state = checkpoint()
-        # As if written and read: what training goes on with must not be shared.
+        # Written and read: training must not share the checkpoint's tensors.
         arrays = load(save({name: values.cpu().contiguous() for name, values in state.arrays.items()}))
         try:
             scalars = json.loads(json.dumps(state.scalars))
@@ -93,7 +93,7 @@ class Subject:
     """A plugin under examination.
 
     Args:
-        spec: of the method.
+        spec: the method's spec.
         method: its implementation.
         folder: empty, for models.
         iterations: of each fit.
@@ -551,7 +551,7 @@ class Outcome:
     """How a check went.
 
     Attributes:
-        name: of the check.
+        name: the check's name.
         status: "passed", "failed" (the promise is broken) or "error" (the plugin raised something else).
         detail: the findings, or what is wrong.
         seconds: it took.

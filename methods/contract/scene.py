@@ -1,4 +1,4 @@
-"""A tiny scene of tiny Gaussians, rendered by the torch oracle: what the contract kit fits."""
+"""The contract kit's scene: a few Gaussians, rendered by the torch oracle."""
 
 from __future__ import annotations
 

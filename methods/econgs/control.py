@@ -17,8 +17,8 @@ class RateControl:
     """A factor on lambda_e.
 
     Attributes:
-        target_bytes: of the whole group; 0 = none.
-        target_psnr: dB on the views that it is told of; 0 = none. With both, the size wins.
+        target_bytes: size of the whole group; 0 = none.
+        target_psnr: dB; 0 = none. With both, the size wins.
         factor: present factor on the option's lambda_e.
     """
 
@@ -31,7 +31,7 @@ class RateControl:
         return self.target_bytes > 0.0 or self.target_psnr > 0.0
 
     def correct(self, size: int, psnr: float) -> None:
-        """Take note of what a model saved now would need and give."""
+        """Correct the factor by size and PSNR of the present model."""
         if self.target_bytes > 0.0:
             change = (size / self.target_bytes) ** _SIZE_POWER
         else:

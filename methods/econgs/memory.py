@@ -1,4 +1,4 @@
-"""What a group will need of memory, estimated before it is trained."""
+"""Estimate of the memory that training a group needs."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class SceneAnchors:
     """The anchors of one scene, ready to be decoded.
 
     Attributes:
-        name: of the scene.
+        name: the scene's name.
         decoders: networks of its group.
         background: as recorded.
         light: unit vector to its directional light, or None for a headlight.
@@ -112,7 +112,7 @@ def _decoders(coded: GroupAttributes) -> Decoders:
 
 
 def decoders_metadata(decoders: Decoders, precision: Precision) -> dict[str, int | bool | str]:
-    """What a reader needs to make the networks again, and to write them as they were."""
+    """Sizes and precision of the networks, from which a reader makes and writes them again."""
     names = ("features", "offsets", "embedding", "hidden", "view_direction", "offset_color", "storage")
     return {name: getattr(decoders, name) for name in names} | {"precision": precision}
 

@@ -1,4 +1,4 @@
-"""Anchors that pay no rent: what can go without the picture showing it (model no more than a scene needs)."""
+"""Removal of anchors that hardly change the pictures: they pay no "rent"."""
 
 from __future__ import annotations
 

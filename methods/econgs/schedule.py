@@ -1,4 +1,4 @@
-"""When things happen in a fit of ECoNGS."""
+"""Schedule of a fit of ECoNGS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""ECoNGS: what it can do and how it is set."""
+"""ECoNGS: spec and options."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -1,4 +1,4 @@
-"""What a scene starts from: points for its anchors, and the color of its palette."""
+"""Start of a scene: points of its anchors, and the color of its palette."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ class Trainer(TrainingLoop):
         group: the scenes to train together.
         options: resolved options of the spec.
         iterations: the budget of the whole group; each step sees one view of one scene.
-        seed: of the one generator that every choice is drawn from.
+        seed: seed of the only generator.
         device: "cpu" or "cuda".
 
     Raises:
@@ -280,7 +280,7 @@ class Trainer(TrainingLoop):
         return scene.transparent and self.options.alpha_weight > 0.0
 
     def _alpha_loss(self, alpha: Tensor, truth: Tensor) -> Tensor:
-        """Mean absolute error of alpha: what has the background's color looks right without being there.
+        """Mean absolute error of alpha: an object of the background's color looks right without alpha.
 
         It counts more while most is missing: a scene that is as pale as its background starts too dark, is
         dimmed for that, and once all opacities are negative no gradient brings it back.
@@ -496,7 +496,7 @@ def _units(anchors: int, per_unit: int, least: int) -> int:
 
 
 def make_schedule(options: EcongsOptions, iterations: int) -> Schedule:
-    """When things happen in a fit of that budget."""
+    """Schedule of a fit of that budget."""
     return Schedule(iterations, options.growth_stop, options.context)
 
 

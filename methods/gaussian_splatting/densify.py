@@ -16,7 +16,7 @@ RESET_OPACITY = 0.01
 
 @dataclass
 class GrowthStatistics:
-    """What was seen of each Gaussian since the last growth event.
+    """Statistics of each Gaussian since the last growth event.
 
     Attributes:
         gradients: (N,) sum of screen-space gradient norms, normalised device coordinates.
@@ -55,7 +55,7 @@ class GrowthRules:
         gradient: mean screen-space gradient from which a Gaussian is cloned or split.
         dense_scale: largest scale that is cloned, not split; scene units.
         prune_opacity: opacity under which it is pruned.
-        extent: of the scene.
+        extent: the scene's extent.
         limit: number of Gaussians at which growth stops; 0 = none.
     """
 
@@ -68,7 +68,7 @@ class GrowthRules:
 
 @dataclass(frozen=True)
 class Growth:
-    """What a growth event changes.
+    """Changes of a growth event.
 
     Attributes:
         keep: indices of the Gaussians that stay, ascending.

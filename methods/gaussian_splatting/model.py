@@ -32,7 +32,7 @@ class SceneGaussians:
     """The Gaussians of one scene as they are optimised and stored.
 
     Attributes:
-        name: of the scene.
+        name: the scene's name.
         background: its recorded background.
         sh_degree: highest degree in use; coefficients above it are zero.
         means: (N, 3).

@@ -1,4 +1,4 @@
-"""When things happen in a fit of 3DGS."""
+"""Schedule of a fit of 3DGS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""3D Gaussian splatting: what it can do and how it is set."""
+"""3D Gaussian splatting: spec and options."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -34,10 +34,10 @@ class Trainer(TrainingLoop):
     Methods that begin as 3DGS build on it: vq-3dgs, ivr-gs.
 
     Args:
-        scene: what is trained.
+        scene: the scene to train.
         options: resolved options of the spec.
         iterations: the budget.
-        seed: of the one generator that every choice is drawn from.
+        seed: seed of the only generator.
         device: "cpu" or "cuda".
 
     Raises:

@@ -24,7 +24,7 @@ _METHOD = "hac"
 
 
 def metadata_of(background: RGB) -> dict[str, Any]:
-    """What a stream says of its scene beside names and arrays."""
+    """Metadata of a stream."""
     return {"method": _METHOD, "background": list(background)}
 
 

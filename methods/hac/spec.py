@@ -1,4 +1,4 @@
-"""HAC: what it can do and how it is set."""
+"""HAC: spec and options."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -37,7 +37,7 @@ class Trainer(scaffold_gs.Trainer):
     masks = True
 
     def groups(self) -> dict[str, Tensor | Sequence[Tensor]]:
-        """What the optimiser trains; the context model is made here, after the decoders."""
+        """Parameters of the optimiser; the context model is made here, after the decoders."""
         config = context_config(self.options)
         self.coding = Coding(config, self.schedule, self.generator, self.device, margin=BOX_MARGIN)
         return {**super().groups(), **self.coding.groups()}

@@ -1,4 +1,4 @@
-"""What iVR-GS asks for besides the picture: normals as in the depth map, smooth coefficients."""
+"""Further losses of iVR-GS: normals as in the depth map, smooth coefficients."""
 
 from __future__ import annotations
 

@@ -46,10 +46,10 @@ _SEED = 0  # scalar codebooks start from quantiles: no choice depends on it
 
 @dataclass(frozen=True, eq=False)
 class ShadedGaussians:
-    """What a frame needs of a scene.
+    """A scene, ready to render.
 
     Attributes:
-        name, background: of the scene.
+        name, background: the scene's.
         light: unit vector to its directional light, or None for a headlight.
         palette: (3,) its palette color.
         means: (N, 3).
@@ -178,7 +178,7 @@ def _coded(
 
 
 def ready(coded: QuantisedScene, device: str) -> ShadedGaussians:
-    """What a stored scene renders as."""
+    """The scene, ready to render."""
     raw = {name: coded.column(name, width).to(device) for name, width in WIDTHS.items()}
     palette, light = cast("Sequence[float]", coded.about["palette"]), coded.about["light"]
     return ShadedGaussians(

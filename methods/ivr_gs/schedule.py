@@ -1,4 +1,4 @@
-"""When things happen in a fit of iVR-GS."""
+"""Schedule of a fit of iVR-GS."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class IvrSchedule(Schedule):
         return super().grows(iteration)
 
     def prunes(self, iteration: int) -> bool:
-        """Whether what cannot be seen goes, without growth."""
+        """Whether invisible Gaussians are removed, without growth."""
         if iteration < self.growth_stop or self._grows_again(iteration):
             return False
         interval = self.shaded_interval if self.shaded(iteration) else self.growth_interval

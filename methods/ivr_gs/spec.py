@@ -1,4 +1,4 @@
-"""iVR-GS: what it can do and how it is set."""
+"""iVR-GS: spec and options."""
 
 from dataclasses import dataclass, replace
 

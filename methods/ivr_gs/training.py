@@ -127,7 +127,7 @@ class IvrTrainer(Trainer):
     def _common_losses(
         self, splats: SplatImages, camera: Camera, truth: Tensor, back: RGB | Tensor
     ) -> dict[str, Tensor]:
-        """What both stages ask for: the picture, the mask and normals."""
+        """Losses of both stages: picture, mask and normals."""
         losses = {"image": self._image_loss(splats.features[..., :3], splats.alpha, truth, back)}
         weight = _SSIM_SHARE * self._weight("alpha")
         if weight:
@@ -160,7 +160,7 @@ class IvrTrainer(Trainer):
         self._forget()
 
     def _prune(self) -> None:
-        """What cannot be seen goes."""
+        """Remove invisible Gaussians."""
         seen = self.optimiser["logits"].detach().sigmoid() >= MIN_ALPHA
         if not bool(seen.all()):
             self.optimiser.keep(seen, self.names)
@@ -220,7 +220,7 @@ class IvrTrainer(Trainer):
 
 
 def first_shading(means: Tensor, coefficient: float) -> dict[str, Tensor]:
-    """What shades each Gaussian, before it is learned; ``coefficient`` of ambient and diffuse light."""
+    """First shading attributes; ``coefficient`` is that of ambient and diffuse light."""
 
     def full(value: float, width: int = 1) -> Tensor:
         return torch.full((len(means), width), value, device=means.device)

@@ -36,7 +36,7 @@ class SceneAnchors:
     """The anchors of one scene, ready to be decoded.
 
     Attributes:
-        name: of the scene.
+        name: the scene's name.
         background: its recorded background.
         decoders: the scene's networks.
         positions: (N, 3).
@@ -76,7 +76,7 @@ class StoredScene:
     """One scene as it is stored.
 
     Attributes:
-        name: of the scene.
+        name: the scene's name.
         background: its recorded background.
         decoders: the scene's networks.
         rows: (N, columns) float32, columns as in ``properties(parts_of(F, K))``.

@@ -1,4 +1,4 @@
-"""When things happen in a fit of Scaffold-GS or HAC."""
+"""Schedule of a fit of Scaffold-GS or HAC."""
 
 from __future__ import annotations
 

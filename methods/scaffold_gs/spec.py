@@ -1,4 +1,4 @@
-"""Scaffold-GS: what it can do and how it is set."""
+"""Scaffold-GS: spec and options."""
 
 from dataclasses import dataclass
 from typing import Literal

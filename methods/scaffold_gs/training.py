@@ -34,12 +34,12 @@ FEATURE_RATE, SCALING_RATE = 7.5e-3, 7e-3
 OFFSET_RATE: Rate = (1e-2, 1e-4)
 """Times the extent."""
 KEY = "scene"
-"""Of the anchors' parameters in the optimiser."""
+"""Key of the anchors' parameters in the optimiser."""
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What the decoders are to see of the visible anchors, and what that adds to the loss.
+    """Attributes of the visible anchors as the decoders see them, and further losses.
 
     Attributes:
         values: attributes, scalings activated.
@@ -59,7 +59,7 @@ class Trainer(TrainingLoop):
         scene: the scene to train.
         options: resolved options of the spec.
         iterations: the budget.
-        seed: of the one generator that every choice is drawn from.
+        seed: seed of the only generator.
         device: "cpu" or "cuda".
 
     Raises:
@@ -145,7 +145,7 @@ class Trainer(TrainingLoop):
     # ------------------------------------------------------------------ what HAC changes
 
     def groups(self) -> dict[str, Tensor | Sequence[Tensor]]:
-        """What the optimiser trains."""
+        """Parameters of the optimiser."""
         networks = {name: list(self.decoders.network(name).tensors()) for name in NETWORKS}
         return {**self.anchors.groups(), **networks}
 
@@ -161,7 +161,7 @@ class Trainer(TrainingLoop):
         return visible_anchors(self.camera, self.anchors.positions, values.scalings)
 
     def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
-        """What is done to attributes before they are decoded: nothing here.
+        """Prepare attributes for decoding: unchanged here.
 
         Args:
             values: attributes of the visible anchors.
@@ -303,6 +303,6 @@ def _start(scene: SceneInput, options: ScaffoldOptions, seed: int) -> NDArray[np
 
 
 def _background(scene: SceneInput, choice: str) -> tuple[float, float, float] | None:
-    """What views are composited on; None: a random color each time."""
+    """Background of training views; None: a random color each time."""
     fixed = {"scene": scene.train.background, "white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
     return fixed.get(choice)

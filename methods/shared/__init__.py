@@ -1,1 +1,1 @@
-"""What the built-in methods share: base classes of methods, models and trainers, and files of models."""
+"""Shared parts of the methods: base classes of methods, models and trainers, and files of models."""

@@ -34,7 +34,7 @@ def shading_edit(
     """Palette color, light and factors of an edited scene that is shaded.
 
     Args:
-        name: of the scene.
+        name: the scene's name.
         palette: (3,) its own color.
         light: unit vector to its own directional light; None for a headlight.
         edit: the changes.

@@ -1,4 +1,4 @@
-"""What methods have in common: a trainer that fits, a model that loads and joins."""
+"""Base class of methods: a trainer fits, a model loads and joins."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ class TrainerMethod:
     """A :class:`methods.interface.Method` whose groups are single scenes, unless it is joint.
 
     Attributes:
-        name: of the method, for messages.
-        trainer: of a scene (of a group, if joint): called with it, options, iterations, seed and device.
+        name: the method's name, for messages.
+        trainer: class that trains a scene (a group, if joint); its arguments are the scene, options,
+            iterations, seed and device.
         model: class of its models.
         joint: whether several scenes make a group; such a method has a ``partition`` of its own.
     """

@@ -1,4 +1,4 @@
-"""What models have in common: scenes under their names, rendered alone or together."""
+"""Base class of models: scenes under their names, rendered alone or together."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from methods.interface import Edit, Refused, edits_by_scene
 
 
 class Scene(Protocol):
-    """What a model holds of a scene; its length is the number of primitives."""
+    """A scene of a model; its length is the number of primitives."""
 
     @property
     def name(self) -> str: ...
@@ -43,7 +43,7 @@ class SceneModel(ABC, Generic[S]):
 
     Attributes:
         method: name, for messages.
-        preparation: what makes a frame's Gaussians, in :meth:`timings`.
+        preparation: name in :meth:`timings` of the step that makes a frame's Gaussians.
 
     Raises:
         Refused: two scenes have the same name.
@@ -82,7 +82,7 @@ class SceneModel(ABC, Generic[S]):
         return tuple(self._scenes)
 
     def scene(self, name: str) -> S:
-        """What it holds of a scene.
+        """A scene of the model.
 
         Raises:
             UnknownName: it does not hold that scene.

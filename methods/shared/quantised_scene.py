@@ -29,10 +29,10 @@ Column = Tensor | tuple[Codebook, ...]
 
 @dataclass(frozen=True, eq=False)
 class QuantisedScene:
-    """What a file holds.
+    """Content of a file.
 
     Attributes:
-        name: of the scene.
+        name: the scene's name.
         background: its recorded background.
         about: further JSON values of the method.
         positions: (N, 3), exact in half precision.
@@ -104,7 +104,7 @@ def read_folder(
     """The scenes of a folder that a method saved, as they are stored (on the CPU) and ready to render.
 
     Args:
-        folder: of the model.
+        folder: the model's folder.
         method: name, for messages.
         kind: name and version of the format.
         widths: column -> numbers per Gaussian.

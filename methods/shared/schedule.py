@@ -1,4 +1,4 @@
-"""What schedules have in common: phase boundaries scale with the budget, intervals do not."""
+"""Base classes of schedules: phase boundaries scale with the budget, intervals do not."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Proportional:
 
 
 class AnchorSchedule(Proportional):
-    """What the schedules of anchors share: Scaffold-GS, HAC, ECoNGS."""
+    """Base class of the schedules of anchors: Scaffold-GS, HAC, ECoNGS."""
 
     @property
     def growth_start(self) -> int:

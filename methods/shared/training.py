@@ -1,4 +1,4 @@
-"""What the trainers here have in common: the loop over iterations and the state they go on from."""
+"""Base class of trainers: the loop over iterations, checkpoints, and models made from them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LOGARITHMS = ("log_scales", "log_scalings")  # may be finite where their expone
 
 @dataclass(frozen=True)
 class SceneLabel:
-    """What a model keeps of a scene's definition.
+    """The part of a scene's definition that models keep.
 
     Attributes:
         light: unit vector to its directional light, or None for a headlight.
@@ -46,15 +46,15 @@ class TrainingState:
     """The state that a :meth:`TrainingLoop.checkpoint` holds, from which a model is made.
 
     Args:
-        checkpoint: of a fit.
+        checkpoint: the checkpoint of a fit.
         device: where its arrays go.
 
     Attributes:
         iteration: steps done.
         iterations: the budget.
-        scenes: of the group, in order.
-        arrays: of the checkpoint.
-        scalars: of the checkpoint.
+        scenes: the group's scenes, in order.
+        arrays: the checkpoint's arrays.
+        scalars: the checkpoint's scalars.
     """
 
     def __init__(self, checkpoint: Checkpoint, device: str) -> None:
@@ -85,12 +85,12 @@ class TrainingLoop(ABC):
     Args:
         scenes: the group, each with training views.
         iterations: the whole budget.
-        seed: of the one generator that every choice is drawn from.
+        seed: seed of the only generator.
         device: "cpu" or "cuda".
 
     Attributes:
         optimiser: holds the parameters.
-        options: of the method.
+        options: the method's options.
         iteration: steps done.
         pending: views not yet drawn in this round.
         limited: growth has met its limit.

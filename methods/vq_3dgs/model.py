@@ -17,7 +17,7 @@ from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, r
 
 FORMAT = "econgs-bench vq-3dgs 1"
 GROUPS = {"color": 3, "sh1": 9, "sh2": 15, "sh3": 21, "scale": 3, "rotation": 4}
-"""The factors of the product: what shares an id -> numbers per Gaussian."""
+"""The factors of the product: group of attributes with one id -> numbers per Gaussian."""
 WIDTHS = {"opacity": 1, **GROUPS}
 OPACITIES = 256
 
@@ -49,7 +49,7 @@ def quantised(scene: SceneGaussians, size: int, stages: int, seed: int) -> Quant
 
 
 def gaussians(coded: QuantisedScene) -> SceneGaussians:
-    """What a coded scene renders as; differentiable with respect to the words."""
+    """The Gaussians of a coded scene; differentiable with respect to the words."""
     count = len(coded.positions)
     rest = torch.cat([coded.column(name, WIDTHS[name]) for name in ("sh1", "sh2", "sh3")], dim=1)
     return SceneGaussians(

@@ -1,4 +1,4 @@
-"""vq-3dgs: what it can do and how it is set."""
+"""vq-3dgs: spec and options."""
 
 from dataclasses import dataclass, replace
 from typing import Literal, get_args

@@ -30,7 +30,7 @@ class VqTrainer(Trainer):
     """A fit of 3DGS that ends in fine-tuning codebooks; arguments as there.
 
     While words are tuned, ids, positions and opacities stay as they are, and each step sees the codebooks
-    of one size, in turn: what is saved at any size was trained at that size.
+    of one size, in turn: every size is trained.
     """
 
     options: VqOptions
