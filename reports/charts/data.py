@@ -123,29 +123,29 @@ class Panel:
 
     def looks(self, names: list[str]) -> list[tuple[Line, Look]]:
         """The lines with their looks, gray ones first; what is on the Pareto front is never gray."""
-        told = named(line.title for line in self.lines)
+        titles = named(line.title for line in self.lines)
         front = set(self.front)
-        shown = [
-            line.title in told or not front.isdisjoint(zip(line.x, line.y, strict=True))
+        colored = [
+            line.title in titles or not front.isdisjoint(zip(line.x, line.y, strict=True))
             for line in self.lines
         ]
         pairs = [
             (line, look(line.name, names) if own else OTHERS)
-            for line, own in zip(self.lines, shown, strict=True)
+            for line, own in zip(self.lines, colored, strict=True)
         ]
         return sorted(pairs, key=lambda pair: pair[1] is not OTHERS)
 
     def labels(self, names: list[str]) -> list[tuple[float, float, str, str]]:
         """(x, y, text, color): a line's title at its right end; at a scene if it has no mean of its own."""
         spots: list[tuple[float, float, str, str]] = []
-        told = named(line.title for line in self.lines)
+        titles = named(line.title for line in self.lines)
         for line, style in self.looks(names):
             if style is OTHERS:
                 continue
             xs, ys = (line.x, line.y) if line.x else (line.scene_x, line.scene_y)
             end = max(range(len(xs)), key=xs.__getitem__)
             # In the color of its method, which is named at another mark.
-            text = line.title if line.title in told else options_of(line.title) or line.title
+            text = line.title if line.title in titles else options_of(line.title) or line.title
             text += "" if line.x else " (incomplete)"
             spots.append((xs[end], ys[end], text, style.color))
         return spots
@@ -183,7 +183,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
         ]
         if good.empty:
             continue
-        wanted = set(rows["scene"])
+        scenes = set(rows["scene"])
         lines: dict[str, Line] = {}
         for keys, group in good.groupby(["method", "variant", "rate"], dropna=False, sort=False):
             family = label(keys[0], group["base"].iloc[0])
@@ -194,15 +194,15 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
             line.scene_y += [float(v) for v in means["psnr"]]
             line.scenes += [str(scene) for scene in means.index]
             line.scene_keys += [[str(job) for job in seeds["job"]] for _, seeds in per_scene]
-            if wanted == set(means.index):
+            if scenes == set(means.index):
                 line.x.append(float(means[against].mean()) / unit)
                 line.y.append(float(means["psnr"].mean()))
                 line.keys.append([mean_key(group.iloc[0])])
                 line.size.append(float(group["size_bytes"].fillna(0).astype(float).mean()))
-        told = named(line.title for line in lines.values())
+        titles = named(line.title for line in lines.values())
         for line in lines.values():
             _sort(line)
-            if line.x and line.title not in told:
+            if line.x and line.title not in titles:
                 line.without_scenes()
         mixed = against in _CLOCK and len(distinct_processors(good, _CLOCK[against])) > 1
         panels.append(Panel(title, list(lines.values()), AXIS[against].better, mixed))
@@ -223,14 +223,14 @@ class Bar:
     Attributes:
         title: of the bar.
         amounts: part (of bytes: family of parts) -> bytes or seconds.
-        told: what the whole is.
+        total_text: the whole, with its unit.
         details: family -> its parts, as the method names them.
     """
 
     dataset: str
     title: str
     amounts: dict[str, float]
-    told: str = ""
+    total_text: str = ""
     details: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property

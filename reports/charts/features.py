@@ -56,23 +56,23 @@ def histograms(features: pd.DataFrame) -> list[Histogram]:
     Args:
         features: the documented table.
     """
-    made = []
+    panels = []
     for dataset, every in comparable(at_default_rates(features)):
-        told = named(label(*pair) for pair in zip(every["method"], every["variant"], strict=True))
+        titles = named(label(*pair) for pair in zip(every["method"], every["variant"], strict=True))
         for attribute, rows in every.groupby("name", sort=False):
             pools: dict[str, list[NDArray[np.float64]]] = {}
             for row in rows.itertuples(index=False):
                 values = np.asarray(row.values, dtype=np.float64)
                 name = label(row.method, row.variant)
-                if name in told:
+                if name in titles:
                     pools.setdefault(name, []).append(values[np.isfinite(values)])
             joined = {name: np.concatenate(arrays) for name, arrays in pools.items()}
             joined = {name: values for name, values in joined.items() if len(values)}
             if joined:
                 edges = _edges(list(joined.values()))
                 shares = {name: _shares(values, edges).tolist() for name, values in joined.items()}
-                made.append(Histogram(dataset, str(attribute), edges.tolist(), shares))
-    return made
+                panels.append(Histogram(dataset, str(attribute), edges.tolist(), shares))
+    return panels
 
 
 def _edges(samples: list[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -126,7 +126,7 @@ def maps(features: pd.DataFrame) -> list[Map]:
         import umap
     except ImportError as error:
         raise Missing("the optional package umap-learn is not installed: pip install umap-learn") from error
-    made = []
+    panels = []
     for (dataset, title), scenes in vectors.items():
         each = MOST_ANCHORS // len(scenes)
         rng = np.random.default_rng(0)
@@ -136,22 +136,22 @@ def maps(features: pd.DataFrame) -> list[Map]:
             continue
         spots = umap.UMAP(random_state=0, n_jobs=1).fit_transform(every).astype(np.float64)
         ends = np.cumsum([len(rows) for rows in taken.values()])[:-1]
-        made.append(Map(dataset, title, dict(zip(taken, np.split(spots, ends), strict=True))))
-    return made
+        panels.append(Map(dataset, title, dict(zip(taken, np.split(spots, ends), strict=True))))
+    return panels
 
 
 def _vectors(features: pd.DataFrame) -> dict[tuple[str, str], dict[str, NDArray[np.float64]]]:
     """(dataset, method) -> scene -> (n, components); of seeds the first, of many variants the defaults."""
-    found: dict[tuple[str, str], dict[str, NDArray[np.float64]]] = {}
+    groups: dict[tuple[str, str], dict[str, NDArray[np.float64]]] = {}
     if features.empty or "width" not in features:
-        return found
+        return groups
     for dataset, every in comparable(at_default_rates(features)):
         rows = every[(every["name"] == VECTOR) & (every["width"] > 2)]
-        told = named(label(*pair) for pair in zip(rows["method"], rows["variant"], strict=True))
+        titles = named(label(*pair) for pair in zip(rows["method"], rows["variant"], strict=True))
         for row in rows.itertuples(index=False):
             name = label(row.method, row.variant)
-            if name not in told:
+            if name not in titles:
                 continue
             vectors = np.asarray(row.values, dtype=np.float64).reshape(-1, int(row.width))  # type: ignore[arg-type]
-            found.setdefault((dataset, name), {}).setdefault(str(row.scene), vectors)
-    return found
+            groups.setdefault((dataset, name), {}).setdefault(str(row.scene), vectors)
+    return groups

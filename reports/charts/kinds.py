@@ -143,8 +143,8 @@ def _lines(
             )
         )
     crowded = any(len(curves) > MOST_LABELS for curves in panels.values())
-    drawn = [[curve.name for curve in curves] for curves in panels.values()]
-    return Chart(parts, legend_entries(drawn, names) if crowded else {})
+    series_names = [[curve.name for curve in curves] for curves in panels.values()]
+    return Chart(parts, legend_entries(series_names, names) if crowded else {})
 
 
 def losses(panels: list[training.Losses]) -> Chart:
@@ -177,11 +177,11 @@ def _stacked(bars: list[data.Bar], families: list[str], title: str, amount: Call
                 about = "\n".join([bar.title, f"{family}: {_amounts(bar, family, amount)}"])
                 boxes.append(Bar(row, start, start + share, shades[family], about))
                 start += share
-    room = (max((text_width(bar.told) for bar in bars), default=0.0) + 12.0) / _BARS
+    room = (max((text_width(bar.total_text) for bar in bars), default=0.0) + 12.0) / _BARS
     ticks = tuple((value, str(value)) for value in range(0, 101, 20))
     x = Axis(title, 0.0, 100.0 / (1.0 - room), ticks=ticks)
     y = Axis("", len(bars) - 0.5, -0.5, ticks=tuple((i, bar.title) for i, bar in enumerate(bars)), grid=False)
-    totals = [Text(100.0, row, bar.told, INK) for row, bar in enumerate(bars)]
+    totals = [Text(100.0, row, bar.total_text, INK) for row, bar in enumerate(bars)]
     width = _BARS + 20.0 + max((text_width(bar.title) for bar in bars), default=0.0)
     panel = Panel("", x, y, labels=totals, bars=boxes, width=width, height=52.0 + 26.0 * len(bars))
     return Chart([panel], {family: Look(shade, "square", "") for family, shade in shades.items()})
@@ -198,7 +198,7 @@ def timing(bars: list[data.Bar], families: list[str]) -> Chart:
 
 
 def _amounts(bar: data.Bar, family: str, amount: Callable[[float], str]) -> str:
-    """An amount, and what it is made of if that is more than its name says."""
+    """An amount, and its parts where its name is not the only one."""
     text = amount(bar.amounts.get(family, 0.0))
     details = bar.details.get(family, {})
     if set(details) <= {family}:

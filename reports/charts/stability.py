@@ -53,7 +53,7 @@ class Record:
 def records(results: pd.DataFrame, views: pd.DataFrame) -> list[Record]:
     """One record per dataset, method, variant, preset and split of single scenes, in the tables' order."""
     basic = results[results["kind"] == "basic"]
-    made = []
+    rows_of_methods = []
     axes = ["dataset", "method", "variant", "preset", "split"]
     for keys, rows in basic.groupby(axes, dropna=False, sort=False):
         good = rows[rows["status"] == "ok"]
@@ -61,7 +61,7 @@ def records(results: pd.DataFrame, views: pd.DataFrame) -> list[Record]:
         seen = views[views["job"].isin(set(good["job"]))]
         per_job = seen.groupby(["job", "rate"], dropna=False)["psnr"]
         gaps = (per_job.median() - per_job.min()).dropna()
-        made.append(
+        rows_of_methods.append(
             Record(
                 dataset=str(keys[0]),
                 title=_title(label(keys[1], keys[2]), basic, *keys[3:]),
@@ -74,7 +74,7 @@ def records(results: pd.DataFrame, views: pd.DataFrame) -> list[Record]:
                 excess=_most(good, "excess"),
             )
         )
-    return made
+    return rows_of_methods
 
 
 def _seed_gap(good: pd.DataFrame) -> float | None:
@@ -147,12 +147,12 @@ def by_complexity(results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
 
 def families(datasets: Iterable[str]) -> dict[str, dict[str, int]]:
     """Stem -> dataset -> number, of those with at least :data:`LEAST_FAMILY` members."""
-    found: dict[str, dict[str, int]] = {}
+    stems: dict[str, dict[str, int]] = {}
     for dataset in datasets:
         match = _NUMBERED.fullmatch(str(dataset))
         if match and int(match[2]) > 0:
-            found.setdefault(match[1], {})[str(dataset)] = int(match[2])
-    return {stem: members for stem, members in found.items() if len(members) >= LEAST_FAMILY}
+            stems.setdefault(match[1], {})[str(dataset)] = int(match[2])
+    return {stem: members for stem, members in stems.items() if len(members) >= LEAST_FAMILY}
 
 
 def _methods(rows: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
@@ -164,5 +164,5 @@ def _methods(rows: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
 
 def _title(name: str, rows: pd.DataFrame, preset: object, split: object) -> str:
     """A method's name, with preset and split where the rows have several."""
-    told = [str(v) for v, axis in ((preset, "preset"), (split, "split")) if rows[axis].nunique() > 1]
-    return " ".join([name, *told])
+    axes = [str(v) for v, axis in ((preset, "preset"), (split, "split")) if rows[axis].nunique() > 1]
+    return " ".join([name, *axes])

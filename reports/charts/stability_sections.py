@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 def stability_section(tables: dict[str, pd.DataFrame], names: list[str]) -> Section | None:
     """Failures, spread over seeds and worst views; charts where there are several numbers of views."""
     results = tables["results"]
-    found = stability.records(results, tables["views"])
+    records = stability.records(results, tables["views"])
     curves = stability.few_views(results)
-    told = any(record.seed_gap is not None or record.missing is not None for record in found)
-    if not curves and not told and not any(record.failed for record in found):
+    measured = any(record.seed_gap is not None or record.missing is not None for record in records)
+    if not curves and not measured and not any(record.failed for record in records):
         return None
     words = (
         "Where methods fail: what did not finish, how far two seeds lie apart on the same scene, how far the "
@@ -40,7 +40,7 @@ def stability_section(tables: dict[str, pd.DataFrame], names: list[str]) -> Sect
             *(_number(gap, 2) for gap in (record.seed_gap, record.view_gap, record.lowest)),
             *(_number(share, 1, 100.0) for share in (record.missing, record.excess)),
         ]
-        for record in found
+        for record in records
     ]
     note = (
         '<p class="note">Charts: mean PSNR over scenes and seeds by the number of training views; where any '
@@ -63,8 +63,8 @@ def _number(value: float | None, digits: int, times: float = 1.0) -> str:
 def _failed(record: stability.Record) -> str:
     if not record.failed:
         return f"0 of {record.rows}"
-    told = ", ".join(f"{status} {count}" for status, count in record.failed.items())
-    return f"{sum(record.failed.values())} of {record.rows}: {told}"
+    counts = ", ".join(f"{status} {count}" for status, count in record.failed.items())
+    return f"{sum(record.failed.values())} of {record.rows}: {counts}"
 
 
 def complexity_section(results: pd.DataFrame, names: list[str]) -> Section | None:

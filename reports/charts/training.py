@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 CURVE_AXIS = {"train_seconds": "training time of the fit [s]", "iteration": "iteration"}
 LEVELS = (30.0, 32.0, 34.0)
-"""PSNR, dB, that the time to is told of."""
+"""Levels of PSNR, dB, whose times are reported."""
 ANYTIME_AXIS = {
     "psnr": "PSNR of a few held-out views [dB]",
     "bytes_estimate": "estimated size per scene [MiB]",
@@ -113,18 +113,18 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, 
         return panels
     for panel, every in comparable(at_default_rates(curve)):
         columns = ["job", "method", "variant", "scene", "iteration", "train_seconds", what]
-        known = every.loc[every[what].notna() & every["train_seconds"].notna(), columns]
+        evaluations = every.loc[every[what].notna() & every["train_seconds"].notna(), columns]
         first = every.iloc[0]
         basic = (results["kind"] == "basic") & (results["dataset"] == first["dataset"])
-        wanted = set(results.loc[basic & (results["preset"] == first["preset"]), "scene"])
-        for names, rows in known.groupby(["method", "variant"], dropna=False, sort=False):
+        scenes = set(results.loc[basic & (results["preset"] == first["preset"]), "scene"])
+        for names, rows in evaluations.groupby(["method", "variant"], dropna=False, sort=False):
             x, y = _mean([_shares(fit, what) for _, fit in rows.groupby("job", sort=False)])
             if not x:
                 continue
             name = title = label(*names)
-            have = wanted & set(rows["scene"])
-            if wanted - have:
-                title += f" ({len(have)} of {len(wanted)} scenes)"
+            have = scenes & set(rows["scene"])
+            if scenes - have:
+                title += f" ({len(have)} of {len(scenes)} scenes)"
             panels.setdefault(panel, []).append(Curve(name, title, x, y))
     return panels
 
@@ -199,22 +199,22 @@ def losses(tables: Mapping[str, pd.DataFrame]) -> list[Losses]:
     Args:
         tables: with `losses` and `curve` as documented.
     """
-    made = []
+    panels = []
     rows = steps(tables)
     for dataset, every in comparable(rows) if len(rows) else ():
-        told = named(label(*pair) for pair in zip(every["method"], every["variant"], strict=True))
+        titles = named(label(*pair) for pair in zip(every["method"], every["variant"], strict=True))
         for names, fits in every.groupby(["method", "variant"], dropna=False, sort=False):
-            if label(*names) not in told:
+            if label(*names) not in titles:
                 continue
             table = _parts_table(fits)
             if len(table.columns) < 2:
                 continue
             floor = LEAST_SHARE * float(table["loss"].max())
-            drawn = [name for name in table.columns if float(table[name].max()) > floor]
-            parts = [_part(name, table[name]) for name in drawn]
-            small = [str(name) for name in table.columns if name not in drawn]
-            made.append(Losses(dataset, label(*names), parts, _marks(fits, parts), small))
-    return made
+            large = [name for name in table.columns if float(table[name].max()) > floor]
+            parts = [_part(name, table[name]) for name in large]
+            small = [str(name) for name in table.columns if name not in large]
+            panels.append(Losses(dataset, label(*names), parts, _marks(fits, parts), small))
+    return panels
 
 
 def steps(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
@@ -226,14 +226,14 @@ def steps(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     curve = at_default_rates(tables["curve"])
     if "loss_parts" not in curve:
         return stretches
-    known = {tuple(row) for row in stretches[keys].fillna("").itertuples(index=False)}
-    single = [tuple(row) not in known for row in curve[keys].fillna("").itertuples(index=False)]
+    keys_of_stretches = {tuple(row) for row in stretches[keys].fillna("").itertuples(index=False)}
+    single = [tuple(row) not in keys_of_stretches for row in curve[keys].fillna("").itertuples(index=False)]
     curve = curve[pd.Series(single, curve.index, dtype=bool)].dropna(subset=["loss", "loss_parts"])
-    told = [
+    parts = [
         json.dumps({"loss": float(loss), **json.loads(parts)})
         for loss, parts in zip(curve["loss"], curve["loss_parts"], strict=True)
     ]
-    return pd.concat([stretches, curve[["job", *keys, "iteration"]].assign(losses=told)], ignore_index=True)
+    return pd.concat([stretches, curve[["job", *keys, "iteration"]].assign(losses=parts)], ignore_index=True)
 
 
 def _parts_table(rows: pd.DataFrame) -> pd.DataFrame:
@@ -263,12 +263,12 @@ def _long_enough(points: pd.DataFrame) -> pd.DataFrame:
 
 
 def _marks(rows: pd.DataFrame, parts: list[Curve]) -> list[tuple[float, str]]:
-    told = rows[rows["stage"].notna()] if "stage" in rows else rows[:0]
-    if len(told):
-        starts = told.groupby("stage", sort=False)["first"].min().sort_values()
+    stretches = rows[rows["stage"].notna()] if "stage" in rows else rows[:0]
+    if len(stretches):
+        starts = stretches.groupby("stage", sort=False)["first"].min().sort_values()
         marks: list[tuple[float, str]] = []
         for stage, first in list(starts.items())[1:]:
-            if marks and first - marks[-1][0] < _NEAR * told["iteration"].max():
+            if marks and first - marks[-1][0] < _NEAR * stretches["iteration"].max():
                 marks[-1] = marks[-1][0], f"{marks[-1][1]}, {stage}"
             else:
                 marks.append((float(first), str(stage)))

@@ -358,7 +358,7 @@ def test_timing_is_shares_of_the_frame_and_the_rest_is_told():
     (bar,), parts = data.timing(table)
     assert parts == ["decode", "rasterise", "other"]
     assert [bar.percent(part) for part in parts] == pytest.approx([20.0, 50.0, 30.0])
-    assert bar.told == "10.0 ms"
+    assert bar.total_text == "10.0 ms"
 
 
 def test_bars_are_means_over_the_seeds_that_have_all_scenes():
@@ -382,7 +382,7 @@ def test_bars_are_means_over_the_seeds_that_have_all_scenes():
     assert bar.percent("positions") == pytest.approx(30.0)
     times = [("ab", {"frame": 0.01, "decode": 0.004}), ("ab", {"frame": 0.02, "decode": 0.008})]
     (bar,), _ = data.timing(table("seconds", times))
-    assert (bar.told, bar.percent("decode")) == ("15.0 ms", pytest.approx(40.0))
+    assert (bar.total_text, bar.percent("decode")) == ("15.0 ms", pytest.approx(40.0))
 
 
 def test_no_timing_without_parts():
