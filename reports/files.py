@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 from reports.charts import files as charts
 from reports.charts import rate_distortion
+from reports.paper import datasets
 from reports.paper import documents as paper_documents
-from reports.tables import confidence, datasets
+from reports.tables import confidence
 from reports.tables.documents import to_csv, to_latex, to_markdown
 from reports.tables.protocols import by_protocol
 from reports.tables.results import superseded_note

@@ -42,7 +42,7 @@ def run(options: Namespace) -> int:
     frames = joined(stored_tables(outcome.records, versions))
     if len(frames["results"]) or len(frames["dvr"]):
         from bench.commands.results import print_results, print_table
-        from reports.tables.datasets import costs
+        from reports.paper.datasets import costs
 
         if len(frames["results"]):
             print_results(frames["results"])

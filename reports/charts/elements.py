@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from html import escape
 
+from reports import markup
 from reports.charts import svg
 from reports.charts.chart import Chart, Panel
-from reports.page import markup
 from reports.style import Look
 
 _LONG = 45  # characters of a cell that are not broken

@@ -5,9 +5,9 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING
 
+from reports.paper.datasets import PUBLISHED, costs
 from reports.schema import by_name
 from reports.tables.columns import cell
-from reports.tables.datasets import PUBLISHED, costs
 
 if TYPE_CHECKING:
     import pandas as pd

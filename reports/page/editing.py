@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.page import markup
+from reports import markup
 from reports.page.scenes import figure
 from reports.pictures import panel_files
 from reports.pictures.panels import Panel, choose, in_view, models

@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from reports.page import markup
+from reports import markup
 from reports.schema import by_name
 from reports.style import MISSING, absent, mib, seconds, series
 from reports.tables.columns import cell

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from reports.page import markup
+from reports import markup
 from reports.page.provenance import DETAILS, details
 from reports.schema import COLUMNS, by_name
 from reports.statistics import Views

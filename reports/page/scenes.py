@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.page import markup
+from reports import markup
 from reports.pictures import panel_files
 from reports.pictures.difference import DELTA_E_MAX, scale
 from reports.pictures.files import uri

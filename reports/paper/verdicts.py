@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from reports.page import markup
+from reports import markup
 from reports.paper.claims import EXCEEDS, HOLDS, SKIPPED, UNKNOWN, UNSURE, VERDICTS, Verdict, check
 from reports.paper.documents import to_html as table_html
 from reports.tables.confidence import ends

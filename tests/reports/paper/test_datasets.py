@@ -6,8 +6,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from reports.tables import datasets
-from reports.tables.datasets import costs, published
+from reports.paper import datasets
+from reports.paper.datasets import costs, published
 from reports.tables.documents import to_latex, to_markdown
 from tests.reports.page.test_page import page
 
