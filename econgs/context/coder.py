@@ -122,19 +122,18 @@ def _pieces(bits: int) -> Iterator[tuple[int, int]]:
         yield shift, min(_RAW, bits - shift)
 
 
-class TableOrder:
-    """Order of n symbols by coding table: the symbols of one table are coded together.
+def _by_table(tables: NDArray[np.uint16]) -> tuple[NDArray, list[tuple[int, slice, int, int, int]]]:
+    """Order that puts the symbols of one table together; of each table: index, places, low, shift, escape.
 
     Args:
         tables: (n,) index of each symbol's table; both sides know it before any symbol.
     """
-
-    def __init__(self, tables: NDArray[np.uint16]) -> None:
-        self.count = len(tables)
-        self.order = np.argsort(tables, kind="stable")
-        counts = np.bincount(tables)
-        ends = np.cumsum(counts)
-        self.spans = [(int(t), int(ends[t] - counts[t]), int(ends[t])) for t in np.flatnonzero(counts)]
+    ends, spans = np.cumsum(np.bincount(tables)).tolist(), []
+    for table in np.unique(tables).tolist():
+        low, frequencies = coding_table(table)
+        places = slice(ends[table - 1] if table else 0, ends[table])
+        spans.append((table, places, low, low_bits(table), len(frequencies) - 1))
+    return np.argsort(tables, kind="stable"), spans
 
 
 def write_residuals(encoder: Encoder, residuals: NDArray[np.int32], tables: NDArray[np.uint16]) -> None:
@@ -143,19 +142,17 @@ def write_residuals(encoder: Encoder, residuals: NDArray[np.int32], tables: NDAr
     The symbols come table by table, in ascending order; then the raw low bits of the tables that have any;
     then the escapes: 5 bits for the length of a number, and the number, in zigzag.
     """
-    order = TableOrder(tables)
-    sorted_residuals = residuals[order.order]
-    escaped = np.zeros(order.count, np.bool_)
+    order, spans = _by_table(tables)
+    sorted_residuals = residuals[order]
+    escaped = np.zeros(len(tables), np.bool_)
     raw: list[tuple[NDArray, int]] = []
-    for table, begin, end in order.spans:
-        low, frequencies = coding_table(table)
-        shift, escape = low_bits(table), len(frequencies) - 1
-        part = sorted_residuals[begin:end]
+    for table, places, low, shift, escape in spans:
+        part = sorted_residuals[places]
         symbols = (part >> shift) - low
         outside = (symbols < 0) | (symbols >= escape)
         if outside.any():
             symbols = np.where(outside, escape, symbols)
-            escaped[begin:end] = outside
+            escaped[places] = outside
         encoder.symbols(symbols, _table_model(table))
         if shift:
             regular = part[~outside] if outside.any() else part
@@ -172,20 +169,18 @@ def write_residuals(encoder: Encoder, residuals: NDArray[np.int32], tables: NDAr
 
 def read_residuals(decoder: Decoder, tables: NDArray[np.uint16]) -> NDArray[np.int32]:
     """Inverse of :func:`write_residuals`."""
-    order = TableOrder(tables)
-    sorted_residuals = np.empty(order.count, np.int32)
-    escaped = np.zeros(order.count, np.bool_)
-    raw: list[tuple[int, int, int]] = []
-    for table, begin, end in order.spans:
-        low, frequencies = coding_table(table)
-        shift, escape = low_bits(table), len(frequencies) - 1
-        symbols = decoder.symbols(end - begin, _table_model(table))
-        escaped[begin:end] = symbols == escape
-        sorted_residuals[begin:end] = (symbols + low) << shift
+    order, spans = _by_table(tables)
+    sorted_residuals = np.empty(len(tables), np.int32)
+    escaped = np.zeros(len(tables), np.bool_)
+    raw: list[tuple[slice, int]] = []
+    for table, places, low, shift, escape in spans:
+        symbols = decoder.symbols(places.stop - places.start, _table_model(table))
+        escaped[places] = symbols == escape
+        sorted_residuals[places] = (symbols + low) << shift
         if shift:
-            raw.append((begin, end, shift))
-    for begin, end, bits in raw:
-        regular = np.flatnonzero(~escaped[begin:end]) + begin
+            raw.append((places, shift))
+    for places, bits in raw:
+        regular = np.flatnonzero(~escaped[places]) + places.start
         sorted_residuals[regular] |= decoder.raw(len(regular), bits).astype(np.int32)
     if escaped.any():
         lengths = decoder.raw(int(escaped.sum()), 5)
@@ -195,19 +190,17 @@ def read_residuals(decoder: Decoder, tables: NDArray[np.uint16]) -> NDArray[np.i
             values[at] = decoder.raw(int(at.sum()), int(length))
         sorted_residuals[escaped] = (values >> 1) ^ -(values & 1)
     residuals = np.empty_like(sorted_residuals)
-    residuals[order.order] = sorted_residuals
+    residuals[order] = sorted_residuals
     return residuals
 
 
 def ideal_bits(residuals: NDArray[np.int32], tables: NDArray[np.uint16]) -> float:
     """Cross-entropy of residuals under their own coding tables, raw and escape bits included."""
-    order = TableOrder(tables)
-    sorted_residuals = residuals[order.order]
+    order, spans = _by_table(tables)
+    sorted_residuals = residuals[order]
     total = 0.0
-    for table, begin, end in order.spans:
-        low, frequencies = coding_table(table)
-        shift, escape = low_bits(table), len(frequencies) - 1
-        part = sorted_residuals[begin:end]
+    for table, places, low, shift, escape in spans:
+        part = sorted_residuals[places]
         symbols = (part >> shift) - low
         outside = (symbols < 0) | (symbols >= escape)
         total += float(_table_costs(table)[np.where(outside, escape, symbols)].sum())

@@ -130,9 +130,7 @@ class _Rasterise(torch.autograd.Function):
         if ctx.frame is None:
             raise RuntimeError("a frame's gradients can be asked for only once")
         grads = [torch.empty_like(one) for one in ctx.inputs]
-        grad_offset = None
-        if ctx.needs_input_grad[5]:
-            grad_offset = torch.empty_like(ctx.offset)
+        grad_offset = torch.empty_like(ctx.offset) if ctx.needs_input_grad[5] else None
         outer = [None if one is None else _plain(one) for one in (grad_image, grad_alpha, grad_depth)]
         arrays = map(_array, (*ctx.inputs, *ctx.images, *outer, *grads, grad_offset, ctx.offset))
         _native.backward(ctx.frame, *arrays)
@@ -158,9 +156,8 @@ def rasterise(
         ValueError: NaN or infinity, a zero quaternion, a negative scale or an opacity outside [0, 1]; the
             message names the tensor and the first such Gaussian.
     """
-    pose = camera.world_to_camera
-    numbers = [*pose[:3, :4].ravel().tolist(), camera.fx, camera.fy, camera.cx, camera.cy]
-    view = np.array(numbers)
+    pose = camera.world_to_camera[:3, :4].ravel()
+    view = np.array([*pose.tolist(), camera.fx, camera.fy, camera.cx, camera.cy])
     size = (camera.width, camera.height)
     images: tuple[Tensor, Tensor, Tensor, Tensor] = _Rasterise.apply(
         means, quats, scales, opacities, features, screen_offset, view, size, near
