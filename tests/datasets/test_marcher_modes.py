@@ -158,10 +158,10 @@ def test_a_plane_is_hit_where_it_is_whatever_the_step(marcher):
             pixel = marcher([v, medium], settings).compose((camera,), layers)[0, 16, 16]
             before = 1.0 - np.exp(-density(0.02) * 0.33 / -direction[0])
             behind = 1.0 - np.exp(-density(0.02) * 0.67 / -direction[0])
-            medium = before + 0.4 * (1.0 - before) * behind
+            through = before + 0.4 * (1.0 - before) * behind
             surface = 0.6 * (1.0 - before)
-            np.testing.assert_allclose(pixel[3], medium + surface, atol=1e-5)
-            expected = medium * np.array([0.5, 0.3, 0.7]) + surface * np.array([0.2, 0.8, 0.4])
+            np.testing.assert_allclose(pixel[3], through + surface, atol=1e-5)
+            expected = through * np.array([0.5, 0.3, 0.7]) + surface * np.array([0.2, 0.8, 0.4])
             np.testing.assert_allclose(pixel[:3], expected, atol=1e-5)
 
 
