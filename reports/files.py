@@ -1,4 +1,4 @@
-"""The files beside the page: charts for papers, and tables as CSV, Parquet, Markdown, LaTeX and JSON."""
+"""The files beside the page: tables as CSV, Parquet, Markdown, LaTeX and JSON."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.charts import files as charts
 from reports.charts import rate_distortion
 from reports.paper import datasets
 from reports.paper import documents as paper_documents
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from reports.charts.chart import Chart
     from reports.paper.values import PaperTable
     from reports.statistics import Views
 
@@ -33,11 +31,10 @@ def write_files(
     folder: Path,
     paper: Sequence[PaperTable],
     views: Views,
-    drawings: dict[str, Chart] | None = None,
 ) -> None:
-    """Write charts and tables.
+    """Write tables.
 
-    Always: ``charts/`` (SVG and PDF), ``results.*`` (CSV, Parquet, Markdown, LaTeX), ``paper/`` (the paper's
+    Always: ``results.*`` (CSV, Parquet, Markdown, LaTeX), ``paper/`` (the paper's
     tables), ``curves/`` (JSON, one file per method and dataset). ``intervals.csv`` and ``comparisons.csv``
     need views, ``bd-rate.csv`` needs several rates, and ``datasets.*`` needs costs of rendering.
 
@@ -46,12 +43,10 @@ def write_files(
         folder: folder of the files; it is created if it does not exist.
         paper: the paper's tables, from the same rows.
         views: ``tables["views"]``.
-        drawings: name -> chart.
     """
     results, dvr = tables["results"], tables["dvr"]
     if not results.empty:
         folder.mkdir(parents=True, exist_ok=True)
-        charts.write(drawings or {}, folder / "charts")
         for table in paper:
             write_text(folder / "paper" / f"{table.name}.md", paper_documents.to_markdown(table))
             write_text(folder / "paper" / f"{table.name}.tex", paper_documents.to_latex(table))

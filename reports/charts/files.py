@@ -1,32 +1,56 @@
-"""Charts as files for papers: SVG and PDF."""
+"""Charts as files for papers: SVG and PDF.
+
+``python -m reports.charts.files CHART.svg…`` writes the PDF of each file beside it.
+"""
 
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from reports.charts import svg
-from reports.charts.chart import Chart
+if TYPE_CHECKING:
+    from reports.charts.chart import Chart
 
 
-def write(charts: dict[str, Chart], folder: Path) -> list[Path]:
-    """Write charts as NAME.svg and NAME.pdf, fonts embedded; returns the paths of the PDF files.
+@contextmanager
+def written(charts: Mapping[str, Chart], folder: Path) -> Iterator[None]:
+    """Write charts as NAME.svg and NAME.pdf, fonts embedded; another process makes the PDF files meanwhile.
 
     Args:
         charts: name -> chart.
-        folder: where to; made if it is missing.
+        folder: folder of the files; it is created if it does not exist.
+
+    Raises:
+        RuntimeError: a chart cannot be converted. The message holds the converter's own.
     """
+    from reports.charts import svg
+
+    if not charts:
+        yield
+        return
     folder.mkdir(parents=True, exist_ok=True)
-    paths = []
+    command = [sys.executable, "-m", "reports.charts.files"]
     for name, chart in charts.items():
-        document = svg.file(chart)
-        (folder / f"{name}.svg").write_text(document, encoding="utf-8")
-        paths.append(folder / f"{name}.pdf")
-        paths[-1].write_bytes(_pdf(document))
-    return paths
+        path = folder / f"{name}.svg"
+        path.write_text(svg.file(chart), encoding="utf-8")
+        command.append(str(path.resolve()))
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield
+        except BaseException:
+            process.kill()
+            raise
+        _, message = process.communicate()
+    if process.returncode:
+        raise RuntimeError(f"the charts in {folder} cannot be converted to PDF: {message.strip()}")
 
 
-def _pdf(document: str) -> bytes:
+def pdf(document: str) -> bytes:
     """An SVG document as PDF, the same bytes every time.
 
     The converter lists the resources of a page in no fixed order; sorting keeps all lengths and offsets.
@@ -36,3 +60,9 @@ def _pdf(document: str) -> bytes:
     content = vl_convert.svg_to_pdf(document)
     lists = rb"( +/\w+ \d+ 0 R\n)+"
     return re.sub(lists, lambda lines: b"".join(sorted(lines[0].splitlines(keepends=True))), content)
+
+
+if __name__ == "__main__":
+    for argument in sys.argv[1:]:
+        file = Path(argument)
+        file.with_suffix(".pdf").write_bytes(pdf(file.read_text(encoding="utf-8")))

@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from reports.charts import files as chart_files
 from reports.charts import svg
 from reports.charts.elements import Section
 from reports.charts.sections import chart_sections
@@ -53,33 +54,28 @@ def write_report(
     results, dvr = tables["results"], tables["dvr"]
     views = views or Views(tables["views"])
     paper = paper_tables(tables, views) if paper is None else paper
+    stored, folder = tables, out.parent / "charts"
+    tables = tables if results.empty else by_protocol(tables)
+    results = tables["results"]
+    charts = [] if results.empty else chart_sections(tables, views)
+    drawings = {name: chart for section in charts for name, chart in section.charts.items()}
     sections: list[Section] = []
-    stored = tables
-    if not results.empty:
-        claims = verdicts.section(paper, views)
-        tables = by_protocol(tables)
-        results = tables["results"]
-        pictures = scenes.section(tables, root, out.parent / "charts")
-        edits = editing.section(tables, root, out.parent / "charts")
-        sections = [
-            Section(
-                "results",
-                "Results",
-                results_table.section(results, views, tables.get("superseded")),
-            ),
-            *([Section("paper", "The paper's tables", claims)] if claims else []),
-            *([Section("scenes", "Scenes", pictures)] if pictures else []),
-            *([Section("editing", "Editing", edits)] if edits else []),
-            *chart_sections(tables, views),
-        ]
-    if not dvr.empty:
-        sections.append(Section("datasets", "Rendering the volumes", datasets.section(dvr)))
-    if not results[["machine", "commit"]].dropna(how="all").empty:
-        sections.append(Section("provenance", "Provenance", provenance.section(results)))
-    charts = {name: chart for section in sections for name, chart in section.charts.items()}
-    write_files(stored, out.parent, paper, views, charts)
-    name = _name(dvr if results.empty else results)
-    write_text(out, _document(name, _head(name, tables, sections), sections))
+    with chart_files.written(drawings, folder):
+        if not results.empty:
+            parts = (
+                ("results", "Results", results_table.section(results, views, tables.get("superseded"))),
+                ("paper", "The paper's tables", verdicts.section(paper, views)),
+                ("scenes", "Scenes", scenes.section(tables, root, folder)),
+                ("editing", "Editing", editing.section(tables, root, folder)),
+            )
+            sections = [*(Section(*part) for part in parts if part[2]), *charts]
+        if not dvr.empty:
+            sections.append(Section("datasets", "Rendering the volumes", datasets.section(dvr)))
+        if not results[["machine", "commit"]].dropna(how="all").empty:
+            sections.append(Section("provenance", "Provenance", provenance.section(results)))
+        write_files(stored, out.parent, paper, views)
+        name = _name(dvr if results.empty else results)
+        write_text(out, _document(name, _head(name, tables, sections), sections))
     return out
 
 

@@ -3,13 +3,11 @@ import re
 import shutil
 import subprocess
 import sys
-from unittest.mock import patch
 
 import pandas as pd
 import pytest
 
 from reports.__main__ import main
-from reports.charts import files as charts
 from reports.files import write_files
 from reports.inputs import Unusable, read_results
 from reports.paper import documents as paper_documents
@@ -24,9 +22,8 @@ from tests.reports.paper.test_paper_tables import four, paper_tables, results, r
 
 def written(maker):
     tables = maker.tables()
-    with patch.object(charts, "write"):
-        views = Views(tables["views"])
-        write_files(tables, maker.root / "out", papers.paper_tables(tables, views), views)
+    views = Views(tables["views"])
+    write_files(tables, maker.root / "out", papers.paper_tables(tables, views), views)
     return maker.root / "out"
 
 

@@ -114,11 +114,20 @@ def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path):
             maker.run(dataset, method=method, views=0, psnr=30 + len(method))
     results = maker.tables()["results"]
     chart = kinds.tradeoff(data.tradeoff(results, "fps"), "fps", series(results))
-    paths = [files.write({"psnr-fps": chart}, tmp_path / name)[0] for name in "ab"]
+    for name in "ab":
+        with files.written({"psnr-fps": chart}, tmp_path / name):
+            pass
+    paths = [tmp_path / name / "psnr-fps.pdf" for name in "ab"]
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert b"/FontFile" in paths[0].read_bytes()
     words = [element.text for element in parse(paths[0].with_suffix(".svg").read_text()).iter(f"{SVG}text")]
     assert {"x", "y", "3DGS", "ECoNGS", "HAC", "frames per second"} <= set(words)
+
+
+def test_a_chart_that_cannot_be_converted_is_an_error(maker, tmp_path, monkeypatch):
+    monkeypatch.setattr("reports.charts.svg.file", lambda chart: "<svg")
+    with pytest.raises(RuntimeError, match="PDF"), files.written({"broken": None}, tmp_path):
+        pass
 
 
 def test_charts_of_any_number_of_bars_and_panels(maker):
