@@ -1,6 +1,6 @@
 """Charts as files for papers: SVG and PDF.
 
-``python -m reports.charts.files CHART.svg…`` writes the PDF of each file beside it.
+Run as a program with the paths of SVG files, it writes the PDF of each beside it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ def written(charts: Mapping[str, Chart], folder: Path) -> Iterator[None]:
         yield
         return
     folder.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, "-m", "reports.charts.files"]
+    # By its path: by its name, a folder `reports/` in the working directory would be run instead.
+    command = [sys.executable, "-P", __file__]
     for name, chart in charts.items():
         path = folder / f"{name}.svg"
         path.write_text(svg.file(chart), encoding="utf-8")

@@ -108,7 +108,12 @@ def test_the_page_has_the_same_drawing_with_values_and_keys(maker):
     assert points["y"]["text"] == "{} dB"
 
 
-def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path):
+def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path, monkeypatch):
+    # A folder of the working directory is not taken for the package.
+    (tmp_path / "reports" / "charts").mkdir(parents=True)
+    (tmp_path / "reports" / "__init__.py").touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
     for method in ("3dgs", "econgs", "hac"):
         for dataset in ("x", "y"):
             maker.run(dataset, method=method, views=0, psnr=30 + len(method))
