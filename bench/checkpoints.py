@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from bench.store import write_text
+from datasets.errors import DataError
 from methods.interface import Checkpoint
 
+VERSION = 2
+"""Raised when a checkpoint of an earlier version could be misread."""
 _META, _ARRAYS = "checkpoint.json", "arrays.safetensors"
 
 
@@ -33,7 +36,12 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint, harness: dict[str, An
 
         arrays = {name: a.detach().cpu().contiguous().clone() for name, a in checkpoint.arrays.items()}
         save_file(arrays, aside / _ARRAYS)
-    meta = {"iteration": checkpoint.iteration, "scalars": checkpoint.scalars, "harness": harness}
+    meta = {
+        "version": VERSION,
+        "iteration": checkpoint.iteration,
+        "scalars": checkpoint.scalars,
+        "harness": harness,
+    }
     write_text(aside / _META, json.dumps(meta))
     os.rename(aside, target)
     for older in folder.iterdir():
@@ -42,11 +50,17 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint, harness: dict[str, An
 
 
 def read_checkpoint(folder: Path) -> tuple[Checkpoint, dict[str, Any]] | None:
-    """The newest checkpoint under a folder and the state of the harness; None if there is none."""
+    """The newest checkpoint under a folder and the state of the harness; None if there is none.
+
+    Raises:
+        DataError: an earlier version wrote it.
+    """
     newest = max((path.parent for path in folder.glob(f"[0-9]*/{_META}")), default=None)
     if newest is None:
         return None
     meta = json.loads((newest / _META).read_text(encoding="utf-8"))
+    if meta.get("version") != VERSION:
+        raise DataError(newest, "an earlier version wrote this checkpoint", "Run into a new store (--out)")
     arrays = {}
     if (newest / _ARRAYS).is_file():
         from safetensors.torch import load_file

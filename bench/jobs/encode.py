@@ -10,23 +10,16 @@ from bench.checkpoints import read_checkpoint
 from bench.jobs.context import Context
 from bench.records import EncodeResult
 from bench.timing import synchronise
-from datasets.errors import DataError
 
 
 def run(context: Context) -> EncodeResult:
     """Restore the model of a fit from its checkpoint and save it; the ledger must cover the files."""
     job = context.job
-    fit = context.path_of(context.input("fit"))
-    stored = read_checkpoint(fit / "checkpoint")
+    stored = read_checkpoint(context.path_of(context.input("fit")) / "checkpoint")
     if stored is None:
         raise RuntimeError("the fit has no checkpoint")
     context.report(stage="loading")
-    try:
-        model = context.method().restore(stored[0], context.options, job.device)
-    except KeyError as error:
-        raise DataError(
-            fit, f"its checkpoint has no {error}: an earlier version wrote it", "Run into a new store (--out)"
-        ) from error
+    model = context.method().restore(stored[0], context.options, job.device)
     folder = context.folder / "model"
     if folder.exists():
         shutil.rmtree(folder)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import time
 
 import numpy as np
 import pytest
 
-from bench.checkpoints import read_checkpoint, write_checkpoint
+from bench.checkpoints import VERSION, read_checkpoint, write_checkpoint
 from bench.monitor import FitMonitor, Stop, Stopped
 from bench.timing import time_frames
+from datasets.errors import DataError
 from methods.interface import Checkpoint, Diverged
 
 
@@ -164,6 +166,17 @@ def test_a_half_written_checkpoint_is_not_read(tmp_path) -> None:
     assert checkpoint.iteration == 7
     write_checkpoint(tmp_path, Checkpoint(9, {}, {"good": True}), {})
     assert read_checkpoint(tmp_path)[0].iteration == 9
+
+
+@pytest.mark.parametrize("version", [None, VERSION - 1])
+def test_a_checkpoint_of_an_earlier_version_is_refused(tmp_path, version) -> None:
+    write_checkpoint(tmp_path / "checkpoint", Checkpoint(7, {}, {}), {})
+    (file,) = tmp_path.glob("checkpoint/*/checkpoint.json")
+    meta = json.loads(file.read_text())
+    assert meta.pop("version") == VERSION
+    file.write_text(json.dumps(meta if version is None else {**meta, "version": version}))
+    with pytest.raises(DataError, match="an earlier version wrote this checkpoint"):
+        _monitor(tmp_path).resume()
 
 
 def test_frame_times_cover_the_whole_path_alike() -> None:
