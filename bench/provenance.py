@@ -29,7 +29,7 @@ def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance
     """The facts about this process; needs no heavy import of its own."""
     return Provenance(
         machine=platform.node() or "unknown",
-        cpu=_cpu(),
+        cpu=cpu(),
         cores=os.cpu_count() or 1,
         threads=threads,
         memory_bytes=psutil.virtual_memory().total,
@@ -85,7 +85,8 @@ def native_isa() -> str | None:
     return str(native.isa()) if native is not None else None
 
 
-def _cpu() -> str:
+def cpu() -> str:
+    """Model of the processor."""
     try:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):

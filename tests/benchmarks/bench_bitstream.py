@@ -1,7 +1,7 @@
-"""Bitstream and context model: time, bits against the ideal, cost of an iteration.
+"""Bitstream: time, and bits against the ideal.
 
     python tests/benchmarks/bench_bitstream.py [--anchors N] [--scenes N] [--repeats N] [--threads N]
-                                               [--clouds FOLDER] [--json FILE]
+                                               [--clouds FOLDER]
 
 ``--clouds`` also reports bits per position of every points3d.ply under a folder. What is compared runs in
 turns in one process and the shortest times are shown: other work on the machine only makes them longer, the
@@ -11,37 +11,20 @@ sum over all threads ("CPU") less so.
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from turns import interleaved
 
-from econgs.context.hash_grid import HAC_GRID, SMALL_GRID
-from econgs.context.model import Attributes, ContextConfig, ContextModel, Noise, draw_sample
+from datasets.cloud import read_ply
+from econgs.context.model import Attributes, ContextConfig, ContextModel
 from econgs.context.positions import PositionGrid, encode_positions, morton_order
 from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, decode_group, encode_group
 from econgs.splat import native
 
 VOXEL = 0.001
-
-
-def shortest(ways: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Shortest seconds of each way, called in turns after one warm-up; also the sum over all threads."""
-    clocks = {"": time.perf_counter, ", CPU": time.process_time}
-    best = {name + clock: float("inf") for name in ways for clock in clocks}
-    for turn in range(repeats + 1):
-        for name, call in ways.items():
-            starts = {clock: now() for clock, now in clocks.items()}
-            call()
-            for clock, now in clocks.items():
-                if turn:
-                    best[name + clock] = min(best[name + clock], now() - starts[clock])
-    return best
 
 
 def scenes_of(count: int, anchors: int) -> list[SceneAttributes]:
@@ -83,7 +66,7 @@ def stream(count: int, anchors: int, repeats: int) -> dict[str, Any]:
     weights = np.random.default_rng(1).normal(size=29_980).astype(np.float32)
     group = GroupAttributes(tuple(scenes), grid, CodedContext.of(model), {"decoders": weights})
     encoded = encode_group(group)
-    times = shortest(
+    times = interleaved(
         {"encode": lambda: encode_group(group), "decode": lambda: decode_group(encoded.data)}, repeats
     )
     model.coder_exact = True
@@ -98,7 +81,8 @@ def stream(count: int, anchors: int, repeats: int) -> dict[str, Any]:
     return {
         "scenes": count,
         "anchors": sum(map(len, scenes)),
-        **{f"{name}, s": seconds for name, seconds in times.items()},
+        **{f"{name}, s": 1e-3 * time.shortest for name, time in times.items()},
+        **{f"{name}, CPU, s": 1e-3 * time.cpu for name, time in times.items()},
         "bytes": len(encoded.data),
         "above the cross-entropy, %": 100 * (encoded.attribute_bits / encoded.ideal_bits - 1),
         "cross-entropy above the float model's estimate, %": 100 * (encoded.ideal_bits / estimate - 1),
@@ -107,59 +91,11 @@ def stream(count: int, anchors: int, repeats: int) -> dict[str, Any]:
     }
 
 
-def iteration(visible: int, anchors: int, repeats: int) -> dict[str, float]:
-    """Milliseconds that the context model adds to an iteration of stage 2, forward and backward."""
-    generator = torch.Generator().manual_seed(0)
-    codes = torch.randint(0, 1000, (anchors, 3), generator=generator)
-    rows = torch.randperm(anchors, generator=generator)[:visible].sort().values
-    every = Attributes(torch.randn(visible, 50), 0.02 * torch.rand(visible, 6), torch.randn(visible, 10, 3))
-    outer = [torch.randn_like(one) for one in every]
-    noise = Noise(generator=generator)
-    leaves = Attributes(*(one.requires_grad_(True) for one in every))
-
-    def step(model: ContextModel, lookup: Any, exact: bool, backend: str | None) -> Callable[[], None]:
-        def call() -> None:
-            os.environ.pop("ECONGS_BACKEND", None)
-            if backend:
-                os.environ["ECONGS_BACKEND"] = backend
-            model.coder_exact = exact
-            model.zero_grad()
-            context = model(lookup, rows, draw_sample(visible, generator))
-            noisy = model.perturb(leaves, context, noise)
-            rate = model.rate(noisy, context, anchors=anchors)
-            # The rest of the loss is a gradient from outside.
-            torch.autograd.backward([rate.attributes + rate.grid, *noisy.values], [None, *outer])
-            os.environ.pop("ECONGS_BACKEND", None)
-
-        return call
-
-    ways = {}
-    for name, grid in (("small", SMALL_GRID), ("HAC", HAC_GRID)):
-        model = ContextModel(ContextConfig(grid=grid, hidden=50 if name == "small" else 100), generator)
-        lookup = model.lookup(codes, (999, 999, 999))
-        for exact in (False, True):
-            ways[f"{name} grid{', rounded as coded' if exact else ''}"] = step(model, lookup, exact, None)
-        ways[f"{name} grid, lookups by torch"] = step(model, lookup, False, "torch")
-    return {name: 1e3 * seconds for name, seconds in shortest(ways, repeats).items()}
-
-
-def points_of(path: Path) -> np.ndarray:
-    """Positions of a binary little-endian .ply of vertices that begin with x, y, z as floats."""
-    data = path.read_bytes()
-    end = data.index(b"end_header\n") + 11
-    lines = data[:end].decode().splitlines()
-    count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
-    sizes = {"float": "<f4", "uchar": "u1", "double": "<f8"}
-    fields = [(line.split()[2], sizes[line.split()[1]]) for line in lines if line.startswith("property")]
-    vertices = np.frombuffer(data[end:], np.dtype(fields), count)
-    return np.stack([vertices[axis] for axis in "xyz"], 1)
-
-
 def clouds(folder: Path) -> dict[str, float]:
     """Bits per position of clouds, in the box at 16 bits per axis (48 raw) and on the lattice of anchors."""
     found = {}
     for path in sorted(folder.rglob("points3d.ply")):
-        points = points_of(path)
+        points = read_ply(path).points
         for name, grid in (
             ("16 bits per axis", PositionGrid.box(points.min(0), points.max(0))),
             (f"cells of {VOXEL:g}", PositionGrid.lattice(VOXEL, points)),
@@ -174,26 +110,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--anchors", type=int, default=14_000, help="per scene")
     parser.add_argument("--scenes", type=int, default=4)
-    parser.add_argument("--visible", type=int, default=10_000, help="anchors in view in an iteration")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--clouds", type=Path)
-    parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     native.set_threads(options.threads)
-    results: dict[str, dict[str, Any]] = {
-        "stream": stream(options.scenes, options.anchors, options.repeats),
-        "iteration, ms": iteration(options.visible, options.anchors, 3 * options.repeats),
-    }
+    results = {"stream": stream(options.scenes, options.anchors, options.repeats)}
     if options.clouds:
         results["bits per position"] = clouds(options.clouds)
     for title, numbers in results.items():
         print(title)
         for name, value in numbers.items():
             print(f"  {name:50} {value:12.4g}" if isinstance(value, float) else f"  {name:50} {value:12}")
-    if options.json:
-        options.json.write_text(json.dumps(results, indent=1))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Speed of the splatting core as ratios within one run.
 
-    python tests/benchmarks/bench_splatting.py [--repeats N] [--threads N] [--json FILE]
+    python tests/benchmarks/bench_splatting.py [--repeats N] [--threads N] [--only SECTION]
 
 What is compared runs in turns (A B A B …) and medians are divided, so that a busy machine slows both alike.
 Beside them stand the ratios of the shortest times: other work on the machine hurts the many small steps of
@@ -10,24 +10,24 @@ torch more than a kernel, so these are the ones to trust when it is busy.
 from __future__ import annotations
 
 import argparse
-import json
-import platform
 import statistics
 import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
+from turns import Time, heading, interleaved, row
 
+from bench.provenance import cpu
 from datasets.camera import Camera
 from econgs.losses import photometric_loss, torch_ssim
 from econgs.optim import Adam
 from econgs.splat import native, rasterise, spherical_harmonics
 
+RATIOS = ("ratio", "ratio of shortest")
 SCENES = {"10 k, 200²": (10_000, 200), "50 k, 400²": (50_000, 400)}
 
 
@@ -48,22 +48,6 @@ def scene(count: int, size: int) -> tuple[dict[str, Tensor], Camera]:
     return {name: torch.from_numpy(one.astype(np.float32)) for name, one in arrays.items()}, camera
 
 
-Times = dict[str, float]
-
-
-def interleaved(ways: dict[str, Callable[[], object]], repeats: int) -> tuple[Times, Times]:
-    """Median and shortest milliseconds of each way, called in turns after one warm-up each."""
-    times: dict[str, list[float]] = {name: [] for name in ways}
-    for turn in range(repeats + 1):
-        for name, call in ways.items():
-            start = time.perf_counter()
-            call()
-            if turn:
-                times[name].append(1e3 * (time.perf_counter() - start))
-    middle = {name: statistics.median(each) for name, each in times.items()}
-    return middle, {name: min(each) for name, each in times.items()}
-
-
 def splatting(tensors: dict[str, Tensor], camera: Camera, backend: str, backward: bool) -> Callable[[], None]:
     """One frame, or one frame and its gradients to all five inputs from color and alpha."""
     leaves = {name: one.clone().requires_grad_(backward) for name, one in tensors.items()}
@@ -77,24 +61,23 @@ def splatting(tensors: dict[str, Tensor], camera: Camera, backend: str, backward
     return call
 
 
-def against_the_oracle(repeats: int) -> list[dict[str, Any]]:
-    rows = []
+def against_the_oracle(repeats: int) -> None:
+    heading("Native against the torch oracle", "scene", "what", "torch", "native", *RATIOS)
     for name, (count, size) in SCENES.items():
         tensors, camera = scene(count, size)
         for what, backward in (("forward", False), ("forward + backward", True)):
             ways = {one: splatting(tensors, camera, one, backward) for one in ("torch", "native")}
-            row, best = interleaved(ways, repeats)
-            ratios = {
-                "ratio": row["torch"] / row["native"],
-                "ratio of shortest": best["torch"] / best["native"],
-            }
-            rows.append({"scene": name, "what": what, **row, **ratios})
-    return rows
+            slow, fast = interleaved(ways, repeats).values()
+            row(name, what, slow, fast, *ratios(slow, fast))
 
 
-def blend_share(repeats: int) -> list[dict[str, Any]]:
+def ratios(slow: Time, fast: Time) -> tuple[str, str]:
+    return f"{slow.median / fast.median:.1f} x", f"{slow.shortest / fast.shortest:.1f} x"
+
+
+def blend_share(repeats: int) -> None:
     """The blend loop's lane evaluations per second over those of the same loop in L1, one thread each."""
-    rows = []
+    heading("Blend loop against its own rate in the L1 cache", "scene", "G/s", "in L1, G/s", "share")
     before = native.threads()
     native.set_threads(1)
     for name, (count, size) in SCENES.items():
@@ -107,9 +90,8 @@ def blend_share(repeats: int) -> list[dict[str, Any]]:
             rates.append(last["evaluations"] / last["blend"])
             peaks.append(native.bench_blend(3))
         rate, peak = statistics.median(rates), statistics.median(peaks)
-        rows.append({"scene": name, "rate": rate, "in L1": peak, "share": rate / peak})
+        row(name, f"{rate / 1e9:.2f}", f"{peak / 1e9:.2f}", f"{rate / peak:.0%}")
     native.set_threads(before)
-    return rows
 
 
 def usual_ssim(x: Tensor, y: Tensor) -> Tensor:
@@ -126,8 +108,8 @@ def usual_ssim(x: Tensor, y: Tensor) -> Tensor:
     return (numerator / ((mx * mx + my * my + 1e-4) * (xx - mx * mx + yy - my * my + 9e-4))).mean()
 
 
-def ssim(repeats: int) -> list[dict[str, Any]]:
-    rows = []
+def ssim(repeats: int) -> None:
+    heading("SSIM with gradient", "image", "11x11 convolution", "torch twin", "native", *RATIOS)
     for size in (200, 400, 800):
         rendered, target = torch.rand(size, size, 3, requires_grad=True), torch.rand(size, size, 3)
 
@@ -136,44 +118,31 @@ def ssim(repeats: int) -> list[dict[str, Any]]:
         ) -> None:
             torch.autograd.grad(loss(x, y), x)
 
-        ways: dict[str, Callable[[], object]] = {
-            "11x11 convolution": lambda: gradient(usual_ssim),
-            "our torch twin": lambda: gradient(torch_ssim),
-            "native": lambda: gradient(native.ssim),
-        }
-        row, best = interleaved(ways, repeats)
-        ratios = {
-            "ratio": row["11x11 convolution"] / row["native"],
-            "ratio of shortest": best["11x11 convolution"] / best["native"],
-            "ratio to twin": row["our torch twin"] / row["native"],
-        }
-        rows.append({"image": f"{size}²", **row, **ratios})
-    return rows
+        losses = {"11x11 convolution": usual_ssim, "torch twin": torch_ssim, "native": native.ssim}
+        ways = {name: partial(gradient, loss) for name, loss in losses.items()}
+        slow, twin, fast = interleaved(ways, repeats).values()
+        row(f"{size}²", slow, twin, fast, *ratios(slow, fast))
 
 
-def instruction_sets(repeats: int) -> list[dict[str, Any]]:
-    rows = []
-    before = native.isa()
+def instruction_sets(repeats: int) -> None:
     isas = native.available_isas()
+    heading("Instruction sets, forward + backward", "scene", *isas)
+    before = native.isa()
     for name, (count, size) in SCENES.items():
         tensors, camera = scene(count, size)
         frame = splatting(tensors, camera, "native", True)
 
-        def under(isa: str, frame: Callable[[], None] = frame) -> Callable[[], None]:
-            def call() -> None:
-                native.set_isa(isa)
-                frame()
+        def under(isa: str, frame: Callable[[], None] = frame) -> None:
+            native.set_isa(isa)
+            frame()
 
-            return call
-
-        rows.append({"scene": name, **interleaved({isa: under(isa) for isa in isas}, 3 * repeats)[0]})
+        row(name, *interleaved({isa: partial(under, isa) for isa in isas}, 3 * repeats).values())
     native.set_isa(before)
-    return rows
 
 
-def optimiser_share(repeats: int) -> list[dict[str, Any]]:
+def optimiser_share(repeats: int) -> None:
     """A training iteration of 3DGS with all 59 floats per Gaussian, and the optimiser's part of it."""
-    rows = []
+    heading("Optimiser's share of a 3DGS iteration", "scene", "iteration, ms", "optimiser, ms", "share")
     rates = {"means": 1e-5, "dc": 1e-3, "rest": 1e-4, "opacities": 1e-3, "scales": 1e-4, "quats": 1e-4}
     for name, (count, size) in {**SCENES, "130 k, 800²": (130_000, 800)}.items():
         tensors, camera = scene(count, size)
@@ -211,55 +180,36 @@ def optimiser_share(repeats: int) -> list[dict[str, Any]]:
             if turn >= 2:
                 whole.append(1e3 * (end - start))
                 part.append(1e3 * (end - middle))
-        row = {"iteration": statistics.median(whole), "optimiser": statistics.median(part)}
-        rows.append({"scene": name, **row, "share": row["optimiser"] / row["iteration"]})
-    return rows
+        iteration, step = statistics.median(whole), statistics.median(part)
+        row(name, f"{iteration:.2f}", f"{step:.2f}", f"{step / iteration:.0%}")
 
 
-def markdown(title: str, rows: list[dict[str, Any]]) -> str:
-    def text(name: str, value: Any) -> str:
-        if not isinstance(value, float):
-            return str(value)
-        if "share" in name:
-            return f"{100 * value:.0f} %"
-        if name.startswith("ratio"):
-            return f"{value:.1f}x"
-        return f"{value / 1e9:.2f} G/s" if value > 1e6 else f"{value:.2f} ms"
-
-    lines = [f"**{title}**", "", "| " + " | ".join(rows[0]) + " |", "|---" * len(rows[0]) + "|"]
-    lines += ["| " + " | ".join(text(name, value) for name, value in row.items()) + " |" for row in rows]
-    return "\n".join(lines) + "\n"
+SECTIONS = {
+    "oracle": against_the_oracle,
+    "blend": blend_share,
+    "ssim": ssim,
+    "isa": instruction_sets,
+    "optimiser": optimiser_share,
+}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=5, help="repetitions of the slowest (default 5)")
     parser.add_argument("--threads", type=int, help="threads of torch and of the native kernels")
-    parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--only", help="run only the sections whose title contains this")
+    parser.add_argument("--only", choices=SECTIONS, help="run only this section")
     options = parser.parse_args()
     if options.threads:
         torch.set_num_threads(options.threads)
         native.set_threads(options.threads)
     torch.manual_seed(0)
-    sections = {
-        "Native against the torch oracle": against_the_oracle,
-        "Blend loop against its own rate in the L1 cache": blend_share,
-        "SSIM with gradient": ssim,
-        "Instruction sets, forward + backward": instruction_sets,
-        "Optimiser's share of a 3DGS iteration": optimiser_share,
-    }
-    machine = {"isa": native.isa(), "available": native.available_isas(), "threads": native.threads()}
-    machine |= {"torch": torch.__version__, "machine": platform.machine(), "date": time.strftime("%Y-%m-%d")}
-    print(machine, "\n")
-    figures: dict[str, Any] = {"machine": machine}
-    for title, measure in sections.items():
-        if options.only and options.only.lower() not in title.lower():
-            continue
-        figures[title] = measure(options.repeats)
-        print(markdown(title, figures[title]), flush=True)
-    if options.json:
-        options.json.write_text(json.dumps(figures, indent=1) + "\n")
+    print(
+        f"{native.threads()} threads, {cpu()}, {native.isa()}, torch {torch.__version__}, "
+        f"{time.strftime('%Y-%m-%d')}; medians (shortest) in ms"
+    )
+    for name, section in SECTIONS.items():
+        if options.only in (None, name):
+            section(options.repeats)
 
 
 if __name__ == "__main__":

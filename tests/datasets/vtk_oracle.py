@@ -132,16 +132,6 @@ class VtkRenderer:
         self._aim(camera)
         self.window.Render()
 
-    def finish(self, camera: Camera) -> None:
-        """:meth:`draw`, and wait until the picture is there: OpenGL returns before."""
-        self.draw(camera)
-        self.window.WaitForCompletion()
-
-    def driver(self) -> str:
-        """What OpenGL runs on."""
-        lines = self.window.ReportCapabilities().splitlines()
-        return next((x.split(":", 1)[1].strip() for x in lines if "renderer string" in x), "unknown")
-
     def render(self, camera: Camera) -> NDArray[np.float32]:
         """(height, width, 4) premultiplied RGBA without a background."""
         from vtkmodules.util.numpy_support import vtk_to_numpy
