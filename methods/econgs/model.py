@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -18,9 +18,11 @@ from econgs.anchors.decoders import Decoders
 from econgs.anchors.gaussians import Gaussians
 from econgs.context.arrays import Precision
 from econgs.context.container import Kind, overhead, read_container
+from econgs.context.model import Attributes
 from econgs.context.stream import GroupAttributes, SceneAttributes, encode_group
 from methods.interface import Edit, Refused
-from methods.shared.edits import Direction, shading_edit
+from methods.shared.coding import placed, placed_anchors, stored_networks
+from methods.shared.edits import Direction, shading_edit, triple
 from methods.shared.files import read_streams
 from methods.shared.model import SceneModel
 
@@ -37,9 +39,7 @@ class SceneAnchors:
         background: as recorded.
         light: unit vector to its directional light, or None for a headlight.
         positions: (N, 3).
-        features: (N, F).
-        scalings: (N, 6) activated.
-        offsets: (N, K, 3).
+        values: features (N, F), activated scalings (N, 6), offsets (N, K, 3).
         palette: (3,).
         embedding: (E,).
     """
@@ -49,9 +49,7 @@ class SceneAnchors:
     background: RGB
     light: Direction | None
     positions: Tensor
-    features: Tensor
-    scalings: Tensor
-    offsets: Tensor
+    values: Attributes
     palette: Tensor
     embedding: Tensor
 
@@ -73,30 +71,27 @@ class Group:
     def __init__(self, coded: GroupAttributes, device: str, what: str = "group") -> None:
         self.coded = coded
         try:
-            decoders = _decoders(coded).to(device)
+            decoders, about = _decoders(coded, device), coded.metadata["scenes"]
             self.scenes = {
-                scene.name: SceneAnchors(
-                    scene.name,
-                    decoders,
-                    background=_triple(coded.metadata["scenes"][scene.name]["background"]),
-                    light=_light(coded.metadata["scenes"][scene.name]["light"]),
-                    **{
-                        name: torch.from_numpy(np.ascontiguousarray(values)).to(device)
-                        for name, values in {**_arrays(scene), **scene.parameters}.items()
-                    },
-                )
-                for scene in coded.scenes
+                scene.name: _ready(scene, about[scene.name], decoders, device) for scene in coded.scenes
             }
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
             reason = f"its networks or scene parameters are not those of a model ({error})"
             raise DataError(what, reason, "Encode the model anew") from error
 
 
-def _arrays(scene: SceneAttributes) -> dict[str, np.ndarray]:
-    return {name: getattr(scene, name) for name in ("positions", "features", "scalings", "offsets")}
+def _ready(scene: SceneAttributes, about: Mapping[str, Any], decoders: Decoders, device: str) -> SceneAnchors:
+    return SceneAnchors(
+        scene.name,
+        decoders,
+        triple(about["background"]),
+        None if about["light"] is None else triple(about["light"]),
+        *placed_anchors(scene, device),
+        **{name: placed(values, device) for name, values in scene.parameters.items()},  # type: ignore[arg-type]
+    )
 
 
-def _decoders(coded: GroupAttributes) -> Decoders:
+def _decoders(coded: GroupAttributes, device: str) -> Decoders:
     sizes = coded.metadata["decoders"]
     decoders = Decoders(
         int(sizes["features"]),
@@ -107,23 +102,13 @@ def _decoders(coded: GroupAttributes) -> Decoders:
         offset_color=sizes["offset_color"],
         storage=sizes["storage"],
     )
-    decoders.load_state_dict({name: torch.from_numpy(np.array(v)) for name, v in coded.decoders.items()})
-    return decoders.requires_grad_(False)
+    return stored_networks(decoders, coded, device)
 
 
 def decoders_metadata(decoders: Decoders, precision: Precision) -> dict[str, int | bool | str]:
     """Sizes and precision of the networks, from which a reader makes and writes them again."""
     names = ("features", "offsets", "embedding", "hidden", "view_direction", "offset_color", "storage")
     return {name: getattr(decoders, name) for name in names} | {"precision": precision}
-
-
-def _triple(values: Sequence[float]) -> RGB:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
-
-
-def _light(values: Sequence[float] | None) -> Direction | None:
-    return None if values is None else _triple(values)
 
 
 class EcongsModel(SceneModel[SceneAnchors]):
@@ -146,9 +131,9 @@ class EcongsModel(SceneModel[SceneAnchors]):
     def attributes(self, scene: str, count: int) -> Mapping[str, Tensor]:
         """Features, scalings and offsets of anchors; see :class:`methods.interface.HasAttributes`."""
         anchors = self.scene(scene)
-        rows = torch.linspace(0, len(anchors.positions) - 1, min(count, len(anchors.positions))).long()
-        names = ("features", "scalings", "offsets")
-        return {name: getattr(anchors, name)[rows.to(anchors.positions.device)].flatten(1) for name in names}
+        rows = torch.linspace(0, len(anchors) - 1, min(count, len(anchors))).long()
+        values = anchors.values.of(rows.to(anchors.positions.device))
+        return {name: one.flatten(1) for name, one in values._asdict().items()}
 
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
         """Write the stream of each group, ``<place>.econgs``.
@@ -171,13 +156,13 @@ class EcongsModel(SceneModel[SceneAnchors]):
     def gaussians(self, scene: SceneAnchors, camera: Camera, edit: Edit) -> Gaussians:
         """The shaded Gaussians of the anchors in view."""
         palette, light, factors = shading_edit(scene.name, scene.palette, scene.light, edit)
-        tensors = (scene.positions, scene.features, scene.scalings, scene.offsets)
-        visible = visible_anchors(camera, scene.positions, scene.scalings)
-        if not bool(visible.all()):
-            rows = visible.nonzero()[:, 0]
-            tensors = tuple(tensor.index_select(0, rows) for tensor in tensors)  # type: ignore[assignment]
+        positions, values = scene.positions, scene.values
+        rows = visible_anchors(camera, positions, values.scalings).nonzero()[:, 0]
+        if len(rows) < len(positions):
+            positions, values = positions.index_select(0, rows), values.of(rows)
+        decoders, embedding = scene.decoders, scene.embedding
         return decode(
-            *tensors, scene.decoders, scene.embedding, palette, camera.position, light=light, factors=factors
+            positions, *values, decoders, embedding, palette, camera.position, light=light, factors=factors
         )
 
     @classmethod

@@ -19,7 +19,7 @@ from econgs.splat.composite import scale_depth
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.ply import read_ply, write_ply
 from methods.interface import Edit, Refused
-from methods.shared.edits import opacity_factor
+from methods.shared.edits import opacity_factor, triple
 from methods.shared.files import saved_files
 from methods.shared.model import SceneModel
 
@@ -151,11 +151,11 @@ def _load_scene(file: Path, device: str) -> SceneGaussians:
         if about["format"] != FORMAT:
             raise ValueError(f"format {about['format']!r} instead of {FORMAT!r}")
         name, degree = str(about["scene"]), int(about["sh_degree"])
-        red, green, blue = (float(value) for value in about["background"])
+        background = triple(about["background"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         reason = f"not the metadata of a 3dgs scene ({error})"
         raise DataError(file, reason, "Save the model again") from error
     if not 0 <= degree <= 3:
         raise DataError(file, f"SH degree {degree}", "Save the model again")
     rows = read_ply(file.with_suffix(".ply"))
-    return SceneGaussians.from_rows(name, (red, green, blue), degree, rows, device)
+    return SceneGaussians.from_rows(name, background, degree, rows, device)

@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-import numpy as np
-import torch
-
 from datasets.errors import DataError
 from datasets.scene import RGB
 from econgs.anchors.direct import ColorDecoders
-from econgs.context.model import Attributes
 from econgs.context.stream import GroupAttributes, encode_group
 from methods.interface import Refused
 from methods.scaffold_gs.model import AnchorModel, SceneAnchors
+from methods.shared.coding import placed, placed_anchors, stored_networks
+from methods.shared.edits import triple
 from methods.shared.files import read_streams
 
 SUFFIX = ".hac"
@@ -86,24 +84,14 @@ class HacModel(AnchorModel):
 def _ready(group: GroupAttributes, device: str, what: str) -> SceneAnchors:
     """The scene of a group on a device."""
     try:
-        if group.metadata["method"] != _METHOD or len(group.scenes) != 1 or not group.masked:
-            raise ValueError("it is of another method")
-        red, green, blue = (float(value) for value in group.metadata["background"])
         (scene,) = group.scenes
+        if group.metadata["method"] != _METHOD or scene.masks is None:
+            raise ValueError("it is of another method")
+        background = triple(group.metadata["background"])
         decoders = ColorDecoders(scene.features.shape[1], scene.offsets.shape[1], distance=True)
-        decoders.load_state_dict({name: torch.from_numpy(np.array(v)) for name, v in group.decoders.items()})
+        stored_networks(decoders, group, device)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = f"it is not the model of a hac scene ({error})"
         raise DataError(what, reason, "Encode the model anew") from error
-    arrays = (scene.positions, scene.features, scene.scalings, scene.offsets, scene.masks)
-    positions, features, scalings, offsets, masks = (
-        torch.from_numpy(np.ascontiguousarray(one)).to(device) for one in arrays
-    )
-    return SceneAnchors(
-        scene.name,
-        (red, green, blue),
-        decoders.requires_grad_(False).to(device),
-        positions,
-        Attributes(features, scalings, offsets),
-        masks,
-    )
+    masks = placed(scene.masks, device)
+    return SceneAnchors(scene.name, background, decoders, *placed_anchors(scene, device), masks)

@@ -19,7 +19,7 @@ from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
 from econgs.codebooks import quantise_scalars
 from econgs.splat.composite import scale_depth
 from methods.interface import Edit, Refused
-from methods.shared.edits import Direction, shading_edit
+from methods.shared.edits import Direction, shading_edit, triple
 from methods.shared.model import SceneModel
 from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, read_folder
 
@@ -184,16 +184,11 @@ def ready(coded: QuantisedScene, device: str) -> ShadedGaussians:
     return ShadedGaussians(
         name=coded.name,
         background=coded.background,
-        light=None if light is None else _direction(cast("Sequence[float]", light)),
+        light=None if light is None else triple(cast("Sequence[float]", light)),
         palette=torch.tensor([float(value) for value in palette], device=device),
         means=coded.positions.to(device),
         **activated(raw),
     )
-
-
-def _direction(values: Sequence[float]) -> Direction:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
 
 
 class IvrModel(SceneModel[ShadedGaussians]):

@@ -24,7 +24,7 @@ from econgs.anchors.gaussians import Gaussians, apply_masks
 from econgs.context.model import Attributes
 from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
 from methods.interface import Edit, Refused
-from methods.shared.edits import opacity_factor
+from methods.shared.edits import opacity_factor, triple
 from methods.shared.files import saved_files
 from methods.shared.model import SceneModel
 
@@ -218,11 +218,11 @@ def _load_scene(file: Path, device: str) -> StoredScene:
         if not all(bool(torch.isfinite(one).all()) for one in weights.values()):
             raise ValueError("a weight is not finite")
         decoders.load_state_dict(weights)
-        red, green, blue = (float(value) for value in about["background"])
+        background = triple(about["background"])
         name = str(about["scene"])
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         reason = f"not the networks of a scaffold-gs scene ({error})"
         raise DataError(file, reason, "Save the model again") from error
     rows = read_ply(file.with_suffix(".ply"), parts_of(features, offsets))
     decoders.requires_grad_(False)
-    return StoredScene(name, (red, green, blue), decoders.to(device), rows)
+    return StoredScene(name, background, decoders.to(device), rows)

@@ -1,12 +1,19 @@
-"""The context model of a checkpoint, as a stream codes it (HAC, ECoNGS)."""
+"""Between the streams of anchors and torch (HAC, ECoNGS): context model, networks, attributes."""
 
 from __future__ import annotations
 
-import torch
+from typing import TypeVar
 
-from econgs.context.model import ContextConfig, ContextModel
-from econgs.context.stream import CodedContext
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor, nn
+
+from econgs.context.model import Attributes, ContextConfig, ContextModel
+from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes
 from methods.shared.training import TrainingState
+
+N = TypeVar("N", bound=nn.Module)
 
 
 @torch.no_grad()
@@ -17,3 +24,24 @@ def coded_context(state: TrainingState, config: ContextConfig) -> CodedContext:
     state.fill("head", model.head)
     model.unit.copy_(state.arrays["coding/unit"])
     return CodedContext.of(model)
+
+
+def placed(values: ArrayLike, device: str) -> Tensor:
+    """An array of a stream as a tensor on a device."""
+    return torch.from_numpy(np.ascontiguousarray(values)).to(device)
+
+
+def placed_anchors(scene: SceneAttributes, device: str) -> tuple[Tensor, Attributes]:
+    """Positions and attributes of a decoded scene."""
+    values = (placed(one, device) for one in (scene.features, scene.scalings, scene.offsets))
+    return placed(scene.positions, device), Attributes(*values)
+
+
+def stored_networks(networks: N, group: GroupAttributes, device: str) -> N:
+    """Networks with the weights of a decoded group, on a device, which learn no more.
+
+    Raises:
+        RuntimeError: the weights have other names or shapes.
+    """
+    networks.load_state_dict({name: torch.from_numpy(np.array(one)) for name, one in group.decoders.items()})
+    return networks.requires_grad_(False).to(device)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 import torch
@@ -11,6 +12,12 @@ from econgs.anchors.shading import Factors
 from methods.interface import Edit, Refused
 
 Direction = tuple[float, float, float]
+
+
+def triple(values: Iterable[float]) -> Direction:
+    """A color or direction from JSON; anything but three numbers raises ``TypeError`` or ``ValueError``."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
 
 
 def opacity_factor(method: str, name: str, edit: Edit) -> float:
@@ -61,6 +68,5 @@ def shading_edit(
         length = float(np.linalg.norm(direction))
         if direction.shape != (3,) or not math.isfinite(length) or length < 1e-6:
             raise Refused(f"light {edit.light} of scene {name!r} is no direction")
-        x, y, z = (direction / length).tolist()
-        light = (x, y, z)
+        light = triple(direction / length)
     return palette, light, Factors(**numbers)

@@ -18,6 +18,7 @@ from torch import Tensor
 from datasets.errors import DataError
 from datasets.scene import RGB
 from econgs.codebooks import Codebook, code_ids, decode_ids, decoded, pack_ids, unpack_ids
+from methods.shared.edits import triple
 from methods.shared.files import saved_files
 
 SUFFIX = ".safetensors"
@@ -133,7 +134,7 @@ def _read(file: Path, kind: str, widths: Mapping[str, int]) -> QuantisedScene:
     ids = about["ids"]
     if ids not in ("fixed", "entropy"):
         raise ValueError(f"ids {ids!r}")
-    red, green, blue = (float(value) for value in about["background"])
+    background = triple(about["background"])
     positions = _halves(tensors, "positions", 3)
     columns: dict[str, Column] = {}
     for name, width in widths.items():
@@ -146,7 +147,7 @@ def _read(file: Path, kind: str, widths: Mapping[str, int]) -> QuantisedScene:
             columns[name] = tuple(
                 _codebook(tensors, f"{name}.{stage}", len(positions), width, ids) for stage in range(stages)
             )
-    return QuantisedScene(str(about["scene"]), (red, green, blue), about["about"], positions, columns, ids)
+    return QuantisedScene(str(about["scene"]), background, about["about"], positions, columns, ids)
 
 
 def _codebook(tensors: Mapping[str, Tensor], name: str, count: int, width: int, ids: Ids) -> Codebook:

@@ -205,10 +205,10 @@ def test_attributes_of_some_anchors_can_be_looked_at(fitted):
     count = model.primitives("tiny")
     every, some = model.attributes("tiny", 10 * count), model.attributes("tiny", 7)
     anchors = model.scene("tiny")
-    assert torch.equal(every["features"], anchors.features)
-    assert torch.equal(every["offsets"], anchors.offsets.reshape(count, -1))
+    assert torch.equal(every["features"], anchors.values.features)
+    assert torch.equal(every["offsets"], anchors.values.offsets.reshape(count, -1))
     assert {len(values) for values in some.values()} == {7}
-    assert torch.equal(some["scalings"][[0, -1]], anchors.scalings[[0, -1]])
+    assert torch.equal(some["scalings"][[0, -1]], anchors.values.scalings[[0, -1]])
 
 
 def test_memory_is_estimated_from_the_points_that_become_anchors(tiny, scene):
@@ -273,7 +273,7 @@ def test_storage(tiny, scene, tmp_path, storage):
     for one, other in zip(pictures(model, scene.validation), pictures(again, scene.validation), strict=True):
         assert torch.equal(one, other)
     stored = {"implicit": 16, "partial": 16 + 3 * 4, "explicit": 16 + 10 * 4}[storage]
-    assert model.scene("tiny").features.shape[1] == stored
+    assert model.scene("tiny").values.features.shape[1] == stored
     names = {name.split(".")[0] for name in model.groups[0].coded.decoders}
     assert ("normal" in names) == (storage == "implicit") == ("offset" in names)
     assert ("shading" in names) == (storage != "explicit")
