@@ -22,7 +22,7 @@ from bench.processes import Process, Processes, end_session
 from bench.provenance import imports_torch
 from bench.records import Job, Record, Status, Task
 from bench.store import Store, write_text
-from bench.worker import BUSY, STOPPED, last_progress, log_tail, now, read_progress
+from bench.worker import BUSY, STOPPED, log_tail, now, read_progress, traces
 
 POLL_SECONDS = 0.1
 GRACE_SECONDS = 60.0
@@ -314,18 +314,14 @@ class LocalExecutor:
         if verdict is None and code < 0:
             verdict = ("failed", f"killed by signal {-code} ({signal.Signals(-code).name})")
         status, reason = verdict or ("failed", f"its process ended with exit code {code}")
-        last = last_progress(folder)
-        finished = time.time()
         record = Record(
             job=job,
             status=status,
             reason=reason,
-            stage=last.get("stage"),
-            iteration=last.get("iteration"),
-            log_tail=log_tail(folder),
             started=now(),
             finished=now(),
-            wall_seconds=finished - self._started,
+            wall_seconds=time.time() - self._started,
+            **traces(folder),
         )
         self._store.finish(record)
         return record

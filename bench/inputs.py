@@ -126,18 +126,12 @@ def view_request(request: Request, split: Split) -> ViewRequest:
 
 def _native_size(folder: Path) -> tuple[int, int]:
     """Width and height of the first training picture."""
-    from PIL import Image
-
     from datasets.blender import read_transforms
+    from datasets.png import open_picture
 
     _, picture = read_transforms(folder / "transforms_train.json")[0]
-    try:
-        with Image.open(picture) as image:
-            return image.size
-    except (OSError, ValueError, SyntaxError) as error:
-        raise DataError(
-            picture, f"cannot be read as a picture ({error})", "Write it as an 8-bit PNG"
-        ) from error
+    with open_picture(picture) as image:
+        return image.size
 
 
 def _folder_hash(folder: Path) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from bench.checkpoints import read_checkpoint, write_checkpoint
 from bench.losses import LossCurve
 from bench.metrics.image import Pair, psnr, to_8bit
-from bench.records import CurvePoint, LossPoint
+from bench.records import CurvePoint
 from datasets.views import ViewSet
 from methods.interface import Checkpoint, Diverged, EstimatesBytes, Model
 
@@ -71,6 +71,12 @@ class FitMonitor:
         report: takes progress.
         stop: the request to end early.
         every: seconds between checkpoints.
+
+    Attributes:
+        seconds: training time up to the last stop.
+        cpu_seconds: processor time of all threads in the same time.
+        losses: of all iterations so far.
+        final: whether the last iteration is stored.
     """
 
     def __init__(
@@ -93,8 +99,6 @@ class FitMonitor:
         self._stop = stop
         self._every = every
         self._moments = _moments(iterations)
-        self._clock = 0.0
-        self._cpu_clock = 0.0
         self._since: tuple[float, float] | None = None
         self._loss: float | None = None
         self._parts: dict[str, float] = {}
@@ -105,7 +109,8 @@ class FitMonitor:
         self._stored = time.monotonic()
         self._speed: tuple[int, float] | None = None
         self.curve: list[CurvePoint] = []
-        self._losses = LossCurve(iterations)
+        self.losses = LossCurve(iterations)
+        self.seconds = self.cpu_seconds = 0.0
         self.resumed = 0
         self.iteration = 0
         self.final = False
@@ -118,10 +123,9 @@ class FitMonitor:
         if stored is None:
             return None
         checkpoint, harness = stored
-        self._clock = harness["seconds"]
-        self._cpu_clock = harness["cpu_seconds"]
+        self.seconds, self.cpu_seconds = harness["seconds"], harness["cpu_seconds"]
         self.curve = [CurvePoint.model_validate(point) for point in harness["curve"]]
-        self._losses.resume(harness["losses"])
+        self.losses.resume(harness["losses"])
         self.resumed = harness["resumed"] + 1
         self.iteration = checkpoint.iteration
         self.final = checkpoint.iteration >= self._iterations
@@ -136,24 +140,9 @@ class FitMonitor:
         """Halt the training clock."""
         if self._since is not None:
             wall, cpu = self._since
-            self._clock += time.perf_counter() - wall
-            self._cpu_clock += time.process_time() - cpu
+            self.seconds += time.perf_counter() - wall
+            self.cpu_seconds += time.process_time() - cpu
             self._since = None
-
-    @property
-    def seconds(self) -> float:
-        """Training time up to the last stop."""
-        return self._clock
-
-    @property
-    def cpu_seconds(self) -> float:
-        """Processor time of all threads in the same time."""
-        return self._cpu_clock
-
-    @property
-    def losses(self) -> list[LossPoint]:
-        """Losses of all iterations so far."""
-        return self._losses.points
 
     # ------------------------------------------------------------------ the method's side
 
@@ -170,7 +159,7 @@ class FitMonitor:
         self._loss = total
         self._parts = {name: float(value) for name, value in losses.items() if name != "loss"}
         if total is not None:
-            self._losses.add(iteration, self._stage, {"loss": total, **self._parts})
+            self.losses.add(iteration, self._stage, {"loss": total, **self._parts})
         self._report_state()
 
     def due(self, iteration: int) -> bool:
@@ -202,10 +191,10 @@ class FitMonitor:
 
     def _write(self, checkpoint: Checkpoint) -> None:
         harness = {
-            "seconds": self._clock,
-            "cpu_seconds": self._cpu_clock,
+            "seconds": self.seconds,
+            "cpu_seconds": self.cpu_seconds,
             "curve": [point.model_dump() for point in self.curve],
-            "losses": self._losses.state(),
+            "losses": self.losses.state(),
             "resumed": self.resumed,
         }
         write_checkpoint(self._folder, checkpoint, harness)
@@ -225,7 +214,7 @@ class FitMonitor:
         self.curve.append(
             CurvePoint(
                 iteration=iteration,
-                train_seconds=self._clock,
+                train_seconds=self.seconds,
                 loss=self._loss,
                 psnr=means,
                 primitives=self._primitives,

@@ -185,7 +185,27 @@ class ViewsResult(_Model):
     transfer: dict[str, dict[str, list[list[float]]]] = Field(default_factory=dict)
 
 
-class DvrResult(_Model):
+class FrameTimes(_Model):
+    """Times of single frames over a path of cameras.
+
+    Attributes:
+        frame_seconds, frame_seconds_p05, frame_seconds_p95: median and percentiles over all timed frames (at
+            least one per camera), after warm-up.
+        warmup_frames: their number; None in older records of dvr.
+        warmup_stable: whether frame times had settled when warm-up ended.
+        reference_seconds: mean of the reference kernel's times before and after; None without native core.
+    """
+
+    frame_seconds: float
+    frame_seconds_p05: float
+    frame_seconds_p95: float
+    frames: int
+    warmup_frames: int | None = None
+    warmup_stable: bool
+    reference_seconds: float | None
+
+
+class DvrResult(FrameTimes):
     """Cost of direct volume rendering, view by view as an interactive viewer would draw.
 
     Attributes:
@@ -193,7 +213,6 @@ class DvrResult(_Model):
         volume_bytes: size of all variables in memory, as ``dtype``.
         load_seconds: time to read the volumes.
         setup_seconds: time from the volumes in memory to the first picture, compilation included.
-        frame_seconds: median time of single-view launches over the test path, after warm-up.
     """
 
     dims: tuple[int, int, int]
@@ -202,15 +221,9 @@ class DvrResult(_Model):
     volume_bytes: int
     load_seconds: float
     setup_seconds: float
-    frame_seconds: float
-    frame_seconds_p05: float
-    frame_seconds_p95: float
-    frames: int
-    warmup_stable: bool
     renderer: str
     version: str
     backend: str
-    reference_seconds: float | None
 
 
 class PartitionResult(_Model):
@@ -263,7 +276,7 @@ class ViewResult(_Model):
     render_file: str
 
 
-class MeasureResult(_Model):
+class MeasureResult(FrameTimes):
     """Measurements of the loaded model, by a process of their own.
 
     Attributes:
@@ -272,19 +285,12 @@ class MeasureResult(_Model):
     """
 
     load_seconds: float
-    frame_seconds: float
-    frame_seconds_p05: float
-    frame_seconds_p95: float
-    frames: int
-    warmup_frames: int
-    warmup_stable: bool
     timing: dict[str, float]
     primitives: int
     metrics: dict[str, float | None]
     missing: dict[str, str]
     views: list[ViewResult]
     features: dict[str, list[list[float]]] = Field(default_factory=dict)
-    reference_seconds: float | None
 
 
 class Record(_Model):

@@ -44,10 +44,8 @@ class Store:
         if not marker.is_file():
             if not create:
                 raise DataError(root, "no run store", "Give --runs the folder that `bench run --out` wrote")
-            if self.root.exists() and (not self.root.is_dir() or any(self.root.iterdir())):
-                others = self.root.is_file() or any(p.name != "locks" for p in self.root.iterdir())
-                if others:
-                    raise DataError(root, "neither empty nor a run store", "Give --out a new folder")
+            if self.root.is_file() or any(path.name != "locks" for path in self.root.glob("*")):
+                raise DataError(root, "neither empty nor a run store", "Give --out a new folder")
             try:
                 self.root.mkdir(parents=True, exist_ok=True)
                 write_text(marker, json.dumps({"schema_version": SCHEMA}) + "\n")

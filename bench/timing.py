@@ -8,13 +8,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from filelock import FileLock
 
+from bench.records import FrameTimes
 from datasets.camera import Camera
 
 WARMUP_SECONDS = 3.0
@@ -58,30 +58,13 @@ def mean_of(before: float | None, after: float | None) -> float | None:
     return None if before is None or after is None else 0.5 * (before + after)
 
 
-@dataclass(frozen=True)
-class FrameTimes:
-    """Frame times over a path of cameras, in seconds.
-
-    Attributes:
-        median, p05, p95: over all timed frames (at least one per camera).
-        frames, warmup: numbers of timed and of warm-up frames.
-        stable: whether frame times had settled when warm-up ended.
-    """
-
-    median: float
-    p05: float
-    p95: float
-    frames: int
-    warmup: int
-    stable: bool
-
-
 def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], device: str) -> FrameTimes:
     """Time ``render`` end to end over a whole path of cameras.
 
     Warm-up follows the path until the medians of two successive windows of five frames differ by less than
     5 %, for at most three seconds (but at least two windows). Then whole passes over the path are timed,
-    frame by frame, for one second or 500 frames. The garbage collector is off meanwhile.
+    frame by frame, for one second or 500 frames. The garbage collector is off meanwhile. The reference kernel
+    runs before and after.
     """
 
     def seconds_of(camera: Camera) -> float:
@@ -91,6 +74,7 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
         synchronise(device)
         return time.perf_counter() - start
 
+    before = reference_seconds()
     gc.collect()
     gc.disable()
     try:
@@ -108,8 +92,16 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
             times += [seconds_of(camera) for camera in cameras]
     finally:
         gc.enable()
-    p05, median, p95 = np.percentile(times, [5, 50, 95])
-    return FrameTimes(float(median), float(p05), float(p95), len(times), len(warm), stable)
+    p05, median, p95 = np.percentile(times, [5, 50, 95]).tolist()
+    return FrameTimes(
+        frame_seconds=median,
+        frame_seconds_p05=p05,
+        frame_seconds_p95=p95,
+        frames=len(times),
+        warmup_frames=len(warm),
+        warmup_stable=stable,
+        reference_seconds=mean_of(before, reference_seconds()),
+    )
 
 
 def median_timings(

@@ -105,21 +105,17 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
     stop.deferred = True  # the job is finished: its record must be written
     from bench.provenance import provenance
 
-    last = last_progress(folder) if status != "ok" else {}
     return Record(
         job=job,
         status=status,
         reason=reason,
-        stage=last.get("stage"),
-        iteration=last.get("iteration"),
-        log_tail=log_tail(folder) if status != "ok" else None,
         started=started,
         finished=now(),
         wall_seconds=time.perf_counter() - start,
         peak_host_bytes=(context.peak_host_bytes if context else None) or peak_host_bytes(),
         peak_device_bytes=(context.peak_device_bytes if context else None) or peak_device_bytes(job.device),
         provenance=provenance(task.threads, spec, job.device),
-        **fields,  # type: ignore[arg-type]
+        **(fields if status == "ok" else traces(folder)),  # type: ignore[arg-type]
     )
 
 
@@ -160,10 +156,11 @@ def read_progress(folder: Path, offset: int = 0) -> tuple[list[dict[str, Any]], 
     return states, offset + sum(map(len, lines))
 
 
-def last_progress(folder: Path) -> dict[str, Any]:
-    """The last state of a job, of its last attempt; empty if there is none."""
+def traces(folder: Path) -> dict[str, Any]:
+    """Where a job failed: fields of its record."""
     states, _ = read_progress(folder)
-    return states[-1] if states else {}
+    last = states[-1] if states else {}
+    return {"stage": last.get("stage"), "iteration": last.get("iteration"), "log_tail": log_tail(folder)}
 
 
 def now() -> str:

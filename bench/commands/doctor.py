@@ -108,17 +108,14 @@ def _gpu() -> Finding:
 
 
 def _lpips() -> Finding:
-    import torch
+    from bench.metrics.lpips import BACKBONES, checkpoints
 
-    folder = Path(torch.hub.get_dir()) / "checkpoints"
-    weights = sorted(folder.glob("vgg16-*.pth"))
-    if weights:
-        return Finding("LPIPS weights", "ok", str(weights[0]))
+    path = checkpoints() / BACKBONES["vgg"].file
+    if path.is_file():
+        return Finding("LPIPS weights", "ok", str(path))
+    remedy = f"Put https://download.pytorch.org/models/{path.name} into that folder (or set TORCH_HOME)"
     return Finding(
-        "LPIPS weights",
-        "lacks",
-        f"no vgg16-*.pth in {folder}; lpips_vgg stays empty",
-        "Put https://download.pytorch.org/models/vgg16-397923af.pth into that folder (or set TORCH_HOME)",
+        "LPIPS weights", "lacks", f"no {path.name} in {path.parent}; lpips_vgg stays empty", remedy
     )
 
 

@@ -7,7 +7,7 @@ import time
 from bench.inputs import view_request
 from bench.jobs.context import Context
 from bench.records import DvrResult
-from bench.timing import mean_of, reference_seconds, time_frames
+from bench.timing import time_frames
 from datasets.catalogue import open_dataset
 from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
 from datasets.render_views import live_renderer
@@ -28,10 +28,8 @@ def run(context: Context) -> DvrResult:
     context.report(stage="set-up")
     live = live_renderer(dataset, job.subject, view_request(job.request, job.split))
     context.report(stage="timing")
-    before = reference_seconds()
     # Each picture is copied to the host, so the clock stops when it is there.
     frames = time_frames(live.render, live.cameras, "cpu")
-    after = reference_seconds()
     context.peak_host_bytes = peak_host_bytes()
     context.peak_device_bytes = peak_drjit_device_bytes()
     return DvrResult(
@@ -41,11 +39,6 @@ def run(context: Context) -> DvrResult:
         volume_bytes=sum(volume.values.nbytes for volume in volumes),
         load_seconds=load_seconds,
         setup_seconds=live.setup_seconds,
-        frame_seconds=frames.median,
-        frame_seconds_p05=frames.p05,
-        frame_seconds_p95=frames.p95,
-        frames=frames.frames,
-        warmup_stable=frames.stable,
         **live.about,
-        reference_seconds=mean_of(before, after),
+        **frames.model_dump(),
     )

@@ -52,7 +52,7 @@ def run(context: Context) -> FitResult:
         primitives={name: model.primitives(name) for name in job.scenes},
         train_views=sum(len(scene.train) for scene in scenes) // len(scenes),
         curve=monitor.curve,
-        losses=monitor.losses,
+        losses=monitor.losses.points,
         resumed=monitor.resumed,
         reference_seconds=mean_of(before, after),
     )

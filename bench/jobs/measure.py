@@ -14,13 +14,7 @@ from bench.edits import edit_of
 from bench.jobs.context import Context
 from bench.monitor import as_numpy
 from bench.records import MeasureResult, ViewResult
-from bench.timing import (
-    mean_of,
-    median_timings,
-    reference_seconds,
-    synchronise,
-    time_frames,
-)
+from bench.timing import median_timings, synchronise, time_frames
 from datasets.memory import peak_host_bytes
 from methods.interface import HasAttributes, Method, Model, Refused
 from reports.schema import COVERAGE
@@ -59,13 +53,11 @@ def run(context: Context) -> MeasureResult:
         raise RuntimeError(f"the loaded model holds {list(model.scenes)}, not {', '.join(absent)}")
 
     context.report(stage="timing")
-    before = reference_seconds()
     frames = time_frames(
         lambda camera: model.render(camera, scenes=scenes, edit=edit, background=background),
         cameras,
         job.device,
     )
-    after = reference_seconds()
     parts = median_timings(lambda camera: model.timings(camera, scenes=scenes), cameras)
     context.peak_host_bytes = peak_host_bytes()
 
@@ -103,19 +95,13 @@ def run(context: Context) -> MeasureResult:
         context.report(stage="metrics", iteration=index + 1, iterations=len(cameras))
     return MeasureResult(
         load_seconds=load_seconds,
-        frame_seconds=frames.median,
-        frame_seconds_p05=frames.p05,
-        frame_seconds_p95=frames.p95,
-        frames=frames.frames,
-        warmup_frames=frames.warmup,
-        warmup_stable=frames.stable,
-        timing={"frame": frames.median, **parts},
+        **frames.model_dump(),
+        timing={"frame": frames.frame_seconds, **parts},
         primitives=sum(model.primitives(scene) for scene in scenes),
         metrics={name: _mean([row.metrics[name] for row in rows]) for name in metrics},
         missing=missing,
         views=rows,
         features=_attributes(model, scenes, job.sampled),
-        reference_seconds=mean_of(before, after),
     )
 
 

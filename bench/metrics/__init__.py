@@ -90,19 +90,11 @@ def evaluate(
         UnknownName: a name is no metric.
         ValueError: shapes differ or values are not finite.
     """
-    from bench.metrics.image import Pair, compute
+    from bench.metrics.image import Pair, scores
     from datasets.names import unknown
 
     names = list(METRICS) if names is None else list(names)
     for name in names:
         if name not in METRICS:
             raise unknown("metric", name, METRICS)
-    pair = Pair.composite(truth, rgb, alpha, background)
-    values: dict[str, float | None] = {}
-    reasons: dict[str, str] = {}
-    for name in names:
-        result = compute(name, pair)
-        values[name] = result if isinstance(result, float) else None
-        if isinstance(result, str):
-            reasons[name] = result
-    return Scores(values, reasons)
+    return scores(Pair.composite(truth, rgb, alpha, background), names)

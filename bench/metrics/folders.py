@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from bench.metrics import METRICS
-from bench.metrics.image import Pair, compute, to_8bit
+from bench.metrics.image import Pair, scores, to_8bit
 from datasets.errors import DataError
-from datasets.png import read_png
+from datasets.png import open_picture, read_png
 from datasets.views import over
 
 if TYPE_CHECKING:
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff"})
 _EIGHT_BIT = {"RGB", "RGBA", "L", "LA", "P", "PA"}
-MEAN = "mean"
 
 
 def score(renders: Path, truth: Path, background: Sequence[float] = (1.0, 1.0, 1.0)) -> pd.DataFrame:
@@ -51,26 +49,20 @@ def score(renders: Path, truth: Path, background: Sequence[float] = (1.0, 1.0, 1
                 "Give the images of both folders the same names",
             )
     rows: list[dict[str, Any]] = []
+    every: dict[str, None] = {}
     for name, path in ours.items():
         pair = _pair(path, theirs[name], background)
-        results = {metric: compute(metric, pair) for metric in METRICS}
-        rows.append(
-            {
-                "file": path.name,
-                **{m: r if isinstance(r, float) else None for m, r in results.items()},
-                "identical": pair.identical,
-                "reason": "; ".join(f"{m}: {r}" for m, r in results.items() if isinstance(r, str)),
-            }
-        )
+        values, missing = scores(pair, METRICS)
+        reasons = [f"{metric}: {why}" for metric, why in missing.items()]
+        every |= dict.fromkeys(reasons)
+        rows.append({"file": path.name, **values, "identical": pair.identical, "reason": "; ".join(reasons)})
     table = pd.DataFrame(rows)
     table[list(METRICS)] = table[list(METRICS)].astype("Float64")
-    reasons = dict.fromkeys(part for row in rows for part in row["reason"].split("; ") if part)
-    means = {m: table[m].mean(skipna=False) for m in METRICS}
     total: dict[str, Any] = {
-        "file": MEAN,
-        **means,
+        "file": "mean",
+        **{metric: table[metric].mean(skipna=False) for metric in METRICS},
         "identical": bool(table["identical"].all()),
-        "reason": "; ".join(reasons),
+        "reason": "; ".join(every),
     }
     return pd.concat([table, pd.DataFrame([total]).astype(table.dtypes)], ignore_index=True)
 
@@ -109,13 +101,8 @@ def _pair(render: Path, truth: Path, background: Sequence[float]) -> Pair:
 
 def _read(path: Path) -> tuple[NDArray[np.float32], bool]:
     """Premultiplied RGBA, and whether the file has alpha."""
-    try:
-        with Image.open(path) as image:
-            mode, has_alpha = image.mode, image.has_transparency_data
-    except (OSError, ValueError, SyntaxError) as error:
-        raise DataError(
-            path, f"cannot be read as a picture ({error})", "Write it again as an 8-bit PNG"
-        ) from error
+    with open_picture(path) as image:
+        mode, has_alpha = image.mode, image.has_transparency_data
     if mode not in _EIGHT_BIT:
         raise DataError(path, f"has pixels of mode {mode}", "Write it again as 8-bit RGB or RGBA")
     return read_png(path), has_alpha

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.metrics import Scores
 from datasets.views import over
 
 IDENTICAL_DB = 100.0
@@ -72,9 +73,13 @@ def to_8bit(image: NDArray[np.floating]) -> NDArray[np.uint8]:
     return levels
 
 
-def compute(name: str, pair: Pair) -> float | str:
-    """One metric of :data:`bench.metrics.METRICS`: its value, or why there is none."""
-    return _FUNCTIONS[name](pair)
+def scores(pair: Pair, names: Iterable[str]) -> Scores:
+    """Metrics of :data:`bench.metrics.METRICS` by their names."""
+    results = {name: _FUNCTIONS[name](pair) for name in names}
+    return Scores(
+        {name: None if isinstance(result, str) else result for name, result in results.items()},
+        {name: result for name, result in results.items() if isinstance(result, str)},
+    )
 
 
 def _psnr(truth: NDArray[np.uint8], render: NDArray[np.uint8]) -> float:

@@ -101,14 +101,14 @@ def test_losses_are_means_over_stretches_that_stages_cut(tmp_path) -> None:
 
     monitor = _monitor(tmp_path, iterations=200)
     drive(monitor, 1, 200)
-    points = monitor.losses
+    points = monitor.losses.points
     assert len(points) == 50
     assert [(p.first, p.iteration) for p in points] == [(i, i + 3) for i in range(1, 200, 4)]
     assert points[1].losses == {"loss": 6.5, "rate": 1.0}
     assert [p.stage for p in points] == ["growth"] * 25 + ["noise"] * 25
     uneven = _monitor(tmp_path / "uneven", iterations=400)
     drive(uneven, 1, 103)
-    assert [(p.first, p.iteration) for p in uneven.losses[-3:]] == [(89, 96), (97, 100), (101, 103)]
+    assert [(p.first, p.iteration) for p in uneven.losses.points[-3:]] == [(89, 96), (97, 100), (101, 103)]
     # Stopped within a stretch, it goes on as if it had not been.
     stopped = _monitor(tmp_path / "stopped", iterations=200)
     drive(stopped, 1, 49)
@@ -119,7 +119,7 @@ def test_losses_are_means_over_stretches_that_stages_cut(tmp_path) -> None:
     again.resume()
     again.stage("growth")
     drive(again, 51, 200)
-    assert again.losses == points
+    assert again.losses.points == points
 
 
 def test_a_stop_at_the_last_iteration_is_too_late(tmp_path) -> None:
@@ -187,11 +187,11 @@ def test_frame_times_cover_the_whole_path_alike() -> None:
         time.sleep(0.004 if camera == 2 else 0.001)
 
     times = time_frames(render, [0, 1, 2], "cpu")
-    timed = calls[times.warmup :]
+    timed = calls[times.warmup_frames :]
     assert len(timed) == times.frames
     assert [timed.count(c) for c in (0, 1, 2)] == [times.frames // 3] * 3
-    assert 0.001 <= times.median < times.p95
-    assert times.p95 >= 0.004
+    assert 0.001 <= times.frame_seconds < times.frame_seconds_p95
+    assert times.frame_seconds_p95 >= 0.004
 
 
 class _Picture(_Model):
