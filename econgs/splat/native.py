@@ -153,8 +153,7 @@ def rasterise(
     """Features H×W×C, alpha H×W, depth H×W and radii N; arguments as in :func:`econgs.splat.rasterise`.
 
     Raises:
-        ValueError: NaN or infinity, a zero quaternion, a negative scale or an opacity outside [0, 1]; the
-            message names the tensor and the first such Gaussian.
+        ValueError: NaN or infinity, a zero quaternion, a negative scale or an opacity outside [0, 1].
     """
     pose = camera.world_to_camera[:3, :4].ravel()
     view = np.array([*pose.tolist(), camera.fx, camera.fy, camera.cx, camera.cy])

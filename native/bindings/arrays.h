@@ -32,7 +32,7 @@ bool is(const A& array, std::initializer_list<int64_t> shape) {
 }
 
 template <class A>
-const float* data_or_null(const std::optional<A>& array) {
+auto data_or_null(const std::optional<A>& array) -> decltype(array->data()) {
   return array ? array->data() : nullptr;
 }
 

@@ -119,8 +119,7 @@ void backward_checked(const DecodeFrame& frame, const In& anchors, const In& fea
          "a gradient of another size than its tensor");
   const ConstDecodeOutputs grad = {data_or_null(means), data_or_null(quats), data_or_null(scales), data_or_null(opaque),
                                    data_or_null(colors)};
-  const DecodeInputGradients to = {to_anchors ? to_anchors->data() : nullptr, to_features.data(), to_scalings.data(),
-                                   to_offsets.data()};
+  const DecodeInputGradients to = {data_or_null(to_anchors), to_features.data(), to_scalings.data(), to_offsets.data()};
   NetworkGradients net_grads = {};
   networks_of(s, to_weights, net_grads.first, net_grads.first_bias, net_grads.second, net_grads.second_bias);
   net_grads.embedding = to_embedding.data();

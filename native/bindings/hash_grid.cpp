@@ -28,7 +28,7 @@ HashGrid grid_of(const In& table, const Indices& index, const In& weights, const
   if (rows)
     for (int64_t m = 0; m < count; ++m)
       expect(rows->data()[m] >= 0 && rows->data()[m] < n, "a row beyond the positions looked up");
-  const int64_t* const indices = rows ? rows->data() : nullptr;
+  const int64_t* const indices = data_or_null(rows);
   const int levels = static_cast<int>(corners.size());
   return {table.data(), index.data(), weights.data(), indices, n, count, levels, corners.data(), sizes.data()};
 }

@@ -60,35 +60,6 @@ View view_of(const Doubles& numbers, double near, const Array& alpha) {
   return view;
 }
 
-// The message for what `project` refused: names the tensor and the first Gaussian at fault.
-[[noreturn]] void refuse(const Inputs& in) {
-  struct Tensor {
-    const char* name;
-    const float* data;
-    int width;
-  };
-  const Tensor tensors[] = {{"means", in.means, 3},
-                            {"quats", in.quats, 4},
-                            {"scales", in.scales, 3},
-                            {"opacities", in.opacities, 1},
-                            {"features", in.features, in.channels},
-                            {"screen_offset", in.offset, 2}};
-  const auto fail = [](const char* name, int64_t n, const char* rule) {
-    throw std::invalid_argument(std::string(name) + "[" + std::to_string(n) + "]: " + rule);
-  };
-  for (const auto& tensor : tensors)
-    for (int64_t i = 0; tensor.data && i < in.count * tensor.width; ++i)
-      if (!std::isfinite(tensor.data[i])) fail(tensor.name, i / tensor.width, "every value must be finite");
-  for (int64_t n = 0; n < in.count; ++n) {
-    if (!(in.opacities[n] >= 0 && in.opacities[n] <= 1)) fail("opacities", n, "opacities lie in [0, 1]");
-    for (int k = 0; k < 3; ++k)
-      if (in.scales[3 * n + k] < 0) fail("scales", n, "scales are standard deviations, >= 0");
-    const float* const q = in.quats + 4 * n;
-    if (q[0] == 0 && q[1] == 0 && q[2] == 0 && q[3] == 0) fail("quats", n, "a zero quaternion is no rotation");
-  }
-  throw std::invalid_argument("the Gaussians hold a value that cannot be used");
-}
-
 // The caller (Python) owns the frame.
 Frame* forward_checked(const In& means, const In& quats, const In& scales, const In& opacities, const In& features,
                        std::optional<In> offset, const Doubles& numbers, double near, const Array& image,
@@ -105,7 +76,7 @@ Frame* forward_checked(const In& means, const In& quats, const In& scales, const
     nb::gil_scoped_release release;
     frame = forward(in, view, out, radius, keep);
   }
-  if (!frame) refuse(in);
+  expect(frame != nullptr, "the Gaussians hold a value that cannot be used");
   return frame.release();
 }
 
@@ -127,7 +98,7 @@ void backward_checked(const Frame& frame, const In& means, const In& quats, cons
   const ConstImages out = {image.data(), alpha.data(), depth.data()};
   const ConstImages grad = {data_or_null(grad_image), data_or_null(grad_alpha), data_or_null(grad_depth)};
   const Gradients to = {to_means.data(),     to_quats.data(),    to_scales.data(),
-                        to_opacities.data(), to_features.data(), to_offset ? to_offset->data() : nullptr};
+                        to_opacities.data(), to_features.data(), data_or_null(to_offset)};
   nb::gil_scoped_release release;
   backward(frame, in, out, grad, to);
 }
@@ -189,7 +160,7 @@ std::pair<double, double> photometric_checked(const In& x, const In& y, float ab
   expect(is(y, {h, w, c}) && (!grad || is(*grad, {h, w, c})), "the images have different shapes");
   double ssim = 0, mean = 0;
   const float *const a = x.data(), *const b = y.data();
-  float* const to = grad ? grad->data() : nullptr;
+  float* const to = data_or_null(grad);
   {
     nb::gil_scoped_release release;
     mean = photometric(a, b, h, w, static_cast<int>(c), absolute, structural, to, &ssim);

@@ -30,6 +30,21 @@ typedef float vf_unaligned __attribute__((vector_size(4 * LANES), aligned(4), ma
 typedef float v4 __attribute__((vector_size(16)));
 typedef float v4_unaligned __attribute__((vector_size(16), aligned(4), may_alias));
 
+// The intrinsic of that name for whole vectors, and its types, where the ISA has vectors of this width.
+#if ECONGS_LANES == 16 && defined(__AVX512F__)
+#define WIDE(name) _mm512_##name
+typedef __m512 wide_f;
+typedef __m512d wide_d;
+#elif ECONGS_LANES == 8 && defined(__AVX__)
+#define WIDE(name) _mm256_##name
+typedef __m256 wide_f;
+typedef __m256d wide_d;
+#elif ECONGS_LANES == 4 && defined(__SSE2__)
+#define WIDE(name) _mm_##name
+typedef __m128 wide_f;
+typedef __m128d wide_d;
+#endif
+
 union Quarters {
   vf v;
   v4 q[LANES / 4];
@@ -47,12 +62,8 @@ INLINE v4 load3(const float* p) { return v4{p[0], p[1], p[2], 0.0f}; }
 INLINE v4 load4(const float* p) { return *(const v4_unaligned*)p; }
 INLINE void store4(float* p, v4 v) { *(v4_unaligned*)p = v; }
 INLINE vf set(float x) {
-#if ECONGS_LANES == 16 && defined(__AVX512F__)
-  return (vf)_mm512_set1_ps(x);
-#elif ECONGS_LANES == 8 && defined(__AVX__)
-  return (vf)_mm256_set1_ps(x);
-#elif ECONGS_LANES == 4 && defined(__SSE2__)
-  return (vf)_mm_set1_ps(x);
+#ifdef WIDE
+  return (vf)WIDE(set1_ps)(x);
 #else
   vf v;
   for (int l = 0; l < LANES; ++l) v[l] = x;
@@ -61,23 +72,15 @@ INLINE vf set(float x) {
 }
 INLINE vd setd(double x) { return vd{} + x; }
 INLINE vf min(vf a, vf b) {
-#if ECONGS_LANES == 16 && defined(__AVX512F__)
-  return (vf)_mm512_min_ps((__m512)a, (__m512)b);
-#elif ECONGS_LANES == 8 && defined(__AVX__)
-  return (vf)_mm256_min_ps((__m256)a, (__m256)b);
-#elif ECONGS_LANES == 4 && defined(__SSE2__)
-  return (vf)_mm_min_ps((__m128)a, (__m128)b);
+#ifdef WIDE
+  return (vf)WIDE(min_ps)((wide_f)a, (wide_f)b);
 #else
   return a < b ? a : b;
 #endif
 }
 INLINE vf max(vf a, vf b) {
-#if ECONGS_LANES == 16 && defined(__AVX512F__)
-  return (vf)_mm512_max_ps((__m512)a, (__m512)b);
-#elif ECONGS_LANES == 8 && defined(__AVX__)
-  return (vf)_mm256_max_ps((__m256)a, (__m256)b);
-#elif ECONGS_LANES == 4 && defined(__SSE2__)
-  return (vf)_mm_max_ps((__m128)a, (__m128)b);
+#ifdef WIDE
+  return (vf)WIDE(max_ps)((wide_f)a, (wide_f)b);
 #else
   return a > b ? a : b;
 #endif
@@ -106,12 +109,8 @@ INLINE vf fma(vf a, vf b, vf c) {
 INLINE vf fma(vf a, float b, vf c) { return fma(a, set(b), c); }
 
 INLINE vf sqrt(vf a) {
-#if ECONGS_LANES == 16 && defined(__AVX512F__)
-  return (vf)_mm512_sqrt_ps((__m512)a);
-#elif ECONGS_LANES == 8 && defined(__AVX__)
-  return (vf)_mm256_sqrt_ps((__m256)a);
-#elif ECONGS_LANES == 4 && defined(__SSE2__)
-  return (vf)_mm_sqrt_ps((__m128)a);
+#ifdef WIDE
+  return (vf)WIDE(sqrt_ps)((wide_f)a);
 #else
   for (int l = 0; l < LANES; ++l) a[l] = __builtin_sqrtf(a[l]);
   return a;
@@ -119,12 +118,8 @@ INLINE vf sqrt(vf a) {
 }
 
 INLINE vd sqrtd(vd a) {
-#if ECONGS_LANES == 16 && defined(__AVX512F__)
-  return (vd)_mm512_sqrt_pd((__m512d)a);
-#elif ECONGS_LANES == 8 && defined(__AVX__)
-  return (vd)_mm256_sqrt_pd((__m256d)a);
-#elif ECONGS_LANES == 4 && defined(__SSE2__)
-  return (vd)_mm_sqrt_pd((__m128d)a);
+#ifdef WIDE
+  return (vd)WIDE(sqrt_pd)((wide_d)a);
 #else
   for (int l = 0; l < DLANES; ++l) a[l] = __builtin_sqrt(a[l]);
   return a;

@@ -192,10 +192,49 @@ def native_module() -> Any:
     return native
 
 
-def _backends() -> list[Any]:
+ISAS: list[str] = native_module().available_isas(testing=True) if native_module() else []
+
+
+@pytest.fixture
+def restored() -> Iterator[None]:
+    """Leaves the kernels' instruction set and threads, and torch's threads, as they were."""
     native = native_module()
-    isas = native.available_isas(testing=True) if native else ["missing"]
-    present = [pytest.param(("native", isa), id=f"native-{isa}") for isa in isas]
+    before = (native.isa(), native.threads()) if native else None
+    yield
+    if before:
+        native.set_isa(before[0])
+        native.set_threads(before[1])
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(params=ISAS)
+def isa(request: pytest.FixtureRequest, restored: None) -> str:
+    """Every instruction set of the kernels, in use."""
+    native_module().set_isa(request.param)
+    return str(request.param)
+
+
+@pytest.fixture
+def ways(restored: None, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Iterator[None]]:
+    """Sets every backend, instruction set and number of threads in turn."""
+
+    def each() -> Iterator[None]:
+        monkeypatch.setenv("ECONGS_BACKEND", "torch")
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            yield
+        monkeypatch.setenv("ECONGS_BACKEND", "native")
+        for isa in ISAS:
+            native_module().set_isa(isa)
+            for threads in (1, 2, 3, 4):
+                native_module().set_threads(threads)
+                yield
+
+    return each
+
+
+def _backends() -> list[Any]:
+    present = [pytest.param(("native", isa), id=f"native-{isa}") for isa in ISAS or ["missing"]]
     cuda = pytest.param(("gsplat", ""), id="gsplat", marks=pytest.mark.cuda)
     return [pytest.param(("torch", ""), id="torch"), *present, cuda]
 
@@ -210,22 +249,18 @@ class Backend:
 
 
 @pytest.fixture(params=_backends())
-def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
+def backend(request: pytest.FixtureRequest, restored: None) -> Backend:
     name, isa = request.param
     if name == "gsplat":
         if not torch.cuda.is_available() or importlib.util.find_spec("gsplat") is None:
             pytest.skip("no CUDA device with gsplat here")
-        yield Backend(name, "cuda", 1e-3)
-    elif name == "native":
+        return Backend(name, "cuda", 1e-3)
+    if name == "native":
         native = native_module()
         if native is None:
             pytest.skip("econgs._native is not compiled here")
-        before = native.isa()
         native.set_isa(isa)
-        yield Backend(name)
-        native.set_isa(before)
-    else:
-        yield Backend(name)
+    return Backend(name)
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,37 +18,23 @@ from econgs.anchors.decode import decode, visible_anchors
 from econgs.anchors.decoders import NETWORKS, Decoders
 from econgs.anchors.gaussians import ViewGaussians
 from econgs.anchors.shading import Factors
-from econgs.splat import rasterise
+from econgs.splat import SplatImages, rasterise
 
-try:
-    from econgs.splat import native
+from .conftest import ISAS, native_module
 
-    ISAS = native.available_isas(testing=True)
-except ImportError:
-    ISAS = []
+native = native_module()
 needs_native = pytest.mark.skipif(not ISAS, reason="econgs._native is not compiled here")
 EYE = (0.5, 0.25, -3.0)
 SIDE = (0.6, 0.0, -0.8)
 NAMES = ("means", "quats", "scales", "opacities", "colors")
 
 
-@pytest.fixture(params=ISAS)
-def isa(request: pytest.FixtureRequest) -> Iterator[str]:
-    before = native.isa()
-    native.set_isa(request.param)
-    yield request.param
-    native.set_isa(before)
-
-
 @pytest.fixture(params=["torch", *(f"native-{isa}" for isa in ISAS)])
-def backend(request: pytest.FixtureRequest) -> Iterator[str]:
-    name, _, which = request.param.partition("-")
-    if which:
-        before = native.isa()
-        native.set_isa(which)
-    yield name
-    if which:
-        native.set_isa(before)
+def backend(request: pytest.FixtureRequest, restored: None) -> str:
+    name, _, isa = request.param.partition("-")
+    if isa:
+        native.set_isa(isa)
+    return str(name)
 
 
 @dataclass
@@ -266,13 +251,11 @@ def test_many_blocks_of_anchors(isa: str) -> None:
 @needs_native
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 1300])
 def test_bit_identical_for_any_number_of_threads(isa: str, count: int) -> None:
-    before = native.threads()
     results = []
     for threads in (1, 2, 3, 7):
         native.set_threads(threads)
         one = run(Case(count=count, light=SIDE), torch.float32, "native")
         results.append([*one.outputs.values(), one.decoded.slots, *one.gradients.values()])
-    native.set_threads(before)
     for other in results[1:]:
         for mine, theirs in zip(results[0], other, strict=True):
             assert torch.equal(mine, theirs)
@@ -449,22 +432,24 @@ def test_decoders_that_start_blind_show_half_of_the_gaussians_of_untrained_ancho
     assert offsets == 1 or min(shares) < 1.0  # no more than it takes
 
 
+def camera_of(width: int, height: int) -> Camera:
+    """A camera at z = -2 that looks along z."""
+    pose = np.eye(4)
+    pose[2, 3] = -2.0
+    return Camera.with_fov(pose, 0.6, width, height)
+
+
+def drawn(decoded: ViewGaussians, camera: Camera, backend: str) -> SplatImages:
+    columns = (decoded.means, decoded.quats, decoded.scales, decoded.opacities, decoded.colors)
+    return rasterise(*columns, camera, backend=backend)
+
+
 def test_decoded_gaussians_can_be_drawn(backend: str) -> None:
     decoders, inputs = CASES["paper"].make()
     features = inputs.pop("features").requires_grad_(True)
     decoded = decode(**inputs, features=features, decoders=decoders, eye=(0.0, 0.0, -2.0), backend=backend)
-    pose = np.eye(4)
-    pose[2, 3] = -2.0
-    camera = Camera.with_fov(pose, 0.6, 40, 30)
-    image = rasterise(
-        decoded.means,
-        decoded.quats,
-        decoded.scales,
-        decoded.opacities,
-        decoded.colors,
-        camera,
-        backend=backend,
-    )
+    camera = camera_of(40, 30)
+    image = drawn(decoded, camera, backend)
     assert image.alpha.max() > 0.3
     image.features.sum().backward()
     assert features.grad is not None
@@ -472,9 +457,7 @@ def test_decoded_gaussians_can_be_drawn(backend: str) -> None:
 
 
 def test_visible_anchors_against_every_corner_of_the_frustum() -> None:
-    pose = np.eye(4)
-    pose[2, 3] = -2.0
-    camera = Camera.with_fov(pose, 0.6, 80, 40)
+    camera = camera_of(80, 40)
     random = torch.Generator().manual_seed(1)
     anchors = 3.0 * (torch.rand(4000, 3, generator=random) - 0.5)
     scalings = torch.exp(torch.randn(4000, 6, generator=random) - 4.0)
@@ -497,24 +480,13 @@ def test_gaussians_of_what_is_not_visible_reach_no_pixel() -> None:
     inputs["anchors"] *= 5.0
     inputs["offsets"].clamp_(-1.0, 1.0)
     inputs["scalings"] *= 0.2
-    pose = np.eye(4)
-    pose[2, 3] = -2.0
-    camera = Camera.with_fov(pose, 0.6, 40, 30)
+    camera = camera_of(40, 30)
     seen = visible_anchors(camera, inputs["anchors"], inputs["scalings"])
     assert 0.02 < seen.float().mean() < 0.9
     pictures = []
     for rows in (slice(None), seen):
         some = {name: one if name in ("embedding", "palette") else one[rows] for name, one in inputs.items()}
         decoded = decode(**some, decoders=decoders, eye=camera.position, backend="torch")
-        splats = rasterise(
-            decoded.means,
-            decoded.quats,
-            decoded.scales,
-            decoded.opacities,
-            decoded.colors,
-            camera,
-            backend="torch",
-        )
-        pictures.append(splats.features)
+        pictures.append(drawn(decoded, camera, "torch").features)
     assert pictures[0].max() > 0.1
     torch.testing.assert_close(pictures[0], pictures[1], rtol=0, atol=0.02)

@@ -171,7 +171,7 @@ def test_other_data_is_no_crash() -> None:
 
 
 @pytest.mark.parametrize("wild", [False, True])
-def test_integer_model_is_bit_identical(wild: bool, splat: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_integer_model_is_bit_identical(wild: bool, ways: Any) -> None:
     """Fast path (float64 products) against int64 only, for every ISA, thread count and backend."""
     for seed in range(3):
         context = coded_context(seed=seed, wild=wild)
@@ -186,28 +186,12 @@ def test_integer_model_is_bit_identical(wild: bool, splat: Any, monkeypatch: pyt
         ends = np.cumsum([2 ** len(axes) for axes, _, _ in CONFIG.grid.levels])
         whole = np.concatenate([one.sum(0) for one in np.split(products, ends[:-1])], 1)
         reference = context.head(whole, exact=True)
-        native = splat.native
-        ways = [("torch", None, 1), ("torch", None, 2)]
-        if native is not None:
-            ways += [
-                ("native", isa, count) for isa in native.available_isas(testing=True) for count in (1, 2, 3)
-            ]
-            before = native.threads(), native.isa()
-        for name, isa, threads in ways:
-            monkeypatch.setenv("ECONGS_BACKEND", name)
-            torch.set_num_threads(threads)
-            if isa is not None:
-                native.set_isa(isa)
-                native.set_threads(threads)
+        for _ in ways():
             values = whole_values(interpolate(table, lookup)[0])
             assert (values == whole).all()
             coding = context.head(values)
             for ours, theirs in zip(vars(coding).values(), vars(reference).values(), strict=True):
                 assert (ours == theirs).all()
-        torch.set_num_threads(1)
-        if native is not None:
-            native.set_threads(before[0])
-            native.set_isa(before[1])
         assert len(np.unique(reference.table)) > (4 if wild else 100)  # wild ones mostly saturate
         assert (reference.table < tables.TABLES).all()
 

@@ -93,25 +93,13 @@ def gradients(rows: torch.Tensor, seeds: torch.Tensor, dtype: torch.dtype) -> to
     return grid.table.grad.clone()
 
 
-def test_gradients_of_both_backends(splat: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    if splat.native is None:
-        pytest.skip("econgs._native is not compiled here")
+def test_gradients_of_both_backends(splat: Any, ways: Any) -> None:
     rows = torch.from_numpy(np.random.default_rng(2).integers(0, 300, 500))
     seeds = torch.from_numpy(np.random.default_rng(3).normal(size=(500, SMALL_GRID.outputs)))
     exact = gradients(rows, seeds, torch.float64)
-    before, isa = splat.native.threads(), splat.native.isa()
-    results = []
-    for name in splat.native.available_isas(testing=True):
-        for threads in (1, 2, 5):
-            splat.native.set_isa(name)
-            splat.native.set_threads(threads)
-            results.append(gradients(rows, seeds.float(), torch.float32))
-    splat.native.set_threads(before)
-    splat.native.set_isa(isa)
-    assert all(torch.equal(one, results[0]) for one in results)
-    assert splat.relative(results[0].double(), exact) < 1e-6
-    monkeypatch.setenv("ECONGS_BACKEND", "torch")
-    assert splat.relative(gradients(rows, seeds.float(), torch.float32).double(), exact) < 1e-6
+    by_torch, _, *by_kernels = [gradients(rows, seeds.float(), torch.float32) for _ in ways()]
+    assert all(torch.equal(one, by_kernels[0]) for one in by_kernels)
+    assert all(splat.relative(one.double(), exact) < 1e-6 for one in (by_torch, *by_kernels[:1]))
     grid = HashGrid(SMALL_GRID, torch.Generator().manual_seed(1)).table.detach().clone()
     grid[::3] *= 2e4
     assert (exact[grid.abs() > 1] == 0).all()

@@ -11,8 +11,8 @@ import torch
 from econgs.optim import Adam
 from econgs.splat import choose_backend
 
-SHAPES = {"means": (101, 3), "opacities": (101,), "sh": (101, 15, 3), "odd": (7,)}
-RATES = {"means": 1.6e-4, "opacities": 0.05, "sh": 1.25e-4, "odd": 0.3}
+SHAPES = {"means": (101, 3), "opacities": (101,), "sh": (101, 15, 3), "odd": (7,), "many": (40_001,)}
+RATES = {"means": 1.6e-4, "opacities": 0.05, "sh": 1.25e-4, "odd": 0.3, "many": 1e-3}
 
 
 def draw(dtype: torch.dtype, device: str, seed: int = 0) -> dict[str, torch.Tensor]:
@@ -24,12 +24,14 @@ def draw(dtype: torch.dtype, device: str, seed: int = 0) -> dict[str, torch.Tens
 
 
 def gradients(step: int, like: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Of very different magnitudes; some exactly zero, as those of unseen Gaussians."""
+    """Of very different magnitudes; some exactly zero, as those of unseen Gaussians and of inactive bands."""
     random = np.random.default_rng(100 + step)
     result = {}
     for name, one in like.items():
         values = random.normal(size=one.shape) * 10.0 ** random.uniform(-8, 2, one.shape)
         values[random.uniform(size=one.shape) < 0.2] = 0
+        if name == "sh":
+            values[:, 8:] = 0
         result[name] = torch.from_numpy(values.astype(np.float32)).to(one)
     return result
 
@@ -67,6 +69,7 @@ def test_float32_follows_torch(backend: Any, monkeypatch: pytest.MonkeyPatch) ->
         # Each step rounds the value (of up to 4) by 1.2e-7 at most, and its own length by a few 1e-7.
         assert (moved - expected).abs().max() < 25 * 1.2e-7 + 1e-6 * expected.abs().max()
         assert moved.abs().max() > 5 * RATES[name] * 0.3
+    assert torch.equal(ours["sh"][:, 8:].cpu(), start["sh"][:, 8:].float())
 
 
 def test_float64_is_torch(monkeypatch: pytest.MonkeyPatch) -> None:

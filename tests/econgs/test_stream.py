@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,17 +44,6 @@ def same(ours: GroupAttributes, theirs: GroupAttributes) -> None:
         np.testing.assert_array_equal(a, b, strict=True)
     assert [s.name for s in ours.scenes] == [s.name for s in theirs.scenes]
     assert (ours.grid, ours.metadata) == (theirs.grid, theirs.metadata)
-
-
-@pytest.fixture
-def restored(splat: Any) -> Iterator[None]:
-    """Leaves ISA and threads as they were."""
-    before = (splat.native.isa(), splat.native.threads()) if splat.native else None
-    yield
-    if before:
-        splat.native.set_isa(before[0])
-        splat.native.set_threads(before[1])
-    torch.set_num_threads(1)
 
 
 def test_decoding_gives_what_was_rounded() -> None:
@@ -118,20 +106,10 @@ def test_rounding_keeps_within_half_a_step() -> None:
     assert len(np.unique(steps)) > 20
 
 
-def test_every_machine_decodes_the_golden_stream(
-    splat: Any, restored: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_machine_decodes_the_golden_stream(ways: Any) -> None:
     """Committed once with the format; any ISA, number of threads and backend gives the same numbers."""
     data = GOLDEN.read_bytes()
-    ways = [("torch", None, 1), ("torch", None, 2)]
-    if splat.native:
-        ways += [("native", isa, n) for isa in splat.native.available_isas(testing=True) for n in (1, 2, 4)]
-    for name, isa, threads in ways:
-        monkeypatch.setenv("ECONGS_BACKEND", name)
-        torch.set_num_threads(threads)
-        if isa is not None:
-            splat.native.set_isa(isa)
-            splat.native.set_threads(threads)
+    for _ in ways():
         decoded = decode_group(data, GOLDEN.name)
         assert fingerprint(decoded) == GOLDEN_SHA
         assert encode_group(decoded).data == data
