@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,36 +38,6 @@ def read_transforms(path: Path | str) -> list[tuple[Camera, Path]]:
     if not (isinstance(frames, list) and frames and all(isinstance(f, dict) for f in frames)):
         raise DataError(path, "has no frames", _REMEDY)
     return [_frame(path, i, {**fields, **frame}) for i, frame in enumerate(frames)]
-
-
-def write_transforms(path: Path | str, cameras: Sequence[Camera], files: Sequence[str] | None = None) -> None:
-    """Write cameras as a ``transforms_*.json``; inverse of :func:`read_transforms`.
-
-    Args:
-        path: the file to write, in a folder that exists.
-        cameras: views with any intrinsics; frames hold ``fl_x, fl_y, cx, cy`` beside ``camera_angle_x``.
-        files: image paths relative to the file's folder, "/" between parts; default
-            ``<split>/<camera name>.png`` with the split from ``transforms_<split>.json``.
-    """
-    path = Path(path)
-    split = path.stem.removeprefix("transforms_")
-    names = [f"{split}/{c.name or f'r_{i:04d}'}.png" for i, c in enumerate(cameras)]
-    files = names if files is None else files
-    frames = [
-        {
-            "file_path": f"./{file}",
-            "transform_matrix": (camera.camera_to_world @ _FLIP).tolist(),
-            "fl_x": camera.fx,
-            "fl_y": camera.fy,
-            "cx": camera.cx,
-            "cy": camera.cy,
-            "w": camera.width,
-            "h": camera.height,
-        }
-        for camera, file in zip(cameras, files, strict=True)
-    ]
-    angle = cameras[0].fov_x if cameras else 0.0
-    path.write_text(json.dumps({"camera_angle_x": angle, "frames": frames}, indent=1), encoding="utf-8")
 
 
 def _read_json(path: Path) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import BinaryIO
@@ -183,27 +182,6 @@ def random_cloud(n: int, half_extent: float, seed: int = 0) -> PointCloud:
     generator = np.random.default_rng(seed)
     points = generator.uniform(-half_extent, half_extent, (n, 3)).astype(np.float32)
     return PointCloud(points, generator.random((n, 3)).astype(np.float32))
-
-
-def write_ply(path: Path | str, cloud: PointCloud) -> None:
-    """Write a binary little-endian PLY (x y z as float, red green blue as uchar), in place at once."""
-    path = Path(path)
-    rgb = ("red", "green", "blue")
-    fields = [*((name, "<f4") for name in "xyz"), *((name, "u1") for name in rgb)]
-    vertices = np.empty(len(cloud), dtype=fields)
-    for axis, name in enumerate("xyz"):
-        vertices[name] = cloud.points[:, axis]
-    for channel, name in enumerate(rgb):
-        vertices[name] = np.rint(np.clip(cloud.colors[:, channel], 0.0, 1.0) * 255.0)
-    kinds = ["float"] * 3 + ["uchar"] * 3
-    properties = "".join(f"property {k} {f[0]}\n" for k, f in zip(kinds, fields, strict=True))
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(cloud)}\n{properties}end_header\n"
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        aside.write_bytes(header.encode() + vertices.tobytes())
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def read_ply(path: Path | str) -> PointCloud:

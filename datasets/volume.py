@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,9 +67,7 @@ class Volume:
 
         Works slice by slice, without a second copy; the result starts at a multiple of 64 bytes.
         """
-        room = np.empty(4 * self.values.size + 64, dtype=np.uint8)
-        start = -room.ctypes.data % 64
-        result = room[start : start + 4 * self.values.size].view(np.float32).reshape(self.values.shape)
+        result = aligned_empty(self.values.shape, np.float32)
         for values, out in zip(self.values, result, strict=True):
             out[:] = self.normalise(values)
         return result
@@ -83,3 +82,12 @@ class Volume:
             return np.clip(wide, 0.0, 1.0).astype(np.float32)
         scaled = (values.astype(np.float32) - np.float32(low)) / np.float32(high - low)
         return np.clip(scaled, 0.0, 1.0, out=scaled)
+
+
+def aligned_empty(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """A new array at an address that is a multiple of 64 bytes."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    room = np.empty(size + 64, dtype=np.uint8)
+    start = -room.ctypes.data % 64
+    array: NDArray[Any] = room[start : start + size].view(dtype).reshape(shape)
+    return array

@@ -13,6 +13,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.volume import aligned_empty
+
 
 class Field:
     """A grid of values with an optional mask.
@@ -152,12 +154,3 @@ def aligned(array: NDArray[Any]) -> NDArray[Any]:
     flat = aligned_empty((array.size,), array.dtype)
     flat[:] = array.ravel()
     return flat
-
-
-def aligned_empty(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-    """A new array at an address that is a multiple of 64 bytes."""
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    room = np.empty(size + 64, dtype=np.uint8)
-    start = -room.ctypes.data % 64
-    array: NDArray[Any] = room[start : start + size].view(dtype).reshape(shape)
-    return array

@@ -8,6 +8,7 @@ Set the variant (:func:`datasets.ground_truth.probe.activate`) before importing 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -63,15 +64,10 @@ class MitsubaMarcher(Marcher):
 
     def prepare(self, layers: Sequence[Layer]) -> Draw:
         """See :class:`datasets.ground_truth.model.Marcher`."""
-        data = self._scene(layers)
-
-        def draw(cameras: tuple[Camera, ...], progress: Progress | None = None) -> NDArray[np.float32]:
-            return self._draw(data, cameras, progress)
-
-        return draw
+        return partial(self._draw, self._scene(layers))
 
     def _draw(
-        self, data: SceneData, cameras: tuple[Camera, ...], progress: Progress | None
+        self, data: SceneData, cameras: tuple[Camera, ...], progress: Progress | None = None
     ) -> NDArray[np.float32]:
         """Views of a scene; several small ones share a launch."""
         width, height = cameras[0].width, cameras[0].height

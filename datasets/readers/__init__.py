@@ -7,6 +7,7 @@ file becomes one :class:`~datasets.errors.DataError` that names file, reason and
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -131,15 +132,9 @@ def _refuse_choice(path: Path, array: str | None, step: int | None, resolution: 
 
 
 def _read_single(path: Path, kind: str) -> tuple[NDArray[np.generic], tuple[float, float, float]]:
-    if kind == "raw":
-        from datasets.readers.raw import read_raw as read
-    elif kind == "npy":
-        from datasets.readers.npy import read_npy as read
-    elif kind == "nrrd":
-        from datasets.readers.nrrd import read_nrrd as read
-    else:
-        from datasets.readers.nifti import read_nifti as read
-    return read(path)
+    read = getattr(import_module(f"datasets.readers.{kind}"), f"read_{kind}")
+    values, spacing = read(path)
+    return values, spacing
 
 
 def _source(path: Path) -> Source:

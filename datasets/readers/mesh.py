@@ -150,24 +150,12 @@ def resampled(
     value_range = (float(at_points.min()), float(at_points.max()))
     finish.check_range(*value_range, path)
     np.clip(grid, *value_range, out=grid)  # quadratic cells overshoot
-    if mask.all():
-        return _field(grid, spacing, None, value_range, local, sides / longest, at_points)
-    fill_outside(grid, mask, value_range[0])
-    return _field(grid, spacing, mask, value_range, local, sides / longest, at_points)
-
-
-def _field(
-    grid: NDArray[Any],
-    spacing: NDArray[np.float64],
-    mask: NDArray[np.bool_] | None,
-    value_range: tuple[float, float],
-    local: NDArray[np.float64],
-    extent: NDArray[np.float64],
-    at_points: NDArray[Any],
-) -> Field:
+    outside = not mask.all()
+    if outside:
+        fill_outside(grid, mask, value_range[0])
     size = (float(spacing[0]), float(spacing[1]), float(spacing[2]))
-    vertices = (local - 0.5 * extent).astype(np.float32)
-    return Field(grid, size, mask, value_range, vertices, at_points)
+    vertices = (local - 0.5 * sides / longest).astype(np.float32)
+    return Field(grid, size, mask if outside else None, value_range, vertices, at_points)
 
 
 def _check_overlap(

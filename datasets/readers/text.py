@@ -12,21 +12,16 @@ from datasets.errors import DataError
 _CHUNK = 1 << 20
 
 
-def numbers(
+def numbers_until(
     text: bytes | memoryview, dtype: np.dtype, count: int, path: Path, start: int = 0
-) -> NDArray[np.generic]:
-    """Exactly ``count`` numbers, separated by white space.
+) -> tuple[NDArray[np.generic], int]:
+    """``count`` numbers from ``start`` on, separated by white space, and the position after them.
+
+    Parsing goes chunk by chunk.
 
     Raises:
         DataError: the text holds fewer, or one is malformed.
     """
-    return numbers_until(text, dtype, count, path, start)[0]
-
-
-def numbers_until(
-    text: bytes | memoryview, dtype: np.dtype, count: int, path: Path, start: int = 0
-) -> tuple[NDArray[np.generic], int]:
-    """``count`` numbers from ``start`` on, and the position after them; parsing goes chunk by chunk."""
     remedy = "Copy it again, or write it in binary"
     if 2 * count - 1 > len(text) - start:
         raise DataError(

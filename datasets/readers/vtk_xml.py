@@ -24,7 +24,7 @@ from datasets.readers import finish
 from datasets.readers.axes import place
 from datasets.readers.fields import Choice, Field, Variable, need, scalar
 from datasets.readers.mesh import Mesh, resampled
-from datasets.readers.text import numbers
+from datasets.readers.text import numbers_until
 
 _TYPES = {f"{sign}Int{8 * n}": f"{sign.lower() or 'i'}{n}" for sign in ("", "U") for n in (1, 2, 4, 8)}
 _TYPES |= {"Float32": "f4", "Float64": "f8"}
@@ -183,8 +183,7 @@ class XmlFile:
             if whole.shape[3:] != tail:
                 raise DataError(self.path, f"{name!r} differs between its pieces", _REMEDY)
             whole[z : z + dims[2], y : y + dims[1], x : x + dims[0]] = part
-        if whole is None:
-            raise DataError(self.path, "has no Piece", _REMEDY)
+        assert whole is not None  # there is a piece
         return whole
 
     def _element(self, piece: ElementTree.Element, section: str, name: str) -> ElementTree.Element:
@@ -298,12 +297,8 @@ class XmlFile:
             inline = np.frombuffer((element.text or "").strip().encode("ascii", "replace"), np.uint8)
             values = self._decode(inline, 0, True, need)
         elif text == "ascii":
-            values = numbers(
-                (element.text or "").encode("ascii", "replace"),
-                dtype.newbyteorder("="),
-                need.count,
-                self.path,
-            )
+            written = (element.text or "").encode("ascii", "replace")
+            values, _ = numbers_until(written, dtype.newbyteorder("="), need.count, self.path)
         else:
             raise DataError(self.path, f"an array has format {text!r}", _REMEDY)
         return values if components == 1 else values.reshape(tuples, components)

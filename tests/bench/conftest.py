@@ -23,9 +23,9 @@ PATIENCE = 300.0
 @pytest.fixture(scope="session")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three scenes of 12 training and 4 test views, 8 x 8 pixels."""
-    from datasets.blender import write_transforms
-    from datasets.cloud import random_cloud, write_ply
+    from datasets.cloud import random_cloud
     from datasets.png import write_png
+    from tests.datasets.views_folder import write_ply, write_transforms
 
     root = tmp_path_factory.mktemp("data") / "tiny"
     rng = np.random.default_rng(1)

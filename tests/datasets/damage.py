@@ -6,18 +6,33 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from datasets.errors import DataError
 from datasets.volume import Volume
 
+PROPERTY = settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 _NUMBERS = (b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"9999", b"\0\0\0\0")
 
 
-def damages(*kinds: str) -> dict[str, st.SearchStrategy]:
-    """Strategies for :func:`damage`: of these kinds, often near the head of the file."""
+def check_damage(
+    path: Path, write: Callable[[Path], object], check: Callable[[Path], None], *kinds: str, many: int = 40
+) -> None:
+    """Check a file that is written and then damaged, in many ways of these kinds, often near its head."""
     at = st.one_of(st.floats(0.0, 0.999), st.floats(0.0, 0.3))
-    return {"kind": st.sampled_from(kinds), "at": at, "value": st.integers(0, 255)}
+
+    @settings(PROPERTY, max_examples=many)
+    @example("cut", 0.5, 0)
+    @given(st.sampled_from(kinds), at, st.integers(0, 255))
+    def check_one(kind: str, at: float, value: int) -> None:
+        write(path)
+        damage(path, kind, at, value)
+        check(path)
+
+    check_one()
 
 
 def damage(path: Path, kind: str, at: float, value: int) -> None:

@@ -10,6 +10,7 @@ from datasets.camera import Camera
 from datasets.camera_paths import look_at_origin, training_cameras
 from datasets.ground_truth import probe
 from datasets.ground_truth.model import MarchSettings
+from datasets.ground_truth.reference import ReferenceMarcher
 from datasets.scene import Light
 from datasets.volume import Volume
 
@@ -44,3 +45,25 @@ def mitsuba(v, settings=MarchSettings(), **options):  # noqa: B008
     from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
 
     return MitsubaMarcher(v, settings, **options)
+
+
+def errors(layers):
+    """(n, height, width) largest differences of Mitsuba from the oracle; bricks must not change a picture."""
+    volumes = [layer.volume for layer in layers]
+    cameras = around(volumes[0], size=48)
+    image = mitsuba(volumes).compose(cameras, layers)
+    oracle = ReferenceMarcher(volumes)
+    exact = np.stack([oracle.compose_exact(c, layers).numpy() for c in cameras])
+    assert exact[..., 3].max() > 0.5
+    np.testing.assert_array_equal(image, mitsuba(volumes, leap=False).compose(cameras, layers))
+    return np.abs(image - exact).max(axis=-1)
+
+
+def kernels(draw):
+    """Hashes of the kernels that a drawing launches."""
+    import drjit as dr
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        draw()
+        return {entry["hash"] for entry in dr.kernel_history([dr.KernelType.JIT])}

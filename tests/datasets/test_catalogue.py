@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import subprocess
 import sys
 import threading
@@ -22,16 +21,6 @@ from datasets.errors import DataError, UnknownName
 ALL = {"vortices", "vortices_fuzzy", "shells", "shells_pale", "jet_flame_iso", "vis_male", "fuel", "nucleon",
        "hydrogen_atom", "boston_teapot", "csafe_heptane",
        "stent_ct", "stroke_mri", "vortex_views", "vortex_views_400"}  # fmt: skip
-
-
-@pytest.fixture
-def data() -> Path:
-    folder = os.environ.get("BENCH_DATA", "").split(os.pathsep)[0]
-    if not folder or not Path(folder).is_dir():
-        if os.environ.get("CI"):
-            pytest.fail("CI needs BENCH_DATA")
-        pytest.skip("BENCH_DATA is not set")
-    return Path(folder)
 
 
 def test_every_set_is_listed_without_numpy() -> None:
@@ -111,7 +100,7 @@ def test_entries_are_sound(name: str) -> None:
 @pytest.mark.parametrize(
     "name", sorted(ALL - {"vortices", "vortices_fuzzy", "shells", "shells_pale", "jet_flame_iso"})
 )
-def test_real_sets(data: Path, name: str) -> None:
+def test_real_sets(data_folder: Path, name: str) -> None:
     dataset = open_dataset(name)
     info = next(i for i in list_datasets() if i.name == name)
     assert info.available
@@ -131,12 +120,12 @@ def test_real_sets(data: Path, name: str) -> None:
 
 
 @pytest.mark.data
-def test_views_folder_by_path(data: Path) -> None:
-    dataset = open_dataset(data / "vortex_views")
+def test_views_folder_by_path(data_folder: Path) -> None:
+    dataset = open_dataset(data_folder / "vortex_views")
     assert [scene.name for scene in dataset.scenes] == ["TF01", "TF02", "TF03", "TF04"]
     assert dataset.kind == "views"
     assert not dataset.compositions
-    assert [s.name for s in open_dataset(data / "vortex_views" / "TF02").scenes] == ["TF02"]
+    assert [s.name for s in open_dataset(data_folder / "vortex_views" / "TF02").scenes] == ["TF02"]
 
 
 def test_a_file_nobody_knows(tmp_path: Path) -> None:

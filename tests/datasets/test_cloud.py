@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from datasets.cloud import PointCloud, initial_cloud, random_cloud, read_ply, write_ply
+from datasets.cloud import initial_cloud, random_cloud, read_ply
 from datasets.errors import DataError
 from datasets.scene import BasicScene, Dataset, Isosurface
 from datasets.transfer import Bump, TransferFunction
 from datasets.volume import Volume
+from tests.datasets.damage import check_damage
+from tests.datasets.views_folder import write_ply
 
 COLOR = (0.2, 0.4, 0.9)
 
@@ -136,23 +136,18 @@ def test_ply_of_others(tmp_path: Path, encoding: str) -> None:
     np.testing.assert_allclose(cloud.colors, np.array([row[4:] for row in rows]) / 255)
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(at=st.floats(0, 0.999), value=st.integers(0, 255), cut=st.booleans())
-def test_damaged_ply(tmp_path: Path, at: float, value: int, cut: bool) -> None:
-    path = tmp_path / "c.ply"
-    write_ply(path, random_cloud(6, 1.0))
-    data = bytearray(path.read_bytes())
-    where = int(at * len(data))
-    data[where:] = b"" if cut else bytes([value]) + data[where + 1 :]
-    path.write_bytes(data)
-    try:
-        cloud = read_ply(path)
-    except DataError as error:
-        assert str(path) in str(error)  # noqa: PT017
-    else:
-        assert isinstance(cloud, PointCloud)
-        assert np.isfinite(cloud.points).all()
-        assert not cut or len(cloud) < 7
+def test_damaged_ply(tmp_path: Path) -> None:
+    def check(path: Path) -> None:
+        try:
+            cloud = read_ply(path)
+        except DataError as error:
+            assert str(path) in str(error)  # noqa: PT017
+        else:
+            assert np.isfinite(cloud.points).all()
+
+    check_damage(
+        tmp_path / "c.ply", lambda path: write_ply(path, random_cloud(6, 1.0)), check, "cut", "set", many=80
+    )
 
 
 def test_missing_ply(tmp_path: Path) -> None:

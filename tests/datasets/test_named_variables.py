@@ -14,19 +14,15 @@ import h5py
 import netCDF4
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from datasets.catalogue import open_dataset
 from datasets.catalogue.opening import _reader
 from datasets.errors import DataError, UnknownName
 from datasets.readers import hdf5, list_variables, read_volume
-from tests.datasets.damage import check_volumes, damage, damages
+from tests.datasets.damage import PROPERTY, check_damage, check_volumes
 
-PROPERTY = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-FEW = settings(PROPERTY, max_examples=6)  # each starts a process
 CLASSIC = ("NETCDF3_CLASSIC", "NETCDF3_64BIT_OFFSET", "NETCDF3_64BIT_DATA")
 FORMATS = (*CLASSIC, "NETCDF4", "NETCDF4_CLASSIC")
 AXES = {"z": np.arange(4) * 0.5, "y": np.arange(5) * 2.0, "x": np.arange(6) * 3.0}
@@ -327,38 +323,23 @@ def _write(path: Path) -> Path:
     return _netcdf(path, {"v": _array("int16"), "w": _array("float32", (2, 4, 5, 6))}, path.stem.upper())
 
 
-def _damaged(path: Path, kind: str, at: float, value: int) -> None:
-    damage(_write(path), kind, at, value)
-    for name in ("v", "w"):
-        check_volumes(path, lambda name=name: [read_volume(path, name)])
-
-
-DAMAGE = damages("cut", "set")
-
-
 @pytest.mark.parametrize(
-    "name", ["stored.npz", "deflated.npz", "netcdf3_classic.nc", "netcdf3_64bit_data.nc"]
+    ("name", "many"),
+    [
+        *(
+            (name, 40)
+            for name in ("stored.npz", "deflated.npz", "netcdf3_classic.nc", "netcdf3_64bit_data.nc")
+        ),
+        *((name, 6) for name in ("v.h5", "netcdf4.nc")),  # each starts a process
+        *(pytest.param(name, 150, marks=pytest.mark.slow) for name in ("v.h5", "netcdf4.nc")),
+    ],
 )
-@PROPERTY
-@given(**DAMAGE)
-def test_damaged_files(tmp_path: Path, name: str, kind: str, at: float, value: int) -> None:
-    _damaged(tmp_path / name, kind, at, value)
+def test_damaged_files(tmp_path: Path, name: str, many: int) -> None:
+    def check(path: Path) -> None:
+        for variable in ("v", "w"):
+            check_volumes(path, lambda variable=variable: [read_volume(path, variable)])
 
-
-@pytest.mark.parametrize("name", ["v.h5", "netcdf4.nc"])
-@FEW
-@example(kind="cut", at=0.5, value=0)
-@given(**DAMAGE)
-def test_damaged_hdf5(tmp_path: Path, name: str, kind: str, at: float, value: int) -> None:
-    _damaged(tmp_path / name, kind, at, value)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["v.h5", "netcdf4.nc"])
-@settings(PROPERTY, max_examples=150)
-@given(**DAMAGE)
-def test_damaged_hdf5_thoroughly(tmp_path: Path, name: str, kind: str, at: float, value: int) -> None:
-    _damaged(tmp_path / name, kind, at, value)
+    check_damage(tmp_path / name, _write, check, "cut", "set", many=many)
 
 
 @PROPERTY
@@ -407,15 +388,21 @@ def peak_bytes(path: Path, variable: str = "") -> int:
     return peaks[0] - peaks[1]
 
 
+def big_array() -> np.ndarray:
+    """64 MiB of float32."""
+    big = np.zeros((256, 256, 256), np.float32)
+    big[:, :, ::3] = np.arange(256, dtype=np.float32)[:, None, None] / 255.0
+    big[-1] = 1.0
+    return big
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["stored.npz", "deflated.npz", "classic.nc", "plain.h5", "gzip.h5", "nc4.nc", "masked.nc"]
 )
 def test_never_more_than_two_copies_in_memory(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
-    big = np.zeros((256, 256, 256), np.float32)  # 64 MiB
-    big[:, :, ::3] = np.arange(256, dtype=np.float32)[:, None, None] / 255.0
-    big[-1] = 1.0
+    big = big_array()
     if path.suffix == ".npz":
         _npz(path, "deflated" in name, v=big)
     elif path.suffix == ".h5":

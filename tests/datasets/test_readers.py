@@ -10,13 +10,13 @@ import nibabel
 import nrrd
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from datasets.errors import DataError
 from datasets.readers import read_volume
 from datasets.volume import Volume
-from tests.datasets.damage import check_volumes, damage, damages
+from tests.datasets.damage import PROPERTY, check_damage, check_volumes
 
 KINDS = (
     "uint8",
@@ -30,9 +30,6 @@ KINDS = (
     "float16",
     "float32",
     "float64",
-)
-PROPERTY = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 
@@ -250,13 +247,11 @@ NAMES = ["v_5x4x3_int16.raw", "v_5x4x3_int16.raw.gz", "v.npy", "v.nrrd", "v.nii"
 
 
 @pytest.mark.parametrize("name", NAMES)
-@PROPERTY
-@given(**damages("cut", "insert", "set"))
-def test_damaged_files(tmp_path: Path, name: str, kind: str, at: float, value: int) -> None:
-    path = tmp_path / name
-    _write(path, _array("int16"))
-    damage(path, kind, at, value)
-    check_volumes(path, lambda: [read_volume(path)])
+def test_damaged_files(tmp_path: Path, name: str) -> None:
+    def check(path: Path) -> None:
+        check_volumes(path, lambda: [read_volume(path)])
+
+    check_damage(tmp_path / name, lambda path: _write(path, _array("int16")), check, "cut", "insert", "set")
 
 
 @PROPERTY

@@ -10,18 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from datasets.camera import Camera
 from datasets.camera_paths import training_cameras
 from datasets.catalogue import open_dataset
-from datasets.ground_truth import probe
 from datasets.ground_truth.model import MarchSettings
 from datasets.scene import Light
 from datasets.transfer import Bump, TransferFunction
 from datasets.volume import Volume
 
 from . import vtk_oracle
+from .marching import mitsuba, noise, volume
 
 PHONG = Light(ambient=0.2, diffuse=0.6, specular=0.6, shininess=12.0, model="phong")
 FIXED = Light(
@@ -37,20 +36,11 @@ SKIN_AND_CORE = TransferFunction(
 EVERYTHING = TransferFunction("everything", (Bump("all", 0.0, 0.0, 1.0, 1.0, (0.9, 0.4, 0.2), 0.03),))
 
 
-def noise(shape: tuple[int, int, int], sigma: float, seed: int) -> NDArray[np.float64]:
-    field = gaussian_filter(np.random.default_rng(seed).standard_normal(shape), sigma, mode="wrap")
-    return np.asarray((field - field.min()) / np.ptp(field))
-
-
 def body(shape: tuple[int, int, int], sigma: float, seed: int) -> NDArray[np.float64]:
     """A lump with a rough skin and an inner structure that does not touch the box."""
     axes = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in shape), indexing="ij")
     radius = np.sqrt(sum(a * a for a in axes))
     return np.clip((1.0 - radius) * (0.6 + noise(shape, sigma, seed)), 0.0, 1.0)
-
-
-def volume(values: NDArray[np.float64], spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Volume:
-    return Volume("v", values.astype(np.float32), spacing, (0.0, 1.0), "made here")
 
 
 def views(v: Volume, size: int = 96) -> tuple[Camera, ...]:
@@ -78,13 +68,7 @@ class Case:
         return self.volume, self.transfer, self.light, views(self.volume), options
 
     def ours(self, light: Light | None) -> NDArray[np.float32]:
-        backend = probe.find_backend()
-        if backend.name == "none":
-            pytest.fail(f"Mitsuba has no backend: {backend.reason}. {probe.REMEDY}")
-        probe.activate(backend)
-        from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
-
-        marcher = MitsubaMarcher(self.volume, MarchSettings(step_voxels=self.step))
+        marcher = mitsuba(self.volume, MarchSettings(step_voxels=self.step))
         return marcher.render(views(self.volume), self.transfer, light)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import vtk
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from vtk.util.numpy_support import vtk_to_numpy
 
@@ -21,8 +21,8 @@ from datasets.render_views import volume_digest
 from datasets.scene import BasicScene, Dataset
 from datasets.transfer import Bump, TransferFunction
 from datasets.volume import Volume
-from tests.datasets.damage import check_volumes, damage, damages
-from tests.datasets.test_named_variables import peak_bytes
+from tests.datasets.damage import PROPERTY, check_damage, check_volumes
+from tests.datasets.test_named_variables import big_array, peak_bytes
 from tests.datasets.vtk_files import (
     COMPRESSORS,
     XML_MODES,
@@ -36,9 +36,6 @@ from tests.datasets.vtk_files import (
     write_xml,
 )
 
-PROPERTY = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
 DIMS = (6, 5, 4)
 KINDS = ("uint8", "int8", "uint16", "int16", "int32", "int64", "uint64", "float32", "float64")
 EVEN = [np.arange(6) * 1.0, np.arange(5) * 2.0, np.arange(4) * 0.5]
@@ -404,16 +401,10 @@ def _write(path: Path) -> Path:
     return path
 
 
-def _damaged(path: Path, kind: str, at: float, value: int) -> None:
-    damage(_write(path), kind, at, value)
-    check_volumes(path, lambda: (_read(path, one) for one in list_variables(path)[:2]))
-
-
 def _read(path: Path, variable: Variable) -> Volume:
     return read_volume(path, array=variable.name, resolution=9 if variable.dims is None else None)
 
 
-DAMAGE = damages("cut", "flip", "number")
 FILES = [
     "text.vti",
     "none.vti",
@@ -428,19 +419,13 @@ FILES = [
 FILES += ["zlib.vtu", "raw.vtu", "text.vtu", "old.vtk", "new.vtk", "old_text.vtk", "a.ex2"]
 
 
+@pytest.mark.parametrize("many", [40, pytest.param(300, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", FILES)
-@PROPERTY
-@given(**DAMAGE)
-def test_damaged_files(tmp_path: Path, name: str, kind: str, at: float, value: int) -> None:
-    _damaged(tmp_path / name, kind, at, value)
+def test_damaged_files(tmp_path: Path, name: str, many: int) -> None:
+    def check(path: Path) -> None:
+        check_volumes(path, lambda: (_read(path, one) for one in list_variables(path)[:2]))
 
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", FILES)
-@settings(PROPERTY, max_examples=300)
-@given(**DAMAGE)
-def test_damaged_files_thoroughly(tmp_path: Path, name: str, kind: str, at: float, value: int) -> None:
-    _damaged(tmp_path / name, kind, at, value)
+    check_damage(tmp_path / name, _write, check, "cut", "flip", "number", many=many)
 
 
 @PROPERTY
@@ -461,9 +446,7 @@ def test_any_image_round_trip(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["raw.vti", "none.vti", "zlib.vti", "old.vtk"])
 def test_never_more_than_two_copies_in_memory(tmp_path: Path, name: str) -> None:
-    big = np.zeros((256, 256, 256), np.float32)  # 64 MiB
-    big[:, :, ::3] = np.arange(256, dtype=np.float32)[:, None, None] / 255.0
-    big[-1] = 1.0
+    big = big_array()
     grid = image({"v": big.reshape(-1)}, {}, (256, 256, 256))
     path = tmp_path / name
     if path.suffix == ".vtk":
