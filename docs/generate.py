@@ -18,7 +18,7 @@ A block begins with ``<!-- KIND`` and a description in TOML, and ends with ``<!-
 ``chart``    a chart of `bench report`. Keys:
 
     bundles     as above
-    chart       a name in CHARTS: its file name in a report
+    chart       its file name in a report
     keep        column -> values; rows of all tables that have the column and another value are left out
     image       file of the SVG, relative to the page
     alt         text that stands for the picture
@@ -43,33 +43,17 @@ import pandas as pd
 from bench.__main__ import _parser
 from bench.store import Store
 from bench.tables import build_tables
-from reports.charts import kinds, rate_distortion, stability, svg, training
-from reports.charts.chart import Chart
-from reports.style import TITLES, series
-from reports.tables.protocols import by_scene_choice, by_training_views
+from reports.charts import svg
+from reports.charts.report import Report
+from reports.charts.sections import chart_sections
+from reports.style import TITLES
+from reports.tables.protocols import by_scene_choice
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
 BLOCK = re.compile(r"(<!-- (table|chart|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S)
 METHODS = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")
 BY_ITSELF = "kind == 'basic' and rate.isna()"
-
-
-Tables = dict[str, pd.DataFrame]
-CHARTS: dict[str, Callable[[Tables, list[str]], Chart]] = {
-    "anytime-psnr": lambda parts, names: kinds.anytime(
-        training.anytime(parts["curve"], parts["results"], "psnr"), "psnr", names
-    ),
-    "rate-distortion": lambda parts, names: kinds.rate_curves(
-        rate_distortion.drawn(rate_distortion.curves(parts["results"])), names
-    ),
-    "few-views": lambda parts, names: kinds.over(
-        stability.few_views(parts["results"]), "training views", "PSNR [dB]", names, log_y=False
-    ),
-    "complexity-psnr": lambda parts, names: kinds.over(
-        stability.by_complexity(parts["results"], "psnr"), "blobs", "PSNR [dB]", names, log_y=False
-    ),
-}
 
 
 class Value(NamedTuple):
@@ -100,21 +84,20 @@ VALUES = {
 
 
 @cache
-def tables(bundles: tuple[str, ...]) -> Tables:
+def tables(bundles: tuple[str, ...]) -> dict[str, pd.DataFrame]:
     """The tables of a store that holds the records of these bundles."""
     with tempfile.TemporaryDirectory() as folder:
         for bundle in bundles:
             with zipfile.ZipFile(MEASURED / f"{bundle}.zip") as archive:
                 names = [name for name in archive.namelist() if not name.startswith("tables/")]
                 archive.extractall(folder, names)
-        tables = build_tables(Store(Path(folder)), write=False)
-        return {name: by_scene_choice(table) for name, table in tables.items()}
+        return build_tables(Store(Path(folder)), write=False)
 
 
 def table(description: str) -> str:
     """A table of measured values as Markdown, and a line with the conditions."""
     block = tomllib.loads(description)
-    results = tables(tuple(block["bundles"]))["results"]
+    results = by_scene_choice(tables(tuple(block["bundles"]))["results"])
     results = results.query(block.get("where", BY_ITSELF), engine="python")
     if results.empty:
         raise SystemExit(f"no rows for {block}")
@@ -230,12 +213,13 @@ def chart(description: str) -> str:
 def image(description: str) -> tuple[str, str]:
     """The file of a chart, relative to its page, and its SVG."""
     block = tomllib.loads(description)
-    parts = by_training_views(tables(tuple(block["bundles"])))
+    parts = dict(tables(tuple(block["bundles"])))
     for column, values in block.get("keep", {}).items():
         for name, part in parts.items():
             if column in part:
                 parts[name] = part[part[column].isin(values)]
-    drawing = CHARTS[block["chart"]](parts, series(parts["results"], parts["curve"]))
+    sections = chart_sections(Report(parts))
+    (drawing,) = (section.charts[block["chart"]] for section in sections if block["chart"] in section.charts)
     return block["image"], svg.file(drawing) + "\n"
 
 
@@ -244,7 +228,7 @@ def index(_: str) -> str:
     titles = ["bundle", "MB", "rows", "datasets", "methods", "presets", "seeds"]
     cells = []
     for path in sorted(MEASURED.glob("*.zip")):
-        results = tables((path.stem,))["results"]
+        results = by_scene_choice(tables((path.stem,))["results"])
         seen = {name: set(results[name].dropna()) for name in ("dataset", "method", "preset", "seed")}
         parts = (
             [f"`{name}`" for name in sorted(seen["dataset"], key=_natural)],

@@ -9,29 +9,19 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.charts import rate_distortion
 from reports.paper import datasets
 from reports.paper import documents as paper_documents
-from reports.tables import confidence
 from reports.tables.documents import to_csv, to_latex, to_markdown
-from reports.tables.protocols import by_protocol
 from reports.tables.results import superseded_note
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import pandas as pd
-
+    from reports.charts.report import Report
     from reports.paper.values import PaperTable
-    from reports.statistics import Views
 
 
-def write_files(
-    tables: dict[str, pd.DataFrame],
-    folder: Path,
-    paper: Sequence[PaperTable],
-    views: Views,
-) -> None:
+def write_files(report: Report, folder: Path, paper: Sequence[PaperTable]) -> None:
     """Write tables.
 
     Always: ``results.*`` (CSV, Parquet, Markdown, LaTeX), ``paper/`` (the paper's
@@ -39,12 +29,11 @@ def write_files(
     need views, ``bd-rate.csv`` needs several rates, and ``datasets.*`` needs costs of rendering.
 
     Args:
-        tables: the tables of :mod:`reports.schema`.
+        report: the tables.
         folder: folder of the files; it is created if it does not exist.
         paper: the paper's tables, from the same rows.
-        views: ``tables["views"]``.
     """
-    results, dvr = tables["results"], tables["dvr"]
+    results, dvr = report.stored["results"], report.stored["dvr"]
     if not results.empty:
         folder.mkdir(parents=True, exist_ok=True)
         for table in paper:
@@ -52,15 +41,13 @@ def write_files(
             write_text(folder / "paper" / f"{table.name}.tex", paper_documents.to_latex(table))
         write_text(folder / "results.csv", to_csv(results))
         _replace(folder / "results.parquet", results.to_parquet(None, index=False))
-        remark = superseded_note(tables.get("superseded"))
-        results = by_protocol({"results": results})["results"]
-        write_text(folder / "results.md", to_markdown(results, views, remark))
-        write_text(folder / "results.tex", to_latex(results, views, remark))
-        for name, make in (("intervals", confidence.intervals), ("comparisons", confidence.comparisons)):
-            statistics = make(results, views)
+        remark = superseded_note(report.stored.get("superseded"))
+        write_text(folder / "results.md", to_markdown(report.results, report.ranks, remark))
+        write_text(folder / "results.tex", to_latex(report.results, report.ranks, remark))
+        for name, statistics in (("intervals", report.intervals), ("comparisons", report.comparisons)):
             if not statistics.empty:
                 write_text(folder / f"{name}.csv", to_csv(statistics))
-        _write_rates(results, folder)
+        _write_rates(report, folder)
     if not dvr.empty:
         costs = datasets.costs(dvr)
         write_text(folder / "datasets.csv", to_csv(dvr))
@@ -68,17 +55,15 @@ def write_files(
         write_text(folder / "datasets.tex", to_latex(costs))
 
 
-def _write_rates(results: pd.DataFrame, folder: Path) -> None:
+def _write_rates(report: Report, folder: Path) -> None:
     import pandas as pd
 
-    curves = rate_distortion.curves(results)
-    for dataset, rows in curves.items():
+    for dataset, rows in report.curves.items():
         for curve in rows:
             path = folder / "curves" / _file_name(dataset) / f"{_file_name(curve.title)}.json"
             write_text(path, json.dumps(curve.exchange(), indent=1) + "\n")
-    differences = rate_distortion.differences(curves)
-    if differences:
-        table = pd.DataFrame([asdict(difference) for difference in differences])
+    if report.differences:
+        table = pd.DataFrame([asdict(difference) for difference in report.differences])
         table["warnings"] = ["; ".join(warnings) for warnings in table["warnings"]]
         for name in ("psnr_range", "bytes_range"):
             table[name] = [f"{ends[0]:.7g} to {ends[1]:.7g}" if ends else "" for ends in table[name]]

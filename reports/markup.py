@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from reports.style import absent, color, label
+from reports.style import Model, absent, label, look, model
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -15,9 +15,9 @@ _LONG = 30
 """Rows from which a table scrolls on its own on a screen, with fixed heads; print has all rows."""
 
 
-def method(row: Any, names: Sequence[str]) -> str:
+def method(row: Any, models: Sequence[Model]) -> str:
     """A row's method with variant and rate, after a dot in its color in the charts."""
-    shade = color(label(row["method"], row["variant"]), names)
+    shade = look(model(row["method"], row["variant"]), models).color
     name = escape(label(row["method"], row["variant"], row["rate"]))
     for after in ",=":
         name = name.replace(after, f"{after}<wbr>")

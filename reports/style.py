@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ DARK = {"#000000": "#ffffff", "#0072B2": "#4ba3dc", "#D55E00": "#f2803a"}
 MARKERS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "star", "x", "cross")
 DASHES = ("solid", "dash", "dot", "dashdot")
 MOST_NAMED = 10
-"""Series of a panel; of more, only each method's default has its color and name."""
+"""Models of a panel; of more, only each method's default has its color and name."""
 MIB = float(2**20)
 MISSING = "\N{EN DASH}"
 TITLES = {
@@ -49,27 +49,31 @@ def mean_key(row: Any) -> str:
     return " / ".join([str(row["dataset"]), name, str(row["preset"]), str(row["split"])])
 
 
-def series(*tables: pd.DataFrame) -> list[str]:
-    """The names (method with variant) of tables, in order of appearance, which picks their looks."""
-    names: dict[str, None] = {}
-    for table in tables:
-        rows = zip(table["method"], table["variant"], strict=True)
-        names.update(dict.fromkeys(label(method, variant) for method, variant in rows))
-    return list(names)
+class Model(NamedTuple):
+    """A method with its options, which has one look in all charts; the default has no options."""
+
+    method: str
+    options: str = ""
+
+    @property
+    def title(self) -> str:
+        """What charts call it."""
+        return label(*self)
 
 
-def method_of(name: str) -> str:
-    """A series' name without its variant; names of default settings are their methods'."""
-    return name.partition(" [")[0]
+def model(method: Any, variant: Any) -> Model:
+    """The model of a row with these two cells."""
+    return Model(str(method), "" if absent(variant) else str(variant))
 
 
-def options_of(name: str) -> str:
-    """What tells a series from the default; "" for the default."""
-    return name.partition(" [")[2].removesuffix("]")
+def models(*tables: pd.DataFrame) -> list[Model]:
+    """The models of tables in order of appearance, which picks their looks."""
+    pairs = (zip(table["method"], table["variant"], strict=True) for table in tables)
+    return list(dict.fromkeys(model(*pair) for table in pairs for pair in table))
 
 
 class Look(NamedTuple):
-    """How a series is drawn: color, and marker and line."""
+    """How a model is drawn: color, and marker and line."""
 
     color: str
     marker: str
@@ -77,62 +81,64 @@ class Look(NamedTuple):
 
 
 OTHERS = Look("#A6A6A6", "circle", "solid")
-"""Of series that are not told apart."""
+"""Of models that are not told apart."""
 OTHERS_NAME = "other variants"
 
 
-def look(name: str, names: Sequence[str]) -> Look:
+def look(model: Model, models: Sequence[Model]) -> Look:
     """The color is the method's, the same in every chart of a report; variants differ in marker and line.
 
     Args:
-        name: a series.
-        names: all of the report (:func:`series`).
+        model: one of ``models``.
+        models: all of the report (:func:`models`).
     """
-    methods = list(dict.fromkeys(map(method_of, names)))
+    methods = list(dict.fromkeys(each.method for each in models))
     place = {method: i % len(PALETTE) for i, method in enumerate(methods)}
-    hue = place[method_of(name)]
-    alike = [other for other in names if place[method_of(other)] == hue]
-    rank = sorted(alike, key=lambda other: other != method_of(other)).index(name)
+    hue = place[model.method]
+    alike = [each for each in models if place[each.method] == hue]
+    rank = sorted(alike, key=lambda each: each.options != "").index(model)
     turn = rank + rank // len(MARKERS)  # so that marker and line repeat together late
     return Look(PALETTE[hue], MARKERS[(hue + rank) % len(MARKERS)], DASHES[turn % len(DASHES)])
 
 
-def color(name: str, names: Sequence[str]) -> str:
-    """Of :func:`look`."""
-    return look(name, names).color
-
-
-def named(names: Iterable[str]) -> set[str]:
-    """Those series of a panel that are told apart.
+def named(models: Iterable[Model]) -> set[Model]:
+    """Those models of a panel that are told apart.
 
     All up to :data:`MOST_NAMED`; of more, one per method: its default, or the first where it has none.
     """
-    every = list(dict.fromkeys(names))
+    every = list(dict.fromkeys(models))
     if len(every) <= MOST_NAMED:
         return set(every)
-    chosen: dict[str, str] = {}
-    for name in sorted(every, key=lambda name: name != method_of(name)):
-        chosen.setdefault(method_of(name), name)
+    chosen: dict[str, Model] = {}
+    for each in sorted(every, key=lambda each: each.options != ""):
+        chosen.setdefault(each.method, each)
     return set(chosen.values())
 
 
-def looks(drawn: Iterable[str], names: Sequence[str]) -> dict[str, Look]:
-    """Series of a panel -> its look; those that are not told apart come first, to be drawn below."""
-    every = list(dict.fromkeys(drawn))
-    told = named(every)
-    ordered = sorted(every, key=lambda name: name in told)
-    return {name: look(name, names) if name in told else OTHERS for name in ordered}
+def looks(
+    panel: Mapping[Model, Model], models: Sequence[Model], apart: Iterable[Model] = ()
+) -> dict[Model, Look]:
+    """Model of a panel -> its look; those that are not told apart come first, to be drawn below.
+
+    Args:
+        panel: model -> the one of ``models`` that its look is of.
+        models: all of the report.
+        apart: of the panel, told apart in any case.
+    """
+    own = named(panel) | set(apart)
+    ordered = sorted(panel, key=lambda each: each in own)
+    return {each: look(panel[each], models) if each in own else OTHERS for each in ordered}
 
 
-def legend_entries(panels: Iterable[Iterable[str]], names: Sequence[str]) -> dict[str, Look]:
+def legend_entries(panels: Iterable[Iterable[Model]], models: Sequence[Model]) -> dict[str, Look]:
     """What a legend of panels names: what they draw, in the order of the report; the gray ones together."""
-    drawn: dict[str, Look] = {}
+    styles: dict[Model, Look] = {}
     for panel in panels:
-        for name, style in looks(panel, names).items():
-            if style is not OTHERS or name not in drawn:
-                drawn[name] = style
-    entries = {name: drawn[name] for name in names if drawn.get(name, OTHERS) is not OTHERS}
-    return entries | ({OTHERS_NAME: OTHERS} if OTHERS in drawn.values() else {})
+        for each, style in looks({each: each for each in panel}, models).items():
+            if style is not OTHERS or each not in styles:
+                styles[each] = style
+    entries = {each.title: styles[each] for each in models if styles.get(each, OTHERS) is not OTHERS}
+    return entries | ({OTHERS_NAME: OTHERS} if OTHERS in styles.values() else {})
 
 
 def seconds(value: float) -> str:

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
+import numpy as np
+
 from reports.charts.labels import Label, place_labels, text_width
 from reports.style import Look
 
@@ -21,6 +23,8 @@ _TICK = 11.0
 MOST_LABELS = 10
 """More series than this are named by a legend and when pointed at."""
 _MOST_ROOM = 0.35
+_STEPS = 40
+"""Points along a line that labels keep clear of."""
 
 
 @dataclass(frozen=True)
@@ -182,6 +186,7 @@ class Panel:
         title: above it.
         labels: names beside points; the panel moves them apart.
         avoid: further points that no label covers.
+        along: whether labels keep clear of the series' lines too, whose x ascend.
         stages: (x, text) of vertical lines.
         bars: drawn below the series.
         width, height: in pixels, axes included.
@@ -193,6 +198,7 @@ class Panel:
     series: Sequence[Series] = ()
     labels: Sequence[Text] = ()
     avoid: Sequence[tuple[float, float]] = ()
+    along: bool = False
     stages: Sequence[tuple[float, str]] = ()
     bars: Sequence[Bar] = ()
     width: float = WIDTH
@@ -216,6 +222,10 @@ class Panel:
         left, top, width, height = self.box
         spots = [self.place(label.x, label.y) for label in self.labels]
         around = [self.place(*spot) for spot in self.avoid]
+        for series in self.series if self.along else ():
+            x, y = np.transpose([self.place(*spot) for spot in zip(series.x, series.y, strict=True)])
+            across = np.linspace(x[0], x[-1], _STEPS) if len(x) > 1 else x
+            around += zip(across.tolist(), np.interp(across, x, y).tolist(), strict=True)
         texts = [label.text for label in self.labels]
         places = place_labels(spots, texts, (left, top, left + width, top + height), avoid=around)
         return list(zip(self.labels, places, strict=True))

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from reports.charts import parts
 from reports.charts.parts import OTHER
-from reports.charts.rate_distortion import with_shared_seeds
 from reports.schema import COLUMNS
-from reports.style import OTHERS, Look, label, look, mean_key, mib, named, options_of, seconds
+from reports.style import OTHERS, Look, Model, label, looks, mean_key, mib, model, named, seconds
 from reports.tables.protocols import comparable
 from reports.tables.results import distinct_processors
 
@@ -39,31 +38,36 @@ _FEW = 30  # points of a panel
 _BAR = ["dataset", "method", "variant", "rate", "preset"]
 
 
-@dataclass
-class Line:
-    """A method, its mean over scenes at each rate, and the scenes themselves.
+class Spot(NamedTuple):
+    """A scene, or the mean over all.
 
     Attributes:
-        name: series that decides the color.
-        title: what it is called.
-        x, y: the means, from the smallest model to the largest; ``size`` in bytes.
-        keys: of each mean, the keys of the table's rows that it stands for; ``scene_keys`` of the scenes'.
+        size: bytes, which order the means.
+        keys: of the rows of the page's table that it stands for.
     """
 
+    x: float
+    y: float
+    size: float
     name: str
-    title: str
-    x: list[float] = field(default_factory=list)
-    y: list[float] = field(default_factory=list)
-    size: list[float] = field(default_factory=list)
-    keys: list[list[str]] = field(default_factory=list)
-    scene_x: list[float] = field(default_factory=list)
-    scene_y: list[float] = field(default_factory=list)
-    scenes: list[str] = field(default_factory=list)
-    scene_keys: list[list[str]] = field(default_factory=list)
+    keys: list[str]
 
-    def without_scenes(self) -> None:
-        """Leave the means alone: a chart of thirty variants with all their scenes is a cloud."""
-        self.scene_x, self.scene_y, self.scenes, self.scene_keys = [], [], [], []
+
+@dataclass
+class Line:
+    """A model without its rate knob.
+
+    Attributes:
+        model: whose.
+        first: that of its first row, which decides its color.
+        means: over scenes, at each rate, from the smallest model to the largest, whatever the axis.
+        scenes: at all rates; none where means alone are shown.
+    """
+
+    model: Model
+    first: Model
+    means: list[Spot] = field(default_factory=list)
+    scenes: list[Spot] = field(default_factory=list)
 
 
 @dataclass
@@ -79,13 +83,14 @@ class Panel:
     better: int = -1
     mixed: bool = False
 
-    def axis(self, title: str) -> str:
-        """Title of the horizontal axis, which tells of times that do not compare."""
-        return f"{title}, several processors" if self.mixed else title
-
     @property
     def means(self) -> list[tuple[float, float]]:
-        return [spot for line in self.lines for spot in zip(line.x, line.y, strict=True)]
+        return [spot[:2] for line in self.lines for spot in line.means]
+
+    @property
+    def spots(self) -> list[tuple[float, float]]:
+        """The means and the scenes."""
+        return [spot[:2] for line in self.lines for spot in (*line.means, *line.scenes)]
 
     @property
     def front(self) -> list[tuple[float, float]]:
@@ -108,47 +113,31 @@ class Panel:
         return [*steps, (edge, bottom)]
 
     @property
-    def all_x(self) -> list[float]:
-        return [x for line in self.lines for x in (*line.x, *line.scene_x)]
-
-    @property
-    def all_y(self) -> list[float]:
-        return [y for line in self.lines for y in (*line.y, *line.scene_y)]
-
-    @property
     def to_avoid(self) -> list[tuple[float, float]]:
         """What labels keep clear of: the means, and the scenes where they are few."""
-        every = list(zip(self.all_x, self.all_y, strict=True))
-        return every if len(every) <= _FEW else self.means
+        return self.spots if len(self.spots) <= _FEW else self.means
 
-    def looks(self, names: list[str]) -> list[tuple[Line, Look]]:
+    def looks(self, models: list[Model]) -> list[tuple[Line, Look]]:
         """The lines with their looks, gray ones first; what is on the Pareto front is never gray."""
-        titles = named(line.title for line in self.lines)
         front = set(self.front)
-        colored = [
-            line.title in titles or not front.isdisjoint(zip(line.x, line.y, strict=True))
-            for line in self.lines
-        ]
-        pairs = [
-            (line, look(line.name, names) if own else OTHERS)
-            for line, own in zip(self.lines, colored, strict=True)
-        ]
-        return sorted(pairs, key=lambda pair: pair[1] is not OTHERS)
+        apart = [line.model for line in self.lines if any(spot[:2] in front for spot in line.means)]
+        lines = {line.model: line for line in self.lines}
+        styles = looks({line.model: line.first for line in self.lines}, models, apart)
+        return [(lines[each], style) for each, style in styles.items()]
 
-    def labels(self, names: list[str]) -> list[tuple[float, float, str, str]]:
+    def labels(self, models: list[Model]) -> list[tuple[float, float, str, str]]:
         """(x, y, text, color): a line's title at its right end; at a scene if it has no mean of its own."""
-        spots: list[tuple[float, float, str, str]] = []
-        titles = named(line.title for line in self.lines)
-        for line, style in self.looks(names):
+        labels = []
+        own = named(line.model for line in self.lines)
+        for line, style in self.looks(models):
             if style is OTHERS:
                 continue
-            xs, ys = (line.x, line.y) if line.x else (line.scene_x, line.scene_y)
-            end = max(range(len(xs)), key=xs.__getitem__)
+            end = max(line.means or line.scenes, key=lambda spot: spot.x)
             # In the color of its method, which is named at another mark.
-            text = line.title if line.title in titles else options_of(line.title) or line.title
-            text += "" if line.x else " (incomplete)"
-            spots.append((xs[end], ys[end], text, style.color))
-        return spots
+            text = line.model.title if line.model in own else line.model.options or line.model.title
+            text += "" if line.means else " (incomplete)"
+            labels.append((end.x, end.y, text, style.color))
+        return labels
 
 
 def pareto(points: Iterable[tuple[float, float]], better: int) -> list[tuple[float, float]]:
@@ -169,51 +158,46 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
     """PSNR against a column of :data:`AXIS`, by dataset; rows not ok or without either number are left out.
 
     The mean over scenes is only drawn where all scenes of the dataset are there. Fits that differ only in a
-    rate knob are one line, of the seeds that all of them have. Of more variants than are named
-    (:func:`reports.style.named`) the others are without their scenes.
+    rate knob are one line. Of more variants than are named (:func:`reports.style.named`) the others are
+    without their scenes.
+
+    Args:
+        results: of the seeds that :func:`reports.charts.rate_distortion.with_shared_seeds` leaves.
+        against: the column.
     """
-    if results.empty or against not in results:
-        return []
     unit = AXIS[against].scale
     columns = list(dict.fromkeys((*_NEEDED, against, *_CLOCK.values())))
     panels = []
-    for title, rows in comparable(with_shared_seeds(results.loc[results["kind"] == "basic", columns])):
+    for title, rows in comparable(results.loc[results["kind"] == "basic", columns]):
         good = rows[
             (rows["status"] == "ok") & rows["psnr"].notna() & rows[against].notna() & (rows[against] > 0)
         ]
         if good.empty:
             continue
         scenes = set(rows["scene"])
-        lines: dict[str, Line] = {}
+        lines: dict[Model, Line] = {}
         for keys, group in good.groupby(["method", "variant", "rate"], dropna=False, sort=False):
-            family = label(keys[0], group["base"].iloc[0])
-            line = lines.setdefault(family, Line(label(keys[0], keys[1]), family))
+            family = model(keys[0], group["base"].iloc[0])
+            line = lines.setdefault(family, Line(family, model(*keys[:2])))
             per_scene = group.groupby("scene", sort=False)
             means = per_scene[[against, "psnr"]].mean()
-            line.scene_x += [float(v) / unit for v in means[against]]
-            line.scene_y += [float(v) for v in means["psnr"]]
-            line.scenes += [str(scene) for scene in means.index]
-            line.scene_keys += [[str(job) for job in seeds["job"]] for _, seeds in per_scene]
+            jobs = [[str(job) for job in seeds["job"]] for _, seeds in per_scene]
+            line.scenes += [
+                Spot(float(x) / unit, float(y), 0.0, str(scene), keys)
+                for scene, x, y, keys in zip(means.index, means[against], means["psnr"], jobs, strict=True)
+            ]
             if scenes == set(means.index):
-                line.x.append(float(means[against].mean()) / unit)
-                line.y.append(float(means["psnr"].mean()))
-                line.keys.append([mean_key(group.iloc[0])])
-                line.size.append(float(group["size_bytes"].fillna(0).astype(float).mean()))
-        titles = named(line.title for line in lines.values())
+                x, y = float(means[against].mean()) / unit, float(means["psnr"].mean())
+                size = float(group["size_bytes"].fillna(0).astype(float).mean())
+                line.means.append(Spot(x, y, size, "mean over scenes", [mean_key(group.iloc[0])]))
+        own = named(lines)
         for line in lines.values():
-            _sort(line)
-            if line.x and line.title not in titles:
-                line.without_scenes()
+            line.means.sort(key=lambda spot: (spot.size, spot.x))
+            if line.means and line.model not in own:
+                line.scenes.clear()
         mixed = against in _CLOCK and len(distinct_processors(good, _CLOCK[against])) > 1
         panels.append(Panel(title, list(lines.values()), AXIS[against].better, mixed))
     return panels
-
-
-def _sort(line: Line) -> None:
-    """The means from the smallest model to the largest: along the curve, whatever the axis."""
-    order = sorted(range(len(line.x)), key=lambda i: (line.size[i], line.x[i]))
-    line.x, line.y, line.size = ([values[i] for i in order] for values in (line.x, line.y, line.size))
-    line.keys = [line.keys[i] for i in order]
 
 
 @dataclass

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reports.charts.rate_distortion import at_default_rates
-from reports.style import label, named
+from reports.style import Model, model, models, named
 from reports.tables.protocols import comparable
 
 if TYPE_CHECKING:
@@ -38,13 +38,13 @@ class Histogram:
     Attributes:
         dataset: with its preset where there are several.
         edges: of the bins, ascending.
-        shares: series -> percent of its samples in each bin.
+        shares: model -> percent of its samples in each bin.
     """
 
     dataset: str
     attribute: str
     edges: list[float]
-    shares: dict[str, list[float]]
+    shares: dict[Model, list[float]]
 
 
 def histograms(features: pd.DataFrame) -> list[Histogram]:
@@ -58,19 +58,19 @@ def histograms(features: pd.DataFrame) -> list[Histogram]:
     """
     panels = []
     for dataset, every in comparable(at_default_rates(features)):
-        titles = named(label(*pair) for pair in zip(every["method"], every["variant"], strict=True))
+        own = named(models(every))
         for attribute, rows in every.groupby("name", sort=False):
-            pools: dict[str, list[NDArray[np.float64]]] = {}
+            pools: dict[Model, list[NDArray[np.float64]]] = {}
             for row in rows.itertuples(index=False):
                 values = np.asarray(row.values, dtype=np.float64)
-                name = label(row.method, row.variant)
-                if name in titles:
-                    pools.setdefault(name, []).append(values[np.isfinite(values)])
-            joined = {name: np.concatenate(arrays) for name, arrays in pools.items()}
-            joined = {name: values for name, values in joined.items() if len(values)}
-            if joined:
-                edges = _edges(list(joined.values()))
-                shares = {name: _shares(values, edges).tolist() for name, values in joined.items()}
+                mine = model(row.method, row.variant)
+                if mine in own:
+                    pools.setdefault(mine, []).append(values[np.isfinite(values)])
+            samples = {each: np.concatenate(arrays) for each, arrays in pools.items()}
+            samples = {each: values for each, values in samples.items() if len(values)}
+            if samples:
+                edges = _edges(list(samples.values()))
+                shares = {each: _shares(values, edges).tolist() for each, values in samples.items()}
                 panels.append(Histogram(dataset, str(attribute), edges.tolist(), shares))
     return panels
 
@@ -143,15 +143,13 @@ def maps(features: pd.DataFrame) -> list[Map]:
 def _vectors(features: pd.DataFrame) -> dict[tuple[str, str], dict[str, NDArray[np.float64]]]:
     """(dataset, method) -> scene -> (n, components); of seeds the first, of many variants the defaults."""
     groups: dict[tuple[str, str], dict[str, NDArray[np.float64]]] = {}
-    if features.empty or "width" not in features:
-        return groups
     for dataset, every in comparable(at_default_rates(features)):
         rows = every[(every["name"] == VECTOR) & (every["width"] > 2)]
-        titles = named(label(*pair) for pair in zip(rows["method"], rows["variant"], strict=True))
+        own = named(models(rows))
         for row in rows.itertuples(index=False):
-            name = label(row.method, row.variant)
-            if name not in titles:
+            mine = model(row.method, row.variant)
+            if mine not in own:
                 continue
             vectors = np.asarray(row.values, dtype=np.float64).reshape(-1, int(row.width))  # type: ignore[arg-type]
-            groups.setdefault((dataset, name), {}).setdefault(str(row.scene), vectors)
+            groups.setdefault((dataset, mine.title), {}).setdefault(str(row.scene), vectors)
     return groups

@@ -23,7 +23,7 @@ from reports.charts.chart import (
 )
 from reports.charts.labels import text_width
 from reports.charts.parts import colors
-from reports.style import OTHERS, OTHERS_NAME, PALETTE, Look, legend_entries, looks, mib
+from reports.style import OTHERS, OTHERS_NAME, PALETTE, Look, Model, legend_entries, looks, mib
 
 Panels = Mapping[str, Sequence[training.Curve]]
 """Title -> lines."""
@@ -32,33 +32,43 @@ _BARS = 540.0
 """Width of stacked bars with their totals in pixels."""
 
 
-def tradeoff(panels: Sequence[data.Panel], column: str, names: list[str]) -> Chart:
+def tradeoff(panels: Sequence[data.Panel], column: str, models: list[Model]) -> Chart:
     """PSNR against a column of :data:`reports.charts.data.AXIS` (log); the dominated region is shaded.
 
     Args:
         panels: as :func:`reports.charts.data.tradeoff` makes them.
         column: of the horizontal axis.
-        names: series of the report.
+        models: all of the report.
     """
     parts = []
+    gray = False
     for panel in panels:
-        x = log_axis(panel.all_x, panel.axis(data.AXIS[column].axis_title))
-        y = linear_axis(panel.all_y, _QUALITY, least=2.0)
+        title = data.AXIS[column].axis_title + (", several processors" if panel.mixed else "")
+        x = log_axis([x for x, _ in panel.spots], title)
+        y = linear_axis([y for _, y in panel.spots], _QUALITY, least=2.0)
         series = _dominated(panel.dominated(x.low if panel.better > 0 else x.high, y.low))
-        for line, look in panel.looks(names):
-            if line.scene_x:
+        for line, look in panel.looks(models):
+            gray |= look is OTHERS
+            if line.scenes:
                 dot = Look(look.color, "circle", "")
-                scenes = Series(line.title, line.scene_x, line.scene_y, dot, mark=5.0, opacity=0.4)
-                series.append(replace(scenes, names=line.scenes, keys=line.scene_keys))
-            if line.x:
+                series.append(
+                    _spots(line.scenes, Series(line.model.title, (), (), dot, mark=5.0, opacity=0.4))
+                )
+            if line.means:
                 size = 6.0 if look is OTHERS else 8.5
-                means = Series(line.title, line.x, line.y, look._replace(dash="solid"), line=1.6, mark=size)
-                texts = ["mean over scenes"] * len(line.x)
-                series.append(replace(means, names=texts, keys=line.keys))
-        labels = [Text(*label) for label in panel.labels(names)]
+                solid = look._replace(dash="solid")
+                series.append(
+                    _spots(line.means, Series(line.model.title, (), (), solid, line=1.6, mark=size))
+                )
+        labels = [Text(*label) for label in panel.labels(models)]
         parts.append(Panel(panel.title, x, y, series, labels, panel.to_avoid))
-    gray = any(look is OTHERS for panel in panels for _, look in panel.looks(names))
     return Chart(parts, {OTHERS_NAME: OTHERS} if gray else {})
+
+
+def _spots(spots: Sequence[data.Spot], series: Series) -> Series:
+    """A series with these points."""
+    x, y, _, names, keys = zip(*spots, strict=True)
+    return replace(series, x=x, y=y, names=names, keys=keys)
 
 
 def _dominated(outline: list[tuple[float, float]]) -> list[Series]:
@@ -70,99 +80,90 @@ def _dominated(outline: list[tuple[float, float]]) -> list[Series]:
     return [Series("", x, y, look, fill=True, opacity=0.13), Series("", x[1:-1], y[1:-1], look, line=1.0)]
 
 
-def rate_curves(panels: Mapping[str, list[rate_distortion.Curve]], names: list[str]) -> Chart:
+def rate_curves(panels: Mapping[str, list[rate_distortion.Curve]], models: list[Model]) -> Chart:
     """PSNR over size (log) at all rates, a panel per dataset; defaults of other methods are single marks."""
     parts = []
     for title, curves in panels.items():
         x = log_axis([x for curve in curves for x in curve.mebibytes], data.AXIS["size_bytes"].axis_title)
         y = linear_axis([point.psnr for curve in curves for point in curve.points], _QUALITY, least=2.0)
-        series = []
-        for curve, look in rate_distortion.looks(curves, names):
-            heights = [point.psnr for point in curve.points]
-            line = look._replace(dash="solid")
+        styles = looks({curve.model: curve.first for curve in curves}, models)
+        series, labels = [], []
+        for curve in sorted(curves, key=lambda curve: list(styles).index(curve.model)):
+            look, size, heights = styles[curve.model], curve.mebibytes, [point.psnr for point in curve.points]
             texts = [f"rate {point.rate}" if point.rate else "default" for point in curve.points]
             keys = [[point.key] for point in curve.points]
-            series.append(
-                Series(curve.title, curve.mebibytes, heights, line, 1.6, 7.0, names=texts, keys=keys)
-            )
-        ends, along = rate_distortion.labels(curves, names)
-        parts.append(Panel(title, x, y, series, [Text(*end) for end in ends], along))
+            solid = look._replace(dash="solid")
+            series.append(Series(curve.title, size, heights, solid, 1.6, 7.0, names=texts, keys=keys))
+            if look is not OTHERS:
+                labels.append(Text(size[-1], heights[-1], curve.title, look.color))
+        parts.append(Panel(title, x, y, series, labels, along=True))
     return Chart(parts)
 
 
-def anytime(panels: Panels, what: str, names: list[str]) -> Chart:
-    """PSNR or estimated size (log) over training seconds per scene (log), a line per method.
+def lines(
+    panels: Panels, x: str, y: str, models: list[Model], *, log_x: bool = True, log_y: bool = False
+) -> Chart:
+    """Lines named at their ends, a panel per dataset; where there are too many a legend names them.
 
     Args:
-        panels: as :func:`reports.charts.training.anytime` makes them.
-        what: "psnr" or "bytes_estimate".
-        names: series of the report.
+        panels: dataset -> lines.
+        x: title of the horizontal axis.
+        y: title of the vertical axis.
+        models: all of the report.
+        log_x: whether x is logarithmic; a linear axis begins at 0.
+        log_y: whether y is logarithmic.
     """
-    return over(
-        panels, "training time per scene [s]", training.ANYTIME_AXIS[what], names, log_y=what != "psnr"
-    )
-
-
-def over(panels: Panels, x: str, y: str, names: list[str], *, log_y: bool) -> Chart:
-    """Lines over a logarithmic axis, a panel per dataset; ``x`` and ``y`` are the axes' titles."""
-    return _lines(panels, partial(log_axis, title=x), _upright(y, log_y), names)
-
-
-def convergence(panels: Panels, against: str, names: list[str]) -> Chart:
-    """PSNR over "train_seconds" or "iteration", a line per fit."""
-    x = partial(linear_axis, title=training.CURVE_AXIS[against], start=0.0)
-    return _lines(panels, x, _upright(training.ANYTIME_AXIS["psnr"], False), names)
-
-
-def _upright(title: str, log: bool) -> Callable[[list[float]], Axis]:
-    return partial(log_axis, title=title) if log else partial(linear_axis, title=title, least=2.0)
-
-
-def _lines(
-    panels: Panels, x: Callable[..., Axis], y: Callable[[list[float]], Axis], names: list[str]
-) -> Chart:
-    """Lines named at their ends; where there are too many a legend names them."""
+    across = partial(log_axis, title=x) if log_x else partial(linear_axis, title=x, start=0.0)
+    upright = partial(log_axis, title=y) if log_y else partial(linear_axis, title=y, least=2.0)
     parts = []
     for title, curves in panels.items():
-        styles = looks([curve.name for curve in curves], names)
+        styles = looks({curve.model: curve.model for curve in curves}, models)
         few = len(curves) <= MOST_LABELS
-        room = room_for([curve.title for curve in curves])
         series = []
-        for curve in sorted(curves, key=lambda curve: list(styles).index(curve.name)):
-            look = styles[curve.name]
+        for curve in sorted(curves, key=lambda curve: list(styles).index(curve.model)):
+            look = styles[curve.model]
             line, mark = (0.8, 3.0) if look is OTHERS else (1.6, 4.5)
             series.append(Series(curve.title, curve.x, curve.y, look, line=line, mark=mark))
         parts.append(
             Panel(
                 title,
-                x([value for curve in curves for value in curve.x], room=room),
-                y([value for curve in curves for value in curve.y]),
+                across([v for curve in curves for v in curve.x], room=room_for([c.title for c in curves])),
+                upright([v for curve in curves for v in curve.y]),
                 series,
-                [Text(c.x[-1], c.y[-1], c.title, styles[c.name].color) for c in curves] if few else [],
+                [Text(c.x[-1], c.y[-1], c.title, styles[c.model].color) for c in curves] if few else [],
                 [spot for c in curves for spot in zip(c.x, c.y, strict=True)] if few else [],
             )
         )
     crowded = any(len(curves) > MOST_LABELS for curves in panels.values())
-    series_names = [[curve.name for curve in curves] for curves in panels.values()]
-    return Chart(parts, legend_entries(series_names, names) if crowded else {})
+    return Chart(parts, legend_of(panels, models) if crowded else {})
+
+
+def legend_of(panels: Panels, models: list[Model]) -> dict[str, Look]:
+    """The legend of the charts of these lines."""
+    return legend_entries([[curve.model for curve in curves] for curves in panels.values()], models)
 
 
 def losses(panels: list[training.Losses]) -> Chart:
-    """Parts of the loss (log) over iterations, a panel per dataset and method."""
+    """Parts of the loss (log) over iterations, a panel per dataset and method.
+
+    A part has the same color in all panels; the whole is black.
+    """
+    names = list(dict.fromkeys(part.name for panel in panels for part in panel.parts[1:]))
+    shades = {name: PALETTE[i % (len(PALETTE) - 1)] for i, name in enumerate(names)}
     parts = []
     for panel in panels:
-        shades = training.shades(panel, panels)
-        room = room_for([part.title for part in panel.parts])
+        room = room_for([part.name for part in panel.parts])
         x = linear_axis([v for part in panel.parts for v in part.x], "iteration", start=0.0, room=room)
         y = log_axis([v for part in panel.parts for v in part.y], "loss")
         series, labels = [], []
-        for part, shade in zip(panel.parts, shades, strict=True):
+        for i, part in enumerate(panel.parts):
+            shade = shades[part.name] if i else PALETTE[-1]
             look, width = Look(shade, "circle", "solid"), 2.4 if part.name == "loss" else 1.6
             mark = 0.0 if len(part.x) > training.MARKED else 4.0
-            series.append(Series(part.title, part.x, part.y, look, width, mark))
-            labels.append(Text(part.x[-1], part.y[-1], part.title, shade))
+            series.append(Series(part.name, part.x, part.y, look, width, mark))
+            labels.append(Text(part.x[-1], part.y[-1], part.name, shade))
         title = f"{panel.dataset} \N{MIDDLE DOT} {panel.title}"
-        parts.append(Panel(title, x, y, series, labels, training.along(panel), panel.marks))
+        parts.append(Panel(title, x, y, series, labels, along=True, stages=panel.marks))
     return Chart(parts)
 
 
@@ -206,20 +207,23 @@ def _amounts(bar: data.Bar, family: str, amount: Callable[[float], str]) -> str:
     return "\n".join([text, *(f"{part}: {amount(value)}" for part, value in details.items())])
 
 
-def histograms(panels: list[features.Histogram], names: list[str]) -> Chart:
-    """Distribution of each attribute on each dataset, an outline per method."""
+def histograms(panels: list[features.Histogram], models: list[Model]) -> Chart:
+    """Distribution of each attribute on each dataset, an outline per model."""
     parts = []
     for panel in panels:
         heights = [share for shares in panel.shares.values() for share in shares]
         x = linear_axis(panel.edges, panel.attribute)
         y = linear_axis([0.0, *heights], "samples per bin [%]", start=0.0)
         corners = [edge for edge in panel.edges for _ in (0, 1)][1:-1]
+        styles = looks({each: each for each in panel.shares}, models)
         series = [
-            Series(name, corners, [share for share in panel.shares[name] for _ in (0, 1)], look, line=1.5)
-            for name, look in looks(panel.shares, names).items()
+            Series(
+                each.title, corners, [share for share in panel.shares[each] for _ in (0, 1)], look, line=1.5
+            )
+            for each, look in styles.items()
         ]
         parts.append(Panel(f"{panel.dataset} \N{MIDDLE DOT} {panel.attribute}", x, y, series))
-    entries = legend_entries([panel.shares for panel in panels], names)
+    entries = legend_entries([panel.shares for panel in panels], models)
     return Chart(parts, {name: look._replace(marker="") for name, look in entries.items()})
 
 

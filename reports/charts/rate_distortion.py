@@ -6,7 +6,8 @@ import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from reports.style import MIB, OTHERS, Look, absent, label, look, mean_key, method_of, named
+from reports.style import MIB, Model, absent, mean_key, model
+from reports.tables.columns import records
 from reports.tables.means import summary
 from reports.tables.protocols import comparable, shared_by_all
 
@@ -50,15 +51,19 @@ class Curve:
 
     Attributes:
         dataset: with preset and split where there are several.
-        name: of its first row as a series, which decides its color.
-        title: what it is called.
+        model: without the rate knob.
+        first: that of its first row, which decides its color.
     """
 
     dataset: str
-    method: str
-    name: str
-    title: str
+    model: Model
+    first: Model
     points: tuple[Point, ...]
+
+    @property
+    def title(self) -> str:
+        """What it is called."""
+        return self.model.title
 
     @property
     def mebibytes(self) -> list[float]:
@@ -82,10 +87,10 @@ class Curve:
                 columns[name] = [None if absent(value) else float(value) for value in values]  # type: ignore[arg-type]
         first = self.points[0].row
         scenes, seeds = _scenes(first), first["seeds"]
-        told = f"{first['dataset']}, preset {first['preset']}, {first['split']} views: "
-        told += f"means over {scenes} scenes"
-        told += "" if seeds == 1 else f" and {seeds} seeds"
-        return {"name": self.title, "description": told, "results": columns}
+        words = f"{first['dataset']}, preset {first['preset']}, {first['split']} views: "
+        words += f"means over {scenes} scenes"
+        words += "" if seeds == 1 else f" and {seeds} seeds"
+        return {"name": self.title, "description": words, "results": columns}
 
     @property
     def problem(self) -> str:
@@ -121,39 +126,35 @@ def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
     """Dataset (with preset and split where there are several) -> its curves.
 
     The points are the rates that one fit was saved at (column ``rate``), or fits that differ only in a rate
-    knob (column ``knob_value``); a method of one size is a curve of one point. Sets that lack a
-    scene are left out, seeds are averaged: those that all points of a curve have, if there are any, for seeds
-    may lie further apart than rates.
+    knob (column ``knob_value``); a method of one size is a curve of one point. Sets that lack a scene are
+    left out, seeds are averaged.
+
+    Args:
+        results: of the seeds that :func:`with_shared_seeds` leaves.
     """
-    if results.empty:
-        return {}
-    made: dict[str, list[Curve]] = {}
+    panels: dict[str, list[Curve]] = {}
     columns = results[["method", "variant", "base", "knob_value"]]
     knobs = {(method, variant): rest for method, variant, *rest in columns.itertuples(index=False)}
-    for dataset, rows in comparable(summary(with_shared_seeds(results))):
-        gathered: dict[tuple[str, str], list[tuple[str, Point]]] = {}
-        for _, row in rows[rows["complete"] & rows["psnr"].notna() & (rows["size_bytes"] > 0)].iterrows():
-            rest, knob = knobs[row["method"], row["variant"]]
-            scenes = _scenes(row)
+    for dataset, rows in comparable(summary(results)):
+        groups: dict[Model, list[tuple[Model, Point]]] = {}
+        whole = rows[rows["complete"] & rows["psnr"].notna() & (rows["size_bytes"] > 0)]
+        for row in records(whole):
+            base, knob = knobs[row["method"], row["variant"]]
             rate = knob if absent(row["rate"]) else row["rate"]
-            point = Point(
-                "" if absent(rate) else f"{rate:g}",
-                float(row["size_bytes"]) / scenes,
-                float(row["psnr"]),
-                dict(row),
-            )
-            key = (str(row["method"]), rest)
-            gathered.setdefault(key, []).append((label(row["method"], row["variant"]), point))
-        for (method, rest), found in gathered.items():
-            points = _distinct([point for _, point in found])
-            made.setdefault(dataset, []).append(
-                Curve(dataset, method, found[0][0], label(method, rest), points)
-            )
-    return made
+            size = float(row["size_bytes"]) / _scenes(row)
+            point = Point("" if absent(rate) else f"{rate:g}", size, float(row["psnr"]), row)
+            first = model(row["method"], row["variant"])
+            groups.setdefault(model(row["method"], base), []).append((first, point))
+        for each, group in groups.items():
+            points = _distinct([point for _, point in group])
+            panels.setdefault(dataset, []).append(Curve(dataset, each, group[0][0], points))
+    return panels
 
 
 def with_shared_seeds(results: pd.DataFrame) -> pd.DataFrame:
     """Without those seeds of a curve that some of its points lack; as it is where they share none.
+
+    Seeds may lie further apart than rates.
 
     Args:
         results: the documented table.
@@ -168,7 +169,7 @@ def with_shared_seeds(results: pd.DataFrame) -> pd.DataFrame:
     for *axes, variant, rate, seed in cells:
         point = points.setdefault(tuple(axes), {})
         point.setdefault((str(variant), str(rate)), set()).add(seed)
-    shared = {curve: shared_by_all(found.values()) for curve, found in points.items()}
+    shared = {curve: shared_by_all(seeds.values()) for curve, seeds in points.items()}
     kept = [seed in shared[tuple(axes)] for *axes, _, _, seed in cells]
     return results[pd.Series(kept, results.index, dtype=bool)]
 
@@ -276,9 +277,9 @@ def differences(curves: dict[str, list[Curve]]) -> list[Difference]:
     return [
         difference(reference, test)
         for rows in curves.values()
-        for drawn in ([curve for curve in rows if len(curve.points) > 1],)
-        for i, test in enumerate(drawn)
-        for reference in drawn[:i]
+        for several in ([curve for curve in rows if len(curve.points) > 1],)
+        for i, test in enumerate(several)
+        for reference in several[:i]
     ]
 
 
@@ -286,45 +287,21 @@ def _points(count: int) -> str:
     return "one point" if count == 1 else f"{count} points"
 
 
-def drawn(curves: dict[str, list[Curve]]) -> dict[str, list[Curve]]:
+def panels(curves: dict[str, list[Curve]]) -> dict[str, list[Curve]]:
     """What a chart shows of the datasets on which some method was measured at several rates.
 
     Those methods, and of the others the default settings (the first where there are none): single sizes of
     all variants are what the trade-off charts are for.
     """
-    made = {}
+    chart = {}
     for dataset, rows in curves.items():
-        titles = {curve.title for curve in rows if len(curve.points) > 1}
-        if not titles:
+        models = {curve.model for curve in rows if len(curve.points) > 1}
+        if not models:
             continue
-        seen = {method_of(title) for title in titles}
-        for curve in sorted(rows, key=lambda curve: curve.title != method_of(curve.title)):
-            method = method_of(curve.title)
-            if curve.title == method or method not in seen:
-                titles.add(curve.title)
-                seen.add(method)
-        made[dataset] = [curve for curve in rows if curve.title in titles]
-    return made
-
-
-def looks(curves: list[Curve], names: list[str]) -> list[tuple[Curve, Look]]:
-    """The curves of a panel with their looks, gray ones first."""
-    told = named(curve.title for curve in curves)
-    pairs = [(curve, look(curve.name, names) if curve.title in told else OTHERS) for curve in curves]
-    return sorted(pairs, key=lambda pair: pair[1] is not OTHERS)
-
-
-def labels(
-    curves: list[Curve], names: list[str]
-) -> tuple[list[tuple[float, float, str, str]], list[tuple[float, float]]]:
-    """(x in MiB, y, text, color) at each named curve's right end, and points along all to keep clear of."""
-    import numpy as np
-
-    ends, along = [], []
-    for curve, style in looks(curves, names):
-        x, y = np.array(curve.mebibytes), np.array([point.psnr for point in curve.points])
-        if style is not OTHERS:
-            ends.append((float(x[-1]), float(y[-1]), curve.title, style.color))
-        at = np.geomspace(x[0], x[-1], 40) if len(x) > 1 else x
-        along += list(zip(map(float, at), map(float, np.interp(np.log(at), np.log(x), y)), strict=True))
-    return ends, along
+        methods = {each.method for each in models}
+        for each in sorted((curve.model for curve in rows), key=lambda each: each.options != ""):
+            if not each.options or each.method not in methods:
+                models.add(each)
+                methods.add(each.method)
+        chart[dataset] = [curve for curve in rows if curve.model in models]
+    return chart

@@ -5,18 +5,19 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING
 
-import pandas as pd
-
 from reports.charts import data, features, kinds, rate_distortion, stability_sections, training
 from reports.charts.chart import Chart, Panel
 from reports.charts.elements import Section, card, cards, legend, table
-from reports.statistics import Views
-from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, absent, legend_entries, mib, seconds, series
+from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, mib, models, seconds
 from reports.tables import confidence
+from reports.tables.columns import records
 from reports.tables.protocols import comparable
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from reports.charts.rate_distortion import Difference
+    from reports.charts.report import Report
 
 _HELD_OUT = "a few held-out views (of the measured split; no method trains on them)"
 _GRAY = (
@@ -38,47 +39,47 @@ _TRADEOFFS = (
     ("device-memory", "PSNR and device memory", "peak_device_bytes"),
 )
 """Name of the file, caption, column."""
+ANYTIME = "training time per scene [s]"
+HELD_OUT = "PSNR of a few held-out views [dB]"
+_ESTIMATE = "estimated size per scene [MiB]"
+_CONVERGENCE = (
+    ("seconds", "train_seconds", "training time of the fit [s]"),
+    ("iterations", "iteration", "iteration"),
+)
+"""Name of the file, column, title of the axis."""
 
 
-def chart_sections(tables: dict[str, pd.DataFrame], views: Views | None = None) -> list[Section]:
-    """The sections for which there are data, in the order of the page.
-
-    Args:
-        tables: as documented (results, views, curve, losses, ledger, timing, features).
-        views: ``tables["views"]``, if the caller has it.
-    """
-    results = tables["results"]
-    names = series(results, tables["curve"], tables["features"])
+def chart_sections(report: Report) -> list[Section]:
+    """The sections for which there are data, in the order of the page."""
     sections = (
-        _confidence(results, views or Views(tables["views"])),
-        _rate_distortion(results, names),
-        _tradeoffs(results, names),
-        stability_sections.stability_section(tables, names),
-        stability_sections.complexity_section(results, names),
-        _anytime(tables, names),
-        _convergence(tables["curve"], names),
-        _losses(tables),
-        _features(tables["features"], names),
-        _timing(tables["timing"]),
-        _ledger(tables["ledger"]),
+        _confidence(report),
+        _rate_distortion(report),
+        _tradeoffs(report),
+        stability_sections.stability_section(report),
+        stability_sections.complexity_section(report),
+        _anytime(report),
+        _convergence(report),
+        _losses(report.tables),
+        _features(report),
+        _timing(report.tables["timing"]),
+        _ledger(report.tables["ledger"]),
     )
     return [section for section in sections if section is not None]
 
 
-def _confidence(results: pd.DataFrame, views: Views) -> Section | None:
-    known = confidence.intervals(results, views, ["psnr"])
-    if known.empty:
+def _confidence(report: Report) -> Section | None:
+    intervals, pairs = (table[table["metric"] == "psnr"] for table in (report.intervals, report.comparisons))
+    if intervals.empty:
         return None
-    pairs = confidence.comparisons(results, views, ["psnr"])
-    several = [axis for axis in ("preset", "split") if known[axis].nunique() > 1]
+    several = [axis for axis in ("preset", "split") if intervals[axis].nunique() > 1]
     rows = []
-    for _, group in known.groupby(["dataset", "preset", "split"], sort=False, dropna=False):
-        records = group.to_dict("records")
-        best = str(max(records, key=lambda row: row["mean"])["method"])
-        for row in records:
-            told = [row["dataset"], row["method"], *(row[axis] for axis in several), f"{row['mean']:.2f}"]
-            told += [confidence.ends(row["low"], row["high"]), _seeds(row)]
-            rows.append([*told, *_against(pairs, row, best)])
+    for _, group in intervals.groupby(["dataset", "preset", "split"], sort=False, dropna=False):
+        of_dataset = records(group)
+        best = str(max(of_dataset, key=lambda row: row["mean"])["method"])
+        for row in of_dataset:
+            cells = [row["dataset"], row["method"], *(row[axis] for axis in several), f"{row['mean']:.2f}"]
+            cells += [confidence.ends(row["low"], row["high"]), _seeds(row)]
+            rows.append([*cells, *_against(pairs, row, best)])
     heads = ["Dataset", "Method", *(axis.capitalize() for axis in several), "PSNR [dB]", "95 % over views"]
     heads += ["Over seeds", "To the highest [dB]", "95 % of the difference", "Ranking"]
     words = (
@@ -89,67 +90,50 @@ def _confidence(results: pd.DataFrame, views: Views) -> Section | None:
         'are not ranked. All metrics: <a href="intervals.csv">intervals</a>, all pairs: '
         '<a href="comparisons.csv">comparisons</a>.'
     )
-    return Section(
-        "confidence",
-        "How sure",
-        f"<p>{words}</p>{table('PSNR, how sure it is, and differences', heads, rows)}",
-    )
+    html = f"<p>{words}</p>{table('PSNR, how sure it is, and differences', heads, rows)}"
+    return Section("confidence", "How sure", html)
 
 
 def _seeds(row: dict) -> str:
     if row["seeds"] < 2:
         return "one seed"
-    told = f"± {row['seed_std']:.2f} ({row['seeds']} seeds)"
-    if row["seed_values"]:
-        told += ": " + ", ".join(f"{float(value):.2f}" for value in row["seed_values"].split("; "))
-    return told
+    values = ", ".join(f"{float(value):.2f}" for value in row["seed_values"].split("; ") if value)
+    return f"± {row['seed_std']:.2f} ({row['seeds']} seeds)" + (f": {values}" if values else "")
 
 
 def _against(pairs: pd.DataFrame, row: dict, best: str) -> list[str]:
     """Difference to the best, its interval, and what follows."""
     if row["method"] == best:
         return ["highest", "", ""]
-    same = (pairs[["dataset", "preset", "split"]] == [row["dataset"], row["preset"], row["split"]]).all(
-        axis=1
-    )
+    axes = ["dataset", "preset", "split"]
+    same = (pairs[axes] == [row[axis] for axis in axes]).all(axis=1)
     for sign, mine, other in ((1, "first", "second"), (-1, "second", "first")):
-        found = pairs[same & (pairs[mine] == row["method"]) & (pairs[other] == best)]
-        if len(found):
-            pair = found.iloc[0]
-            low, high = pair["low"], pair["high"]
-            if sign < 0:
-                low, high = _minus(high), _minus(low)
+        matches = pairs[same & (pairs[mine] == row["method"]) & (pairs[other] == best)]
+        if len(matches):
+            pair = matches.iloc[0]
+            low, high = (end if absent(end) else sign * end for end in (pair["low"], pair["high"])[::sign])
             verdict = "lower" if pair["apart"] else "not ranked"
-            return [
-                confidence.signed(sign * pair["difference"]),
-                confidence.ends(low, high, sign=True),
-                verdict,
-            ]
+            difference = confidence.signed(sign * pair["difference"])
+            return [difference, confidence.ends(low, high, sign=True), verdict]
     return [MISSING, MISSING, "other scenes"]
 
 
-def _minus(value: float | None) -> float | None:
-    return None if absent(value) else -float(value)  # type: ignore[arg-type]
-
-
-def _rate_distortion(results: pd.DataFrame, names: list[str]) -> Section | None:
-    curves = rate_distortion.curves(results)
-    panels = rate_distortion.drawn(curves)
+def _rate_distortion(report: Report) -> Section | None:
+    panels = rate_distortion.panels(report.curves)
     if not panels:
         return None
-    chart = kinds.rate_curves(panels, names)
-    differences = rate_distortion.differences(curves)
+    chart = kinds.rate_curves(panels, report.models)
     words = (
         "Mean PSNR over size per scene (logarithmic), at all rates that were measured; of methods of one "
         "size the default settings are a single mark. All as data: "
         '<a href="curves/">one JSON file per method and dataset</a>.'
     )
-    words += _seeds_left_out(results)
+    words += _seeds_left_out(report)
     parts = [f"<p>{words}</p>{cards(chart.panels)}"]
-    if differences:
+    if report.differences:
         heads = ["Dataset", "Method", "Against", "BD-rate", "BD-PSNR [dB]", "PSNR shared [dB]"]
         heads += ["Size shared [MiB]", "Overlap", "Remarks"]
-        parts.append(table("Average differences", heads, [_difference(found) for found in differences]))
+        parts.append(table("Average differences", heads, [_difference(each) for each in report.differences]))
         parts.append(
             '<p class="note">BD-rate: bytes at equal PSNR against those of the other method. '
             f"BD-PSNR: dB at equal bytes. Interpolated with {rate_distortion.INTERPOLATION} splines over the "
@@ -162,7 +146,7 @@ def _rate_distortion(results: pd.DataFrame, names: list[str]) -> Section | None:
 
 def _many(table: pd.DataFrame) -> bool:
     """Whether some panel of a dataset's variants has more than are named."""
-    return any(len(series(rows)) > MOST_NAMED for _, rows in comparable(table))
+    return any(len(models(rows)) > MOST_NAMED for _, rows in comparable(table))
 
 
 def _rates_left_out(table: pd.DataFrame) -> str:
@@ -170,52 +154,58 @@ def _rates_left_out(table: pd.DataFrame) -> str:
     return _ONE_RATE if len(rate_distortion.at_default_rates(table)) < len(table) else ""
 
 
-def _seeds_left_out(results: pd.DataFrame) -> str:
+def _seeds_left_out(report: Report) -> str:
     """What to say of seeds that some rates of a method were not measured with."""
-    basic = results[results["kind"] == "basic"]
-    return _SEEDS if len(rate_distortion.with_shared_seeds(basic)) < len(basic) else ""
+    return _SEEDS if len(report.at_shared_seeds) < (report.results["kind"] == "basic").sum() else ""
 
 
-def _difference(found: Difference) -> list[str]:
-    who = [found.dataset, found.test, found.reference]
-    if found.refused:
-        return [*who, *[MISSING] * 5, f"refused: {found.refused}"]
+def _difference(pair: Difference) -> list[str]:
+    who = [pair.dataset, pair.test, pair.reference]
+    if pair.refused:
+        return [*who, *[MISSING] * 5, f"refused: {pair.refused}"]
     numbers = [
-        MISSING if found.rate is None else f"{found.rate:+.1f} %",
-        MISSING if found.psnr is None else f"{found.psnr:+.2f}",
-        confidence.ends(*found.psnr_range) if found.psnr_range else MISSING,
-        " to ".join(mib(value) for value in found.bytes_range) if found.bytes_range else MISSING,
+        MISSING if pair.rate is None else f"{pair.rate:+.1f} %",
+        MISSING if pair.psnr is None else f"{pair.psnr:+.2f}",
+        confidence.ends(*pair.psnr_range) if pair.psnr_range else MISSING,
+        " to ".join(mib(value) for value in pair.bytes_range) if pair.bytes_range else MISSING,
     ]
-    return [*who, *numbers, f"{100 * found.overlap:.0f} %", "; ".join(found.warnings)]
+    return [*who, *numbers, f"{100 * pair.overlap:.0f} %", "; ".join(pair.warnings)]
 
 
-def _tradeoffs(results: pd.DataFrame, names: list[str]) -> Section | None:
+def _tradeoffs(report: Report) -> Section | None:
     charts: dict[str, Chart] = {}
     captions: dict[str, list[str]] = {}
     for name, caption, column in _TRADEOFFS:
-        if panels := data.tradeoff(results, column):
-            charts[f"psnr-{name}"] = chart = kinds.tradeoff(panels, column, names)
+        if panels := data.tradeoff(report.at_shared_seeds, column):
+            charts[f"psnr-{name}"] = chart = kinds.tradeoff(panels, column, report.models)
             for panel in chart.panels:
                 captions.setdefault(panel.title, []).append(card(panel, caption))
-    if not charts:
-        return None
-    parts = [
-        "<p>Large marks: mean over the dataset's scenes; small marks: single scenes. Horizontal axes are "
+    words = (
+        "Large marks: mean over the dataset's scenes; small marks: single scenes. Horizontal axes are "
         "logarithmic. The dashed line is the Pareto front of the means; what lies in the shaded region is "
-        f"worse than some method in both.{_seeds_left_out(results)}"
-        f"{_GRAY + _FRONT if _many(results) else ''}</p>"
+        f"worse than some method in both.{_seeds_left_out(report)}"
+        f"{_GRAY + _FRONT if _many(report.results) else ''}"
+    )
+    return _by_dataset("tradeoffs", "Trade-offs", f"<p>{words}</p>", captions, charts)
+
+
+def _by_dataset(
+    anchor: str, title: str, head: str, cards: dict[str, list[str]], charts: dict[str, Chart]
+) -> Section | None:
+    """A section with the cards of each dataset below its name; None without any."""
+    parts = [
+        f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(group)}</div>'
+        for dataset, group in cards.items()
     ]
-    for dataset, group in captions.items():
-        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(group)}</div>')
-    return Section("tradeoffs", "Trade-offs", "\n".join(parts), charts)
+    return Section(anchor, title, "\n".join([head, *parts]), charts) if charts else None
 
 
-def _anytime(tables: dict[str, pd.DataFrame], names: list[str]) -> Section | None:
-    results, curve = tables["results"], tables["curve"]
-    panels = {what: training.anytime(curve, results, what) for what in ("psnr", "bytes_estimate")}
+def _anytime(report: Report) -> Section | None:
+    curve = report.tables["curve"]
+    panels = {what: training.anytime(curve, report.results, what) for what in ("psnr", "bytes_estimate")}
     charts = {
-        f"anytime-{name}": kinds.anytime(panels[what], what, names)
-        for name, what in (("psnr", "psnr"), ("size", "bytes_estimate"))
+        f"anytime-{name}": kinds.lines(panels[what], ANYTIME, title, report.models, log_y=what != "psnr")
+        for name, what, title in (("psnr", "psnr", HELD_OUT), ("size", "bytes_estimate", _ESTIMATE))
         if panels[what]
     }
     if not charts:
@@ -225,9 +215,7 @@ def _anytime(tables: dict[str, pd.DataFrame], names: list[str]) -> Section | Non
         f"scenes counts for each with its time / n. PSNR is of {_HELD_OUT}; size is "
         f"the method's own estimate."
     )
-    entries = legend_entries(
-        [[line.name for line in lines] for each in panels.values() for lines in each.values()], names
-    )
+    entries = kinds.legend_of(panels["psnr"], report.models)
     heads = ["Dataset", "Method", *(f"{level:g} dB" for level in training.LEVELS)]
     rows = [
         [dataset, line.title, *(MISSING if t is None else seconds(t) for t in times)]
@@ -248,28 +236,23 @@ def _anytime(tables: dict[str, pd.DataFrame], names: list[str]) -> Section | Non
     )
 
 
-def _convergence(curve: pd.DataFrame, names: list[str]) -> Section | None:
-    panels = {against: training.convergence(curve, against) for against in ("train_seconds", "iteration")}
-    charts = {
-        f"convergence-{name}": kinds.convergence(panels[against], against, names)
-        for name, against in (("seconds", "train_seconds"), ("iterations", "iteration"))
-        if panels[against]
-    }
-    if not charts:
-        return None
+def _convergence(report: Report) -> Section | None:
+    curve = report.tables["curve"]
+    charts: dict[str, Chart] = {}
+    entries: dict[str, Look] = {}
+    for name, against, title in _CONVERGENCE:
+        if panels := training.convergence(curve, against):
+            chart = kinds.lines(panels, title, HELD_OUT, report.models, log_x=False)
+            charts[f"convergence-{name}"] = chart
+            entries |= kinds.legend_of(panels, report.models)
     words = (
         f"PSNR of {_HELD_OUT} while training; the clock stands still while it is measured. Of more than "
         f"{training.MOST_FITS} fits a chart shows each method's mean."
     )
     words += _rates_left_out(curve)
-    lines = panels["iteration"] | panels["train_seconds"]
-    entries = legend_entries([[line.name for line in each] for each in lines.values()], names)
     words += _GRAY if OTHERS_NAME in entries else ""
-    parts = [f"<p>{words}</p>{legend(entries)}"]
-    for dataset, group in _by_title(charts).items():
-        pair = "".join(card(panel, "") for panel in group)
-        parts.append(f'<h3>{escape(dataset)}</h3><div class="charts">{pair}</div>')
-    return Section("convergence", "Convergence", "\n".join(parts), charts)
+    captions = {dataset: [card(panel, "") for panel in group] for dataset, group in _by_title(charts).items()}
+    return _by_dataset("convergence", "Convergence", f"<p>{words}</p>{legend(entries)}", captions, charts)
 
 
 def _by_title(charts: dict[str, Chart]) -> dict[str, list[Panel]]:
@@ -282,7 +265,8 @@ def _by_title(charts: dict[str, Chart]) -> dict[str, list[Panel]]:
 
 
 def _losses(tables: dict[str, pd.DataFrame]) -> Section | None:
-    panels = training.losses(tables)
+    steps = training.steps(tables)
+    panels = training.losses(steps)
     if not panels:
         return None
     chart = kinds.losses(panels)
@@ -290,7 +274,6 @@ def _losses(tables: dict[str, pd.DataFrame]) -> Section | None:
         "The training loss and its weighted parts (logarithmic), means over stretches of the fits (50, which "
         "stages cut). A dashed line stands where a stage begins."
     )
-    steps = training.steps(tables)
     if "first" not in steps or steps["first"].isna().any():
         words += (
             " Of fits by older versions there are single steps; their dashed lines stand at the first one "
@@ -304,11 +287,12 @@ def _losses(tables: dict[str, pd.DataFrame]) -> Section | None:
     return Section("losses", "Parts of the loss", f"<p>{words}</p>{cards(chart.panels)}", {"losses": chart})
 
 
-def _features(attributes: pd.DataFrame, names: list[str]) -> Section | None:
+def _features(report: Report) -> Section | None:
+    attributes = report.tables["features"]
     panels = features.histograms(attributes)
     if not panels:
         return None
-    charts = {"attributes": kinds.histograms(panels, names)}
+    charts = {"attributes": kinds.histograms(panels, report.models)}
     words = (
         "Distribution of what the primitives carry, all scenes of a dataset together. Quantised values are "
         "spread over neighbouring bins as far as their steps reach."

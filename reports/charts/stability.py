@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from reports.charts.training import Curve
-from reports.style import MIB, label
+from reports.style import MIB, Model, label, model
 from reports.tables.protocols import ORIGIN
 
 if TYPE_CHECKING:
@@ -105,12 +105,12 @@ def few_views(results: pd.DataFrame) -> dict[str, list[Curve]]:
         scenes = [set(part["scene"]) for _, part in rows.groupby("requested_views")]
         rows = rows[rows["scene"].isin(set.intersection(*scenes))]
         lines = []
-        for title, name, fits in _methods(rows):
+        for title, mine, fits in _methods(rows):
             whole = fits.groupby("requested_views").filter(lambda part: bool((part["status"] == "ok").all()))
             means = whole.groupby("requested_views")["psnr"].mean().dropna()
             if len(means):
                 x, y = [float(v) for v in means.index], [float(v) for v in means]
-                lines.append(Curve(name, title, x, y))
+                lines.append(Curve(mine, title, x, y))
         if lines:
             panels[str(dataset)] = lines
     return panels
@@ -130,7 +130,7 @@ def by_complexity(results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
     for family, members in families(basic["dataset"].unique()).items():
         rows = basic[basic["dataset"].isin(members)]
         lines = []
-        for title, name, fits in _methods(rows):
+        for title, mine, fits in _methods(rows):
             points = []
             for dataset, part in fits.groupby("dataset", sort=False):
                 values = part[what].astype("Float64")
@@ -139,7 +139,7 @@ def by_complexity(results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
                     points.append((float(members[str(dataset)]), float(values.mean()) / unit))
             points.sort()
             if points:
-                lines.append(Curve(name, title, [x for x, _ in points], [y for _, y in points]))
+                lines.append(Curve(mine, title, [x for x, _ in points], [y for _, y in points]))
         if lines:
             panels[family] = lines
     return panels
@@ -155,11 +155,11 @@ def families(datasets: Iterable[str]) -> dict[str, dict[str, int]]:
     return {stem: members for stem, members in stems.items() if len(members) >= LEAST_FAMILY}
 
 
-def _methods(rows: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
-    """Title, series and rows of each method; of several presets and splits, each on its own."""
+def _methods(rows: pd.DataFrame) -> Iterator[tuple[str, Model, pd.DataFrame]]:
+    """Title, model and rows of each method; of several presets and splits, each on its own."""
     axes = ["method", "variant", "rate", "preset", "split"]
     for keys, fits in rows.groupby(axes, dropna=False, sort=False):
-        yield _title(label(*keys[:3]), rows, *keys[3:]), label(*keys[:2]), fits
+        yield _title(label(*keys[:3]), rows, *keys[3:]), model(*keys[:2]), fits
 
 
 def _title(name: str, rows: pd.DataFrame, preset: object, split: object) -> str:

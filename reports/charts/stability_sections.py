@@ -6,17 +6,16 @@ from typing import TYPE_CHECKING
 
 from reports.charts import kinds, stability
 from reports.charts.elements import Section, card, cards, legend, table
-from reports.style import MISSING, legend_entries
+from reports.style import MISSING
 
 if TYPE_CHECKING:
-    import pandas as pd
+    from reports.charts.report import Report
 
 
-def stability_section(tables: dict[str, pd.DataFrame], names: list[str]) -> Section | None:
+def stability_section(report: Report) -> Section | None:
     """Failures, spread over seeds and worst views; charts where there are several numbers of views."""
-    results = tables["results"]
-    records = stability.records(results, tables["views"])
-    curves = stability.few_views(results)
+    records = stability.records(report.results, report.tables["views"])
+    curves = stability.few_views(report.results)
     measured = any(record.seed_gap is not None or record.missing is not None for record in records)
     if not curves and not measured and not any(record.failed for record in records):
         return None
@@ -29,7 +28,7 @@ def stability_section(tables: dict[str, pd.DataFrame], names: list[str]) -> Sect
     )
     charts = {}
     if curves:
-        charts["few-views"] = kinds.over(curves, "training views", "PSNR [dB]", names, log_y=False)
+        charts["few-views"] = kinds.lines(curves, "training views", "PSNR [dB]", report.models)
     heads = ["Dataset", "Method", "Failed", "Two seeds differ by up to [dB]"]
     heads += ["Worst view under the median [dB]", "Worst view [dB]", "Missing [%]", "Excess [%]"]
     rows = [
@@ -46,8 +45,9 @@ def stability_section(tables: dict[str, pd.DataFrame], names: list[str]) -> Sect
         '<p class="note">Charts: mean PSNR over scenes and seeds by the number of training views; where any '
         "fit failed, the mark is left out.</p>"
     )
-    entries = legend_entries([[line.name for line in lines] for lines in curves.values()], names)
-    above = legend(entries) + "".join(cards(chart.panels) + note for chart in charts.values())
+    above = legend(kinds.legend_of(curves, report.models)) + "".join(
+        cards(chart.panels) + note for chart in charts.values()
+    )
     return Section(
         "stability",
         "Stability",
@@ -67,14 +67,14 @@ def _failed(record: stability.Record) -> str:
     return f"{sum(record.failed.values())} of {record.rows}: {counts}"
 
 
-def complexity_section(results: pd.DataFrame, names: list[str]) -> Section | None:
+def complexity_section(report: Report) -> Section | None:
     """What grows with the number in the names of datasets."""
     charts = {}
     panels = []
     for what, title in stability.COMPLEXITY.items():
-        if curves := stability.by_complexity(results, what):
+        if curves := stability.by_complexity(report.results, what):
             name = f"complexity-{what.split('_')[0]}"
-            charts[name] = kinds.over(curves, "number of parts", title, names, log_y=what != "psnr")
+            charts[name] = kinds.lines(curves, "number of parts", title, report.models, log_y=what != "psnr")
             panels += [(f"{panel.title}: {title}", panel) for panel in charts[name].panels]
     if not charts:
         return None

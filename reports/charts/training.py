@@ -8,24 +8,19 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from reports.charts.rate_distortion import at_default_rates
-from reports.style import MIB, PALETTE, label, named
+from reports.style import MIB, Model, model, models, named
 from reports.tables.protocols import comparable
 
 if TYPE_CHECKING:
     import pandas as pd
 
-CURVE_AXIS = {"train_seconds": "training time of the fit [s]", "iteration": "iteration"}
 LEVELS = (30.0, 32.0, 34.0)
 """Levels of PSNR, dB, whose times are reported."""
-ANYTIME_AXIS = {
-    "psnr": "PSNR of a few held-out views [dB]",
-    "bytes_estimate": "estimated size per scene [MiB]",
-}
 _UNIT = {"psnr": 1.0, "bytes_estimate": MIB}
 _FIT = ["job", "method", "variant", "seed", "scene"]
 MOST_FITS = 24
@@ -47,13 +42,13 @@ class Curve:
     """A line of a chart.
 
     Attributes:
-        name: series that decides the color.
+        model: whose, which decides the color.
         title: its label.
         x: ascending.
         y: one per x.
     """
 
-    name: str
+    model: Model
     title: str
     x: list[float]
     y: list[float]
@@ -69,20 +64,18 @@ def convergence(curve: pd.DataFrame, against: str) -> dict[str, list[Curve]]:
         against: "train_seconds" or "iteration".
     """
     panels: dict[str, list[Curve]] = {}
-    if curve.empty:
-        return panels
     for title, every in comparable(at_default_rates(curve)):
         rows = every[every["psnr"].notna() & every[against].notna()]
-        methods = len({label(m, v) for m, v in zip(rows["method"], rows["variant"], strict=True)})
+        several = len(models(rows)) > 1
         many = {axis: rows[axis].nunique() > 1 for axis in ("scene", "seed")}
         for (_, method, variant, seed, scene), fit in rows.groupby(_FIT, dropna=False, sort=False):
-            name = label(method, variant)
-            words = [name] if methods > 1 else []
+            mine = model(method, variant)
+            words = [mine.title] if several else []
             words += [str(scene)] if many["scene"] or not words else []
             words += [f"seed {seed}"] if many["seed"] else []
             ordered = fit.sort_values("iteration")
             x, y = ([float(v) for v in ordered[column]] for column in (against, "psnr"))
-            panels.setdefault(title, []).append(Curve(name, " \N{MIDDLE DOT} ".join(words), x, y))
+            panels.setdefault(title, []).append(Curve(mine, " \N{MIDDLE DOT} ".join(words), x, y))
         if len(panels.get(title, [])) > MOST_FITS:
             panels[title] = _of_methods(panels[title])
     return panels
@@ -90,10 +83,13 @@ def convergence(curve: pd.DataFrame, against: str) -> dict[str, list[Curve]]:
 
 def _of_methods(fits: list[Curve]) -> list[Curve]:
     """Their means by method."""
-    by_name: dict[str, list[Curve]] = {}
+    by_model: dict[Model, list[Curve]] = {}
     for fit in fits:
-        by_name.setdefault(fit.name, []).append(fit)
-    return [Curve(name, name, *_mean([(fit.x, fit.y, 1) for fit in mine])) for name, mine in by_name.items()]
+        by_model.setdefault(fit.model, []).append(fit)
+    return [
+        Curve(each, each.title, *_mean([(fit.x, fit.y, 1) for fit in group]))
+        for each, group in by_model.items()
+    ]
 
 
 def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
@@ -109,8 +105,6 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, 
         what: "psnr" or "bytes_estimate" (in MiB).
     """
     panels: dict[str, list[Curve]] = {}
-    if curve.empty or what not in curve:
-        return panels
     for panel, every in comparable(at_default_rates(curve)):
         columns = ["job", "method", "variant", "scene", "iteration", "train_seconds", what]
         evaluations = every.loc[every[what].notna() & every["train_seconds"].notna(), columns]
@@ -121,11 +115,10 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, 
             x, y = _mean([_shares(fit, what) for _, fit in rows.groupby("job", sort=False)])
             if not x:
                 continue
-            name = title = label(*names)
+            mine = model(*names)
             have = scenes & set(rows["scene"])
-            if scenes - have:
-                title += f" ({len(have)} of {len(scenes)} scenes)"
-            panels.setdefault(panel, []).append(Curve(name, title, x, y))
+            missing = f" ({len(have)} of {len(scenes)} scenes)" if scenes - have else ""
+            panels.setdefault(panel, []).append(Curve(mine, mine.title + missing, x, y))
     return panels
 
 
@@ -170,6 +163,14 @@ def _reached(curve: Curve, level: float) -> float | None:
     return None
 
 
+class Part(NamedTuple):
+    """A part of the loss over iterations, where it is above zero."""
+
+    name: str
+    x: list[float]
+    y: list[float]
+
+
 @dataclass(frozen=True)
 class Losses:
     """The loss of a method on a dataset, mean over its fits.
@@ -185,47 +186,50 @@ class Losses:
 
     dataset: str
     title: str
-    parts: list[Curve]
+    parts: list[Part]
     marks: list[tuple[float, str]]
     small: list[str]
 
 
-def losses(tables: Mapping[str, pd.DataFrame]) -> list[Losses]:
+def losses(rows: pd.DataFrame) -> list[Losses]:
     """The losses by part of all methods that tell them; figures that are no part of the sum are left out.
 
-    Of fits in the table `losses` these are means over stretches, of others (older ones) the single steps of
-    `curve`. With many variants only the defaults are shown (:func:`reports.style.named`).
+    With many variants only the defaults are shown (:func:`reports.style.named`).
 
     Args:
-        tables: with `losses` and `curve` as documented.
+        rows: as of :func:`steps`.
     """
     panels = []
-    rows = steps(tables)
-    for dataset, every in comparable(rows) if len(rows) else ():
-        titles = named(label(*pair) for pair in zip(every["method"], every["variant"], strict=True))
+    for dataset, every in comparable(rows):
+        own = named(models(every))
         for names, fits in every.groupby(["method", "variant"], dropna=False, sort=False):
-            if label(*names) not in titles:
+            if model(*names) not in own:
                 continue
             table = _parts_table(fits)
             if len(table.columns) < 2:
                 continue
             floor = LEAST_SHARE * float(table["loss"].max())
             large = [name for name in table.columns if float(table[name].max()) > floor]
-            parts = [_part(name, table[name]) for name in large]
+            positive = ((str(name), table[name][table[name] > 0]) for name in large)
+            parts = [Part(name, [*map(float, line.index)], [*map(float, line)]) for name, line in positive]
             small = [str(name) for name in table.columns if name not in large]
-            panels.append(Losses(dataset, label(*names), parts, _marks(fits, parts), small))
+            panels.append(Losses(dataset, model(*names).title, parts, _marks(fits, parts), small))
     return panels
 
 
 def steps(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """The rows of `losses`, and as such those of `curve` of methods that it has none of."""
+    """The rows of `losses`, and as such those of `curve` of methods that it has none of.
+
+    The former are means over stretches, the latter (of older fits) single steps.
+
+    Args:
+        tables: with `losses` and `curve` as documented.
+    """
     import pandas as pd
 
     keys = ["dataset", "preset", "method", "variant"]
     stretches = at_default_rates(tables["losses"])
     curve = at_default_rates(tables["curve"])
-    if "loss_parts" not in curve:
-        return stretches
     keys_of_stretches = {tuple(row) for row in stretches[keys].fillna("").itertuples(index=False)}
     single = [tuple(row) not in keys_of_stretches for row in curve[keys].fillna("").itertuples(index=False)]
     curve = curve[pd.Series(single, curve.index, dtype=bool)].dropna(subset=["loss", "loss_parts"])
@@ -262,7 +266,7 @@ def _long_enough(points: pd.DataFrame) -> pd.DataFrame:
     return kept
 
 
-def _marks(rows: pd.DataFrame, parts: list[Curve]) -> list[tuple[float, str]]:
+def _marks(rows: pd.DataFrame, parts: list[Part]) -> list[tuple[float, str]]:
     stretches = rows[rows["stage"].notna()] if "stage" in rows else rows[:0]
     if len(stretches):
         starts = stretches.groupby("stage", sort=False)["first"].min().sort_values()
@@ -279,24 +283,3 @@ def _marks(rows: pd.DataFrame, parts: list[Curve]) -> list[tuple[float, str]]:
         if part.x[0] > begin:
             late.setdefault(part.x[0], []).append(part.name)
     return [(iteration, f"{', '.join(names)} first seen") for iteration, names in late.items()]
-
-
-def _part(name: Any, values: pd.Series) -> Curve:
-    present = values[values > 0]
-    x = [float(i) for i in present.index]
-    return Curve(str(name), str(name), x, [float(value) for value in present])
-
-
-def shades(panel: Losses, panels: list[Losses]) -> list[str]:
-    """Colors of a panel's parts; a name has the same in all panels, the whole is black."""
-    names = list(dict.fromkeys(part.name for each in panels for part in each.parts[1:]))
-    return [PALETTE[-1], *(PALETTE[names.index(part.name) % (len(PALETTE) - 1)] for part in panel.parts[1:])]
-
-
-def along(panel: Losses) -> list[tuple[float, float]]:
-    """Points along a panel's lines, which labels keep clear of."""
-    spots: list[tuple[float, float]] = []
-    for part in panel.parts:
-        x = np.linspace(part.x[0], part.x[-1], 40)
-        spots += zip(x.tolist(), (10 ** np.interp(x, part.x, np.log10(part.y))).tolist(), strict=True)
-    return spots

@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING
 from reports.charts import files as chart_files
 from reports.charts import svg
 from reports.charts.elements import Section
+from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.files import write_files, write_text
 from reports.page import datasets, editing, provenance, scenes
 from reports.page import results as results_table
 from reports.paper import verdicts
 from reports.paper.tables import paper_tables
-from reports.statistics import Views
 from reports.style import absent, label
-from reports.tables.protocols import by_protocol
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from reports.paper.values import PaperTable
+    from reports.statistics import Views
 
 _WEB = Path(__file__).parent / "web"
 _LONG = 50  # characters from which a fact has a wide box
@@ -51,31 +51,29 @@ def write_report(
     Returns:
         ``out``.
     """
-    results, dvr = tables["results"], tables["dvr"]
-    views = views or Views(tables["views"])
-    paper = paper_tables(tables, views) if paper is None else paper
-    stored, folder = tables, out.parent / "charts"
-    tables = tables if results.empty else by_protocol(tables)
-    results = tables["results"]
-    charts = [] if results.empty else chart_sections(tables, views)
+    report = Report(tables, views)
+    paper = paper_tables(tables, report.views) if paper is None else paper
+    folder = out.parent / "charts"
+    results, dvr = report.results, tables["dvr"]
+    charts = [] if results.empty else chart_sections(report)
     drawings = {name: chart for section in charts for name, chart in section.charts.items()}
     sections: list[Section] = []
     with chart_files.written(drawings, folder):
         if not results.empty:
             parts = (
-                ("results", "Results", results_table.section(results, views, tables.get("superseded"))),
-                ("paper", "The paper's tables", verdicts.section(paper, views)),
-                ("scenes", "Scenes", scenes.section(tables, root, folder)),
-                ("editing", "Editing", editing.section(tables, root, folder)),
+                ("results", "Results", results_table.section(report)),
+                ("paper", "The paper's tables", verdicts.section(paper, report.views)),
+                ("scenes", "Scenes", scenes.section(report, root, folder)),
+                ("editing", "Editing", editing.section(report, root, folder)),
             )
             sections = [*(Section(*part) for part in parts if part[2]), *charts]
         if not dvr.empty:
             sections.append(Section("datasets", "Rendering the volumes", datasets.section(dvr)))
         if not results[["machine", "commit"]].dropna(how="all").empty:
-            sections.append(Section("provenance", "Provenance", provenance.section(results)))
-        write_files(stored, out.parent, paper, views)
+            sections.append(Section("provenance", "Provenance", provenance.section(report)))
+        write_files(report, out.parent, paper)
         name = _name(dvr if results.empty else results)
-        write_text(out, _document(name, _head(name, tables, sections), sections))
+        write_text(out, _document(name, _head(name, results, sections), sections))
     return out
 
 
@@ -144,9 +142,8 @@ def _methods(results: pd.DataFrame) -> str:
     )
 
 
-def _head(name: str, tables: dict[str, pd.DataFrame], sections: list[Section]) -> str:
+def _head(name: str, results: pd.DataFrame, sections: list[Section]) -> str:
     """Heading, counts of statuses, links to the sections, and facts about the runs."""
-    results = tables["results"]
     title = f'<h1>{escape(name)}</h1><button type="button" id="theme" hidden></button>'
     links = "".join(f'<li><a href="#{part.anchor}">{escape(part.title)}</a></li>' for part in sections)
     nav = f'<nav aria-label="Sections"><ul>{links}</ul></nav>' if links else ""

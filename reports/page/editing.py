@@ -12,10 +12,12 @@ from reports.page.scenes import figure
 from reports.pictures import panel_files
 from reports.pictures.panels import Panel, choose, in_view, models
 from reports.pictures.transfer import beside
-from reports.style import MISSING, label, series
+from reports.style import MISSING, label
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from reports.charts.report import Report
 
 PICTURE_BYTES = 2_000_000
 """Most bytes of pictures on the page; the files contain all of them."""
@@ -23,18 +25,17 @@ UNEDITED = "unedited"
 _KEYS = ["dataset", "preset", "split"]
 
 
-def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) -> str:
+def section(report: Report, root: Path, charts: Path | None) -> str:
     """A table of quality by edit, and each scene's edits in one view; "" without edits.
 
     Args:
-        tables: the tables `results`, `views` and `scenes`.
+        report: the tables.
         root: folder that the paths of pictures are relative to.
         charts: folder for sequences as PDF and PNG; None for no files.
     """
-    results = tables["results"]
-    if "edit" not in results or not (results["kind"] == "edited").any():
+    results = report.results
+    if not (results["kind"] == "edited").any():
         return ""
-    names = series(results)
     parts = [
         "<p>PSNR [dB] against the ground truth of the edited scene, mean over scenes and seeds. A method "
         f"refuses an edit that it cannot make. “{UNEDITED}” is the PSNR of the same scenes "
@@ -43,12 +44,12 @@ def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) ->
     for name, heads, rows in quality(results):
         parts.append(markup.table(name, heads, ([escape(text) for text in row] for row in rows)))
     room, omitted = PICTURE_BYTES, 0
-    for name, panels in sequences(tables, root):
+    for name, panels in sequences(report.tables, root):
         files = ""
         if charts is not None:
             short = panel_files.write(panels, f"{name} edited", charts)
             files = f' <span class="soft">(<a href="charts/{short}.pdf">PDF</a>)</span>'
-        figures = [figure(panel, f"{name}, {panel.caption}", names) for panel in panels]
+        figures = [figure(panel, f"{name}, {panel.caption}", report.models) for panel in panels]
         if sum(map(len, figures)) > room:
             omitted += 1
             continue

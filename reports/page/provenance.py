@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from reports import markup
 from reports.schema import by_name
-from reports.style import MISSING, absent, mib, seconds, series
+from reports.style import MISSING, absent, mib, seconds
 from reports.tables.columns import cell
 
 if TYPE_CHECKING:
-    import pandas as pd
+    from reports.charts.report import Report
 
 
 DETAILS = (
@@ -30,18 +30,17 @@ def details(row: Any) -> list[str]:
     ]
 
 
-def section(results: pd.DataFrame) -> str:
+def section(report: Report) -> str:
     """The page's table of runs: one row per method, dataset, commit, machine and options."""
     columns = ("commit", "machine", "fit_processor", "device", "threads", "preset", "iterations", "variant")
     keys = ["method", "dataset", *columns]
     lines = []
-    names = series(results)
-    for _, rows in results.groupby(keys, dropna=False, sort=False):
+    for _, rows in report.results.groupby(keys, dropna=False, sort=False):
         row = rows.iloc[0].copy()
         row["rate"] = None  # the row is for all rates
         kernel = rows["reference_seconds"].dropna()
         times = f"{kernel.min() * 1e3:.1f} to {kernel.max() * 1e3:.1f} ms" if len(kernel) else MISSING
-        cells = [markup.method(row, names), escape(str(row["dataset"])), _code(row["commit"], 12)]
+        cells = [markup.method(row, report.models), escape(str(row["dataset"])), _code(row["commit"], 12)]
         cells += [escape(cell(name, row[name])) for name in columns[1:-1]]
         cells += [escape(str(row["variant"])) if row["variant"] else "the preset", times]
         cells += [f"{len(rows)}", seconds(float(rows["group_seconds"].drop_duplicates().fillna(0).sum()))]

@@ -10,29 +10,23 @@ from typing import TYPE_CHECKING, Any
 from reports import markup
 from reports.page.provenance import DETAILS, details
 from reports.schema import COLUMNS, by_name
-from reports.statistics import Views
-from reports.style import MISSING, absent, label, mean_key, series
+from reports.style import MISSING, absent, label, mean_key, models
 from reports.tables.columns import axes, cell, numbers, records
-from reports.tables.means import summary
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
 from reports.tables.results import processor_note, reasons, superseded_note
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from reports.charts.report import Report
 
-def section(results: pd.DataFrame, views: Views, superseded: pd.DataFrame | None = None) -> str:
-    """The table with its controls, the meaning of its columns, and the unfinished runs.
 
-    Args:
-        results: the table `results`.
-        views: the table `views`; it decides whether two values of quality differ.
-        superseded: the table `superseded`, for a note with its number of rows.
-    """
+def section(report: Report) -> str:
+    """The table with its controls, the meaning of its columns, and the unfinished runs."""
+    results, means = report.results, report.means
     required = {"psnr", "size_bytes", *(name for _, row in _records(results) for name in _reasons(row))}
     names = [name for name in numbers(results) if name in required or results[name].notna().any()]
-    means = summary(results)
-    writer = _Rows(results, names, ranks(results, views), ranks(means, views))
+    writer = _Rows(report, names)
     columns = [by_name(name) for name in ("scene", "method", *writer.axes, "status", *names)]
     bodies = []
     for dataset, rows in results.groupby("dataset", sort=False):
@@ -60,7 +54,7 @@ def section(results: pd.DataFrame, views: Views, superseded: pd.DataFrame | None
         "A row opens to show the origin of its numbers.</caption>"
         f"<thead><tr>{heads}</tr></thead>{''.join(bodies)}</table></div>"
         f'<script type="application/json" id="details">{data}</script>'
-        f"{_notes(results, names, writer, superseded_note(superseded))}{_failures(results)}"
+        f"{_notes(report, names, writer.marks)}{_failures(report)}"
     )
 
 
@@ -72,28 +66,19 @@ def _records(table: pd.DataFrame) -> Iterable[tuple[Any, dict[str, Any]]]:
 class _Rows:
     """Writer of the rows; it collects their details in the same order."""
 
-    def __init__(
-        self,
-        results: pd.DataFrame,
-        numbers: list[str],
-        marks: dict[tuple[Any, str], int],
-        mean_marks: dict[tuple[Any, str], int],
-    ) -> None:
-        self.names = series(results)
-        self.numbers, self.axes = numbers, axes(results)
-        self.marks, self.mean_marks = marks, mean_marks
+    def __init__(self, report: Report, numbers: list[str]) -> None:
+        self.models = report.models
+        self.numbers, self.axes = numbers, axes(report.results)
+        self.scene_marks, self.mean_marks = report.ranks, ranks(report.means, report.views)
         self.details: list[list[str]] = []
 
     @property
-    def marked(self) -> bool:
-        return bool(self.marks or self.mean_marks)
-
-    @property
-    def undecided(self) -> bool:
-        return UNDECIDED in [*self.marks.values(), *self.mean_marks.values()]
+    def marks(self) -> set[int]:
+        """The marks of any cells."""
+        return {*self.scene_marks.values(), *self.mean_marks.values()}
 
     def scene(self, index: Any, row: Any) -> str:
-        cells = self._cells(row, self.marks, index, _reasons(row))
+        cells = self._cells(row, self.scene_marks, index, _reasons(row))
         kind = "scene" if row["kind"] == "basic" else str(row["kind"])
         return self._line(row, kind, str(row["scene"]), str(row["status"]), markup.status(row), cells)
 
@@ -117,7 +102,7 @@ class _Rows:
             f'data-method="{escape(label(row["method"], row["variant"]))}" data-key="{escape(key)}">'
             f'<th scope="row"><button type="button" aria-expanded="false">'
             f'<span class="ds">{dataset} / </span>'
-            f"{escape(name)}</button></th><td>{markup.method(row, self.names)}</td>{cells_of_axes}"
+            f"{escape(name)}</button></th><td>{markup.method(row, self.models)}</td>{cells_of_axes}"
             f"<td>{state}</td>{cells}</tr>"
         )
 
@@ -150,6 +135,7 @@ def _controls(results: pd.DataFrame) -> str:
     """The filters; the page's script shows them."""
     statuses = [str(status) for status in results["status"].unique()]
     datasets = [str(name) for name in results["dataset"].unique()]
+    methods = [each.title for each in models(results)]
 
     def select(name: str, text: str, options: list[tuple[str, str]]) -> str:
         items = "".join(f'<option value="{escape(v)}">{escape(label)}</option>' for v, label in options)
@@ -162,7 +148,7 @@ def _controls(results: pd.DataFrame) -> str:
     return (
         '<div class="controls" role="search" aria-label="Filter the results" hidden>'
         '<label>Filter <input type="search" data-filter="text" placeholder="words, all must occur"></label>'
-        f"{values('dataset', 'Dataset', datasets)}{values('method', 'Method', series(results))}"
+        f"{values('dataset', 'Dataset', datasets)}{values('method', 'Method', methods)}"
         f"{values('status', 'Status', statuses)}{select('kind', 'Show', kinds)}"
         '<label><input type="checkbox" id="flat"> Sort across datasets</label>'
         '<button type="button" id="reset">Reset</button>'
@@ -170,7 +156,8 @@ def _controls(results: pd.DataFrame) -> str:
     )
 
 
-def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows, superseded: str) -> str:
+def _notes(report: Report, numbers: list[str], marks: set[int]) -> str:
+    results = report.results
     note = (
         "Rows “all”: quality and FPS are means over scenes, size and time are sums, memory is the maximum. "
         "Sizes are in MiB (2<sup>20</sup> bytes). "
@@ -184,13 +171,13 @@ def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows, superseded:
         note += (
             "An edited row is compared with the ground truth of the edited scene. Means and sums exclude it. "
         )
-    if writer.marked:
+    if marks:
         note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
-    if writer.undecided:
+    if UNDECIDED in marks:
         note += f"{UNDECIDED_NOTE} "
     if numbers[0] == "ssim" and "lpips_vgg" in numbers:
         note += "LPIPS is missing (its cells give the reason), so SSIM and FLIP come first. "
-    for remark in (superseded, processor_note(results)):
+    for remark in (superseded_note(report.tables.get("superseded")), processor_note(results)):
         note += f"<b>{escape(remark)}</b> " if remark else ""
     note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '
     note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
@@ -205,15 +192,14 @@ def _notes(results: pd.DataFrame, numbers: list[str], writer: _Rows, superseded:
     )
 
 
-def _failures(results: pd.DataFrame) -> str:
-    unfinished = results[results["status"] != "ok"]
+def _failures(report: Report) -> str:
+    unfinished = report.results[report.results["status"] != "ok"]
     if unfinished.empty:
         return ""
-    names = series(results)
     lines = [
         [
             escape(f"{row['dataset']} / {row['scene']}"),
-            markup.method(row, names),
+            markup.method(row, report.models),
             markup.status(row),
             escape(cell("stage", row["stage"])),
             f'<span class="wrap">{escape(cell("reason", row["reason"]))}</span>',

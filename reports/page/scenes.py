@@ -12,32 +12,32 @@ from reports.pictures.difference import DELTA_E_MAX, scale
 from reports.pictures.files import uri
 from reports.pictures.panels import RULE, WHICH, Panel, Shot, models, panels
 from reports.pictures.transfer import beside
-from reports.style import label, series
+from reports.style import Model, label
 from reports.tables.columns import cell
 
 if TYPE_CHECKING:
     import numpy as np
-    import pandas as pd
     from numpy.typing import NDArray
+
+    from reports.charts.report import Report
 
 PICTURE_BYTES = 4_300_000
 """Most bytes of pictures on the page."""
 TRUTH = "Ground truth"
 
 
-def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) -> str:
+def section(report: Report, root: Path, charts: Path | None) -> str:
     """Panels of all scenes with pictures, and notes on missing ones; "" without either.
 
     If the pictures exceed :data:`PICTURE_BYTES`, median views have priority over worst ones.
 
     Args:
-        tables: the tables `results`, `views` and `scenes`.
+        report: the tables.
         root: folder that the paths of pictures are relative to.
         charts: folder for panels as PDF and PNG; None for no files.
     """
-    results = tables["results"]
-    names = series(results)
-    results = results[results["kind"] != "edited"]
+    tables = report.tables
+    results = report.results[report.results["kind"] != "edited"]
     keys = ["dataset", "scene", "preset", "split"]
     blocks: list[tuple[str, dict[str, str]]] = []
     without = 0
@@ -58,7 +58,7 @@ def section(tables: dict[str, pd.DataFrame], root: Path, charts: Path | None) ->
         if charts is not None and any(panel.window for panel in informative):
             short = panel_files.write(informative, name, charts)
             files = f' <span class="soft">(<a href="charts/{short}.pdf">PDF</a>)</span>'
-        figures = {panel.which: figure(panel, name, names) for panel in informative}
+        figures = {panel.which: figure(panel, name, report.models) for panel in informative}
         blocks.append((f'<section class="scene"><h3>{head}{files}</h3><div class="panels">', figures))
     selection, omitted = _within(PICTURE_BYTES, [figures for _, figures in blocks])
     parts = [_legend()] if blocks else []
@@ -94,8 +94,8 @@ def _within(room: int, scenes: list[dict[str, str]]) -> tuple[list[list[str]], i
     return selection, omitted
 
 
-def figure(panel: Panel, scene: str, names: list[str]) -> str:
-    """A view as HTML; ``names`` are the report's series."""
+def figure(panel: Panel, scene: str, models: list[Model]) -> str:
+    """A view as HTML; ``models`` are all of the report."""
     where = f"{scene}, view {panel.view}"
     cells = []
     if panel.truth is not None:
@@ -108,7 +108,7 @@ def figure(panel: Panel, scene: str, names: list[str]) -> str:
             f'<div class="shot truth"><p>{TRUTH}</p>{_picture(panel, panel.truth, where, TRUTH)}'
             f'<div class="pair">{zoom}{_transfer(panel, where)}</div></div>'
         )
-    cells += [_shot(panel, shot, where, names) for shot in panel.shots]
+    cells += [_shot(panel, shot, where, models) for shot in panel.shots]
     compare = '<button type="button" class="compare" hidden>Compare</button>' if panel.window else ""
     caption = f"{escape(panel.title)} <span class=soft>{escape(panel.view)}</span>"
     return (
@@ -123,8 +123,8 @@ def _transfer(panel: Panel, where: str) -> str:
     return f'<div class="tf">{_image(panel.transfer, f"{where}: transfer function")}</div>'
 
 
-def _shot(panel: Panel, shot: Shot, where: str, names: list[str]) -> str:
-    name = f"<p>{markup.method(shot.row, names)}</p>"
+def _shot(panel: Panel, shot: Shot, where: str, models: list[Model]) -> str:
+    name = f"<p>{markup.method(shot.row, models)}</p>"
     if shot.picture is None or shot.difference is None:
         state = "" if shot.row["status"] == "ok" else markup.status(shot.row)
         return f'<div class="shot">{name}<p class="note">{state} {escape(shot.problem)}</p></div>'

@@ -7,11 +7,8 @@ from typing import TYPE_CHECKING, Any
 from reports.schema import METRICS
 from reports.style import MISSING, absent, label
 from reports.tables.columns import records
-from reports.tables.means import summary
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import pandas as pd
 
     from reports.statistics import Interval, Views
@@ -21,53 +18,55 @@ FEW_SEEDS = 5
 _AXES = ("dataset", "preset", "split")
 
 
-def intervals(results: pd.DataFrame, views: Views, metrics: Sequence[str] = METRICS) -> pd.DataFrame:
+def intervals(results: pd.DataFrame, means: pd.DataFrame, views: Views) -> pd.DataFrame:
     """One row per dataset, method and metric: uncertainty of the mean over scenes.
 
     Columns: dataset, method (with variant and rate), preset, split, metric, mean, low, high (95 % over views,
     for the mean over seeds), views (their number), seeds (their number), seed_std (over the seeds' means),
     seed_values (the seeds' means, if there are 2 to :data:`FEW_SEEDS`: "34.00; 34.30").
+
+    Args:
+        results: the table `results`.
+        means: their :func:`~reports.tables.means.summary`.
+        views: the table `views`.
     """
     import pandas as pd
 
     rows: list[dict[str, Any]] = []
     by_job = results.set_index("job")
-    for row in _complete(results):
+    for row in records(means[means["complete"]]):
         fits = by_job.loc[list(row["jobs"])]
-        for metric in metrics:
+        for metric in METRICS:
             sample = views.sample(row["jobs"], metric)
             interval = sample.interval() if sample is not None else None
             if interval is None:
                 continue
             values = fits[metric].astype(float).groupby(fits["seed"]).mean()
-            several = len(values) > 1
+            few = 1 < len(values) <= FEW_SEEDS
             rows.append(
                 _axes(row)
                 | {"metric": metric, **interval._asdict(), "seeds": len(values)}
-                | {"seed_std": float(values.std()) if several else None}
-                | {
-                    "seed_values": "; ".join(f"{v:.4f}" for v in values)
-                    if 1 < len(values) <= FEW_SEEDS
-                    else ""
-                }
+                | {"seed_std": float(values.std()) if len(values) > 1 else None}
+                | {"seed_values": "; ".join(f"{value:.4f}" for value in values) if few else ""}
             )
     columns = ["dataset", "method", "preset", "split", "metric", "mean", "low", "high", "views", "seeds"]
     return pd.DataFrame(rows, columns=[*columns, "seed_std", "seed_values"])
 
 
-def comparisons(results: pd.DataFrame, views: Views, metrics: Sequence[str] = METRICS) -> pd.DataFrame:
+def comparisons(means: pd.DataFrame, views: Views) -> pd.DataFrame:
     """One row per pair of methods and metric: first - second on the same views.
 
     Columns: dataset, preset, split, metric, first, second, difference, low, high (95 %), views, apart (the
     interval excludes zero). Each interval is for one comparison, not for all of them together.
+    Arguments as of :func:`intervals`.
     """
     import pandas as pd
 
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
-    for row in _complete(results):
+    for row in records(means[means["complete"]]):
         groups.setdefault(tuple(str(row[axis]) for axis in _AXES), []).append(row)
     rows = []
-    for metric in metrics:
+    for metric in METRICS:
         for key, methods in groups.items():
             axes = dict(zip(_AXES, key, strict=True)) | {"metric": metric}
             for i, first in enumerate(methods):
@@ -95,11 +94,6 @@ def signed(value: float, digits: int = 2, sign: bool = True) -> str:
     rounded = round(value, digits) + 0.0
     text = f"{rounded:+.{digits}f}" if sign else f"{rounded:.{digits}f}"
     return text.replace("-", "\N{MINUS SIGN}")
-
-
-def _complete(results: pd.DataFrame) -> list[dict[str, Any]]:
-    means = summary(results)
-    return records(means[means["complete"]])
 
 
 def _axes(row: dict[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,9 +16,8 @@ from reports.tables.results import with_notes
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.statistics import Views
-
-
+Marks = Mapping[tuple[Any, str], int]
+"""(row index, column) -> place."""
 MARKDOWN_MARKS = {1: "**{}**", 2: "*{}*", UNDECIDED: f"{{}} {UNDECIDED_SIGN}"}
 TEX_MARKS = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", UNDECIDED: r"{}\rlap{{$^{{\approx}}$}}"}
 """Formats of marked values. LaTeX's sign of an undecided value takes no width: digits stay aligned."""
@@ -40,15 +39,15 @@ def to_csv(table: pd.DataFrame) -> str:
     return plain.to_csv(index=False, lineterminator="\n")
 
 
-def to_markdown(table: pd.DataFrame, views: Views | None = None, remark: str = "") -> str:
+def to_markdown(table: pd.DataFrame, marks: Marks | None = None, remark: str = "") -> str:
     """A pipe table; the best value in bold, the second in italics. `results` is cut to :func:`display`.
 
     Args:
         table: `results` or any other.
-        views: see :func:`ranks`.
+        marks: as of :func:`ranks`; None for those that means alone decide.
         remark: a note below the table, after those that follow from its rows.
     """
-    marks = ranks(table, views)
+    marks = ranks(table) if marks is None else marks
     table, notes = with_notes(table)
     columns = [by_name(name) for name in table.columns]
     lines = [
@@ -63,13 +62,13 @@ def to_markdown(table: pd.DataFrame, views: Views | None = None, remark: str = "
     return "\n".join([*lines, *(f"\n{_md(note)}" for note in notes)]) + "\n"
 
 
-def to_latex(table: pd.DataFrame, views: Views | None = None, remark: str = "") -> str:
+def to_latex(table: pd.DataFrame, marks: Marks | None = None, remark: str = "") -> str:
     """A booktabs table; the best value bold, the second underlined. `results` is cut to :func:`display`.
 
     `results` is a longtable, which breaks across pages; any other table is a tabular. Arguments as of
     :func:`to_markdown`.
     """
-    marks = ranks(table, views)
+    marks = ranks(table) if marks is None else marks
     results = is_results(table)
     notes = [UNDECIDED_NOTE] if UNDECIDED in marks.values() else []
     notes += _unfinished(table) if results else []
@@ -91,7 +90,7 @@ def to_latex(table: pd.DataFrame, views: Views | None = None, remark: str = "") 
     return "\n".join([*lines, *tex_notes(notes)]) + "\n"
 
 
-def _rows(table: pd.DataFrame, marks: dict[tuple[Any, str], int]) -> Iterator[list[tuple[str, int]]]:
+def _rows(table: pd.DataFrame, marks: Marks) -> Iterator[list[tuple[str, int]]]:
     """Text and mark of each cell, row by row."""
     columns = [[cell(name, value) for value in table[name].tolist()] for name in table.columns]
     for index, *texts in zip(table.index, *columns, strict=True):

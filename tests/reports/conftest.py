@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from reports.charts.report import Report
 from reports.schema import TABLES, frame
 
 NO_LPIPS = "lpips_vgg: backbone weights missing: put vgg16-397923af.pth into ~/.cache/torch/hub/checkpoints"
@@ -93,6 +94,9 @@ class Maker:
 
     def tables(self) -> dict[str, pd.DataFrame]:
         return {name: frame(name, rows) for name, rows in self.rows.items()}
+
+    def report(self) -> Report:
+        return Report(self.tables())
 
 
 METHODS = {

@@ -13,7 +13,6 @@ from reports.inputs import Unusable, read_results
 from reports.paper import documents as paper_documents
 from reports.paper import tables as papers
 from reports.paper.values import NOT_MEASURED
-from reports.statistics import Views
 from reports.tables.documents import tex, to_latex
 from reports.tables.ranks import UNDECIDED_NOTE
 from tests.reports.conftest import fill
@@ -21,9 +20,8 @@ from tests.reports.paper.test_paper_tables import four, paper_tables, results, r
 
 
 def written(maker):
-    tables = maker.tables()
-    views = Views(tables["views"])
-    write_files(tables, maker.root / "out", papers.paper_tables(tables, views), views)
+    report = maker.report()
+    write_files(report, maker.root / "out", papers.paper_tables(report.stored, report.views))
     return maker.root / "out"
 
 
@@ -111,9 +109,9 @@ def test_latex_compiles(maker, case):
         maker.run(scene="a_b & c%", method="~{x}^", psnr=31.0)
     else:
         fill(maker, case)
-    tables = maker.tables()
-    results = tables["results"]
-    kind, after = check_latex(to_latex(results, Views(tables["views"]), "A remark."), maker.root)
+    report = maker.report()
+    results = report.results
+    kind, after = check_latex(to_latex(results, report.ranks, "A remark."), maker.root)
     assert kind == "longtable", "it breaks across pages"
     assert "A remark." in after
     for reason in results.loc[results["status"] != "ok", "reason"]:

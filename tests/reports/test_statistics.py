@@ -157,16 +157,15 @@ def test_sure_differences_are_ranked(maker):
 
 def test_undecided_values_have_a_sign_that_a_note_explains(maker):
     rivals(maker, a=(30.0, 0.1), b=(30.2, 3.0))
-    tables = maker.tables()
-    views = Views(tables["views"])
-    markdown = to_markdown(tables["results"], views)
+    report = maker.report()
+    markdown = to_markdown(report.results, report.ranks)
     assert UNDECIDED_NOTE in markdown
     assert "30.20 ≈ |" in markdown
     assert "**30.20**" not in markdown
-    latex = to_latex(tables["results"], views)
+    latex = to_latex(report.results, report.ranks)
     assert tex(UNDECIDED_NOTE) in latex
     assert r"30.20\rlap{$^{\approx}$}" in latex
-    assert UNDECIDED_NOTE not in to_markdown(tables["results"])
+    assert UNDECIDED_NOTE not in to_markdown(report.results)
 
 
 def test_intervals_that_exclude_zero_do_not_read_as_if_they_touched_it():

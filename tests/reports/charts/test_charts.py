@@ -7,55 +7,50 @@ import pandas as pd
 import pytest
 
 from reports.charts import data, features, kinds, rate_distortion, training
+from reports.charts.report import Report
 from reports.charts.sections import chart_sections
-from reports.style import series
+from reports.style import Model
 from tests.reports.conftest import fill, settings
+
+ECONGS = Model("econgs")
 
 
 def curve_table(rows):
     """A curve table from (job, scene, method, iteration, seconds, psnr, bytes, parts)."""
-    columns = [
-        "job",
-        "scene",
-        "method",
-        "iteration",
-        "train_seconds",
-        "psnr",
-        "bytes_estimate",
-        "loss_parts",
-    ]
-    table = pd.DataFrame(rows, columns=columns)
+    columns = "job scene method iteration train_seconds psnr bytes_estimate loss_parts"
+    table = pd.DataFrame(rows, columns=columns.split())
     parts = [json.loads(text) if text else {} for text in table["loss_parts"]]
     table["loss"] = [sum(v for k, v in p.items() if k != "bits per attribute") or 0.1 for p in parts]
     return table.assign(dataset="d", preset="quick", seed=0, **settings(""))
 
 
-def of_training(curve, stretches=()):
-    """Tables with a curve, and losses from (job, method, stage, first, iteration, parts)."""
-    columns = ["job", "method", "stage", "first", "iteration", "losses"]
-    losses = pd.DataFrame(stretches, columns=columns)
-    losses["losses"] = [json.dumps(parts) for parts in losses["losses"]]
-    return {
-        "curve": curve,
-        "losses": losses.assign(dataset="d", scene="a", preset="quick", seed=0, **settings("")),
-    }
+def losses(curve, stretches=()):
+    """The losses of a curve, and of (job, method, stage, first, iteration, parts)."""
+    table = pd.DataFrame(stretches, columns=["job", "method", "stage", "first", "iteration", "losses"])
+    table["losses"] = [json.dumps(parts) for parts in table["losses"]]
+    table = table.assign(dataset="d", scene="a", preset="quick", seed=0, **settings(""))
+    return training.losses(training.steps({"curve": curve, "losses": table}))
 
 
-def tradeoff(results, column="size_bytes"):
-    """Dataset -> its panel of PSNR against a column."""
-    chart = kinds.tradeoff(data.tradeoff(results, column), column, series(results))
-    return {panel.title: panel for panel in chart.panels}
+def tradeoff_data(maker, column="size_bytes"):
+    """What the chart of PSNR against a column shows."""
+    return data.tradeoff(maker.report().at_shared_seeds, column)
 
 
-def rates(results):
-    """Dataset -> its panel of rate-distortion curves."""
-    chart = kinds.rate_curves(rate_distortion.drawn(rate_distortion.curves(results)), series(results))
-    return {panel.title: panel for panel in chart.panels}
+def tradeoff(maker, column="size_bytes"):
+    """The chart of PSNR against a column."""
+    return kinds.tradeoff(tradeoff_data(maker, column), column, maker.report().models)
 
 
-def losses(tables):
-    """The panels of losses."""
-    return kinds.losses(training.losses(tables)).panels
+def rates(maker):
+    """The panels of rate-distortion curves."""
+    report = maker.report()
+    return kinds.rate_curves(rate_distortion.panels(report.curves), report.models).panels
+
+
+def sections(tables):
+    """Anchor -> HTML of the sections with charts."""
+    return {section.anchor: section.html for section in chart_sections(Report(tables))}
 
 
 def texts(panel):
@@ -90,7 +85,7 @@ def test_the_pareto_front_is_that_of_exhaustive_comparison():
 def test_the_dominated_region_holds_what_some_mean_is_better_than(maker):
     for method, psnr, size in (("a", 30.0, 10), ("b", 35.0, 40), ("c", 29.0, 20), ("d", 34.0, 80)):
         maker.run(method=method, psnr=psnr, size=size << 20, views=0)
-    (panel,) = data.tradeoff(maker.tables()["results"], "size_bytes")
+    (panel,) = tradeoff_data(maker)
     assert panel.front == [(10.0, 30.0), (40.0, 35.0)]
     assert panel.dominated(1000.0, 20.0) == [
         (10, 20), (10, 30), (40, 30), (40, 35), (1000, 35), (1000, 20)
@@ -100,15 +95,14 @@ def test_the_dominated_region_holds_what_some_mean_is_better_than(maker):
 def test_more_frames_per_second_are_better_and_less_memory_is(maker):
     maker.run(method="slow", fps=1.0, psnr=30.0, views=0, peak_host_bytes=1 << 20)
     maker.run(method="fast", fps=9.0, psnr=30.0, views=0, peak_host_bytes=9 << 20)
-    results = maker.tables()["results"]
-    assert data.tradeoff(results, "fps")[0].front == [(9.0, 30.0)]
-    assert data.tradeoff(results, "peak_host_bytes")[0].front == [(1.0, 30.0)]
-    assert data.tradeoff(results, "peak_device_bytes") == []
+    assert tradeoff_data(maker, "fps")[0].front == [(9.0, 30.0)]
+    assert tradeoff_data(maker, "peak_host_bytes")[0].front == [(1.0, 30.0)]
+    assert tradeoff_data(maker, "peak_device_bytes") == []
 
 
 def test_one_method_alone_has_no_front(maker):
     maker.run(views=0)
-    (panel,) = data.tradeoff(maker.tables()["results"], "fps")
+    (panel,) = tradeoff_data(maker, "fps")
     assert panel.front == panel.dominated(0.0, 0.0) == []
 
 
@@ -116,38 +110,34 @@ def test_rates_of_a_method_are_compared_on_the_seeds_that_all_of_them_have(maker
     for seed, psnr in ((0, 33.8), (1, 33.0)):
         for method in ("econgs", "3dgs"):
             maker.run(method=method, seed=seed, psnr=psnr, size=400, views=0)
-    said = "compared on the seeds"
-    assert not any(said in section.html for section in chart_sections(maker.tables()))
+    words = "compared on the seeds"
+    assert not any(words in html for html in sections(maker.tables()).values())
     maker.run(method="econgs", variant="rate_weight=0.01", seed=0, psnr=33.1, size=200, views=0)
-    tables = maker.tables()
-    (panel,) = data.tradeoff(tables["results"], "size_bytes")
-    assert {line.title: line.y for line in panel.lines} == {
-        "ECoNGS": [33.1, 33.8],
-        "3DGS": [pytest.approx(33.4)],
-    }
-    assert [s.anchor for s in chart_sections(tables) if said in s.html] == ["rate-distortion", "tradeoffs"]
+    (panel,) = tradeoff_data(maker)
+    means = {line.model.title: [spot.y for spot in line.means] for line in panel.lines}
+    assert means == {"ECoNGS": [33.1, 33.8], "3DGS": [pytest.approx(33.4)]}
+    html = sections(maker.tables())
+    assert [anchor for anchor in html if words in html[anchor]] == ["rate-distortion", "tradeoffs"]
 
 
 def test_axes_tell_of_times_that_do_not_compare(maker):
     maker.run(method="3dgs", processor="old", fit_processor="old")
     maker.run(method="econgs", processor="new", fit_processor="old")
-    results = maker.tables()["results"]
-    titles = {x: tradeoff(results, x)["vortex"].x.title for x in data.AXIS if x != "peak_device_bytes"}
+    titles = {x: tradeoff(maker, x).panels[0].x.title for x in ("fps", "train_seconds", "size_bytes")}
     assert titles["fps"] == "frames per second, several processors"
     assert titles["train_seconds"] == "training time per scene [s]"
     assert not titles["size_bytes"].endswith("processors")
     maker.run(dataset="other", method="3dgs", processor="old")  # without native kernels: no instruction set
     maker.run(dataset="other", method="econgs", processor="old, avx2")
-    (_, same) = data.tradeoff(maker.tables()["results"], "fps")
+    (_, same) = tradeoff_data(maker, "fps")
     assert not same.mixed
 
 
 def test_points_are_linked_to_rows(maker):
     maker.run(scene="a", method="ivr-gs", rate=64, views=0)
-    dots = tradeoff(maker.tables()["results"], "fps")["vortex"].series
-    assert [each.keys for each in dots] == [
-        [["measure-0000"]], [["vortex / iVR-GS @ 64 / quick / test"]]
-    ]  # fmt: skip
+    dots = tradeoff(maker, "fps").panels[0].series
+    keys = ["measure-0000", "vortex / iVR-GS @ 64 / quick / test"]
+    assert [each.keys for each in dots] == [([key],) for key in keys]
 
 
 def test_fits_that_differ_in_the_rate_knob_are_one_line_from_small_to_large(maker):
@@ -157,9 +147,10 @@ def test_fits_that_differ_in_the_rate_knob_are_one_line_from_small_to_large(make
         (5e-3, 34.0, 200, 40.0),
     ):
         maker.run(method="hac", variant=f"rate_weight={weight:g}", psnr=psnr, size=size, fps=fps, views=0)
-    (panel,) = data.tradeoff(maker.tables()["results"], "fps")
+    (panel,) = tradeoff_data(maker, "fps")
     (line,) = panel.lines
-    assert (line.title, line.y, line.x) == ("HAC", [33.0, 34.0, 35.0], [60.0, 40.0, 50.0])
+    assert line.model == Model("hac")
+    assert [spot[:2] for spot in line.means] == [(60.0, 33.0), (40.0, 34.0), (50.0, 35.0)]
 
 
 def test_of_many_variants_the_unnamed_are_without_their_scenes(maker):
@@ -167,9 +158,9 @@ def test_of_many_variants_the_unnamed_are_without_their_scenes(maker):
         maker.run(
             method="econgs", variant=f"features={k + 1}" if k else "", psnr=30.0 + k, size=k + 1, views=0
         )
-    (panel,) = data.tradeoff(maker.tables()["results"], "size_bytes")
-    assert {line.title: len(line.scene_x) for line in panel.lines if line.scene_x} == {"ECoNGS": 1}
-    assert all(line.x for line in panel.lines)
+    (panel,) = tradeoff_data(maker)
+    assert {line.model: len(line.scenes) for line in panel.lines if line.scenes} == {Model("econgs"): 1}
+    assert all(line.means for line in panel.lines)
 
 
 # --------------------------------------------------------------------------- rates
@@ -181,12 +172,11 @@ def rate_store(maker):
             variant = f"rate_weight={weight:g}"
             maker.run(method=method, variant=variant, psnr=psnr + gain, size=size << 10, views=0)
     maker.run(method="3dgs", psnr=37.0, size=9 << 20, views=0)
-    return maker.tables()
 
 
 def test_rate_curves_hold_the_numbers_and_single_sizes_are_marks(maker):
-    results = rate_store(maker)["results"]
-    panel = rates(results)["vortex"]
+    rate_store(maker)
+    (panel,) = rates(maker)
     assert [len(curve.x) for curve in panel.series] == [4, 4, 1]
     assert panel.series[0].x == pytest.approx([100 / 1024, 200 / 1024, 300 / 1024, 400 / 1024])
     assert panel.series[1].y == [33.5, 34.5, 35.5, 36.5]
@@ -195,16 +185,17 @@ def test_rate_curves_hold_the_numbers_and_single_sizes_are_marks(maker):
 
 
 def test_the_page_tells_bd_rates(maker):
-    html = {s.anchor: s.html for s in chart_sections(rate_store(maker))}["rate-distortion"]
-    found = rate_distortion.differences(rate_distortion.curves(maker.tables()["results"]))[0]
-    assert found.psnr == pytest.approx(0.5, abs=0.01)
-    assert f"{found.rate:+.1f} %" in html
+    rate_store(maker)
+    html = sections(maker.tables())["rate-distortion"]
+    first = maker.report().differences[0]
+    assert first.psnr == pytest.approx(0.5, abs=0.01)
+    assert f"{first.rate:+.1f} %" in html
     assert "33.50 to 36.00" in html
 
 
 def test_no_rate_chart_where_every_method_has_one_size(maker):
     maker.run(views=0)
-    assert rates(maker.tables()["results"]) == {}
+    assert rates(maker) == []
 
 
 # --------------------------------------------------------------------------- training
@@ -274,15 +265,15 @@ def test_charts_of_training_show_the_default_of_a_rate_knob(maker):
     axes = pd.DataFrame([settings(variants[job]) for job in table["job"]])
     table = table.assign(**{name: axes[name] for name in axes})
     # Of "a=1" there is no fit at the default rate: all of them are shown.
-    told = ["m", "m [a=1,rate_weight=0.1]", "m [a=1,rate_weight=0.2]"]
+    shown = ["m", "m [a=1,rate_weight=0.1]", "m [a=1,rate_weight=0.2]"]
     results = results_table(maker, m="a")
-    assert [line.name for line in training.anytime(table, results, "psnr")["d"]] == told
-    assert [line.name for line in training.convergence(table, "iteration")["d"]] == told
-    assert [panel.title for panel in training.losses(of_training(table))] == told
+    assert [line.model.title for line in training.anytime(table, results, "psnr")["d"]] == shown
+    assert [line.model.title for line in training.convergence(table, "iteration")["d"]] == shown
+    assert [panel.title for panel in losses(table)] == shown
 
 
 def test_time_to_quality_is_linear_between_evaluations():
-    curve = training.Curve("m", "m", [10.0, 20.0, 40.0, 80.0], [31.0, 33.0, 32.5, 33.5])
+    curve = training.Curve(Model("m"), "m", [10.0, 20.0, 40.0, 80.0], [31.0, 33.0, 32.5, 33.5])
     ((_, times),) = training.time_to_quality([curve])
     assert times == [10.0, 15.0, None]
 
@@ -293,19 +284,19 @@ def test_loss_parts_without_figures_that_are_no_part_and_with_the_start_of_the_r
     rows = [
         ("j", s, "econgs", i, 1.0, 30.0, None, early if i < 300 else late) for s in "ab" for i in (100, 300)
     ]
-    (panel,) = training.losses(of_training(curve_table(rows)))
+    (panel,) = losses(curve_table(rows))
     assert [part.name for part in panel.parts] == ["loss", "image", "rate"]
     assert panel.parts[0].y == pytest.approx([0.02 + 1e-9, 0.012 + 1e-9])
     assert panel.marks == [(300.0, "rate first seen")]
     assert panel.small == ["scale"]
-    assert losses(of_training(curve_table(rows)))[0].stages == [(300.0, "rate first seen")]
+    assert kinds.losses([panel]).panels[0].stages == panel.marks
 
 
 def test_parts_that_join_together_share_a_mark():
     late = json.dumps({"image": 0.01, "rate": 0.002, "masks": 0.001})
     early = json.dumps({"image": 0.02})
     rows = [("j", "a", "hac", i, 1.0, 30.0, None, early if i < 300 else late) for i in (100, 300)]
-    (panel,) = training.losses(of_training(curve_table(rows)))
+    (panel,) = losses(curve_table(rows))
     assert panel.marks == [(300.0, "rate, masks first seen")]
 
 
@@ -321,30 +312,28 @@ def test_losses_are_means_over_stretches_with_marks_where_stages_begin():
             ("noise", 40, 0.01),
         )
     ]
-    tables = of_training(curve_table(steps), stretches)
-    (panel,) = training.losses(tables)
+    (panel,) = losses(curve_table(steps), stretches)
     assert panel.marks == [(11.0, "growth"), (21.0, "noise")]
     loss, image, rate = panel.parts
     assert (loss.x, loss.y) == ([10.0, 20.0, 30.0, 40.0], pytest.approx([0.03, 0.03, 0.04, 0.04]))
     assert image.y == pytest.approx([0.03] * 4)
     assert rate.x == [30.0, 40.0]
-    assert losses(tables)[0].stages == panel.marks
     # A stage of a single step has a mark, with its neighbour, and no point.
     short = [("j", "m", stage, first, last, {"loss": loss, "image": loss}) for stage, first, last, loss in
              (("a", 1, 100, 1.0), ("b", 101, 101, 9.0), ("c", 102, 200, 1.0))]  # fmt: skip
-    (panel,) = training.losses(of_training(curve_table([]), short))
+    (panel,) = losses(curve_table([]), short)
     assert panel.marks == [(101.0, "b, c")]
     assert panel.parts[0].y == [1.0, 1.0]
     # A method that has none there is drawn from its steps.
     other = curve_table(
         [("m", "a", "hac", i, 1.0, 30.0, None, '{"image": 1.0, "scale": 0.5}') for i in (1, 2)]
     )
-    assert [panel.title for panel in training.losses(of_training(other, stretches))] == ["ECoNGS", "HAC"]
+    assert [panel.title for panel in losses(other, stretches)] == ["ECoNGS", "HAC"]
 
 
 def test_no_loss_chart_without_parts(maker):
     maker.run()
-    assert training.losses(maker.tables()) == []
+    assert "losses" not in sections(maker.tables())
 
 
 # --------------------------------------------------------------------------- parts of a whole
@@ -369,8 +358,8 @@ def test_bars_are_means_over_the_seeds_that_have_all_scenes():
             for scene in scenes
             for part, value in parts.items()
         ]
-        found = pd.DataFrame(rows, columns=["job", "scene", "seed", "part", column])
-        return found.assign(dataset="d", method="econgs", variant="", rate=None, preset="quick")
+        table = pd.DataFrame(rows, columns=["job", "scene", "seed", "part", column])
+        return table.assign(dataset="d", method="econgs", variant="", rate=None, preset="quick")
 
     sizes = [
         ("ab", {"positions": 10, "features": 30}),
@@ -407,29 +396,29 @@ def features_table(count=60):
 
 
 def test_histograms_pool_scenes_and_components():
-    made = features.histograms(features_table(9000))
-    assert [panel.attribute for panel in made] == ["opacity", "features"]
-    shares = made[1].shares["ECoNGS"]
+    panels = features.histograms(features_table(9000))
+    assert [panel.attribute for panel in panels] == ["opacity", "features"]
+    shares = panels[1].shares[ECONGS]
     values = np.concatenate(features_table(9000).query("name == 'features'")["values"].to_list())
-    counted, _ = np.histogram(values, made[1].edges)
+    counted, _ = np.histogram(values, panels[1].edges)
     assert shares == pytest.approx(100 * counted / len(values))
 
 
 def test_attributes_are_of_the_default_rate():
     rates = pd.concat([features_table().assign(**settings(v)) for v in ("", "rate_weight=0.01", "offsets=5")])
-    assert list(features.histograms(rates)[0].shares) == ["ECoNGS", "ECoNGS [offsets=5]"]
+    assert list(features.histograms(rates)[0].shares) == [ECONGS, Model("econgs", "offsets=5")]
 
 
 def test_an_attribute_that_is_the_same_everywhere_has_a_histogram():
     table = features_table().assign(values=[[1.0] * 5] * 4)
-    assert sum(features.histograms(table)[0].shares["ECoNGS"]) == pytest.approx(100.0)
+    assert sum(features.histograms(table)[0].shares[ECONGS]) == pytest.approx(100.0)
 
 
 def test_without_umap_the_reason_is_told(maker):
     maker.run(method="econgs", views=0)
     tables = maker.tables() | {"features": features_table()}
     with patch.dict(sys.modules, {"umap": None}):
-        html = {s.anchor: s.html for s in chart_sections(tables)}["attributes"]
+        html = sections(tables)["attributes"]
     assert "umap-learn is not installed" in html
 
 
@@ -448,10 +437,10 @@ def test_an_embedding_is_split_by_scene():
 
     with patch.dict(sys.modules, {"umap": type(sys)("umap")}):
         sys.modules["umap"].UMAP = Flat
-        (made,) = features.maps(features_table())
-    (panel,) = kinds.feature_maps([made]).panels
+        (anchors,) = features.maps(features_table())
+    (panel,) = kinds.feature_maps([anchors]).panels
     first = np.reshape(features_table()["values"].iloc[1], (-1, 4))[:, :2]
-    assert np.array_equal(made.scenes["a"], first)
+    assert np.array_equal(anchors.scenes["a"], first)
     assert [scene.title for scene in panel.series] == ["a", "b"]
     assert panel.series[0].x == first[:, 0].tolist()
 
@@ -461,23 +450,23 @@ def test_an_embedding_is_split_by_scene():
 
 def test_sections_of_a_normal_store(maker):
     fill(maker, "normal")
-    assert [s.anchor for s in chart_sections(maker.tables())] == [
+    assert list(sections(maker.tables())) == [
         "confidence", "tradeoffs", "anytime", "convergence", "ledger"
     ]  # fmt: skip
 
 
 def test_no_sections_without_data(maker):
     maker.run(status="failed", reason="boom")
-    (only,) = chart_sections(maker.tables())
-    assert only.anchor == "stability"
-    assert "1 of 1: failed 1" in only.html
+    ((anchor, html),) = sections(maker.tables()).items()
+    assert anchor == "stability"
+    assert "1 of 1: failed 1" in html
 
 
 def test_how_sure_tells_intervals_seeds_and_differences(maker):
     for seed, shift in enumerate((0.0, 0.3, -0.3)):
         maker.run(method="a", seed=seed, psnr=34.0 + shift)
         maker.run(method="b", seed=seed, psnr=30.0 + shift)
-    html = {s.anchor: s.html for s in chart_sections(maker.tables())}["confidence"]
+    html = sections(maker.tables())["confidence"]
     assert "± 0.30 (3 seeds): 34.00, 34.30, 33.70" in html
     assert "\N{MINUS SIGN}4.00" in html
     assert "lower" in html
@@ -485,7 +474,7 @@ def test_how_sure_tells_intervals_seeds_and_differences(maker):
 
 def test_every_series_of_a_figure_is_named(maker):
     fill(maker, "failures")
-    results = maker.tables()["results"]
-    panels = training.anytime(maker.tables()["curve"], results, "psnr")
-    (panel, *_) = kinds.anytime(panels, "psnr", series(results)).panels
+    report = maker.report()
+    panels = training.anytime(report.tables["curve"], report.results, "psnr")
+    (panel, *_) = kinds.lines(panels, "", "", report.models).panels
     assert texts(panel) == {"3DGS (1 of 2 scenes)", "ECoNGS"}

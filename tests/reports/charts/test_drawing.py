@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from reports.charts import data, files, kinds, svg, training
+from reports.charts import data, files, kinds, svg
 from reports.charts.chart import Axis, Chart, Panel, Series, Text, linear_axis, log_axis
 from reports.charts.elements import card
 from reports.charts.labels import overlap, place_labels, text_width
-from reports.style import MARKERS, Look, series
+from reports.style import MARKERS, Look
 from tests.reports.charts.test_charts import texts, tradeoff
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -96,7 +96,7 @@ def test_every_marker_and_area_is_well_formed_and_texts_are_escaped():
 
 def test_the_page_has_the_same_drawing_with_values_and_keys(maker):
     maker.run(scene="a", method="ivr-gs", rate=64, psnr=33.333333, fps=12.0, views=0)
-    panel = tradeoff(maker.tables()["results"], "fps")["vortex"]
+    (panel,) = tradeoff(maker, "fps").panels
     html = card(panel, "PSNR & speed")
     assert svg.drawing(panel) in html
     assert "PSNR &amp; speed" in html
@@ -117,8 +117,7 @@ def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path, mon
     for method in ("3dgs", "econgs", "hac"):
         for dataset in ("x", "y"):
             maker.run(dataset, method=method, views=0, psnr=30 + len(method))
-    results = maker.tables()["results"]
-    chart = kinds.tradeoff(data.tradeoff(results, "fps"), "fps", series(results))
+    chart = tradeoff(maker, "fps")
     for name in "ab":
         with files.written({"psnr-fps": chart}, tmp_path / name):
             pass
@@ -140,10 +139,6 @@ def test_charts_of_any_number_of_bars_and_panels(maker):
         for dataset in ("x", "y"):
             maker.run(dataset, method=method, psnr=30 + len(method))
     tables = maker.tables()
-    panels = training.convergence(tables["curve"], "iteration")
-    assert [
-        panel.title for panel in kinds.convergence(panels, "iteration", ["3DGS", "ECoNGS", "HAC"]).panels
-    ] == ["x", "y"]
     bars = tables["ledger"]
     for size in (bars.head(1), bars, bars.assign(variant="an_option=with a very long value," * 4)):
         every = pd.concat([size, *(size.assign(part=f"part {i}", job=f"{i}") for i in range(9))])
@@ -162,7 +157,7 @@ def test_many_variants_and_scenes_leave_no_label_on_another(maker):
         for scene in "ab":
             psnr, size = float(rng.normal(33.0, 0.3)), int(rng.integers(1 << 20, 1 << 22))
             maker.run(scene=scene, method=method, psnr=psnr, size=size, views=0)
-    panel = tradeoff(maker.tables()["results"])["vortex"]
+    (panel,) = tradeoff(maker).panels
     assert texts(panel) == {"3DGS", "ECoNGS", "HAC", "Scaffold-GS", "iVR-GS"}
     boxes = [place.box for _, place in panel.placed]
     assert not any(overlap(a, b) for i, a in enumerate(boxes) for b in boxes[:i])

@@ -10,13 +10,20 @@ from reports import style
 from reports.charts import data, features, kinds, parts, rate_distortion, svg, training
 from reports.charts.elements import legend
 from reports.charts.labels import text_width
-from reports.charts.sections import chart_sections
 from reports.page import results as results_table
-from reports.statistics import Views
-from reports.style import MOST_NAMED, OTHERS, OTHERS_NAME, legend_entries, look, looks, named, series
-from tests.reports.charts.test_charts import curve_table, losses, of_training, rates, tradeoff
+from reports.style import MOST_NAMED, OTHERS, OTHERS_NAME, Model, legend_entries, look, looks, named
+from tests.reports.charts.test_charts import (
+    curve_table,
+    losses,
+    rates,
+    sections,
+    texts,
+    tradeoff,
+    tradeoff_data,
+)
 
-NAMES = ["ECoNGS", *(f"ECoNGS [features={i}]" for i in range(20)), "3DGS [start=cloud]", "HAC"]
+ECONGS, CLOUD, HAC = Model("econgs"), Model("3dgs", "start=cloud"), Model("hac")
+MODELS = [ECONGS, *(Model("econgs", f"features={i}") for i in range(20)), CLOUD, HAC]
 
 
 def many_variants(maker, **more):
@@ -29,47 +36,45 @@ def many_variants(maker, **more):
 
 
 def test_a_method_has_one_color_and_its_variants_differ_in_marker_or_line():
-    assert {look(name, NAMES).color for name in NAMES[:21]} == {style.PALETTE[0]}
-    assert len({look(name, NAMES).color for name in ("ECoNGS", "3DGS [start=cloud]", "HAC")}) == 3
-    assert len({look(name, NAMES) for name in NAMES}) == len(NAMES)
-    assert look("ECoNGS", list(reversed(NAMES))).dash == "solid"  # the default, wherever it stands
+    assert {look(each, MODELS).color for each in MODELS[:21]} == {style.PALETTE[0]}
+    assert len({look(each, MODELS).color for each in (ECONGS, CLOUD, HAC)}) == 3
+    assert len({look(each, MODELS) for each in MODELS}) == len(MODELS)
+    assert look(ECONGS, list(reversed(MODELS))).dash == "solid"  # the default, wherever it stands
 
 
 def test_many_methods_stay_apart_where_the_colors_begin_again():
-    methods = [f"method {i}" for i in range(20)]
-    assert len({look(name, methods) for name in methods}) == 20
+    methods = [Model(f"method {i}") for i in range(20)]
+    assert len({look(each, methods) for each in methods}) == 20
 
 
 def test_with_many_variants_only_the_defaults_are_told_apart():
-    assert named(NAMES[:MOST_NAMED]) == set(NAMES[:MOST_NAMED])
-    assert named(NAMES) == {"ECoNGS", "3DGS [start=cloud]", "HAC"}
-    shown = looks(NAMES, NAMES)
-    assert list(shown.values()).count(OTHERS) == 20
-    assert OTHERS not in list(shown.values())[20:]  # and drawn below
-    assert list(legend_entries([NAMES], NAMES)) == ["ECoNGS", "3DGS [start=cloud]", "HAC", OTHERS_NAME]
+    assert named(MODELS[:MOST_NAMED]) == set(MODELS[:MOST_NAMED])
+    assert named(MODELS) == {ECONGS, CLOUD, HAC}
+    styles = list(looks(dict(zip(MODELS, MODELS, strict=True)), MODELS).values())
+    assert styles.count(OTHERS) == 20
+    assert OTHERS not in styles[20:]  # and drawn below
+    assert list(legend_entries([MODELS], MODELS)) == ["ECoNGS", "3DGS [start=cloud]", "HAC", OTHERS_NAME]
 
 
 def test_a_legend_shows_marker_and_dash(maker):
-    entries = legend_entries([["ECoNGS", "ECoNGS [features=1]"]], NAMES)
+    entries = legend_entries([MODELS[:2]], MODELS)
     html = legend(entries)
     assert html.count("<svg") == 2
     assert html.count("stroke-dasharray") == sum(entry.dash != "solid" for entry in entries.values()) == 1
     assert len(set(re.findall(r'd="(M[^"]+z)"', html))) == 2
     many_variants(maker)
-    results = maker.tables()["results"]
-    chart = kinds.tradeoff(data.tradeoff(results, "size_bytes"), "size_bytes", series(results))
-    assert chart.legend == {OTHERS_NAME: OTHERS}
+    assert tradeoff(maker).legend == {OTHERS_NAME: OTHERS}
 
 
 def test_the_legend_of_lines_is_what_is_drawn():
     rows = [(f"{m}{s}", s, m, i, float(i), 30.0 + i, None, "") for m in ("a", "b", "c") for s in "wxyz"
             for i in (1, 2)]  # fmt: skip
     curve = curve_table(rows)
-    names = ["other", "a", "b", "b [x=1]", "c"]
-    chart = kinds.convergence(training.convergence(curve, "iteration"), "iteration", names)
+    names = [Model("other"), Model("a"), Model("b"), Model("b", "x=1"), Model("c")]
+    chart = kinds.lines(training.convergence(curve, "iteration"), "", "", names)
     assert set(chart.legend.values()) == {line.look for line in chart.panels[0].series}
     assert list(chart.legend) == ["a", "b", "c"]
-    swatches = [svg.swatch(look) for look in looks(names, names).values()]
+    swatches = [svg.swatch(look(each, names)) for each in names]
     assert len(set(swatches)) == len(names)
 
 
@@ -79,21 +84,17 @@ def test_page_legends_name_only_what_is_drawn(maker):
     maker.run(method="econgs")
     tables = maker.tables()
     tables["curve"].loc[tables["curve"]["method"] == "hac", "psnr"] = None
-    html = {section.anchor: section.html for section in chart_sections(tables)}
+    html = sections(tables)
     for anchor in ("convergence", "anytime"):
-        said = re.findall(r"</svg> ([^<]+)</span>", html[anchor])
-        assert said == ["3DGS", "ECoNGS"]
+        assert re.findall(r"</svg> ([^<]+)</span>", html[anchor]) == ["3DGS", "ECoNGS"]
 
 
 def test_the_front_is_named_among_many_variants_and_the_rest_is_gray(maker):
     many_variants(maker)
-    results = maker.tables()["results"]
-    (panel,) = data.tradeoff(results, "size_bytes")
-    names = series(results)
-    said = {text for _, _, text, _ in panel.labels(names)}
-    assert said == {"ECoNGS", "HAC", "features=0", "features=1"}
-    assert [style is OTHERS for _, style in panel.looks(names)] == [True] * 9 + [False] * 4
-    dots = tradeoff(results)["vortex"].series
+    (panel,) = tradeoff(maker).panels
+    assert texts(panel) == {"ECoNGS", "HAC", "features=0", "features=1"}
+    dots = [each for each in panel.series if each.title]
+    assert [each.look.color == OTHERS.color for each in dots[:9]] == [True] * 9  # and drawn below
     assert sum(each.look.color == OTHERS.color for each in dots) == 9
     assert any("features=5" in each.title for each in dots)
 
@@ -103,11 +104,11 @@ def test_presets_and_splits_have_panels_of_their_own(maker):
         maker.run(method="econgs", preset=preset, psnr=psnr, views=0)
         maker.run(method="3dgs", preset=preset, psnr=psnr - 2, size=9 << 20, views=0)
     maker.run(method="3dgs", split="val", psnr=20.0, views=0)
-    panels = data.tradeoff(maker.tables()["results"], "size_bytes")
+    panels = tradeoff_data(maker)
     titles = ["vortex · quick · test", "vortex · paper · test", "vortex · quick · val"]
     assert [panel.title for panel in panels] == titles
     assert [[y for _, y in panel.means] for panel in panels] == [[30.0, 28.0], [36.0, 34.0], [20.0]]
-    assert {line.title for panel in panels for line in panel.lines} == {"ECoNGS", "3DGS"}
+    assert {line.model for panel in panels for line in panel.lines} == {ECONGS, Model("3dgs")}
 
 
 def test_rates_and_training_are_not_compared_across_presets(maker):
@@ -116,15 +117,14 @@ def test_rates_and_training_are_not_compared_across_presets(maker):
             variant = f"rate_weight={weight:g}"
             maker.run(method="hac", variant=variant, preset=preset, psnr=psnr + gain,
                       size=int(1 / weight) << 10, views=0)  # fmt: skip
-    found = rate_distortion.curves(maker.tables()["results"])
-    assert list(found) == ["vortex · quick", "vortex · paper"]
-    assert rate_distortion.differences(found) == []
-    assert list(rates(maker.tables()["results"])) == list(found)
+    titles = ["vortex · quick", "vortex · paper"]
+    assert maker.report().differences == []
+    assert [panel.title for panel in rates(maker)] == titles
     rows = [("j", "s", "econgs", i, float(i), 30.0 + i, 9, '{"image": 0.1, "x": 0.1}') for i in (1, 2)]
     curve = pd.concat([curve_table(rows), curve_table(rows).assign(preset="paper", job="k")])
     assert list(training.convergence(curve, "iteration")) == ["d · quick", "d · paper"]
     assert list(training.anytime(curve, maker.tables()["results"], "psnr")) == ["d · quick", "d · paper"]
-    assert [panel.dataset for panel in training.losses(of_training(curve))] == ["d · quick", "d · paper"]
+    assert [panel.dataset for panel in losses(curve)] == ["d · quick", "d · paper"]
 
 
 def test_single_sizes_of_variants_are_not_in_the_chart_of_rates(maker):
@@ -132,7 +132,7 @@ def test_single_sizes_of_variants_are_not_in_the_chart_of_rates(maker):
     maker.run(method="3dgs", variant="start=cloud", psnr=33.0, views=0)
     for rate, size in ((64, 1 << 20), (256, 2 << 20)):
         maker.run(method="vq-3dgs", rate=rate, psnr=30.0 + rate / 100, size=size, views=0)
-    (curves,) = rate_distortion.drawn(rate_distortion.curves(maker.tables()["results"])).values()
+    (curves,) = rate_distortion.panels(maker.report().curves).values()
     assert [curve.title for curve in curves] == ["ECoNGS", "HAC", "3DGS [start=cloud]", "VQ-3DGS"]
 
 
@@ -142,15 +142,11 @@ def test_every_row_of_the_page_has_a_key_of_its_own(maker):
             for scene in "ab":
                 maker.run(scene=scene, preset=preset, seed=seed, views=0)
     maker.run(split="val", views=0)
-    results = maker.tables()["results"]
-    keys = re.findall('data-key="([^"]*)"', results_table.section(results, Views(maker.tables()["views"])))
+    keys = re.findall('data-key="([^"]*)"', results_table.section(maker.report()))
     assert len(keys) == len(set(keys)) == 8 + 2 + 1 + 1
-    for panel in data.tradeoff(results, "size_bytes"):
-        for line in panel.lines:
-            linked = [key for point in (*line.keys, *line.scene_keys) for key in point]
-            assert set(linked) <= set(keys)
-    (point, _), *_ = [line.scene_keys for panel in data.tradeoff(results, "fps") for line in panel.lines]
-    assert len(point) == 2  # seeds of one scene
+    lines = [line for panel in tradeoff_data(maker) for line in panel.lines]
+    assert {key for line in lines for spot in (*line.means, *line.scenes) for key in spot.keys} <= set(keys)
+    assert len(lines[0].scenes[0].keys) == 2  # seeds of one scene
 
 
 # --------------------------------------------------------------------------- parts
@@ -197,7 +193,7 @@ def test_parts_of_a_family_are_one_and_small_ones_are_the_rest():
 def test_a_part_of_the_loss_has_one_color_in_all_panels():
     both, one = '{"image": 0.1, "color": 0.05, "rate": 0.01}', '{"image": 0.1, "rate": 0.01}'
     rows = [(m, "s", m, i, 1.0, 30.0, None, text) for m, text in (("a", both), ("b", one)) for i in (1, 2)]
-    panels = losses(of_training(curve_table(rows)))
+    panels = kinds.losses(losses(curve_table(rows))).panels
     colors = [{part.title: part.look.color for part in panel.series} for panel in panels]
     assert colors[1] == {name: shade for name, shade in colors[0].items() if name != "color"}
     assert len(set(colors[0].values())) == 4
@@ -210,15 +206,16 @@ def test_losses_of_many_variants_are_those_of_the_default():
         curve_table([(f"j{v}", "s", "econgs", i, 1.0, 30.0, None, text) for i in (1, 2)]).assign(variant=v)
         for v in variants
     ]
-    assert [panel.title for panel in training.losses(of_training(pd.concat(each)))] == ["ECoNGS"]
-    assert len(training.losses(of_training(pd.concat(each[:MOST_NAMED])))) == MOST_NAMED
+    assert [panel.title for panel in losses(pd.concat(each))] == ["ECoNGS"]
+    assert len(losses(pd.concat(each[:MOST_NAMED]))) == MOST_NAMED
 
 
 def test_titles_of_panels_are_broken_before_they_are_cut():
     rows = [("j", "s", "econgs", i, 1.0, 30.0, None, '{"image": 0.1, "rate": 0.01}') for i in (1, 2)]
     table = curve_table(rows).assign(variant="decoder_precision=float32", dataset="a dataset of a long name")
-    (panel,) = losses(of_training(table))
-    document = svg.file(kinds.losses(training.losses(of_training(table))))
+    chart = kinds.losses(losses(table))
+    (panel,) = chart.panels
+    document = svg.file(chart)
     lines = re.findall(r'stroke-width="0.4">([^<]+)<', document)
     assert " ".join(lines) == panel.title
     assert max(map(text_width, lines)) < panel.width
@@ -237,7 +234,7 @@ def attributes(values, variants=("",)):
 def test_quantised_values_are_no_comb():
     values = np.random.default_rng(0).normal(0.0, 0.1, 20_000)
     (panel,) = features.histograms(attributes(np.round(values / 0.047) * 0.047))
-    shares = np.array(panel.shares["ECoNGS"])
+    shares = np.array(panel.shares[ECONGS])
     assert len(find_peaks(np.pad(shares, 1), prominence=0.05 * shares.max())[0]) <= 3
     counted = np.histogram(values, panel.edges)[0] / 200
     assert np.abs(shares - counted).sum() < 12  # percent: what the values were before
@@ -245,7 +242,7 @@ def test_quantised_values_are_no_comb():
 
 def test_histograms_of_many_variants_show_the_default():
     table = attributes(np.arange(50.0), ["", *(f"features={i}" for i in range(12))])
-    assert list(features.histograms(table)[0].shares) == ["ECoNGS"]
+    assert list(features.histograms(table)[0].shares) == [ECONGS]
     presets = pd.concat([table, table.assign(preset="paper")])
     assert [panel.dataset for panel in features.histograms(presets)] == ["d · quick", "d · paper"]
 

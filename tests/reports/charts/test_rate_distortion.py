@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from reports.charts.rate_distortion import Curve, Point, curves, difference, differences
+from reports.charts.rate_distortion import Curve, Point, difference, differences
+from reports.style import Model
 
 ANCHOR = ([1358.24, 2486.44, 4593.60, 9487.76], [34.851, 36.845, 38.615, 40.037])
 TEST = ([1356.24, 2451.52, 4469.00, 9787.80], [34.987, 36.970, 38.651, 40.121])
@@ -9,7 +10,7 @@ TEST = ([1356.24, 2451.52, 4469.00, 9787.80], [34.987, 36.970, 38.651, 40.121])
 
 def curve(size, psnr, title="x"):
     points = (Point("", b, q, {}) for b, q in zip(size, psnr, strict=True))
-    return Curve("d", title, title, title, tuple(points))
+    return Curve("d", Model(title), Model(title), tuple(points))
 
 
 def akima(x, y, at):
@@ -34,16 +35,16 @@ def akima(x, y, at):
 
 def test_an_independent_implementation_agrees():
     """On the example of the reference implementation of Akima's interpolation for BD-rate."""
-    found = difference(curve(*ANCHOR), curve(*TEST))
+    pair = difference(curve(*ANCHOR), curve(*TEST))
     q = np.linspace(max(ANCHOR[1][0], TEST[1][0]), min(ANCHOR[1][-1], TEST[1][-1]), 20_001)
     gap = np.mean(akima(TEST[1], np.log10(TEST[0]), q) - akima(ANCHOR[1], np.log10(ANCHOR[0]), q))
-    assert found.rate == pytest.approx(100 * (10**gap - 1), abs=0.01)
+    assert pair.rate == pytest.approx(100 * (10**gap - 1), abs=0.01)
     r = np.linspace(*np.log10([ANCHOR[0][0], ANCHOR[0][-1]]), 20_001)
     gap = np.mean(akima(np.log10(TEST[0]), TEST[1], r) - akima(np.log10(ANCHOR[0]), ANCHOR[1], r))
-    assert found.psnr == pytest.approx(gap, abs=1e-3)
-    assert found.psnr_range == (34.987, 40.037)
-    assert found.bytes_range == pytest.approx((1358.24, 9487.76))
-    assert (found.warnings, found.refused) == ((), "")
+    assert pair.psnr == pytest.approx(gap, abs=1e-3)
+    assert pair.psnr_range == (34.987, 40.037)
+    assert pair.bytes_range == pytest.approx((1358.24, 9487.76))
+    assert (pair.warnings, pair.refused) == ((), "")
 
 
 def test_a_fifth_fewer_bytes_at_equal_quality_are_minus_twenty_percent():
@@ -61,8 +62,8 @@ def test_curves_may_have_different_numbers_of_points():
     size = np.geomspace(1e4, 1e6, 6)
     psnr = 10 * np.log10(size)
     fewer = curve(np.geomspace(1e4, 1e6, 4) / 2, np.linspace(40.0, 60.0, 4))
-    made = difference(curve(size, psnr), fewer)
-    assert made.rate == pytest.approx(-50.0)
+    pair = difference(curve(size, psnr), fewer)
+    assert pair.rate == pytest.approx(-50.0)
 
 
 @pytest.mark.parametrize(
@@ -74,39 +75,39 @@ def test_curves_may_have_different_numbers_of_points():
     ],
 )  # fmt: skip
 def test_refused_with_the_reason(size, psnr, reason):
-    made = difference(curve(*ANCHOR, "a"), curve(size, psnr, "b"))
-    assert made.refused.startswith(reason)
-    assert made.rate is made.psnr is None
+    pair = difference(curve(*ANCHOR, "a"), curve(size, psnr, "b"))
+    assert pair.refused.startswith(reason)
+    assert pair.rate is pair.psnr is None
 
 
 def test_curves_that_share_no_size_still_have_a_bd_rate():
     """What a method is for that takes a hundredth of the bytes."""
     size, psnr = np.array(ANCHOR[0]), ANCHOR[1]
-    made = difference(curve(size, psnr), curve(size / 100, psnr))
-    assert made.rate == pytest.approx(-99.0)
-    assert (made.psnr, made.bytes_range, made.refused) == (None, None, "")
-    assert made.warnings == ("no overlap of their size: 1,358 to 9,488 and 14 to 95 B",)
-    assert made.overlap == 1.0
+    pair = difference(curve(size, psnr), curve(size / 100, psnr))
+    assert pair.rate == pytest.approx(-99.0)
+    assert (pair.psnr, pair.bytes_range, pair.refused) == (None, None, "")
+    assert pair.warnings == ("no overlap of their size: 1,358 to 9,488 and 14 to 95 B",)
+    assert pair.overlap == 1.0
 
 
 def test_curves_that_share_no_psnr_still_have_a_bd_psnr():
     size, psnr = ANCHOR[0], np.array(ANCHOR[1])
-    made = difference(curve(size, psnr), curve(size, psnr - 20))
-    assert made.psnr == pytest.approx(-20.0)
-    assert (made.rate, made.psnr_range, made.refused) == (None, None, "")
-    assert made.warnings[0].startswith("no overlap of their PSNR")
+    pair = difference(curve(size, psnr), curve(size, psnr - 20))
+    assert pair.psnr == pytest.approx(-20.0)
+    assert (pair.rate, pair.psnr_range, pair.refused) == (None, None, "")
+    assert pair.warnings[0].startswith("no overlap of their PSNR")
 
 
 def test_a_small_overlap_is_warned_of():
-    made = difference(curve(*ANCHOR), curve(np.array(ANCHOR[0]) * 4, np.array(ANCHOR[1]) + 4))
-    assert made.overlap < 0.5
-    assert "share only" in made.warnings[0]
+    pair = difference(curve(*ANCHOR), curve(np.array(ANCHOR[0]) * 4, np.array(ANCHOR[1]) + 4))
+    assert pair.overlap < 0.5
+    assert "share only" in pair.warnings[0]
 
 
 def test_interpolations_that_disagree_are_warned_of():
     size, psnr = [1e3, 5e3, 2e4, 5e4, 5e5], [31.0, 32.0, 40.0, 41.0, 42.0]
-    made = difference(curve(size, psnr), curve([1e3, 1e4, 1e5, 1e6], [30.0, 35.0, 40.0, 45.0]))
-    assert any("PCHIP gives" in words for words in made.warnings)
+    pair = difference(curve(size, psnr), curve([1e3, 1e4, 1e5, 1e6], [30.0, 35.0, 40.0, 45.0]))
+    assert any("PCHIP gives" in words for words in pair.warnings)
 
 
 def test_curves_gather_rates_and_fits_that_differ_in_the_rate_knob(maker):
@@ -118,23 +119,23 @@ def test_curves_gather_rates_and_fits_that_differ_in_the_rate_knob(maker):
     for rate, psnr, size in ((None, 34.0, 500), (64, 34.0, 500), (4, 32.0, 450)):  # the default's size is 64
         for scene in "ab":
             maker.run(scene=scene, method="vq-3dgs", rate=rate, psnr=psnr, size=size, views=0)
-    found = curves(maker.tables()["results"])["vortex"]
-    assert [c.title for c in found] == ["ECoNGS", "VQ-3DGS"]
-    assert [(p.rate, p.bytes, p.psnr) for p in found[0].points] == [
+    rows = maker.report().curves["vortex"]
+    assert [c.title for c in rows] == ["ECoNGS", "VQ-3DGS"]
+    assert [(p.rate, p.bytes, p.psnr) for p in rows[0].points] == [
         ("0.01", 100, 33.0), ("0.005", 200, 34.0), ("0.001", 300, 35.0), ("", 400, 36.0)
     ]  # fmt: skip
-    assert [(p.rate, p.bytes) for p in found[1].points] == [("4", 450), ("64", 500)]
-    (made,) = differences({"vortex": found})
-    assert made.refused == "VQ-3DGS has 2 points, 4 are needed"
+    assert [(p.rate, p.bytes) for p in rows[1].points] == [("4", 450), ("64", 500)]
+    (pair,) = differences({"vortex": rows})
+    assert pair.refused == "VQ-3DGS has 2 points, 4 are needed"
 
 
 def test_other_options_make_other_curves(maker):
     maker.run(method="econgs", variant="context=false,rate_weight=0.01", views=0)
     maker.run(method="econgs", variant="rate_weight=0.01", views=0)
-    found = curves(maker.tables()["results"])["vortex"]
-    assert [c.title for c in found] == ["ECoNGS [context=false]", "ECoNGS"]
-    assert [c.name for c in found] == ["ECoNGS [context=false,rate_weight=0.01]", "ECoNGS [rate_weight=0.01]"]
-    assert differences({"vortex": found}) == []
+    rows = maker.report().curves["vortex"]
+    assert [c.title for c in rows] == ["ECoNGS [context=false]", "ECoNGS"]
+    assert [c.first.options for c in rows] == ["context=false,rate_weight=0.01", "rate_weight=0.01"]
+    assert differences({"vortex": rows}) == []
 
 
 def test_points_of_a_curve_are_means_over_the_seeds_that_all_have(maker):
@@ -146,8 +147,8 @@ def test_points_of_a_curve_are_means_over_the_seeds_that_all_have(maker):
         maker.run(method="3dgs", seed=seed, psnr=psnr, views=0)
     maker.run(method="hac", seed=0, psnr=33.0, size=500, views=0)
     maker.run(method="hac", variant="rate_weight=0.1", seed=1, psnr=32.0, size=400, views=0)
-    (found,) = curves(maker.tables()["results"]).values()
-    assert [[round(point.psnr, 3) for point in curve.points] for curve in found] == [
+    (rows,) = maker.report().curves.values()
+    assert [[round(point.psnr, 3) for point in curve.points] for curve in rows] == [
         [33.1, 33.7, 33.8],
         [34.1],
         [32.0, 33.0],
@@ -155,4 +156,4 @@ def test_points_of_a_curve_are_means_over_the_seeds_that_all_have(maker):
 
 
 def test_no_results_no_curves(maker):
-    assert curves(maker.tables()["results"]) == {}
+    assert maker.report().curves == {}

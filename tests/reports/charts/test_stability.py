@@ -3,6 +3,7 @@
 import pytest
 
 from reports.charts import stability
+from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.page.document import write_report
 from reports.tables.means import summary
@@ -73,16 +74,15 @@ def test_few_views_compare_the_same_scenes(maker) -> None:
 
 
 def test_records_tell_failures_seeds_and_worst_views(few) -> None:
-    told = {(r.dataset, r.title): r for r in stability.records(few["results"], few["views"])}
-    ours = told["vortex", "3DGS"]
+    apart = by_training_views(few)
+    records = {(r.dataset, r.title): r for r in stability.records(apart["results"], apart["views"])}
+    ours = records["vortex", "3DGS"]
     # views of the fixture: psnr + 2, + 1, 0, - 1, - 2
     assert (ours.rows, ours.failed, ours.seed_gap) == (1, {}, None)
     assert (ours.view_gap, ours.lowest) == (pytest.approx(2.0), pytest.approx(31.0))
-    apart = by_training_views(few)
-    told = {(r.dataset, r.title): r for r in stability.records(apart["results"], apart["views"])}
-    assert told["bubble, 6 views", "3DGS"].seed_gap == pytest.approx(2.0)
-    assert told["bubble, 6 views", "HAC"].failed == {"diverged": 1}
-    assert told["bubble, 6 views", "HAC"].seed_gap is None
+    assert records["bubble, 6 views", "3DGS"].seed_gap == pytest.approx(2.0)
+    assert records["bubble, 6 views", "HAC"].failed == {"diverged": 1}
+    assert records["bubble, 6 views", "HAC"].seed_gap is None
 
 
 def test_missing_and_excess_are_told_of_the_scene_that_is_worst_off(maker, tmp_path) -> None:
@@ -118,7 +118,7 @@ def test_page_and_files_show_both(few, maker, tmp_path) -> None:
     for count in (1, 8, 64):
         maker.run(dataset=f"blobs_{count}")
     tables = maker.tables()
-    names = {name for section in chart_sections(by_training_views(tables)) for name in section.charts}
+    names = {name for section in chart_sections(Report(tables)) for name in section.charts}
     assert {"few-views", "complexity-size", "complexity-primitives", "complexity-psnr"} <= names
     page = write_report(tables, maker.root, tmp_path / "report.html").read_text(encoding="utf-8")
     assert 'id="stability"' in page

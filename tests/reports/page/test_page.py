@@ -12,7 +12,7 @@ from reports.charts import data, files, kinds, training
 from reports.page.document import write_report
 from reports.pictures import panel_files
 from reports.pictures.panels import ABSENT
-from reports.style import MISSING, color, series
+from reports.style import MISSING, look
 from tests.reports.charts.test_charts import texts, tradeoff
 from tests.reports.conftest import NO_LPIPS, fill
 
@@ -247,14 +247,14 @@ def test_paths_out_of_the_store_are_not_read(maker, tmp_path):
 def test_charts_hold_the_numbers(maker):
     maker.run(scene="a", psnr=30.0, size=2 << 20, fps=10)
     maker.run(scene="b", psnr=34.0, size=4 << 20, fps=10)
-    scenes, means = tradeoff(maker.tables()["results"])["vortex"].series
-    assert (scenes.x, scenes.y) == ([2.0, 4.0], [30.0, 34.0])
-    assert (means.x, means.y) == ([3.0], [32.0])
+    scenes, means = tradeoff(maker).panels[0].series
+    assert (scenes.x, scenes.y) == ((2.0, 4.0), (30.0, 34.0))
+    assert (means.x, means.y) == ((3.0,), (32.0,))
 
 
 def test_no_mean_is_drawn_where_scenes_are_missing(maker):
     fill(maker, "failures")
-    panel = tradeoff(maker.tables()["results"])["vortex"]
+    (panel,) = tradeoff(maker).panels
     assert [len(each.x) for each in panel.series if each.line] == [1]
     assert "3DGS (incomplete)" in texts(panel)
 
@@ -274,9 +274,9 @@ def test_ledger_sums_to_the_bytes(maker):
 def test_a_method_keeps_its_color_where_others_are_missing(maker):
     maker.run(method="hac", status="oom")
     maker.run(method="3dgs")
-    tables = maker.tables()
-    names = series(tables["results"], tables["curve"])
-    curves = training.convergence(tables["curve"], "iteration")
-    line = kinds.convergence(curves, "iteration", names).panels[0].series[0]
-    dot = tradeoff(tables["results"], "fps")["vortex"].series[0]
-    assert line.look.color == dot.look.color == color("3DGS", names) != color("HAC", names)
+    report = maker.report()
+    curves = training.convergence(report.tables["curve"], "iteration")
+    line = kinds.lines(curves, "", "", report.models).panels[0].series[0]
+    dot = tradeoff(maker).panels[0].series[0]
+    colors = {each.method: look(each, report.models).color for each in report.models}
+    assert line.look.color == dot.look.color == colors["3dgs"] != colors["hac"]
