@@ -129,6 +129,9 @@ def _declare(*columns: Column) -> dict[str, Column]:
     return {column.name: column for column in columns}
 
 
+# Reports read texts one by one, which is slow in Arrow's storage.
+_IN_MEMORY = {"string": "string[python]"}
+
 _T: DType = "string"
 _W: DType = "Int64"
 _F: DType = "Float64"
@@ -380,8 +383,8 @@ def frame(name: str, rows: Iterable[Mapping[str, Any]] = (), *, stored: bool = F
     columns = TABLES[name].facts if stored else TABLES[name].columns
     return pd.DataFrame(
         {
-            column: pd.Series([row.get(column) for row in rows], dtype=COLUMNS[column].dtype)
-            for column in columns
+            column: pd.Series([row.get(column) for row in rows], dtype=_IN_MEMORY.get(dtype, dtype))
+            for column, dtype in ((column, COLUMNS[column].dtype) for column in columns)
         }
     )
 

@@ -72,7 +72,6 @@ def bootstrap_means(values: NDArray[np.float64], length: int, resamples: int = R
     return means
 
 
-@cache
 def _weights(n: int, length: int, resamples: int) -> NDArray[np.float64]:
     """(resamples, n) number of draws of each value, over n; the same for all series of n values."""
     starts = np.random.default_rng(_SEED).integers(0, n, (resamples, -(-n // length)))
@@ -81,6 +80,12 @@ def _weights(n: int, length: int, resamples: int) -> NDArray[np.float64]:
     weights = np.zeros((resamples, n))
     np.add.at(weights, (rows, indices.reshape(resamples, -1)[:, :n]), 1.0 / n)
     return weights
+
+
+@cache
+def _covariance(n: int, length: int) -> NDArray[np.float64]:
+    """(n, n) covariance C of the weights: the variance of :func:`bootstrap_means` of v is v C v."""
+    return np.cov(_weights(n, length, RESAMPLES), rowvar=False, bias=True).reshape(n, n)
 
 
 def interval(strata: Sequence[NDArray[np.float64]], length: int | None = None) -> Interval:
@@ -102,7 +107,7 @@ def interval(strata: Sequence[NDArray[np.float64]], length: int | None = None) -
     for values in strata:
         size = length or block_length(len(values))
         blocks = len(values) / size
-        variance += float(bootstrap_means(values, size).var()) * blocks / (blocks - 1)
+        variance += float(values @ _covariance(len(values), size) @ values) * blocks / (blocks - 1)
         fewest = min(fewest, blocks)
     half = _quantile(float(fewest) - 1.0) * variance**0.5 / len(strata)
     return Interval(mean, mean - half, mean + half, count)
@@ -116,11 +121,25 @@ def _quantile(freedom: float) -> float:
     return float(stdtrit(freedom, 0.975))
 
 
+class Path(NamedTuple):
+    """Values of one scene along the path of its test views."""
+
+    views: tuple[str, ...]
+    values: NDArray[np.float64]
+
+    def at(self, views: tuple[str, ...]) -> NDArray[np.float64]:
+        """The values of some of the views, in their order."""
+        if views == self.views:
+            return self.values
+        places = {view: place for place, view in enumerate(self.views)}
+        return self.values[[places[view] for view in views]]
+
+
 @dataclass(frozen=True)
 class Sample:
-    """A model's values of one metric: scene -> view -> value, views in order, mean over seeds."""
+    """A model's values of one metric: scene -> mean over seeds along its path."""
 
-    scenes: dict[str, dict[str, float]]
+    scenes: dict[str, Path]
 
     def interval(self) -> Interval | None:
         """Interval of the mean over scenes; None without values."""
@@ -131,17 +150,25 @@ class Sample:
         if set(self.scenes) != set(other.scenes):
             return None
         pairs = []
-        for scene, values in self.scenes.items():
-            others = other.scenes[scene]
-            pairs.append({view: value - others[view] for view, value in values.items() if view in others})
+        for scene, path in self.scenes.items():
+            views = _shared([path, other.scenes[scene]])
+            pairs.append(Path(views, path.at(views) - other.scenes[scene].at(views)))
         return _of_scenes(pairs)
 
 
-def _of_scenes(scenes: list[dict[str, float]]) -> Interval | None:
-    if not scenes or not all(scenes):
+def _shared(paths: Sequence[Path]) -> tuple[str, ...]:
+    """The views that all paths have, in the order of the first."""
+    first = paths[0].views
+    if all(path.views == first for path in paths):
+        return first
+    return tuple(view for view in first if all(view in path.views for path in paths))
+
+
+def _of_scenes(paths: list[Path]) -> Interval | None:
+    if not paths or not all(path.views for path in paths):
         return None
-    arrays = [np.fromiter(values.values(), np.float64) for values in scenes]
-    if all(list(values) == list(scenes[0]) for values in scenes):
+    arrays = [path.values for path in paths]
+    if all(path.views == paths[0].views for path in paths):
         # All scenes share one path, and so the errors of a view: views are resampled for all scenes at once.
         arrays = [np.mean(arrays, axis=0)]
     return interval(arrays)
@@ -156,7 +183,7 @@ class Views:
 
     def __init__(self, table: pd.DataFrame | None = None) -> None:
         self._table = table
-        self._values: dict[str, dict[str, tuple[str, dict[str, float]]]] = {}
+        self._paths: dict[str, dict[str, tuple[str, Path]]] = {}
         self._samples: dict[tuple[str, ...], Sample | None] = {}
         self._differences: dict[tuple[tuple[str, ...], tuple[str, ...]], Interval | None] = {}
 
@@ -178,29 +205,28 @@ class Views:
             self._differences[keys] = None if a is None or b is None else a.minus(b)
         return self._differences[keys]
 
-    def _sample(
-        self, jobs: tuple[str, ...], values: dict[str, tuple[str, dict[str, float]]]
-    ) -> Sample | None:
-        by_scene: dict[str, list[dict[str, float]]] = {}
+    def _sample(self, jobs: tuple[str, ...], paths: dict[str, tuple[str, Path]]) -> Sample | None:
+        by_scene: dict[str, list[Path]] = {}
         for job in jobs:
-            if job not in values:
+            if job not in paths:
                 return None
-            scene, views = values[job]
-            by_scene.setdefault(scene, []).append(views)
+            scene, path = paths[job]
+            by_scene.setdefault(scene, []).append(path)
         means = {}
         for scene, seeds in by_scene.items():
-            shared = [view for view in seeds[0] if all(view in seed for seed in seeds)]
-            means[scene] = {view: float(np.mean([seed[view] for seed in seeds])) for view in shared}
+            views = _shared(seeds)
+            means[scene] = Path(views, np.mean([seed.at(views) for seed in seeds], axis=0))
         return Sample(means) if means else None
 
-    def _jobs(self, metric: str) -> dict[str, tuple[str, dict[str, float]]]:
-        """Job -> its scene, and view -> value."""
-        if metric not in self._values:
-            jobs: dict[str, tuple[str, dict[str, float]]] = {}
+    def _jobs(self, metric: str) -> dict[str, tuple[str, Path]]:
+        """Job -> its scene and values."""
+        if metric not in self._paths:
+            self._paths[metric] = {}
             if self._table is not None and metric in self._table:
                 rows = self._table[self._table[metric].notna()]
-                columns = (rows[name].astype(str).tolist() for name in ("job", "scene", "view"))
-                for job, scene, view, value in zip(*columns, rows[metric].astype(float), strict=True):
-                    jobs.setdefault(job, (scene, {}))[1][view] = value
-            self._values[metric] = jobs
-        return self._values[metric]
+                columns = [rows[name].astype(str).to_numpy() for name in ("job", "scene", "view")]
+                values = rows[metric].to_numpy(np.float64)
+                for places in rows.groupby("job", sort=False).indices.values():
+                    job, scene, views = columns[0][places[0]], columns[1][places[0]], columns[2][places]
+                    self._paths[metric][job] = scene, Path(tuple(views.tolist()), values[places])
+        return self._paths[metric]
