@@ -6,11 +6,11 @@ import json
 import os
 import re
 import uuid
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
+from bench.lineage import Lineage, Model
 from bench.records import EncodeResult, FitResult, Job, MeasureResult, Record
 from bench.store import Store
 from bench.versions import elected, is_stale, scene_choices
@@ -40,15 +40,10 @@ def build_tables(
     Returns:
         The tables as readers get them (:func:`reports.schema.joined`).
     """
-    records = list(store.records())
-    choices = scene_choices(records)
-    newest = elected(records, versions or {}, choices)
-    tables = stored_tables(newest, versions, choices)
-    if len(newest) < len(records):
-        every = stored_tables(records, versions, choices)
-        older = ~every["results"]["job"].isin([record.job.id for record in newest])
-        columns = list(TABLES["superseded"].facts)
-        tables |= {"jobs": every["jobs"], "superseded": every["results"].loc[older, columns]}
+    lineage = Lineage(store.records())
+    choices = scene_choices(lineage)
+    newest = elected(lineage, versions or {}, choices)
+    tables = _stored(lineage, versions or {}, choices, {record.job.id for record in newest})
     if write:
         with store.lock("tables"):
             for name, table in tables.items():
@@ -60,28 +55,34 @@ def build_tables(
 
 
 def stored_tables(
-    records: Iterable[Record],
-    versions: Mapping[str, str] | None = None,
-    choices: Mapping[str, int] | None = None,
+    records: Iterable[Record], versions: Mapping[str, str] | None = None
 ) -> dict[str, pd.DataFrame]:
-    """All tables as they are on disk: axes in `jobs` alone.
+    """All tables of all records as they are on disk: axes in `jobs` alone.
 
     Args:
         records: of one store, or of several joined.
         versions: method -> its current version.
-        choices: job -> scenes learned together; derived from the records if None.
     """
-    by_id = {record.job.id: record for record in records}
-    choices = scene_choices(by_id.values()) if choices is None else choices
-    axes = {name: _axes(record, by_id, choices) for name, record in by_id.items()}
+    lineage = Lineage(records)
+    return _stored(lineage, versions or {}, scene_choices(lineage), lineage.by_id.keys())
+
+
+def _stored(
+    lineage: Lineage, versions: Mapping[str, str], choices: Mapping[str, int], newest: Collection[str]
+) -> dict[str, pd.DataFrame]:
     tables: dict[str, list[Row]] = {name: [] for name in TABLES}
-    answered = {_question(record.job) for record in by_id.values() if record.ok}
-    for name, record in by_id.items():
+    axes = {}
+    mended = _mended(lineage) - set(newest) | _mended(lineage.by_id[name] for name in newest)
+    for name, record in lineage.by_id.items():
+        axes[name] = _axes(record, lineage, choices)
         tables["jobs"].append({"job": name, **axes[name]})
-        if not record.ok and _question(record.job) in answered:
-            continue  # mended: the job of a failed partition has another identity than those of the next one
-        for table, facts in _facts(record, by_id, versions or {}).items():
-            tables[table] += ({"job": name, **row} for row in facts)
+        if name in mended:
+            continue
+        if name in newest:
+            for table, facts in _facts(record, lineage, versions).items():
+                tables[table] += ({"job": name, **row} for row in facts)
+        elif record.job.kind == "measure":
+            tables["superseded"].append({"job": name, **_result(record, lineage, versions)})
     for table, rows in tables.items():
         keys = [key for key in _ORDER if key not in ("kind", "split") or key in TABLES[table].columns]
         rows.sort(key=partial(_order, keys, axes))
@@ -98,33 +99,8 @@ def share(total: int, names: Iterable[str], name: str) -> int:
 # --------------------------------------------------------------------------- axes of a job
 
 
-@dataclass(frozen=True)
-class _Model:
-    """The records behind a model, as far as the store has them."""
-
-    encode: Record | None
-    fit: Record | None
-    partition: Record | None
-
-
-def _models(record: Record, by_id: Mapping[str, Record]) -> list[_Model]:
-    """The models that a fit, encode or measure job is about: several of a composition."""
-    if record.job.kind == "fit":
-        return [_Model(None, record, _needed(by_id, record, "partition"))]
-    encodes = [record] if record.job.kind == "encode" else _all_needed(by_id, record, "encode")
-    fits = [_needed(by_id, encode, "fit") for encode in encodes]
-    return [
-        _Model(encode, fit, _needed(by_id, fit, "partition"))
-        for encode, fit in zip(encodes, fits, strict=True)
-    ]
-
-
-def _fits(models: Iterable[_Model]) -> list[Record]:
-    return [model.fit for model in models if model.fit is not None]
-
-
-def _axes(record: Record, by_id: Mapping[str, Record], choices: Mapping[str, int]) -> Row:
-    job, fits = record.job, _fits(_models(record, by_id))
+def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
+    job, fits = record.job, lineage.fits(record)
     identity = next((fit.job.identity for fit in fits), job.identity)
     fit = next((fit.fit for fit in fits if fit.fit is not None), None)
     where = record.provenance or next((fit.provenance for fit in fits), None)
@@ -178,15 +154,11 @@ def _processors(records: list[Record]) -> str | None:
 # --------------------------------------------------------------------------- facts of a job
 
 
-def _facts(
-    record: Record, by_id: Mapping[str, Record], versions: Mapping[str, str]
-) -> dict[str, Iterable[Row]]:
+def _facts(record: Record, lineage: Lineage, versions: Mapping[str, str]) -> dict[str, Iterable[Row]]:
     """Table -> the rows of a job, without the job."""
     return {
-        "results": [_result(record, _models(record, by_id), versions)]
-        if record.job.kind == "measure"
-        else [],
-        "views": _views(record, _needed(by_id, record, "views")),
+        "results": [_result(record, lineage, versions)] if record.job.kind == "measure" else [],
+        "views": _views(record, lineage.needed(record, "views")),
         "curve": _curve(record),
         "losses": _losses(record),
         "ledger": _ledger(record),
@@ -197,8 +169,8 @@ def _facts(
     }
 
 
-def _views(record: Record, truth: Record | None) -> Iterator[Row]:
-    background = _hex(truth.views.background) if truth is not None and truth.views is not None else None
+def _views(record: Record, truth: list[Record]) -> Iterator[Row]:
+    background = next((_hex(job.views.background) for job in truth if job.views is not None), None)
     for view in record.measure.views if record.measure else ():
         metrics = {name: view.metrics.get(name) for name in (*METRICS, *COVERAGE)}
         yield view.model_dump() | metrics | {"background": background}
@@ -243,9 +215,9 @@ def _scenes(record: Record) -> Iterator[Row]:
         yield {"transfer": json.dumps(record.views.transfer, separators=(",", ":"))}
 
 
-def _result(record: Record, models: list[_Model], versions: Mapping[str, str]) -> Row:
+def _result(record: Record, lineage: Lineage, versions: Mapping[str, str]) -> Row:
     """The row of a basic scene (with one model) or of a composition (with those that hold its scenes)."""
-    fits = _fits(models)
+    models, fits = lineage.models(record), lineage.fits(record)
     row = {
         "status": record.status,
         "reason": record.reason,
@@ -284,7 +256,7 @@ def _largest(values: Iterable[int | None]) -> int | None:
     return max((value for value in values if value is not None), default=None)
 
 
-def _costs(job: Job, models: list[_Model]) -> Row:
+def _costs(job: Job, models: list[Model]) -> Row:
     """Bytes and seconds of all models together; what any model lacks, their sum lacks."""
     costs = [_cost(job, model) for model in models]
     names = set(costs[0]).intersection(*costs[1:]) if costs else ()
@@ -295,7 +267,7 @@ def _costs(job: Job, models: list[_Model]) -> Row:
     }
 
 
-def _cost(job: Job, model: _Model) -> dict[str, float]:
+def _cost(job: Job, model: Model) -> dict[str, float]:
     """Bytes and seconds of those scenes of a job that one model holds."""
     if model.encode is None or model.encode.encode is None:
         return {}
@@ -356,23 +328,22 @@ def _hex(color: tuple[float, float, float]) -> str:
     return "#" + "".join(f"{round(255 * min(max(value, 0.0), 1.0)):02x}" for value in color)
 
 
-# --------------------------------------------------------------------------- relations and order
+# --------------------------------------------------------------------------- mended jobs and order
+
+
+def _mended(records: Iterable[Record]) -> set[str]:
+    """Failed jobs that another job succeeded in: a new partition gives the next ones other identities."""
+    records = list(records)
+    failed = [record.job for record in records if not record.ok]
+    kinds = {job.kind for job in failed}
+    answered = {_question(record.job) for record in records if record.ok and record.job.kind in kinds}
+    return {job.id for job in failed if _question(job) in answered}
 
 
 def _question(job: Job) -> str:
     """What a job is to find out, without the group that a partition put its scene into."""
     whole = job.model_dump(exclude={"key", "identity", "needs", "group"})
     return json.dumps(whole, sort_keys=True, default=str)
-
-
-def _needed(by_id: Mapping[str, Record], record: Record | None, kind: str) -> Record | None:
-    return next(iter(_all_needed(by_id, record, kind)), None)
-
-
-def _all_needed(by_id: Mapping[str, Record], record: Record | None, kind: str) -> list[Record]:
-    """Those jobs of a kind that a job builds on; none if the store lacks any of them."""
-    names = [n for n in record.job.needs if n.startswith(f"{kind}-")] if record is not None else []
-    return [by_id[name] for name in names] if all(name in by_id for name in names) else []
 
 
 def _order(keys: Iterable[str], axes: Mapping[str, Row], row: Row) -> list[tuple[Any, ...]]:

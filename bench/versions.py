@@ -10,6 +10,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from bench.lineage import Lineage
 from bench.records import Job, Record
 
 
@@ -24,32 +25,27 @@ def is_stale(fits: Iterable[Record], versions: Mapping[str, str]) -> bool:
     return any(versions.get(method, version) != version for method, version in used)
 
 
-def elected(
-    records: Iterable[Record], versions: Mapping[str, str], choices: Mapping[str, int]
-) -> list[Record]:
+def elected(lineage: Lineage, versions: Mapping[str, str], choices: Mapping[str, int]) -> list[Record]:
     """The records of one fit per scene and cell, and of one measurement per row.
 
     Fits of the current version come first, then those of more scenes learned together, then newer ones; what
     is not measured yet takes no place.
 
     Args:
-        records: of a store.
+        lineage: the records of a store.
         versions: method -> its current version.
         choices: job -> scenes learned together (:func:`scene_choices`).
     """
-    by_id = {record.job.id: record for record in records}
-    fits = {name: _fits(record, by_id) for name, record in by_id.items()}
     finished: dict[str, str] = defaultdict(str)
-    for name, record in by_id.items():
-        for fit in fits[name] if record.job.kind == "measure" else ():
-            finished[fit] = max(finished[fit], record.finished)
+    for record in lineage:
+        for fit in lineage.fits(record) if record.job.kind == "measure" else ():
+            finished[fit.job.id] = max(finished[fit.job.id], record.finished)
 
     def rank(record: Record) -> tuple[bool, bool, int, str]:
         newest = finished[record.job.id]
-        current = not is_stale([record], versions)
-        return bool(newest), current, _scenes_together(record, by_id), newest
+        return bool(newest), not is_stale([record], versions), lineage.scenes_together(record), newest
 
-    models = [record for record in by_id.values() if record.job.kind == "fit"]
+    models = [record for record in lineage if record.job.kind == "fit"]
     scenes: dict[tuple[Any, ...], set[str]] = defaultdict(set)
     dropped = set()
     for record in sorted(models, key=rank, reverse=True):
@@ -58,36 +54,28 @@ def elected(
             covered.update(record.job.scenes)
         else:
             dropped.add(record.job.id)
-    current = [record for name, record in by_id.items() if dropped.isdisjoint(fits[name])]
+    current = [record for record in lineage if dropped.isdisjoint(fit.job.id for fit in lineage.fits(record))]
     return _newest_rows(current, choices)
 
 
-def scene_choices(records: Iterable[Record]) -> dict[str, int]:
+def scene_choices(lineage: Lineage) -> dict[str, int]:
     """Job -> number of scenes that its joint method learned together, where others of the dataset are more.
 
     A choice of fewer scenes is a row of its own in tables. A scene that was learned alone is one only if no
     model of the same cell learned more: else it is another version of that.
     """
-    by_id = {record.job.id: record for record in records}
-    counts = {name: _scenes_together(record, by_id) for name, record in by_id.items()}
+    counts = {record.job.id: lineage.scenes_together(record) for record in lineage}
     most: dict[tuple[Any, ...], int] = defaultdict(int)
-    for name, record in by_id.items():
+    for record in lineage:
         for key in (_protocol(record.job), _cell(record.job)):
-            most[key] = max(most[key], counts[name])
+            most[key] = max(most[key], counts[record.job.id])
     choices = {}
-    for name, record in by_id.items():
-        count = counts[name]
+    for record in lineage:
+        count = counts[record.job.id]
         alone = count == 1 == most[_cell(record.job)]
         if (count > 1 or alone) and count < most[_protocol(record.job)]:
-            choices[name] = count
+            choices[record.job.id] = count
     return choices
-
-
-def _scenes_together(record: Record, by_id: Mapping[str, Record]) -> int:
-    """Scenes among which a joint method found its groups; 0 for jobs of no joint method."""
-    fits = [by_id[name] for name in _fits(record, by_id) if name in by_id]
-    partitions = [name for fit in fits for name in fit.job.needs if name.startswith("partition-")]
-    return max((len(by_id[name].job.scenes) for name in partitions if name in by_id), default=0)
 
 
 def _protocol(job: Job) -> tuple[Any, ...]:
@@ -97,15 +85,6 @@ def _protocol(job: Job) -> tuple[Any, ...]:
 def _cell(job: Job) -> tuple[Any, ...]:
     """What the rows of all scenes of a method on a dataset have in common."""
     return (*_protocol(job), job.method, job.variant, job.seed)
-
-
-def _fits(record: Record, by_id: Mapping[str, Record]) -> list[str]:
-    """Ids of the fits that a fit, encode or measure job builds on."""
-    if record.job.kind == "fit":
-        return [record.job.id]
-    direct = [name for name in record.job.needs if name.startswith("fit-")]
-    encodes = [by_id[name] for name in record.job.needs if name.startswith("encode-") and name in by_id]
-    return direct + [fit for encode in encodes for fit in _fits(encode, by_id)]
 
 
 def _newest_rows(records: list[Record], choices: Mapping[str, int]) -> list[Record]:
