@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
@@ -53,9 +54,10 @@ def edited(scene: BasicScene, edit: Edit) -> BasicScene:
     _check(scene, edit)
     if edit.palette is not None:
         r, g, b = (new - old for new, old in zip(edit.palette, mean_color(scene), strict=True))
-        scene = _recolor(scene, (r, g, b))
+        scene = _changed(scene, lambda part: _recolor(part, (r, g, b)))
     if edit.opacity is not None:
-        scene = _thin(scene, edit.opacity)
+        factor, most = edit.opacity, 1.0 if scene.isosurfaces else _OPAQUE
+        scene = _changed(scene, lambda part: replace(part, opacity=min(factor * part.opacity, most)))
     if scene.light is not None:
         scene = replace(scene, light=_relight(scene.light, edit))
     return scene
@@ -120,27 +122,17 @@ def _transfer(scene: BasicScene) -> TransferFunction:
     return scene.transfer
 
 
-def _recolor(scene: BasicScene, shift: RGB) -> BasicScene:
-    def recolor(color: RGB) -> RGB:
-        r, g, b = (min(max(old + by, 0.0), 1.0) for old, by in zip(color, shift, strict=True))
-        return r, g, b
-
+def _changed(scene: BasicScene, change: Callable[[Any], Any]) -> BasicScene:
+    """The scene with each of its isosurfaces, or of its bumps, changed."""
     if scene.isosurfaces:
-        return replace(
-            scene, isosurfaces=tuple(replace(s, color=recolor(s.color)) for s in scene.isosurfaces)
-        )
+        return replace(scene, isosurfaces=tuple(change(surface) for surface in scene.isosurfaces))
     transfer = _transfer(scene)
-    bumps = tuple(replace(bump, color=recolor(bump.color)) for bump in transfer.bumps)
-    return replace(scene, transfer=replace(transfer, bumps=bumps))
+    return replace(scene, transfer=replace(transfer, bumps=tuple(change(bump) for bump in transfer.bumps)))
 
 
-def _thin(scene: BasicScene, factor: float) -> BasicScene:
-    if scene.isosurfaces:
-        surfaces = tuple(replace(s, opacity=min(factor * s.opacity, 1.0)) for s in scene.isosurfaces)
-        return replace(scene, isosurfaces=surfaces)
-    transfer = _transfer(scene)
-    bumps = tuple(replace(bump, opacity=min(factor * bump.opacity, _OPAQUE)) for bump in transfer.bumps)
-    return replace(scene, transfer=replace(transfer, bumps=bumps))
+def _recolor(part: Any, shift: RGB) -> Any:
+    r, g, b = (min(max(old + by, 0.0), 1.0) for old, by in zip(part.color, shift, strict=True))
+    return replace(part, color=(r, g, b))
 
 
 def _relight(light: Light, edit: Edit) -> Light:

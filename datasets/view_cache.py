@@ -12,6 +12,7 @@ import os
 import shutil
 import time
 import uuid
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,12 +129,7 @@ class ViewCache:
             Bytes freed.
         """
         freed, entries = 0, []
-        for folder in self._folders():
-            try:
-                used = folder.stat().st_mtime
-                size = sum(file.stat().st_size for file in folder.iterdir())
-            except OSError:
-                continue  # another process removed it meanwhile
+        for folder, used, size in self._measured():
             if not folder.name.startswith("."):
                 entries.append((used, size, folder))
             elif time.time() - used > _ABANDONED_AFTER:
@@ -151,14 +147,13 @@ class ViewCache:
 
     def size(self) -> int:
         """Bytes of all entries."""
-        total = 0
-        for folder in self._folders():
-            with suppress(OSError):  # another process removed it meanwhile
-                total += sum(file.stat().st_size for file in folder.iterdir())
-        return total
+        return sum(size for _, _, size in self._measured())
 
-    def _folders(self) -> list[Path]:
-        return [f for f in self.folder.iterdir() if f.is_dir()] if self.folder.is_dir() else []
+    def _measured(self) -> Iterator[tuple[Path, float, int]]:
+        """Each folder with its time of use and its bytes."""
+        for folder in self.folder.iterdir() if self.folder.is_dir() else ():
+            with suppress(OSError):  # no folder, or another process removed it meanwhile
+                yield folder, folder.stat().st_mtime, sum(file.stat().st_size for file in folder.iterdir())
 
     def _entry(self, key: str) -> dict[str, Any] | None:
         folder = self.folder / key

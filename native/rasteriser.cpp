@@ -4,10 +4,7 @@
 #include <atomic>
 #include <chrono>
 #include <cmath>
-#include <cstdlib>
 #include <cstring>
-#include <mutex>
-#include <new>
 #include <stdexcept>
 #include <utility>
 
@@ -353,7 +350,7 @@ double reference_kernel() {
   return clock.lap();
 }
 
-double bench_blend(int channels, bool backward) {
+double bench_blend(int channels) {
   // Sixty-four Gaussians of one tile: 4 KB of splats, state and all in L1.
   constexpr int COUNT = 64;
   const Kernels& use = kernels();
@@ -379,20 +376,14 @@ double bench_blend(int channels, bool backward) {
   const Tile tile = {0, 0, TILE, TILE, entries.data(), blocks.data(), COUNT};
   const int pixels = TILE * TILE;
   std::vector<float> image(static_cast<size_t>(pixels) * channels), alpha(pixels), depth(pixels);
-  std::vector<float> grad(static_cast<size_t>(pixels) * channels, 1.0f),
-      slots(static_cast<size_t>(COUNT) * slot_size(channels));
   Buffer scratch(use.scratch(channels) * sizeof(float));
   const Images out = {image.data(), alpha.data(), depth.data()};
-  const ConstImages result = {image.data(), alpha.data(), depth.data()}, outer = {grad.data(), nullptr, nullptr};
   double best = 0.0;
   const int64_t per_tile = use.blend(in, splats.data(), tile, view, out, scratch.as<float>());
   for (int round = 0; round < 10; ++round) {
     Clock clock;
     constexpr int REPEATS = 100;
-    for (int i = 0; i < REPEATS; ++i) {
-      if (backward) use.blend_backward(in, splats.data(), tile, view, result, outer, slots.data(), scratch.as<float>());
-      else use.blend(in, splats.data(), tile, view, out, scratch.as<float>());
-    }
+    for (int i = 0; i < REPEATS; ++i) use.blend(in, splats.data(), tile, view, out, scratch.as<float>());
     best = std::max(best, static_cast<double>(per_tile) * REPEATS / clock.lap());
   }
   return best;

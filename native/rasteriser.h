@@ -55,6 +55,6 @@ void backward(const Frame&, const Inputs&, const ConstImages& out, const ConstIm
 double photometric(const float* x, const float* y, int64_t height, int64_t width, int channels, float absolute,
                    float structural, float* grad, double* ssim);
 double reference_kernel();
-double bench_blend(int channels, bool backward);
+double bench_blend(int channels);
 
 }  // namespace econgs

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from datasets.readers.container import Container
-    from datasets.readers.fields import Choice, Source, Variable
+    from datasets.readers.fields import Source, Variable
     from datasets.volume import Volume
 
 _SINGLE = {
@@ -100,17 +100,23 @@ def read_volume(
     suffix = _suffix(path)
 
     from datasets.readers import finish
+    from datasets.readers.fields import Field, choose, plain
+    from datasets.volume import Volume
 
     try:
         if suffix in _SINGLE:
             _refuse_choice(path, array, step, resolution)
-            values, file_spacing = _read_single(path, _SINGLE[suffix])
-            return finish.make_volume(variable or "value", values, spacing or file_spacing, path)
-        from datasets.readers.fields import choose
-
-        source = _source(path)
-        choice = choose(path, source.variables, array or variable, step, resolution)
-        return _volume(path, source, choice, variable, spacing)
+            field, in_file = Field(*_read_single(path, _SINGLE[suffix])), "value"
+        else:
+            source = _source(path)
+            choice = choose(path, source.variables, array or variable, step, resolution)
+            field, in_file = source.read(choice), plain(choice.name)
+        spacing = spacing or field.spacing
+        values = finish.checked_grid(field.values, spacing, path)
+        size = (float(spacing[0]), float(spacing[1]), float(spacing[2]))
+        bounds = field.value_range or finish.value_range(values, path)
+        points = field.vertices, field.vertex_values
+        return Volume(variable or in_file, values, size, bounds, str(path), field.mask, *points)
     except MemoryError as error:
         raise DataError(path, "does not fit into memory", "Subsample it, or use a larger machine") from error
     except OSError as error:
@@ -175,26 +181,6 @@ def _netcdf(path: Path) -> Container:
     from datasets.readers.hdf5 import Hdf5
 
     return Hdf5(path)
-
-
-def _volume(
-    path: Path,
-    source: Source,
-    choice: Choice,
-    name: str | None,
-    spacing: tuple[float, float, float] | None,
-) -> Volume:
-    """The volume of a source's field, checked."""
-    from datasets.readers import finish
-    from datasets.readers.fields import plain
-    from datasets.volume import Volume
-
-    field = source.read(choice)
-    size = spacing or field.spacing
-    values = finish.checked_grid(field.values, size, path)
-    bounds = field.value_range or finish.value_range(values, path)
-    label = name or plain(choice.name)
-    return Volume(label, values, size, bounds, str(path), field.mask, field.vertices, field.vertex_values)
 
 
 def _check_file(path: Path) -> None:

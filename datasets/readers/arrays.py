@@ -62,7 +62,7 @@ class Arrays:
         mask = self._valid(values, array)
         values = _unpacked(values, array)
         if components > 1:
-            values = scalar(values, choice.component)
+            values = scalar(values, choice)
             if mask is not None:
                 mask = np.asarray(mask.all(axis=-1))
         return place(values, self._axes(array, components), self.path, mask)

@@ -134,10 +134,12 @@ def plain(name: str) -> str:
     return "_".join(characters.split())
 
 
-def scalar(values: NDArray[np.generic], component: int | None) -> NDArray[np.generic]:
-    """One component (last axis) of an array of vectors, or their magnitudes (float32, float64 of doubles)."""
-    if component is not None:
-        return values[..., component]
+def scalar(values: NDArray[np.generic], choice: Choice) -> NDArray[np.generic]:
+    """Scalars as they are; of vectors a component (last axis) or magnitudes (float32, float64 of doubles)."""
+    if choice.variable.components == 1:
+        return values
+    if choice.component is not None:
+        return values[..., choice.component]
     out = np.empty(values.shape[:-1], np.float64 if values.dtype.itemsize > 4 else np.float32)
     step = max(1, _CHUNK * len(values) // max(values.nbytes, 1))
     for start in range(0, len(values), step):  # in parts: no second copy of all components

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.volume import Volume
 
 Spacing = tuple[float, float, float]
 UNIT: Spacing = (1.0, 1.0, 1.0)
@@ -20,18 +19,6 @@ UNIT: Spacing = (1.0, 1.0, 1.0)
 _DEFLATE_LIMIT = 1032
 """Maximum expansion of a deflate stream."""
 _CHUNK = 1 << 24
-
-
-def make_volume(name: str, values: NDArray[np.generic], spacing: Spacing, path: Path | str) -> Volume:
-    """The volume of an array (nz, ny, nx), checked; native byte order, booleans as uint8.
-
-    Raises:
-        DataError: the array has not three axes of at least two samples, or holds NaN, Inf, no real numbers or
-            one value only; or the spacing is not positive.
-    """
-    values = checked_grid(values, spacing, path)
-    spacing = (float(spacing[0]), float(spacing[1]), float(spacing[2]))
-    return Volume(name, values, spacing, value_range(values, path), str(path))
 
 
 def checked_grid(values: NDArray[np.generic], spacing: Spacing, path: Path | str) -> NDArray[np.generic]:

@@ -17,10 +17,11 @@ import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from datasets.errors import DataError
 from datasets.readers.finish import UNIT, Spacing, gunzip, positive_dims, wrong_size
@@ -29,7 +30,19 @@ _DTYPES = tuple(f"{sign}int{bits}" for bits in (8, 16, 32, 64) for sign in ("u",
 _DTYPES = (*_DTYPES, "float16", "float32", "float64")
 _DIMS_IN_NAME = re.compile(r"(?<![0-9a-z])(\d+(?:x\d+)+)(?![0-9a-z])")
 _DTYPE_IN_NAME = re.compile(r"(?<![0-9a-z])(u?int\d*|float\d*)[_-]?(le|be)?(?![0-9a-z])")
-_KEYS = ("dims", "dtype", "endian", "spacing", "header_bytes")
+_REMEDY = "It may hold dims, dtype, endian, spacing, header_bytes; dims = [x, y, z] and dtype are needed"
+
+
+class _Sidecar(BaseModel):
+    """The keys of a sidecar."""
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    dims: list[int] = Field(min_length=1)
+    dtype: str
+    endian: Literal["little", "big"] = "little"
+    spacing: list[float] = Field(list(UNIT), min_length=3, max_length=3)
+    header_bytes: int = Field(0, ge=0)
 
 
 @dataclass(frozen=True)
@@ -90,28 +103,13 @@ def _dtype(name: str, big: bool, path: Path) -> np.dtype:
 
 
 def _from_sidecar(path: Path) -> Layout:
-    remedy = f"It may hold {', '.join(_KEYS)}; dims = [x, y, z] and dtype are needed"
     try:
-        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        sidecar = _Sidecar.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataError(path, f"is not TOML ({error})", remedy) from error
-    if strange := [key for key in table if key not in _KEYS]:
-        raise DataError(path, f"unknown key {strange[0]!r}", remedy)
-    dims = table.get("dims")
-    if not (isinstance(dims, list) and dims and all(type(n) is int for n in dims)):
-        raise DataError(path, "dims are not a list of integers", remedy)
-    if not isinstance(table.get("dtype"), str):
-        raise DataError(path, "no dtype", remedy)
-    endian = table.get("endian", "little")
-    if endian not in ("little", "big"):
-        raise DataError(path, f"endian {endian!r} is neither little nor big", remedy)
-    spacing = table.get("spacing", [1.0, 1.0, 1.0])
-    if not (
-        isinstance(spacing, list) and len(spacing) == 3 and all(type(s) in (int, float) for s in spacing)
-    ):
-        raise DataError(path, "spacing is not three numbers", remedy)
-    skip = table.get("header_bytes", 0)
-    if type(skip) is not int or skip < 0:
-        raise DataError(path, "header_bytes is not a number of bytes", remedy)
-    dtype = _dtype(table["dtype"], endian == "big", path)
-    return Layout(tuple(dims), dtype, (float(spacing[0]), float(spacing[1]), float(spacing[2])), skip)
+        raise DataError(path, f"is not TOML ({error})", _REMEDY) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise DataError(path, f"{first['loc'][0]}: {first['msg']}", _REMEDY) from error
+    dtype = _dtype(sidecar.dtype, sidecar.endian == "big", path)
+    x, y, z = sidecar.spacing
+    return Layout(tuple(sidecar.dims), dtype, (x, y, z), sidecar.header_bytes)

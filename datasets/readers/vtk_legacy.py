@@ -89,11 +89,10 @@ class LegacyFile:
             values = values.reshape(tuples, components)
         if self._kind == "UNSTRUCTURED_GRID":
             need("vtk", self.path)
-            values = scalar(values, choice.component) if components > 1 else values
-            return resampled(self._mesh(), values, of_cells, choice.resolution, self.path)
+            return resampled(self._mesh(), scalar(values, choice), of_cells, choice.resolution, self.path)
         shape = tuple(reversed(self._sample_dims(of_cells)))
         values = values.reshape(*shape, *values.shape[1:])
-        values = scalar(values, choice.component) if components > 1 else values
+        values = scalar(values, choice)
         axes: list[NDArray[np.generic] | None] = []
         for i, name in enumerate("xyz"):
             positions = self._axes.get(name)
@@ -143,16 +142,12 @@ class LegacyFile:
                     self._of_cells, self._tuples = keyword == "CELL_DATA", self._count(words[1])
                     self._check_tuples()
                 case "METADATA":
-                    while self._raw_line().strip():
-                        pass
+                    self._skip_metadata()
                 case "FIELD":
                     self._fields(self._count(words[2]))
                 case "SCALARS":
                     components = self._count(words[3]) if len(words) > 3 else 1
-                    before = self._at
-                    table = self._line()
-                    if table is None or table[0].upper() != "LOOKUP_TABLE":
-                        self._at = before
+                    self._line_of("LOOKUP_TABLE")
                     self._skip(words[1], words[2], components)
                 case "VECTORS" | "NORMALS" | "TENSORS" | "TENSORS6":
                     self._skip(words[1], words[2], _COMPONENTS[keyword])
@@ -185,16 +180,13 @@ class LegacyFile:
 
     def _take_cells(self, first: int, second: int) -> None:
         """The older layout (count, then points, cell by cell) or the newer (offsets, connectivity)."""
-        before = self._at
-        words = self._line()
-        if words is not None and words[0].upper() == "OFFSETS":
+        if (words := self._line_of("OFFSETS")) is not None:
             ends = self._take(words[1], first).astype(np.int64)
-            words = self._line()
-            if words is None or words[0].upper() != "CONNECTIVITY" or not len(ends) or ends[0] != 0:
+            words = self._line_of("CONNECTIVITY")
+            if words is None or not len(ends) or ends[0] != 0:
                 raise ValueError("CONNECTIVITY")
             self._cells["ends"], self._cells["connectivity"] = ends[1:], self._take(words[1], second)
             return
-        self._at = before
         mixed = np.array(self._take("int", second))
         counts = np.empty(first, np.int64)
         at = 0
@@ -227,13 +219,8 @@ class LegacyFile:
             )
             fits = tuples == self._tuples
             self._skip(name if fits else "", kind, components, tuples)
-            before = self._at
-            following = self._line()
-            if following is not None and following[0].upper() == "METADATA":
-                while self._raw_line().strip():
-                    pass
-            else:
-                self._at = before
+            if self._line_of("METADATA") is not None:
+                self._skip_metadata()
 
     def _skip(self, name: str, kind: str, components: int, tuples: int | None = None) -> None:
         """Record an array's place and skip it."""
@@ -286,6 +273,19 @@ class LegacyFile:
             if words:
                 return words
         return None
+
+    def _line_of(self, keyword: str) -> list[str] | None:
+        """Words of the next line if it begins with a keyword; otherwise None, and the line is still next."""
+        before = self._at
+        words = self._line()
+        if words is not None and words[0].upper() == keyword:
+            return words
+        self._at = before
+        return None
+
+    def _skip_metadata(self) -> None:
+        while self._raw_line().strip():
+            pass
 
     def _raw_line(self) -> str:
         line = bytes(self._text[self._at : self._at + 4096])

@@ -81,8 +81,7 @@ class XmlFile:
             return self._read_mesh(section, name, choice)
         values, mask = self._assembled(section, name), self._mask(section)
         axes: list[NDArray[np.generic] | None] = self._axes(section)
-        if choice.variable.components > 1:
-            values = scalar(values, choice.component)
+        values = scalar(values, choice)
         return place(values[..., 0] if values.ndim == 4 else values, axes, self.path, mask)
 
     def _parse(self) -> tuple[ElementTree.Element, int, bool]:
@@ -269,9 +268,7 @@ class XmlFile:
             raise DataError(self.path, "has no cells", _REMEDY)
         if len({(v.shape[1:], v.dtype) for v in values}) > 1:
             raise DataError(self.path, f"{name!r} differs between its pieces", _REMEDY)
-        together = np.concatenate(values)
-        if choice.variable.components > 1:
-            together = scalar(together, choice.component)
+        together = scalar(np.concatenate(values), choice)
         return resampled(
             Mesh.joined(pieces, self.path), together, section == "CellData", choice.resolution, self.path
         )

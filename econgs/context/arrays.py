@@ -19,8 +19,8 @@ _FLOAT32, _FLOAT16, _ROWS8 = 0, 1, 2
 _MOST_DIMENSIONS = 4
 
 
-def write_arrays(arrays: Mapping[str, NDArray], precision: Precision) -> tuple[bytes, float]:
-    """Bytes of float arrays, and the largest absolute error of their precision.
+def write_arrays(arrays: Mapping[str, NDArray], precision: Precision) -> bytes:
+    """Bytes of float arrays.
 
     Args:
         arrays: finite arrays by name, in order.
@@ -28,7 +28,7 @@ def write_arrays(arrays: Mapping[str, NDArray], precision: Precision) -> tuple[b
     """
     if precision not in ("float32", "float16", "int8"):
         raise ValueError(f"weights are stored as float32, float16 or int8, not {precision}")
-    parts, error = [struct.pack("<H", len(arrays))], 0.0
+    parts = [struct.pack("<H", len(arrays))]
     for name, array in arrays.items():
         values = np.ascontiguousarray(array, np.float32)
         if not np.isfinite(values).all() or values.ndim > _MOST_DIMENSIONS:
@@ -39,16 +39,15 @@ def write_arrays(arrays: Mapping[str, NDArray], precision: Precision) -> tuple[b
         payload, restored = _pack(values, kind)
         if not np.isfinite(restored).all():
             raise ValueError(f"{name} holds values beyond the range of {precision}")
-        error = max(error, float(np.abs(restored - values).max(initial=0.0)))
         label = name.encode()
         parts.append(struct.pack("<BBB", len(label), kind, values.ndim) + label)
         parts.append(struct.pack(f"<{values.ndim}I", *values.shape) + payload)
-    return b"".join(parts), error
+    return b"".join(parts)
 
 
 def round_arrays(arrays: Mapping[str, NDArray], precision: Precision) -> Arrays:
     """The arrays after writing with this precision and :func:`read_arrays`."""
-    return read_arrays(Reader(Section(Kind.DECODERS, 0, write_arrays(arrays, precision)[0]), "arrays"))
+    return read_arrays(Reader(Section(Kind.DECODERS, 0, write_arrays(arrays, precision)), "arrays"))
 
 
 def read_arrays(reader: Reader) -> Arrays:

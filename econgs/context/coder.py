@@ -136,16 +136,20 @@ def _by_table(tables: NDArray[np.uint16]) -> tuple[NDArray, list[tuple[int, slic
     return np.argsort(tables, kind="stable"), spans
 
 
-def write_residuals(encoder: Encoder, residuals: NDArray[np.int32], tables: NDArray[np.uint16]) -> None:
+def write_residuals(encoder: Encoder, residuals: NDArray[np.int32], tables: NDArray[np.uint16]) -> float:
     """Code residuals (symbol less the lattice point next to its mean), each by its own table.
 
     The symbols come table by table, in ascending order; then the raw low bits of the tables that have any;
     then the escapes: 5 bits for the length of a number, and the number, in zigzag.
+
+    Returns:
+        Their cross-entropy in bits under the tables, raw and escape bits included.
     """
     order, spans = _by_table(tables)
     sorted_residuals = residuals[order]
     escaped = np.zeros(len(tables), np.bool_)
     raw: list[tuple[NDArray, int]] = []
+    bits = 0.0
     for table, places, low, shift, escape in spans:
         part = sorted_residuals[places]
         symbols = (part >> shift) - low
@@ -154,17 +158,21 @@ def write_residuals(encoder: Encoder, residuals: NDArray[np.int32], tables: NDAr
             symbols = np.where(outside, escape, symbols)
             escaped[places] = outside
         encoder.symbols(symbols, _table_model(table))
+        bits += float(_table_costs(table)[symbols].sum())
         if shift:
             regular = part[~outside] if outside.any() else part
             raw.append((regular & ((1 << shift) - 1), shift))
-    for values, bits in raw:
-        encoder.raw(values, bits)
+    for values, many in raw:
+        encoder.raw(values, many)
+        bits += many * len(values)
     if escaped.any():
         values = _zigzag(sorted_residuals[escaped])
         lengths = _lengths(values)
+        bits += float((5 + lengths).sum())
         encoder.raw(lengths, 5)
         for length in np.unique(lengths):
             encoder.raw(values[lengths == length], int(length))
+    return bits
 
 
 def read_residuals(decoder: Decoder, tables: NDArray[np.uint16]) -> NDArray[np.int32]:
@@ -192,20 +200,6 @@ def read_residuals(decoder: Decoder, tables: NDArray[np.uint16]) -> NDArray[np.i
     residuals = np.empty_like(sorted_residuals)
     residuals[order] = sorted_residuals
     return residuals
-
-
-def ideal_bits(residuals: NDArray[np.int32], tables: NDArray[np.uint16]) -> float:
-    """Cross-entropy of residuals under their own coding tables, raw and escape bits included."""
-    order, spans = _by_table(tables)
-    sorted_residuals = residuals[order]
-    total = 0.0
-    for table, places, low, shift, escape in spans:
-        part = sorted_residuals[places]
-        symbols = (part >> shift) - low
-        outside = (symbols < 0) | (symbols >= escape)
-        total += float(_table_costs(table)[np.where(outside, escape, symbols)].sum())
-        total += shift * int((~outside).sum()) + float((5 + _lengths(_zigzag(part[outside]))).sum())
-    return total
 
 
 def _zigzag(values: NDArray[np.int32]) -> NDArray[np.int64]:

@@ -4,7 +4,7 @@ Weights are 8-bit integers with one power of two per row, biases 32-bit integers
 of 2⁻¹⁶, looked-up values integers of 2⁻²¹; steps and spreads come from tables. Every sum stays below 2⁵³, so
 that the fast path may multiply matrices in float64: each partial sum is a whole number that float64 holds,
 and neither the order nor the number of threads nor the instruction set can change the result.
-``exact`` computes the same in int64 only.
+Values in int64 make all products in int64, as a reference.
 """
 
 from __future__ import annotations
@@ -101,17 +101,15 @@ class IntegerLayer:
             raise ValueError("weights or exponents out of range")
         return self
 
-    def __call__(self, inputs: NDArray, input_bits: int, *, exact: bool = False) -> Ints:
+    def __call__(self, inputs: NDArray, input_bits: int) -> Ints:
         """Outputs of 2⁻¹⁶ from inputs of 2^-input_bits: rounded half up, clamped to 32 bits.
 
         Args:
-            inputs: (N, inputs), whole numbers.
+            inputs: (N, inputs), whole numbers in float64 or int64, in which they are multiplied.
             input_bits: at least 16.
-            exact: multiply in int64, the reference, rather than in float64.
         """
-        kind = np.int64 if exact else np.float64
-        products = inputs.astype(kind, copy=False) @ self.weight.T.astype(kind)
-        sums = products.astype(np.int64, copy=False)
+        products = inputs @ self.weight.T.astype(inputs.dtype)
+        sums: Ints = products.astype(np.int64, copy=False)
         shift = self.exponent.astype(np.int64) + (input_bits - ACTIVATION_BITS)
         down, up = np.maximum(shift, 0), np.maximum(-shift, 0)
         half = np.where(down > 0, np.left_shift(1, np.maximum(down - 1, 0)), 0)
@@ -153,16 +151,15 @@ class IntegerHead:
     second: IntegerLayer
     widths: tuple[int, ...]
 
-    def __call__(self, values: NDArray, *, exact: bool = False) -> Coding:
+    def __call__(self, values: NDArray) -> Coding:
         """Evaluate for N anchors.
 
         Args:
-            values: (N, inputs) whole numbers of 2⁻²¹, as float64 or int64.
-            exact: the int64 reference; the result is the same to the last bit.
+            values: (N, inputs) whole numbers of 2⁻²¹, as float64 or int64; the result is the same.
         """
-        hidden = self.first(values, VALUE_BITS, exact=exact)
+        hidden = self.first(values, VALUE_BITS)
         np.clip(hidden, 0, HIDDEN_LIMIT, out=hidden)
-        outputs = self.second(hidden, ACTIVATION_BITS, exact=exact)
+        outputs = self.second(hidden.astype(values.dtype, copy=False), ACTIVATION_BITS)
         total, groups = sum(self.widths), len(self.widths)
         refinements = outputs[:, 2 * total :]
         half = 1 << (ACTIVATION_BITS - 6)  # 1/32 is 2^11 units of 2^-16

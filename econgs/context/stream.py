@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from datasets.errors import DataError
 from econgs.context.arrays import Arrays, Precision, read_arrays, write_arrays
 from econgs.context.coder import SYMBOL_LIMIT, Decoder, Encoder, read_bits, write_bits
-from econgs.context.container import Kind, Reader, Section, overhead, read_container, write_container
+from econgs.context.container import ANEW, Kind, Reader, Section, overhead, read_container, write_container
 from econgs.context.hash_grid import GridConfig, interpolate, make_lookup
 from econgs.context.integer import Coding, IntegerHead, IntegerLayer, step_sizes, whole_values
 from econgs.context.model import MOST_ELEMENTS, ContextConfig, ContextModel
@@ -161,13 +161,11 @@ class Encoded:
         data: the bytes.
         ledger: bytes by part, summing to ``len(data)``.
         ideal_bits: cross-entropy of the attributes under their coding tables; 0 without context.
-        weight_error: largest absolute error of any decoder weight by its precision.
     """
 
     data: bytes
     ledger: dict[str, int]
     ideal_bits: float
-    weight_error: float
 
     @property
     def attribute_bits(self) -> int:
@@ -288,8 +286,7 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
     if group.context is not None:
         shared.append(Section(Kind.CONTEXT, 0, _write_context(group.context)))
         shared.append(Section(Kind.GRID, 0, _write_grid(group.context)))
-    decoders, error = write_arrays(group.decoders, weights)
-    shared.append(Section(Kind.DECODERS, 0, decoders))
+    shared.append(Section(Kind.DECODERS, 0, write_arrays(group.decoders, weights)))
     sections, ideal = list(shared), 0.0
     columns_each = columns_of(group.scenes[0].features.shape[1], group.scenes[0].offsets.shape[1])
     for index, scene in enumerate(group.scenes):
@@ -297,7 +294,7 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
         positions = encode_positions(quantised.codes, group.grid) if len(scene) else b""
         padding = bytes(max(-(-len(scene) // ANCHORS_PER_BYTE) - len(positions), 0))
         header = _text(scene.name) + np.array([len(scene), len(positions)], "<u4").tobytes()
-        header += write_arrays(scene.parameters, "float32")[0]
+        header += write_arrays(scene.parameters, "float32")
         sections.append(Section(Kind.SCENE, index, header))
         sections.append(Section(Kind.POSITIONS, index, positions + padding))
         if quantised.scene.masks is not None:
@@ -310,7 +307,7 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
     ledger = {"container": overhead(len(sections))}
     for one in sections:
         ledger[_PARTS[one.kind]] = ledger.get(_PARTS[one.kind], 0) + len(one.payload)
-    return Encoded(write_container(sections), ledger, ideal, error)
+    return Encoded(write_container(sections), ledger, ideal)
 
 
 def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
@@ -329,15 +326,14 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
         try:
             return Reader(sections.pop((kind, scene)), what)
         except KeyError:
-            reason = f"section {kind.name} of scene {scene} is missing"
-            raise DataError(what, reason, "Fetch or encode it anew") from None
+            raise DataError(what, f"section {kind.name} of scene {scene} is missing", ANEW) from None
 
     grid, coded, with_masks, count, width, many, metadata = _guarded(reader(Kind.GROUP), _read_group)
     context: CodedContext | None = None
     if coded:
         context = _guarded(reader(Kind.CONTEXT), _read_context)
         if (context.config.features, context.config.offsets) != (width, many):
-            raise DataError(what, "its context model is for other attributes", "Fetch or encode it anew")
+            raise DataError(what, "its context model is for other attributes", ANEW)
         context = _guarded(reader(Kind.GRID), partial(_read_grid, context=context))
     decoders = _guarded(reader(Kind.DECODERS), read_arrays)
     scenes = []
@@ -362,7 +358,7 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
         empty = SceneAttributes(name, places, none, none, none, parameters, masks)
         scenes.append(_with_values(empty, values, width, many))
     if sections:
-        raise DataError(what, "it has sections that belong to nothing", "Fetch or encode it anew")
+        raise DataError(what, "it has sections that belong to nothing", ANEW)
     return GroupAttributes(tuple(scenes), grid, context, decoders, metadata)
 
 

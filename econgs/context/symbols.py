@@ -5,15 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs.context.coder import (
-    Decoder,
-    Encoder,
-    ideal_bits,
-    read_bits,
-    read_residuals,
-    write_bits,
-    write_residuals,
-)
+from econgs.context.coder import Decoder, Encoder, read_bits, read_residuals, write_bits, write_residuals
 from econgs.context.container import Reader
 from econgs.context.integer import Coding
 
@@ -53,8 +45,8 @@ def write_symbols(
     residuals = _select(symbols[:, columns] - coding.center[:, columns], present)
     tables = _select(coding.table[:, columns], present)
     encoder = Encoder()
-    write_residuals(encoder, residuals, tables)
-    return encoder.finish(), ideal_bits(residuals, tables)
+    ideal = write_residuals(encoder, residuals, tables)
+    return encoder.finish(), ideal
 
 
 def read_symbols(

@@ -267,9 +267,9 @@ def _in_place(tensor: Tensor) -> Any:
     return _array(tensor.detach())
 
 
-def bench_blend(channels: int = 3, backward: bool = False) -> float:
+def bench_blend(channels: int = 3) -> float:
     """Lane evaluations (pixel × Gaussian) per second of one thread's blend loop on L1-resident data."""
-    return float(_native.bench_blend(channels, backward))
+    return float(_native.bench_blend(channels))
 
 
 def last_frame() -> dict[str, float]:

@@ -253,7 +253,7 @@ NB_MODULE(_native, m) {
   bind_hash_grid(m);
 
   m.def("reference_kernel", reference_kernel, nb::call_guard<nb::gil_scoped_release>());
-  m.def("bench_blend", bench_blend, "channels"_a, "backward"_a, nb::call_guard<nb::gil_scoped_release>());
+  m.def("bench_blend", bench_blend, "channels"_a, nb::call_guard<nb::gil_scoped_release>());
   m.def("last_frame", [] {
     const FrameStatistics s = last_frame();
     nb::typed<nb::dict, std::string, double> d;

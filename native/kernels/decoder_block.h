@@ -197,21 +197,25 @@ static int64_t decode_layout(const DecodeShape& s, float* memory, DecodeScratch*
 
 static int64_t decode_scratch(const DecodeShape& s) { return decode_layout(s, nullptr, nullptr); }
 
+// The unit vector from the eye to an anchor; returns 1 / distance, 0 for an anchor in the eye.
+INLINE float from_eye(const float* anchor, const float* eye, float* unit) {
+  float square = 0.0f;
+  for (int d = 0; d < 3; ++d) {
+    unit[d] = anchor[d] - eye[d];
+    square += unit[d] * unit[d];
+  }
+  const float length = __builtin_sqrtf(square), inverse = length > MIN_LENGTH ? 1.0f / length : 0.0f;
+  for (int d = 0; d < 3; ++d) unit[d] *= inverse;
+  return inverse;
+}
+
 // Inputs of the networks as rows: features, then the unit vector from the camera.
 INLINE void decode_inputs(const DecodeShape& s, const DecodeInputs& in, const DecodeView& view, int64_t begin,
                           int count, float* rows) {
   for (int a = 0; a < count; ++a) {
     float* const to = rows + (int64_t)a * s.input_stride;
     copy(in.features + (begin + a) * s.features, to, s.features);
-    if (!s.directions) continue;
-    const float* const anchor = in.anchors + 3 * (begin + a);
-    float d[3], square = 0.0f;
-    for (int k = 0; k < 3; ++k) {
-      d[k] = anchor[k] - view.eye[k];
-      square += d[k] * d[k];
-    }
-    const float length = __builtin_sqrtf(square), inverse = length > MIN_LENGTH ? 1.0f / length : 0.0f;
-    for (int k = 0; k < 3; ++k) to[s.features + k] = d[k] * inverse;
+    if (s.directions) from_eye(in.anchors + 3 * (begin + a), view.eye, to + s.features);
   }
 }
 
@@ -556,13 +560,9 @@ static void decode_backward(const DecodeShape& s, const DecodeInputs& in, const 
     if (!to.anchors) continue;
     v4 anchor = moved;
     if (s.directions) {
-      float v[3], square = 0.0f, along = 0.0f;
-      for (int d = 0; d < 3; ++d) {
-        v[d] = in.anchors[3 * n + d] - view.eye[d];
-        square += v[d] * v[d];
-      }
-      const float length = __builtin_sqrtf(square), inverse = length > MIN_LENGTH ? 1.0f / length : 0.0f;
-      for (int d = 0; d < 3; ++d) along += (v[d] *= inverse) * row[s.features + d];
+      float v[3], along = 0.0f;
+      const float inverse = from_eye(in.anchors + 3 * n, view.eye, v);
+      for (int d = 0; d < 3; ++d) along += v[d] * row[s.features + d];
       for (int d = 0; d < 3; ++d) anchor[d] += (row[s.features + d] - along * v[d]) * inverse;
     }
     for (int d = 0; d < 3; ++d) to.anchors[3 * n + d] = anchor[d];

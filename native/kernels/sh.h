@@ -11,22 +11,21 @@ using namespace econgs;
 // Y_k and, with `slopes`, its partial derivatives with respect to an unconstrained direction.
 INLINE void harmonics(int degree, vf x, vf y, vf z, vf* Y, vf* X, vf* D, vf* Z, bool slopes) {
   const auto slope = [&](int k, vf along_x, vf along_y, vf along_z) __attribute__((always_inline)) {
+    if (!slopes) return;
     X[k] = along_x;
     D[k] = along_y;
     Z[k] = along_z;
   };
   Y[0] = set(0.28209479f);
-  if (slopes) slope(0, vf{}, vf{}, vf{});
+  slope(0, vf{}, vf{}, vf{});
   if (degree < 1) return;
   const float c1 = 0.48860251f;
   Y[1] = -c1 * y;
   Y[2] = c1 * z;
   Y[3] = -c1 * x;
-  if (slopes) {
-    slope(1, vf{}, set(-c1), vf{});
-    slope(2, vf{}, vf{}, set(c1));
-    slope(3, set(-c1), vf{}, vf{});
-  }
+  slope(1, vf{}, set(-c1), vf{});
+  slope(2, vf{}, vf{}, set(c1));
+  slope(3, set(-c1), vf{}, vf{});
   if (degree < 2) return;
   const float c2 = 1.09254843f, c20 = 0.31539157f, c22 = 0.54627422f;
   Y[4] = c2 * x * y;
@@ -34,13 +33,11 @@ INLINE void harmonics(int degree, vf x, vf y, vf z, vf* Y, vf* X, vf* D, vf* Z, 
   Y[6] = c20 * (2.0f * z * z - x * x - y * y);
   Y[7] = -c2 * x * z;
   Y[8] = c22 * (x * x - y * y);
-  if (slopes) {
-    slope(4, c2 * y, c2 * x, vf{});
-    slope(5, vf{}, -c2 * z, -c2 * y);
-    slope(6, -2.0f * c20 * x, -2.0f * c20 * y, 4.0f * c20 * z);
-    slope(7, -c2 * z, vf{}, -c2 * x);
-    slope(8, 2.0f * c22 * x, -2.0f * c22 * y, vf{});
-  }
+  slope(4, c2 * y, c2 * x, vf{});
+  slope(5, vf{}, -c2 * z, -c2 * y);
+  slope(6, -2.0f * c20 * x, -2.0f * c20 * y, 4.0f * c20 * z);
+  slope(7, -c2 * z, vf{}, -c2 * x);
+  slope(8, 2.0f * c22 * x, -2.0f * c22 * y, vf{});
   if (degree < 3) return;
   const float c33 = 0.59004359f, c32 = 2.89061144f, c31 = 0.45704580f, c30 = 0.37317633f, c3 = 1.44530572f;
   const vf xx = x * x, yy = y * y, zz = z * z;
@@ -51,15 +48,13 @@ INLINE void harmonics(int degree, vf x, vf y, vf z, vf* Y, vf* X, vf* D, vf* Z, 
   Y[13] = -c31 * x * (4.0f * zz - xx - yy);
   Y[14] = c3 * z * (xx - yy);
   Y[15] = -c33 * x * (xx - 3.0f * yy);
-  if (slopes) {
-    slope(9, -6.0f * c33 * x * y, -3.0f * c33 * (xx - yy), vf{});
-    slope(10, c32 * y * z, c32 * x * z, c32 * x * y);
-    slope(11, 2.0f * c31 * x * y, -c31 * (4.0f * zz - xx - 3.0f * yy), -8.0f * c31 * y * z);
-    slope(12, -6.0f * c30 * x * z, -6.0f * c30 * y * z, c30 * (6.0f * zz - 3.0f * xx - 3.0f * yy));
-    slope(13, -c31 * (4.0f * zz - 3.0f * xx - yy), 2.0f * c31 * x * y, -8.0f * c31 * x * z);
-    slope(14, 2.0f * c3 * x * z, -2.0f * c3 * y * z, c3 * (xx - yy));
-    slope(15, -3.0f * c33 * (xx - yy), 6.0f * c33 * x * y, vf{});
-  }
+  slope(9, -6.0f * c33 * x * y, -3.0f * c33 * (xx - yy), vf{});
+  slope(10, c32 * y * z, c32 * x * z, c32 * x * y);
+  slope(11, 2.0f * c31 * x * y, -c31 * (4.0f * zz - xx - 3.0f * yy), -8.0f * c31 * y * z);
+  slope(12, -6.0f * c30 * x * z, -6.0f * c30 * y * z, c30 * (6.0f * zz - 3.0f * xx - 3.0f * yy));
+  slope(13, -c31 * (4.0f * zz - 3.0f * xx - yy), 2.0f * c31 * x * y, -8.0f * c31 * x * z);
+  slope(14, 2.0f * c3 * x * z, -2.0f * c3 * y * z, c3 * (xx - yy));
+  slope(15, -3.0f * c33 * (xx - yy), 6.0f * c33 * x * y, vf{});
 }
 
 // Unit directions from the camera to Gaussians [start, start + LANES); lanes past the end repeat the last one.

@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from datasets.errors import DataError
+from datasets.readers import read_volume
 from datasets.volume import Volume
 
 PROPERTY = settings(
@@ -60,3 +62,13 @@ def check_volumes(path: Path, read: Callable[[], Iterable[Volume]]) -> None:
             assert np.isfinite(volume.extent).all()
     except DataError as error:
         assert str(path) in str(error) or "Choose" in str(error)  # noqa: PT017
+
+
+def check_refused(path: Path, data: bytes, reason: str) -> None:
+    """A file of these bytes is refused with its name, the reason and a remedy."""
+    path.write_bytes(data)
+    with pytest.raises(DataError) as caught:
+        read_volume(path)
+    assert reason in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert caught.value.remedy

@@ -60,10 +60,10 @@ def _unlike(a: ViewSet, b: ViewSet) -> float:
     return float(1.0 - np.minimum(x, y).sum() / np.maximum(x, y).sum())
 
 
-def _check_all(dataset: Dataset, cache: ViewCache) -> None:
+def _check_all(dataset: Dataset, cache: ViewCache, least: float = 0.005) -> None:
     views = {s.name: views_of(dataset, s.name, REQUEST, cache=cache) for s in dataset.scenes}
     for scene, view_set in views.items():
-        _check(dataset, scene, view_set, 0.005)
+        _check(dataset, scene, view_set, least)
     alike = {(a, b): round(_unlike(views[a], views[b]), 3) for a, b in combinations(views, 2)}
     assert min(alike.values(), default=1.0) > 0.05, min(alike, key=lambda pair: alike[pair])
 
@@ -91,8 +91,4 @@ def test_automatic_scenes(data_folder: Path, cache: ViewCache, name: str) -> Non
         volume = dataset.volume(variable)
         for count in (1, 3):
             one = replace(dataset, scenes=automatic_scenes(volume, count), compositions={})
-            views = {s.name: views_of(one, s.name, REQUEST, cache=cache) for s in one.scenes}
-            for scene, view_set in views.items():
-                _check(one, scene, view_set, 0.002)
-            for a, b in combinations(views, 2):
-                assert _unlike(views[a], views[b]) > 0.05, (variable, a, b)
+            _check_all(one, cache, 0.002)

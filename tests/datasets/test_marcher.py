@@ -43,52 +43,47 @@ def test_transmittance_of_a_homogeneous_box_is_exponential_in_its_depth(marcher,
     assert image[0, 0].max() == 0.0
 
 
-def test_constant_gradient_gives_blinn_phong_in_closed_form(marcher):
-    x = np.linspace(0.0, 1.0, 33)
-    v = volume(np.broadcast_to(x, (9, 9, 33)))
-    transfer = TransferFunction("t", (Bump("inside", 0.3, 0.3, 0.7, 0.7, (0.8, 0.5, 0.3), 0.2),))
+INSIDE = TransferFunction("t", (Bump("inside", 0.3, 0.3, 0.7, 0.7, (0.8, 0.5, 0.3), 0.2),))
+
+
+def check_shading(image, light, cosine, facing, atol):
+    """Colors under a light, from the cosines of the normal with it and of the highlight."""
+    lit, highlight = light.ambient + light.diffuse * np.abs(cosine), light.specular * facing**light.shininess
+    expected = np.clip(lit[..., None] * (0.8, 0.5, 0.3) + highlight[..., None], 0.0, 1.0)
+    opaque = image[..., 3] > 0.05
+    assert opaque.sum() > 20
+    np.testing.assert_allclose(image[opaque][:, :3] / image[opaque][:, 3:], expected[opaque], atol=atol)
+
+
+@pytest.mark.parametrize("light", [Light(ambient=0.1, diffuse=0.6, specular=0.3, shininess=10.0), FIXED])
+def test_constant_gradient_gives_blinn_phong_in_closed_form(marcher, light):
+    v = volume(np.broadcast_to(np.linspace(0.0, 1.0, 33), (9, 9, 33)))
     camera = camera_at([2.0, -1.5, 1.0], size=21, fov=0.1)  # rays stay clear of the y and z borders' clamping
     direction = camera.rays()[1]
     normal = np.array([1.0, 0.0, 0.0])
-    for light in (Light(ambient=0.1, diffuse=0.6, specular=0.3, shininess=10.0), FIXED):
-        image = marcher(v).render((camera,), transfer, light)[0]
-        towards = -direction if light.direction is None else np.broadcast_to(light.direction, direction.shape)
-        half = towards - direction
-        half /= np.linalg.norm(half, axis=-1, keepdims=True)
-        lit = light.ambient + light.diffuse * np.abs(towards @ normal)
-        highlight = light.specular * np.abs(half @ normal) ** light.shininess
-        expected = np.clip(lit[..., None] * (0.8, 0.5, 0.3) + highlight[..., None], 0.0, 1.0)
-        opaque = image[..., 3] > 0.05
-        assert opaque.sum() > 100
-        np.testing.assert_allclose(image[opaque][:, :3] / image[opaque][:, 3:], expected[opaque], atol=2e-4)
+    towards = -direction if light.direction is None else np.broadcast_to(light.direction, direction.shape)
+    half = towards - direction
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    image = marcher(v).render((camera,), INSIDE, light)[0]
+    assert (image[..., 3] > 0.05).sum() > 100
+    check_shading(image, light, towards @ normal, np.abs(half @ normal), 2e-4)
 
 
-def test_phong_has_its_highlight_around_the_mirrored_light_on_both_sides(marcher):
+@pytest.mark.parametrize("light", [PHONG, replace(PHONG, direction=(0.96, 0.0, 0.28))])
+@pytest.mark.parametrize("rising", [True, False])
+def test_phong_has_its_highlight_around_the_mirrored_light_on_both_sides(marcher, light, rising):
     """Against the equation in the form of VTK's shader: its normal points inwards, its vectors away."""
-    x = np.linspace(0.0, 1.0, 33)
-    transfer = TransferFunction("t", (Bump("inside", 0.3, 0.3, 0.7, 0.7, (0.8, 0.5, 0.3), 0.2),))
+    x = np.linspace(0.0, 1.0, 33) if rising else np.linspace(1.0, 0.0, 33)
     camera = camera_at([2.0, -0.4, 0.3], size=21, fov=0.3)
     direction = camera.rays()[1]
-    for values in (x, 1.0 - x):
-        v = volume(np.broadcast_to(values, (9, 9, 33)))
-        inwards = np.array([1.0 if values is x else -1.0, 0.0, 0.0])
-        for light in (PHONG, replace(PHONG, direction=(0.96, 0.0, 0.28))):
-            image = marcher(v).render((camera,), transfer, light)[0]
-            away = (
-                direction if light.direction is None else -np.broadcast_to(light.direction, direction.shape)
-            )
-            cosine = away @ -inwards
-            mirrored = 2.0 * cosine[..., None] * inwards + away
-            facing = np.maximum((mirrored * -direction).sum(-1), 0.0)
-            lit = light.ambient + light.diffuse * np.abs(cosine)
-            highlight = light.specular * facing**light.shininess
-            expected = np.clip(lit[..., None] * (0.8, 0.5, 0.3) + highlight[..., None], 0.0, 1.0)
-            assert np.ptp(highlight) > 0.1
-            opaque = image[..., 3] > 0.05
-            assert opaque.sum() > 20
-            np.testing.assert_allclose(
-                image[opaque][:, :3] / image[opaque][:, 3:], expected[opaque], atol=3e-4
-            )
+    inwards = np.array([1.0 if rising else -1.0, 0.0, 0.0])
+    away = direction if light.direction is None else -np.broadcast_to(light.direction, direction.shape)
+    cosine = away @ -inwards
+    mirrored = 2.0 * cosine[..., None] * inwards + away
+    facing = np.maximum((mirrored * -direction).sum(-1), 0.0)
+    assert np.ptp(light.specular * facing**light.shininess) > 0.1
+    image = marcher(volume(np.broadcast_to(x, (9, 9, 33)))).render((camera,), INSIDE, light)[0]
+    check_shading(image, light, cosine, facing, 3e-4)
 
 
 @pytest.mark.parametrize(("light", "share"), [(PHONG, 0.3), (Light(None, 0.3, 0.4, 0.9), 0.7)])

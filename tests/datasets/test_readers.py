@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from datasets.errors import DataError
 from datasets.readers import read_volume
 from datasets.volume import Volume
-from tests.datasets.damage import PROPERTY, check_damage, check_volumes
+from tests.datasets.damage import PROPERTY, check_damage, check_refused, check_volumes
 
 KINDS = (
     "uint8",
@@ -170,14 +170,7 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_files(tmp_path: Path, name: str) -> None:
-    data, reason = BAD[name]
-    path = tmp_path / name
-    path.write_bytes(data)
-    with pytest.raises(DataError) as caught:
-        read_volume(path)
-    assert reason in str(caught.value)
-    assert str(path) in str(caught.value)
-    assert caught.value.remedy
+    check_refused(tmp_path / name, *BAD[name])
 
 
 @pytest.mark.parametrize(

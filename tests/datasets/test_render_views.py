@@ -232,6 +232,14 @@ def test_without_libllvm_the_reference_renders_with_a_notice(no_backend, cache, 
         views_of(dataset(), "s", TRAIN, renderer="mitsuba", cache=cache)
 
 
+def output_of(code, **environment):
+    """Output of a fresh process."""
+    command, environment = [sys.executable, "-c", code], {**os.environ, **environment}
+    return subprocess.run(
+        command, capture_output=True, text=True, env=environment, cwd=ROOT, check=True
+    ).stdout
+
+
 def trial(library, cache_folder):
     """What a fresh process makes of a library, and how often it had to try."""
     code = (
@@ -242,11 +250,7 @@ def trial(library, cache_folder):
         "b = probe.find_backend()\n"
         "print(b.name, len(tries), b.reason)\n"
     )
-    environment = {**os.environ, "DRJIT_LIBLLVM_PATH": str(library), "BENCH_CACHE": str(cache_folder)}
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, cwd=ROOT, check=True
-    )
-    return done.stdout
+    return output_of(code, DRJIT_LIBLLVM_PATH=str(library), BENCH_CACHE=str(cache_folder))
 
 
 def test_a_library_that_is_none_is_found_out_once(tmp_path):
@@ -322,17 +326,6 @@ def test_a_cached_view_needs_neither_mitsuba_nor_torch(tmp_path):
         "views_of(dataset(), 's', TRAIN)\n"
         "print([m for m in ('mitsuba', 'drjit', 'torch') if m in sys.modules])\n"
     )
-    environment = {**os.environ, "BENCH_CACHE": str(tmp_path), "PYTHONPATH": "."}
-    runs = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            capture_output=True,
-            text=True,
-            env=environment,
-            cwd=ROOT,
-            check=True,
-        ).stdout.strip()
-        for _ in range(2)
-    ]
+    runs = [output_of(code, BENCH_CACHE=str(tmp_path), PYTHONPATH=".").strip() for _ in range(2)]
     assert "drjit" in runs[0] or "torch" in runs[0]
     assert runs[1] == "[]"

@@ -21,7 +21,7 @@ from datasets.render_views import volume_digest
 from datasets.scene import BasicScene, Dataset
 from datasets.transfer import Bump, TransferFunction
 from datasets.volume import Volume
-from tests.datasets.damage import PROPERTY, check_damage, check_volumes
+from tests.datasets.damage import PROPERTY, check_damage, check_refused, check_volumes
 from tests.datasets.test_named_variables import big_array, peak_bytes
 from tests.datasets.vtk_files import (
     COMPRESSORS,
@@ -380,13 +380,7 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_files(tmp_path: Path, name: str) -> None:
-    data, reason = BAD[name]
-    (tmp_path / name).write_bytes(data)
-    with pytest.raises(DataError) as caught:
-        read_volume(tmp_path / name)
-    assert reason in str(caught.value)
-    assert str(tmp_path / name) in str(caught.value)
-    assert caught.value.remedy
+    check_refused(tmp_path / name, *BAD[name])
 
 
 def _write(path: Path) -> Path:

@@ -218,13 +218,17 @@ def test_gradients_of_the_twin_by_finite_differences(light: Any) -> None:
 
 
 @needs_native
-def test_native_gradients_are_those_of_float64(case: Case, isa: str) -> None:
+@pytest.mark.parametrize("name", [*CASES, "many blocks"])
+def test_native_results_and_gradients_are_those_of_float64(name: str, isa: str) -> None:
+    case = CASES.get(name, Case(count=1500, seed=11))
     mine, truth = run(case, torch.float32, "native"), run(case, torch.float64, "torch")
     assert torch.equal(mine.decoded.slots, truth.decoded.slots)
-    for name, gradient in truth.gradients.items():
+    for output in NAMES:
+        assert relative(mine.outputs[output], truth.outputs[output]) < 2e-6, output
+    for leaf, gradient in truth.gradients.items():
         if gradient.numel():
-            assert gradient.norm() > 0, name
-        assert relative(mine.gradients[name], gradient) <= 1e-5, name
+            assert gradient.norm() > 0, leaf
+        assert relative(mine.gradients[leaf], gradient) <= 1e-5, leaf
 
 
 @needs_native
@@ -236,16 +240,6 @@ def test_gradient_of_one_output_alone(only: str) -> None:
     for name, gradient in truth.gradients.items():
         assert relative(mine.gradients[name], gradient) <= 1e-5 or gradient.norm() == 0, name
         assert gradient.norm() > 0 or mine.gradients[name].norm() == 0, name
-
-
-@needs_native
-def test_many_blocks_of_anchors(isa: str) -> None:
-    case = Case(count=1500, seed=11)
-    mine, truth = run(case, torch.float32, "native"), run(case, torch.float64, "torch")
-    for name in NAMES:
-        assert relative(mine.outputs[name], truth.outputs[name]) < 2e-6, name
-    for name, gradient in truth.gradients.items():
-        assert relative(mine.gradients[name], gradient) <= 1e-5, name
 
 
 @needs_native

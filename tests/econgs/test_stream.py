@@ -184,12 +184,10 @@ def test_decoder_weights_in_fewer_bits(precision: Any) -> None:
     decoders = {name: random.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     original = replace(group(), decoders=decoders)
     exact, small = encode_group(original), encode_group(original, weights=precision)
-    assert exact.weight_error == 0
     decoded = decode_group(small.data).decoders
     assert list(decoded) == list(decoders)
     error = max(float(np.abs(decoded[name] - one).max(initial=0)) for name, one in decoders.items())
-    assert small.weight_error == error > 0
-    assert error < (0.002 if precision == "float16" else 0.03)
+    assert 0 < error < (0.002 if precision == "float16" else 0.03)
     assert small.ledger["decoders"] < exact.ledger["decoders"] * (0.52 if precision == "float16" else 0.3)
     with pytest.raises(ValueError, match="beyond the range"):
         encode_group(replace(original, decoders={"w": np.array([1e6], np.float32)}), weights=precision)
@@ -253,6 +251,3 @@ def test_a_stream_says_what_it_costs() -> None:
         "container", "metadata", "context head", "hash grid", "decoders", "scene parameters", "positions",
         "features", "scalings", "offsets",
     }  # fmt: skip
-    assert encoded.attribute_bits == 8 * sum(
-        encoded.ledger[one] for one in ("features", "scalings", "offsets")
-    )

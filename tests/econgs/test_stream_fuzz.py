@@ -55,22 +55,20 @@ def test_every_flipped_bit_is_noticed(bit: int) -> None:
         decode_group(bytes(broken))
 
 
-def test_something_behind_it() -> None:
-    with pytest.raises(DataError, match="followed by something else"):
-        decode_group(DATA + b"\0")
-
-
 @pytest.mark.parametrize(
-    "foreign", [b"\x89PNG\r\n\x1a\n" + bytes(50), b"ply\nformat ascii 1.0\n", bytes(500)]
+    ("data", "reason"),
+    [
+        (DATA + b"\0", "followed by something else"),
+        (b"", "ends after 0 bytes"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(50), "not a stream of this program"),
+        (b"ply\nformat ascii 1.0\n", "not a stream of this program"),
+        (bytes(500), "not a stream of this program"),
+    ],
+    ids=["longer", "empty", "png", "ply", "zeros"],
 )
-def test_foreign_files(foreign: bytes) -> None:
-    with pytest.raises(DataError, match="not a stream of this program"):
-        decode_group(foreign)
-
-
-def test_empty_file() -> None:
-    with pytest.raises(DataError, match="ends after 0 bytes"):
-        decode_group(b"")
+def test_foreign_files(data: bytes, reason: str) -> None:
+    with pytest.raises(DataError, match=reason):
+        decode_group(data)
 
 
 def test_other_versions() -> None:
