@@ -6,11 +6,18 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bench.plan import Planner
+from bench.records import Job, MeasureResult, ViewResult
+from bench.selection import Selection
+from bench.store import Store
+from bench.suites import load_suite
+from bench.tables import build_tables
 from datasets.camera import Camera
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -18,6 +25,43 @@ PLUGINS = Path(__file__).parent / "plugins"
 SIZE = 8
 PATIENCE = 300.0
 """Seconds that nothing on a busy machine takes; only a hang does."""
+
+
+SMALL = """"argon_bubble_like@32" = []
+[presets.quick]
+train_views = 12
+test_views = 4
+width = 16
+height = 16
+prerendered_limit = 16
+"""
+
+
+def suite_file(folder: Path, datasets: str, more: str = "") -> str:
+    """Path of a suite of the method fake."""
+    path = folder / "suite.toml"
+    path.write_text(f'title = "t"\nmethods = ["fake"]\npreset = "quick"\n{more}\n[datasets]\n{datasets}\n')
+    return str(path)
+
+
+@pytest.fixture
+def suite(tmp_path):
+    """Writes a suite of two small scenes and the composition of both."""
+    return lambda more="": suite_file(tmp_path, SMALL, more)
+
+
+def plan(suite: str, store: Store | None = None, **changes) -> list[Job]:
+    """Jobs of a suite with options of the command line."""
+    selection = Selection(load_suite(suite), plugins=(str(PLUGINS),))
+    return Planner(replace(selection, **changes), {"psnr": "1"}).jobs(store)
+
+
+def measured(psnr: float, primitives: int, views: tuple[ViewResult, ...] = ()) -> MeasureResult:
+    return MeasureResult(
+        load_seconds=1.0, frame_seconds=0.1, frame_seconds_p05=0.1, frame_seconds_p95=0.1, frames=1,
+        warmup_frames=1, warmup_stable=True, timing={"frame": 0.1}, primitives=primitives,
+        metrics={"psnr": psnr}, missing={}, views=list(views), reference_seconds=None,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -93,6 +137,17 @@ class Bench:
         quick = () if report else ("--no-report",)
         return self._finish(self.run_arguments(*quick, *more, scenes=scenes, method=method))
 
+    def run_suite(self, suite: str, *more: object, report: bool = False) -> subprocess.CompletedProcess[str]:
+        quick = () if report else ("--no-report",)
+        return self("run", suite, "--plugins", self.plugins, "--out", self.store, *quick, *more)
+
+    def plan(self, scene: str, out: Path, *more: object) -> str:
+        """What ``bench plan`` prints of the method fake."""
+        done = self("plan", "quick", "--dataset", self.dataset, "--method", "fake", "--scene", scene,
+                    "--plugins", self.plugins, "--out", out, *more)  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
     def start(self, *more: object, method: str = "fake") -> subprocess.Popen[str]:
         return subprocess.Popen(
             self.run_arguments("--no-report", *more, method=method),
@@ -106,9 +161,10 @@ class Bench:
             timeout=PATIENCE, check=False,
         )  # fmt: skip
 
-    def records(self) -> dict[str, object]:
-        from bench.store import Store
+    def tables(self) -> dict:
+        return build_tables(Store(self.store), write=False)
 
+    def records(self) -> dict[str, object]:
         return {record.job.id: record for record in Store(self.store).records()}
 
     def of_kind(self, kind: str) -> list:

@@ -21,6 +21,8 @@ from bench.store import Store
 from bench.tables import stored_tables
 from datasets.errors import DataError
 
+from .conftest import suite_file
+
 
 def rows(root):
     """Table -> its rows, of a store's folder."""
@@ -88,9 +90,7 @@ def test_bundles_are_merged_like_stores(bench, packed, finished, tmp_path):
     assert done.returncode == 0, done.stderr
     assert rows(tmp_path / "all") == rows(finished.store)
     # A bundle lacks the jobs' files: the disk that they need cannot be estimated.
-    arguments = ("plan", "quick", "--dataset", finished.dataset, "--method", "fake", "--scene", "c",
-                 "--plugins", finished.plugins, "--out", tmp_path / "new")  # fmt: skip
-    output = bench(*arguments, "--like", tmp_path / "all").stdout
+    output = bench.plan("c", tmp_path / "new", "--like", tmp_path / "all")
     assert re.search(r"4 to do, about .*, unknown room on disk, [1-9]\d* MiB of memory\n", output), output
     bad = rewritten(packed, tmp_path, lambda files: files.pop("store.json"))
     refused = bench("merge", bad, "--out", tmp_path / "none")
@@ -121,11 +121,8 @@ def test_a_run_into_an_unpacked_bundle_makes_the_views_that_it_needs_again(unpac
 
 
 def test_what_was_made_of_files_that_are_not_there_stays_as_it_is(unpacked, tmp_path):
-    suite = tmp_path / "more.toml"
-    head = 'title = "t"\nmethods = ["fake"]\npreset = "quick"\nsampled = 2\n'
-    suite.write_text(f'{head}[datasets]\n"{unpacked.dataset}" = ["a"]\n')
     before = rows(unpacked.store)
-    done = unpacked("run", suite, "--plugins", unpacked.plugins, "--out", unpacked.store, "--no-report")
+    done = unpacked.run_suite(suite_file(tmp_path, f'"{unpacked.dataset}" = ["a"]', "sampled = 2"))
     assert done.returncode == 1
     assert re.search(r"not run: encode-\w+ came from a bundle, .*run into a new store \(--out\)", done.stderr)
     assert rows(unpacked.store) == before

@@ -3,73 +3,31 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import pytest
 
-from bench.plan import Planner
-from bench.records import (
-    EncodeResult,
-    FitResult,
-    MeasureResult,
-    PartitionResult,
-    Record,
-    ViewResult,
-    ViewsResult,
-)
-from bench.selection import Selection
+from bench.records import EncodeResult, FitResult, PartitionResult, Record, ViewResult, ViewsResult
 from bench.store import Store
-from bench.suites import load_suite
-from bench.tables import build_tables, stored_tables
+from bench.tables import stored_tables
 from datasets.errors import DataError, UnknownName
 from datasets.png import read_png
 from reports.schema import joined
 
-from .conftest import PLUGINS
-
-SUITE = """
-title = "small"
-methods = ["fake"]
-preset = "quick"
-{more}
-[datasets]
-"argon_bubble_like@32" = []
-[presets.quick]
-train_views = 12
-test_views = 4
-width = 16
-height = 16
-prerendered_limit = 16
-"""
+from .conftest import measured, plan
 
 
-@pytest.fixture
-def suite(tmp_path):
-    def write(more: str = ""):
-        path = tmp_path / "small.toml"
-        path.write_text(SUITE.format(more=more))
-        return path
-
-    return write
-
-
-def plan(suite, store=None, **changes):
-    selection = Selection(load_suite(str(suite)), plugins=(str(PLUGINS),))
-    return Planner(replace(selection, **changes), {"psnr": "1"}).jobs(store)
-
-
-def measured(jobs) -> list[str]:
+def subjects(jobs) -> list[str]:
     return [job.subject for job in jobs if job.kind == "measure"]
 
 
 def test_compositions_are_measured_only_where_they_are_wanted(suite) -> None:
-    assert measured(plan(suite())) == ["shock", "bubble"]
-    assert measured(plan(suite(), composed=True)) == ["shock", "bubble", "all"]
-    assert measured(plan(suite('compositions = "all"'))) == ["shock", "bubble", "all"]
-    assert measured(plan(suite('compositions = ["all"]'))) == ["shock", "bubble", "all"]
-    assert measured(plan(suite(), scenes=("all",))) == ["shock", "bubble", "all"]
+    assert subjects(plan(suite())) == ["shock", "bubble"]
+    assert subjects(plan(suite(), composed=True)) == ["shock", "bubble", "all"]
+    assert subjects(plan(suite('compositions = "all"'))) == ["shock", "bubble", "all"]
+    assert subjects(plan(suite('compositions = ["all"]'))) == ["shock", "bubble", "all"]
+    assert subjects(plan(suite(), scenes=("all",))) == ["shock", "bubble", "all"]
     # Only those whose scenes are all there.
-    assert measured(plan(suite('compositions = "all"'), scenes=("shock",))) == ["shock"]
+    assert subjects(plan(suite('compositions = "all"'), scenes=("shock",))) == ["shock"]
     with pytest.raises(UnknownName, match="composition 'al'"):
         plan(suite('compositions = ["al"]'))
     with pytest.raises(UnknownName, match="scene 'shok'"):
@@ -135,11 +93,7 @@ def _result(job) -> dict:
         return {"encode": EncodeResult(seconds=1.0, total_bytes=own + 7,
                                        ledger={job.group: {"own": own}, "": {"net": 7}})}  # fmt: skip
     view = ViewResult(view="0", metrics={"psnr": 30.0}, identical=False, truth_file="t", render_file="r")
-    primitives = 5 * len(job.scenes)
-    return {"measure": MeasureResult(
-        load_seconds=1.0, frame_seconds=0.1, frame_seconds_p05=0.1, frame_seconds_p95=0.1, frames=1,
-        warmup_frames=1, warmup_stable=True, timing={"frame": 0.1}, primitives=primitives,
-        metrics={"psnr": 30.0}, missing={}, views=[view], reference_seconds=None)}  # fmt: skip
+    return {"measure": measured(30.0, 5 * len(job.scenes), (view,))}
 
 
 def test_costs_of_a_composition_are_those_of_its_scenes(suite, tmp_path) -> None:
@@ -147,15 +101,8 @@ def test_costs_of_a_composition_are_those_of_its_scenes(suite, tmp_path) -> None
     found = tables["results"].set_index("scene", drop=False).to_dict("index")
     assert list(tables["results"]["kind"]) == ["basic", "basic", "composed"]
     a, b, both = found["shock"], found["bubble"], found["all"]
-    for name in (
-        "size_bytes",
-        "train_seconds",
-        "standalone_bytes",
-        "primitives",
-        "group_bytes",
-        "group_seconds",
-        "cpu_seconds",
-    ):
+    for name in ("size_bytes", "train_seconds", "standalone_bytes", "primitives", "group_bytes",
+                 "group_seconds", "cpu_seconds"):  # fmt: skip
         assert both[name] == a[name] + b[name], name
     assert both["size_bytes"] == 314
     assert both["train_seconds"] == 10.0 + 20.0 + 2 * 1.0 + 4.0
@@ -186,13 +133,11 @@ def test_a_composition_of_part_of_a_group(suite, tmp_path) -> None:
 
 def test_scenes_are_composed_measured_and_refused(bench, suite) -> None:
     """A whole run: a method that composes, and one whose groups cannot be rendered together."""
-    common = ("run", suite(), "--composed", "--plugins", bench.plugins, "--out", bench.store, "--no-report")
-    done = bench(*common, "--method", "fake")
-    assert done.returncode == 0, done.stderr
-    done = bench(*common, "--method", "fake-joint")
-    assert done.returncode == 0, done.stderr
+    for method in ("fake", "fake-joint"):
+        done = bench.run_suite(suite(), "--composed", "--method", method)
+        assert done.returncode == 0, done.stderr
     assert "fake-joint: refused: fake-joint cannot render models of several groups together" in done.stderr
-    tables = build_tables(Store(bench.store), write=False)
+    tables = bench.tables()
     results = tables["results"].set_index(["method", "scene"])
     assert list(results["kind"]) == ["basic"] * 4 + ["composed"] * 2
     assert results.loc[("fake", "all"), "status"] == "ok"
@@ -203,7 +148,7 @@ def test_scenes_are_composed_measured_and_refused(bench, suite) -> None:
     assert all((bench.store / file).is_file() for file in [*shown["truth_file"], *shown["render_file"]])
     (views,) = [r for r in bench.of_kind("views") if r.job.composition]
     assert views.views.cost["test"]["peak_host_bytes"] > 2**20
-    again = bench(*common, "--method", "fake")
+    again = bench.run_suite(suite(), "--composed", "--method", "fake")
     assert "nothing to run" in again.stderr
 
     render = ("render", "argon_bubble_like@32", "--plugins", bench.plugins, "--runs", bench.store)
@@ -227,26 +172,13 @@ def test_scenes_are_composed_measured_and_refused(bench, suite) -> None:
 
 @pytest.mark.slow
 def test_3dgs_is_composed_and_edited(bench, suite) -> None:
-    common = ("--plugins", bench.plugins)
-    done = bench(
-        "run", suite(), "--composed", "--method", "3dgs", "--out", bench.store, "--no-report", *common
-    )
+    done = bench.run_suite(suite(), "--composed", "--method", "3dgs")
     assert done.returncode == 0, done.stderr
-    results = build_tables(Store(bench.store), write=False)["results"].set_index("scene")
+    results = bench.tables()["results"].set_index("scene")
     assert results.loc["all", "kind"] == "composed"
     assert results.loc["all", "psnr"] > 15
     assert results.loc["all", "primitives"] == results.loc[["shock", "bubble"], "primitives"].sum()
-    render = (
-        "render",
-        "argon_bubble_like@32",
-        "--runs",
-        bench.store,
-        "--size",
-        "16",
-        "--views",
-        "4",
-        *common,
-    )
+    render = ("render", "argon_bubble_like@32", "--runs", bench.store, "--size", "16", "--views", "4")
     render += ("--model", results.loc["all", "job"], "--out", bench.store.parent / "out")
     psnr = [
         float(re.search(r"PSNR (\S+) dB", bench(*render, "--truth", *edit).stdout)[1])

@@ -10,10 +10,10 @@ import shutil
 import pandas as pd
 import pytest
 
-from bench.store import Store
-from bench.tables import build_tables
 from datasets.png import read_png
 from reports.schema import TABLES, read_tables
+
+from .conftest import suite_file
 
 
 def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
@@ -60,15 +60,10 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     sizes = sum(f.stat().st_size for f in folder.iterdir())
     assert sizes in set(table["group_bytes"])
 
-    plan = bench("plan", "quick", "--dataset", bench.dataset, "--method", "fake", "--scene", "a", "--plugins",
-                 bench.plugins, "--out", bench.store)  # fmt: skip
-    assert plan.returncode == 0, plan.stderr
-    assert "4 jobs, 4 finished, 0 to do" in plan.stdout
-
-    arguments = ("plan", "quick", "--dataset", bench.dataset, "--method", "fake", "--scene", "c",
-                 "--plugins", bench.plugins, "--out", bench.store.parent / "another")  # fmt: skip
-    assert "4 to do, no past records to estimate from" in bench(*arguments).stdout
-    output = bench(*arguments, "--like", bench.store).stdout
+    assert "4 jobs, 4 finished, 0 to do" in bench.plan("a", bench.store)
+    another = bench.store.parent / "another"
+    assert "4 to do, no past records to estimate from" in bench.plan("c", another)
+    output = bench.plan("c", another, "--like", bench.store)
     assert re.search(r"4 to do, about .*, \d+ MiB of disk, [1-9]\d* MiB of memory\n", output), output
 
     printed = bench("results", "--runs", bench.store, "--plugins", bench.plugins)
@@ -78,11 +73,8 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     assert data[0]["rate"] is None
 
 
-def test_measuring_more_primitives_fits_nothing_again_and_stands_for_the_row(finished):
-    suite = finished.store.parent / "more.toml"
-    head = 'title = "t"\nmethods = ["fake"]\npreset = "quick"\nsampled = 2\n'
-    suite.write_text(f'{head}[datasets]\n"{finished.dataset}" = ["a"]\n')
-    done = finished("run", suite, "--plugins", finished.plugins, "--out", finished.store, "--no-report")
+def test_measuring_more_primitives_fits_nothing_again_and_stands_for_the_row(finished, tmp_path):
+    done = finished.run_suite(suite_file(tmp_path, f'"{finished.dataset}" = ["a"]', "sampled = 2"))
     assert done.returncode == 0, done.stderr
     assert done.stderr.startswith("[4/4] measure")
     tables = finished.store / "tables"
@@ -94,7 +86,7 @@ def test_measuring_more_primitives_fits_nothing_again_and_stands_for_the_row(fin
 def test_every_tenth_view_is_left_out_with_split_val(bench) -> None:
     done = bench.run("--split", "val")
     assert done.returncode == 0, done.stderr
-    (row,) = build_tables(Store(bench.store), write=False)["results"].to_dict("records")
+    (row,) = bench.tables()["results"].to_dict("records")
     assert row["split"] == "val"
     assert row["train_views"] == 11
     (measure,) = bench.of_kind("measure")
@@ -107,7 +99,7 @@ def test_failures_are_rows_and_the_rest_goes_on(bench, method) -> None:
     done = bench.run(*wrong, scenes=("a", "b"), method=method)
     assert done.returncode == 1
     assert "killed by signal 6 (SIGABRT)" in done.stderr
-    table = build_tables(Store(bench.store), write=False)["results"].set_index("scene")
+    table = bench.tables()["results"].set_index("scene")
     assert table.loc["a", "status"] == "failed"
     assert "SIGABRT" in table.loc["a", "reason"]
     assert pd.isna(table.loc["a", "psnr"])
@@ -118,18 +110,20 @@ def test_failures_are_rows_and_the_rest_goes_on(bench, method) -> None:
 
 
 @pytest.mark.parametrize(
-    ("behaviour", "status", "words"),
+    ("behaviour", "limits", "status", "words"),
     [
-        ("refuse", "refused", "not to its taste"),
-        ("diverge", "diverged", "the color went away"),
-        ("nan", "diverged", "not finite at iteration 10"),
-        ("raise", "failed", "ValueError: a bug in the method"),
-        ("exit", "failed", "exit code 3"),
-        ("no-checkpoint", "failed", "without a checkpoint"),
+        ("refuse", (), "refused", "not to its taste"),
+        ("diverge", (), "diverged", "the color went away"),
+        ("nan", (), "diverged", "not finite at iteration 10"),
+        ("raise", (), "failed", "ValueError: a bug in the method"),
+        ("exit", (), "failed", "exit code 3"),
+        ("no-checkpoint", (), "failed", "without a checkpoint"),
+        ("sleep", ("--time-limit", "3"), "timeout", "time limit of 3 s"),
+        ("hog", ("--memory-limit", "400M"), "oom", "of 400 MiB"),
     ],
 )
-def test_how_a_fit_can_end(bench, behaviour: str, status: str, words: str) -> None:
-    done = bench.run("--set", f"fake.behaviour={behaviour}")
+def test_how_a_fit_can_end(bench, behaviour: str, limits: tuple[str, ...], status: str, words: str) -> None:
+    done = bench.run("--set", f"fake.behaviour={behaviour}", *limits)
     assert done.returncode == 1
     (fit,) = bench.of_kind("fit")
     assert (fit.status, words in fit.reason) == (status, True), fit.reason
@@ -137,22 +131,6 @@ def test_how_a_fit_can_end(bench, behaviour: str, status: str, words: str) -> No
     assert (measure.status, measure.cause) == (status, fit.job.id)
     assert measure.reason == f"fit: {fit.reason}"
     assert "Traceback" not in done.stderr
-
-
-def test_a_time_limit(bench) -> None:
-    done = bench.run("--set", "fake.behaviour=sleep", "--time-limit", "3")
-    assert done.returncode == 1
-    (fit,) = bench.of_kind("fit")
-    assert fit.status == "timeout"
-    assert "time limit of 3 s" in fit.reason
-
-
-def test_a_memory_limit(bench) -> None:
-    done = bench.run("--set", "fake.behaviour=hog", "--memory-limit", "400M")
-    assert done.returncode == 1
-    (fit,) = bench.of_kind("fit")
-    assert fit.status == "oom"
-    assert "of 400 MiB" in fit.reason
 
 
 def test_a_ledger_that_does_not_sum_is_a_failure(bench) -> None:
@@ -180,7 +158,7 @@ def test_failed_jobs_run_again_only_with_retry(bench, tmp_path) -> None:
 def test_a_joint_method_is_partitioned_and_its_shares_sum(bench) -> None:
     done = bench.run(scenes=("a", "b", "c"), method="fake-joint")
     assert done.returncode == 0, done.stderr
-    table = build_tables(Store(bench.store), write=False)["results"].set_index("scene")
+    table = bench.tables()["results"].set_index("scene")
     assert list(table["group"]) == ["a+b", "a+b", "c"]
     groups = {r.job.group: r.encode.total_bytes for r in bench.of_kind("encode")}
     assert table["size_bytes"].sum() == sum(groups.values())
@@ -199,12 +177,12 @@ def test_a_mended_partition_leaves_no_failed_rows(bench, tmp_path) -> None:
     cure = tmp_path / "cure"
     wrong = ("--set", "fake-joint.behaviour=apart", "--set", f"fake-joint.file={cure}")
     assert bench.run(*wrong, scenes=("a", "b"), method="fake-joint").returncode == 1
-    table = build_tables(Store(bench.store), write=False)["results"]
+    table = bench.tables()["results"]
     assert list(table["status"]) == ["failed", "failed"]
     assert table["reason"].str.contains("cannot be compared").all()
     cure.touch()
     assert bench.run(*wrong, "--retry", scenes=("a", "b"), method="fake-joint").returncode == 0
-    table = build_tables(Store(bench.store), write=False)["results"]
+    table = bench.tables()["results"]
     assert list(table["status"]) == ["ok", "ok"]
 
 

@@ -1,7 +1,5 @@
 """Suites that come with the program: each can be planned anywhere, with stand-ins where data are missing."""
 
-from dataclasses import replace
-
 import pytest
 
 from bench.plan import Planner
@@ -10,7 +8,7 @@ from bench.suites import VIEWS, load_suite, names
 from datasets.catalogue import list_datasets
 from datasets.errors import DataError, UnknownName
 from reports.paper.layouts import layouts, published_as, takes
-from tests.bench.conftest import PLUGINS
+from tests.bench.conftest import plan, suite_file
 
 BUILT_IN = {info.name for info in list_datasets() if info.kind == "procedural"}
 
@@ -81,58 +79,51 @@ def test_all_methods_are_on_the_rate_distortion_chart():
 
 def test_a_suite_may_run_several_choices_of_a_datasets_scenes(dataset, tmp_path):
     """What is learned together with others is another model."""
-    suite = load_suite(suite_file(tmp_path, f'"{dataset}" = [["a", "b"], []]'))
-    joint = Selection(replace(suite, methods=("fake-joint",)), plugins=(str(PLUGINS),))
-    jobs = Planner(joint, {}).jobs(None)
-    assert [job.scenes for job in jobs if job.kind == "partition"] == [("a", "b"), ("a", "b", "c")]
+    suite = suite_file(tmp_path, f'"{dataset}" = [["a", "b"], []]')
+    jobs = plan(suite, methods=("fake-joint",))
+    assert scenes_of("partition", jobs) == [("a", "b"), ("a", "b", "c")]
     assert sum(job.kind == "views" for job in jobs) == 3
-    named = Selection(replace(suite, methods=("3dgs",)), scenes=("c",))
-    assert [job.scenes for job in Planner(named, {}).jobs(None) if job.kind == "fit"] == [("c",)]
+    assert scenes_of("fit", plan(suite, scenes=("c",))) == [("c",)]
+
+
+def scenes_of(kind, jobs):
+    return [job.scenes for job in jobs if job.kind == kind]
 
 
 def test_naming_one_of_a_suites_datasets_keeps_the_suites_scenes_of_it(dataset, tmp_path):
-    suite = load_suite(suite_file(tmp_path, f'"{dataset}" = ["a", "b"]\nvortices = []'))
-
-    def fitted(**chosen) -> list[tuple[str, ...]]:
-        return [job.scenes for job in Planner(Selection(suite, **chosen), {}).jobs(None) if job.kind == "fit"]
-
-    assert fitted(datasets=(str(dataset),)) == [("a",), ("b",)]
-    assert fitted(datasets=(str(dataset),), scenes=("c",)) == [("c",)]
-    assert fitted(datasets=("shells",)) == [("outer",), ("middle",), ("core",)]
-
-
-def suite_file(folder, datasets, more=""):
-    path = folder / "suite.toml"
-    path.write_text(f'title = "t"\nmethods = ["3dgs"]\npreset = "quick"\n{more}[datasets]\n{datasets}\n')
-    return str(path)
+    suite = suite_file(tmp_path, f'"{dataset}" = ["a", "b"]\nvortices = []')
+    assert scenes_of("fit", plan(suite, datasets=(str(dataset),))) == [("a",), ("b",)]
+    assert scenes_of("fit", plan(suite, datasets=(str(dataset),), scenes=("c",))) == [("c",)]
+    assert scenes_of("fit", plan(suite, datasets=("shells",))) == [("outer",), ("middle",), ("core",)]
 
 
 def test_a_suite_may_fit_with_several_numbers_of_training_views(dataset, tmp_path):
-    suite = load_suite(suite_file(tmp_path, f'"{dataset}" = ["a"]', "train_views = [6, 12]\n"))
-    jobs = Planner(Selection(suite), {}).jobs(None)
+    jobs = plan(suite_file(tmp_path, f'"{dataset}" = ["a"]', "train_views = [6, 12]"))
     assert [job.request.train_views for job in jobs if job.kind == "fit"] == [6, 12]
     assert len({job.id for job in jobs}) == len(jobs) == 8
 
 
 def test_a_suite_may_record_more_anchors_than_others(dataset, tmp_path):
-    def measured(more: str = ""):
-        suite = load_suite(suite_file(tmp_path, f'"{dataset}" = ["a"]', more))
-        return next(job for job in Planner(Selection(suite), {}).jobs(None) if job.kind == "measure")
+    def measure(more: str = ""):
+        jobs = plan(suite_file(tmp_path, f'"{dataset}" = ["a"]', more))
+        return next(job for job in jobs if job.kind == "measure")
 
-    usual, many = measured(), measured("sampled = 1000\n")
+    usual, many = measure(), measure("sampled = 1000")
     assert (usual.sampled, many.sampled) == (100, 1000)
-    assert usual.id == measured("sampled = 100\n").id != many.id
+    assert usual.id == measure("sampled = 100").id != many.id
     assert usual.needs == many.needs
     assert load_suite("features").sampled == 1000
 
 
-def test_bad_suites_are_refused_by_name(tmp_path):
-    with pytest.raises(DataError, match="sampled = 0"):
-        load_suite(suite_file(tmp_path, "shells = []", "sampled = 0\n"))
-    with pytest.raises(UnknownName, match=r"shels.*shells"):
-        load_suite(suite_file(tmp_path, 'shells = []\n[stand_ins]\nshels = ""'))
-    suite = load_suite(suite_file(tmp_path, 'vortex = []\n[stand_ins]\nvortex = ""'))
-    with pytest.raises(DataError, match="none of its datasets has data"):
-        Planner(Selection(suite), {})
-    with pytest.raises(DataError, match="names, or lists of names"):
-        load_suite(suite_file(tmp_path, 'shells = ["outer", ["core"]]'))
+@pytest.mark.parametrize(
+    ("datasets", "more", "error", "words"),
+    [
+        ("shells = []", "sampled = 0", DataError, "sampled = 0"),
+        ('shells = []\n[stand_ins]\nshels = ""', "", UnknownName, r"shels.*shells"),
+        ('vortex = []\n[stand_ins]\nvortex = ""', "", DataError, "none of its datasets has data"),
+        ('shells = ["outer", ["core"]]', "", DataError, "names, or lists of names"),
+    ],
+)
+def test_bad_suites_are_refused_by_name(tmp_path, datasets, more, error, words):
+    with pytest.raises(error, match=words):
+        plan(suite_file(tmp_path, datasets, more))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,17 +26,14 @@ from methods.contract.scene import tiny_scene
 from methods.gaussian_splatting.spec import SPEC
 from methods.interface import Refused
 
-from .test_compositions import plan, suite  # noqa: F401
+from .conftest import plan
 
 REQUEST = {"train_views": 12, "test_views": 4, "width": 16, "height": 16}
 
 
 @pytest.mark.parametrize("split", ["test", "val"])
 def test_a_fit_reads_what_was_rendered_bit_for_bit_and_opens_no_dataset(
-    suite,  # noqa: F811
-    tmp_path,
-    monkeypatch,
-    split,
+    suite, tmp_path, monkeypatch, split
 ) -> None:
     monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
     jobs = plan(suite(), scenes=("shock",), split=split)
@@ -104,22 +102,12 @@ def test_a_method_that_reads_volumes_refuses_scenes_that_have_only_views():
     refuse_without_volume(SPEC, [tiny_scene("there")])
 
 
-def test_a_renderer_that_comes_or_goes_between_two_jobs_changes_nothing(bench, suite) -> None:  # noqa: F811
+def test_a_renderer_that_comes_or_goes_between_two_jobs_changes_nothing(bench, suite) -> None:
     """Fits that failed, another method and another rate go on with the views that are there."""
-    common = (
-        "run",
-        suite(),
-        "--plugins",
-        bench.plugins,
-        "--out",
-        bench.store,
-        "--no-report",
-        "--scene",
-        "shock",
-    )
+    run = partial(bench.run_suite, suite(), "--scene", "shock")
     cure = bench.store.parent / "cure"
     wrong = ("--method", "fake", "--set", "fake.behaviour=raise", "--set", f"fake.file={cure}")
-    assert bench(*common, *wrong).returncode == 1
+    assert run(*wrong).returncode == 1
     (before,) = bench.of_kind("views")
 
     bench.environment |= {
@@ -128,9 +116,9 @@ def test_a_renderer_that_comes_or_goes_between_two_jobs_changes_nothing(bench, s
         "BENCH_CACHE": str(bench.store.parent / "another cache"),
     }
     cure.touch()
-    done = bench(*common, *wrong, "--retry")
+    done = run(*wrong, "--retry")
     assert done.returncode == 0, done.stderr
-    done = bench(*common, "--method", "fake-joint")
+    done = run("--method", "fake-joint")
     assert done.returncode == 0, done.stderr
     assert bench.of_kind("views") == [before]
     assert not (bench.store.parent / "another cache" / "views").exists()  # nothing was rendered

@@ -9,7 +9,6 @@ from bench.records import (
     EncodeResult,
     FitResult,
     Job,
-    MeasureResult,
     PartitionResult,
     Provenance,
     Record,
@@ -21,14 +20,14 @@ from bench.tables import build_tables, stored_tables
 from reports.tables.means import summary
 from reports.tables.protocols import by_protocol
 from reports.tables.results import superseded_note
+from tests.bench.conftest import measured
 
 REQUEST = Request(train_views=12, test_views=4, width=8, height=8)
 GROUPS = (("a", "b"), ("c",))
 
 
 def record(kind, identity, day, made_by="1", status="ok", **said):
-    results = {"partition": PartitionResult, "fit": FitResult, "encode": EncodeResult}
-    results["measure"] = MeasureResult
+    results = ("partition", "fit", "encode", "measure")
     job_fields = {name: value for name, value in said.items() if name in Job.model_fields}
     result = {name: value for name, value in said.items() if name in results and status == "ok"}
     identity = {"kind": kind, "method": ["m", made_by], **identity}
@@ -79,10 +78,7 @@ def version(number, day, made_by="1", groups=GROUPS, joint=True, shared=10, fail
                 record(
                     "measure", {"encode": encode.job.key, "scene": scene}, day, made_by, status,
                     scenes=(scene,), group=name, rate=rate, needs=(encode.job.id,),
-                    measure=MeasureResult(
-                        load_seconds=1.0, frame_seconds=0.1, frame_seconds_p05=0.1, frame_seconds_p95=0.1,
-                        frames=1, warmup_frames=1, warmup_stable=True, timing={"frame": 0.1}, primitives=5,
-                        metrics={"psnr": 30.0 + number}, missing={}, views=[], reference_seconds=None),
+                    measure=measured(30.0 + number, 5),
                 )
             )  # fmt: skip
     return made
