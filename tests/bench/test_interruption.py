@@ -72,8 +72,18 @@ class Hold:
         options = ("behaviour=hold", f"file={self._file}", "iterations=40")
         self.options = tuple(part for option in options for part in ("--set", f"{method}.{option}"))
 
+    def start(self, bench) -> subprocess.Popen:
+        """A run, once its fit stands still."""
+        process = bench.start(*self.options, method=self.method)
+        _wait_for(lambda: _held(bench.store))
+        return process
+
     def let_go(self) -> None:
         self._file.touch()
+
+    def run(self, bench, *more: str) -> int:
+        """Exit code of a whole run."""
+        return bench.run(*self.options, *more, method=self.method).returncode
 
 
 @pytest.fixture(params=METHODS)
@@ -94,8 +104,7 @@ def undisturbed(dataset, tmp_path_factory, make_bench):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> None:
-    process = bench.start(*hold.options, method=hold.method)
-    _wait_for(lambda: _held(bench.store))
+    process = hold.start(bench)
     process.send_signal(number)
     output, _ = process.communicate(timeout=120)
     assert process.returncode == 130, output
@@ -105,7 +114,7 @@ def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> Non
     assert int(checkpoint.name) == 20
 
     hold.let_go()
-    assert bench.run(*hold.options, method=hold.method).returncode == 0
+    assert hold.run(bench) == 0
     (fit,) = bench.of_kind("fit")
     assert fit.fit.resumed == 1
     assert _models(bench.store) == undisturbed[hold.method]
@@ -113,48 +122,38 @@ def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> Non
 
 
 def test_killing_the_executor_stops_its_worker(bench, hold, undisturbed) -> None:
-    process = bench.start(*hold.options, method=hold.method)
-    _wait_for(lambda: _held(bench.store))
+    process = hold.start(bench)
     (worker,) = _workers(process)
     process.kill()
     process.communicate(timeout=120)
     _wait_for(lambda: not _runs(worker))
     _records_are_whole(bench.store)
     hold.let_go()
-    assert bench.run(*hold.options, method=hold.method).returncode == 0
+    assert hold.run(bench) == 0
     assert _models(bench.store) == undisturbed[hold.method]
 
 
-def test_killing_a_worker_is_a_failure_that_retry_resumes(bench, hold, undisturbed) -> None:
-    process = bench.start(*hold.options, method=hold.method)
-    _wait_for(lambda: _held(bench.store))
+@pytest.mark.parametrize(
+    ("hold", "victim"),
+    [("fake", "worker"), ("fake-torch", "worker"), ("fake-torch", "server")],
+    indirect=["hold"],
+)
+def test_killing_a_worker_or_its_server_is_a_failure_that_retry_resumes(
+    bench, hold, undisturbed, victim
+) -> None:
+    process = hold.start(bench)
     (worker,) = _workers(process)
-    worker.kill()
-    process.communicate(timeout=120)
-    assert process.returncode == 1
-    (fit,) = bench.of_kind("fit")
-    assert (fit.status, fit.reason) == ("failed", "killed by signal 9 (SIGKILL)")
-    hold.let_go()
-    assert bench.run(*hold.options, method=hold.method).returncode == 1
-    assert bench.run(*hold.options, "--retry", method=hold.method).returncode == 0
-    assert _models(bench.store) == undisturbed[hold.method]
-    assert not list((bench.store / "partial").iterdir())
-
-
-@pytest.mark.parametrize("hold", ["fake-torch"], indirect=True)
-def test_killing_the_server_is_a_failure_of_its_worker(bench, hold, undisturbed) -> None:
-    process = bench.start(*hold.options, method=hold.method)
-    _wait_for(lambda: _held(bench.store))
-    (worker,) = _workers(process)
-    worker.parent().kill()
+    (worker if victim == "worker" else worker.parent()).kill()
     process.communicate(timeout=120)
     assert process.returncode == 1
     _wait_for(lambda: not _runs(worker))
     (fit,) = bench.of_kind("fit")
     assert (fit.status, fit.reason) == ("failed", "killed by signal 9 (SIGKILL)")
     hold.let_go()
-    assert bench.run(*hold.options, "--retry", method=hold.method).returncode == 0
+    assert hold.run(bench) == 1
+    assert hold.run(bench, "--retry") == 0
     assert _models(bench.store) == undisturbed[hold.method]
+    assert not list((bench.store / "partial").iterdir())
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.slow) for s in (2, 3, 4))])

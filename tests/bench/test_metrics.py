@@ -14,17 +14,22 @@ from reports.schema import COVERAGE
 CHEAP = ["psnr", "psnr_fg", "ssim", "flip", "delta_e_uv"]
 
 
-def image(seed: int, size: int = 32) -> tuple[np.ndarray, np.ndarray]:
-    """Premultiplied RGBA of a soft ball on nothing, with noise; and its alpha."""
+def image(seed: int, size: int = 32) -> np.ndarray:
+    """Premultiplied RGBA of a soft ball on nothing, with noise."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[0:size, 0:size] / size * 2 - 1
     alpha = np.clip(1.4 - 2 * np.hypot(x, y), 0, 1).astype(np.float32)
     rgb = np.clip(rng.random(3) + 0.1 * rng.normal(size=(size, size, 3)), 0, 1)
-    return np.concatenate([rgb * alpha[..., None], alpha[..., None]], -1).astype(np.float32), alpha
+    return np.concatenate([rgb * alpha[..., None], alpha[..., None]], -1).astype(np.float32)
 
 
-def over(rgba: np.ndarray, background=(1.0, 1.0, 1.0)) -> np.ndarray:
-    return rgba[..., :3] + (1 - rgba[..., 3:]) * np.array(background, np.float32)
+def over(rgba: np.ndarray) -> np.ndarray:
+    return rgba[..., :3] + (1 - rgba[..., 3:])
+
+
+def values(truth: np.ndarray, render: np.ndarray, *names: str, rgb: np.ndarray | None = None):
+    """Metrics of two RGBA pictures on white; ``rgb`` goes before the render's own colors."""
+    return evaluate(truth, over(render) if rgb is None else rgb, render[..., 3], (1, 1, 1), names).values
 
 
 def shown(rgba: np.ndarray) -> np.ndarray:
@@ -48,8 +53,8 @@ def test_against_scikit_image_flip_and_colour():
     import flip_evaluator
     from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-    (truth, _), (render, alpha) = image(0, 48), image(1, 48)
-    got = evaluate(truth, over(render), alpha, (1, 1, 1), CHEAP).values
+    truth, render = image(0, 48), image(1, 48)
+    got = values(truth, render, *CHEAP)
     a, b = shown(truth), shown(render)
     assert got["psnr"] == pytest.approx(peak_signal_noise_ratio(a, b, data_range=255), abs=1e-9)
     expected = structural_similarity(
@@ -67,33 +72,33 @@ def test_against_scikit_image_flip_and_colour():
 
 def test_ssim_is_the_definition_of_wang_et_al():
     """Straight from the paper's equation, window by window, in float64."""
-    (truth, _), (render, alpha) = image(2, 16), image(3, 16)
+    truth, render = image(2, 16), image(3, 16)
     a, b = shown(truth) / 255.0, shown(render) / 255.0
     line = np.exp(-(np.arange(-5, 6) ** 2) / (2 * 1.5**2))
     window = np.outer(line, line)[..., None] / line.sum() ** 2
-    values = []
+    windows = []
     for i in range(6):
         for j in range(6):
             p, q = a[i : i + 11, j : j + 11], b[i : i + 11, j : j + 11]
             mp, mq = (window * p).sum((0, 1)), (window * q).sum((0, 1))
             vp, vq = (window * p * p).sum((0, 1)) - mp**2, (window * q * q).sum((0, 1)) - mq**2
             c = (window * p * q).sum((0, 1)) - mp * mq
-            values.append((2 * mp * mq + 1e-4) * (2 * c + 9e-4) / ((mp**2 + mq**2 + 1e-4) * (vp + vq + 9e-4)))
-    assert evaluate(truth, over(render), alpha, (1, 1, 1), ["ssim"]).values["ssim"] == pytest.approx(
-        np.mean(values), abs=1e-6
-    )
+            windows.append(
+                (2 * mp * mq + 1e-4) * (2 * c + 9e-4) / ((mp**2 + mq**2 + 1e-4) * (vp + vq + 9e-4))
+            )
+    assert values(truth, render, "ssim")["ssim"] == pytest.approx(np.mean(windows), abs=1e-6)
 
 
 def test_psnr_of_one_level_everywhere_is_48_13_db():
     truth = np.ones((8, 8, 4), np.float32)
-    got = evaluate(truth, np.full((8, 8, 3), 254 / 255, np.float32), truth[..., 3], (0, 0, 0), ["psnr"])
-    assert got.values["psnr"] == pytest.approx(20 * np.log10(255))
+    rgb = np.full((8, 8, 3), 254 / 255, np.float32)
+    assert values(truth, truth, "psnr", rgb=rgb)["psnr"] == pytest.approx(20 * np.log10(255))
 
 
 def test_psnr_is_of_8_bit_pictures_and_identical_ones_count_100_db():
-    truth, alpha = image(4)
+    truth = image(4)
     near = over(truth) + np.float32(1e-4) * (np.rint(over(truth) * 255) / 255 - over(truth))
-    got = evaluate(truth, near, alpha, (1, 1, 1), CHEAP).values
+    got = values(truth, truth, *CHEAP, rgb=near)
     assert got["psnr"] == got["psnr_fg"] == 100.0
     assert got["ssim"] == pytest.approx(1.0)
     assert got["flip"] == got["delta_e_uv"] == 0.0
@@ -103,7 +108,7 @@ def test_one_step_in_a_large_image_does_not_beat_identical_ones():
     truth = np.ones((400, 400, 4), np.float32)
     rgb = truth[..., :3].copy()
     rgb[0, 0, 0] = 254 / 255
-    assert evaluate(truth, rgb, truth[..., 3], (1, 1, 1), ["psnr"]).values["psnr"] == 100.0
+    assert values(truth, truth, "psnr", rgb=rgb)["psnr"] == 100.0
 
 
 def test_foreground_counts_pixels_of_truth_or_model_only():
@@ -142,21 +147,18 @@ def test_missing_and_excess_are_shares_of_the_truths_alpha():
 @given(st.integers(0, 10**6), st.integers(0, 10**6))
 def test_missing_and_excess_account_for_all_alpha(one: int, two: int):
     a, b = (np.random.default_rng(seed).random((16, 16, 4)).astype(np.float32) for seed in (one, two))
-    a_alpha, b_alpha = a[..., 3], b[..., 3]
-    got = evaluate(a, over(b), b_alpha, (1, 1, 1), COVERAGE).values
-    back = evaluate(b, over(a), a_alpha, (1, 1, 1), COVERAGE).values
-    there, ours = (to_8bit(alpha).astype(int).sum() for alpha in (a_alpha, b_alpha))
+    got, back = values(a, b, *COVERAGE), values(b, a, *COVERAGE)
+    there, ours = (to_8bit(rgba[..., 3]).astype(int).sum() for rgba in (a, b))
     assert 1 - got["missing"] + got["excess"] == pytest.approx(ours / there)
     assert got["missing"] * there == pytest.approx(back["excess"] * ours)
-    assert evaluate(a, over(a), a_alpha, (1, 1, 1), COVERAGE).values == dict.fromkeys(COVERAGE, 0.0)
+    assert values(a, a, *COVERAGE) == dict.fromkeys(COVERAGE, 0.0)
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6), st.integers(0, 10**6))
 def test_symmetric_and_bounded(one: int, two: int):
-    (a, a_alpha), (b, b_alpha) = image(one, 16), image(two, 16)
-    forth = evaluate(a, over(b), b_alpha, (1, 1, 1), CHEAP).values
-    back = evaluate(b, over(a), a_alpha, (1, 1, 1), CHEAP).values
+    a, b = image(one, 16), image(two, 16)
+    forth, back = values(a, b, *CHEAP), values(b, a, *CHEAP)
     for name in CHEAP:
         assert forth[name] == pytest.approx(back[name], rel=1e-4, abs=1e-5)
         low, high = METRICS[name].bounds
@@ -164,28 +166,28 @@ def test_symmetric_and_bounded(one: int, two: int):
 
 
 def test_more_noise_is_worse_by_every_metric():
-    truth, alpha = image(5, 48)
+    truth = image(5, 48)
     noise = np.random.default_rng(0).normal(size=(48, 48, 3))
     scores = [
-        evaluate(truth, (over(truth) + s * noise).astype(np.float32), alpha, (1, 1, 1), CHEAP).values
+        values(truth, truth, *CHEAP, rgb=(over(truth) + s * noise).astype(np.float32))
         for s in (0.02, 0.05, 0.15)
     ]
     for name in CHEAP:
-        values = [s[name] for s in scores]
-        assert values == sorted(values, reverse=METRICS[name].column.better > 0)
+        ladder = [score[name] for score in scores]
+        assert ladder == sorted(ladder, reverse=METRICS[name].column.better > 0)
 
 
 def test_unknown_names_and_bad_shapes_are_refused():
-    truth, alpha = image(0)
+    truth = image(0)
     with pytest.raises(DataError, match="psnr"):
-        evaluate(truth, over(truth), alpha, (1, 1, 1), ["pnsr"])
+        values(truth, truth, "pnsr")
     with pytest.raises(ValueError, match="does not match"):
-        evaluate(truth, over(truth)[1:], alpha, (1, 1, 1), ["psnr"])
+        values(truth, truth, "psnr", rgb=over(truth)[1:])
     with pytest.raises(ValueError, match="finite"):
-        evaluate(truth, np.full_like(over(truth), np.nan), alpha, (1, 1, 1), ["psnr"])
+        values(truth, truth, "psnr", rgb=np.full_like(over(truth), np.nan))
 
 
 def test_pairs_know_when_pictures_are_identical():
-    truth, alpha = image(0)
-    assert Pair.composite(truth, over(truth), alpha, (1, 1, 1)).identical
-    assert not Pair.composite(truth, over(truth) * 0.9, alpha, (1, 1, 1)).identical
+    truth = image(0)
+    for rgb, identical in ((over(truth), True), (over(truth) * 0.9, False)):
+        assert Pair.composite(truth, rgb, truth[..., 3], (1, 1, 1)).identical is identical

@@ -26,11 +26,7 @@ def put(network: str, monkeypatch) -> Path:
     torch.manual_seed(0)
     build = {"vgg": models.vgg16, "alex": models.alexnet}[network]
     with torch.device("meta"):
-        shapes = (
-            {name: value.shape for name, value in build(init_weights=False).state_dict().items()}
-            if (network == "vgg")
-            else {name: value.shape for name, value in build().state_dict().items()}
-        )
+        shapes = {name: value.shape for name, value in build().state_dict().items()}
     weights = {}
     for name, shape in shapes.items():
         if name.startswith("classifier"):

@@ -35,6 +35,11 @@ def _record(status: str = "ok", key: str = "0123", **changes) -> Record:
     return Record.model_validate({**base, **changes})
 
 
+@pytest.fixture
+def store(tmp_path) -> Store:
+    return Store(tmp_path / "s", create=True)
+
+
 @pytest.mark.parametrize(("total", "n"), [(0, 1), (7, 3), (10, 3), (11, 4), (2**53 + 1, 7)])
 def test_shares_sum(total: int, n: int) -> None:
     names = [str(i) for i in range(n)]
@@ -43,32 +48,28 @@ def test_shares_sum(total: int, n: int) -> None:
     assert max(parts) - min(parts) <= 1
 
 
-def test_a_record_survives_its_file(tmp_path) -> None:
-    store = Store(tmp_path / "s", create=True)
+def test_a_record_survives_its_file(store) -> None:
     record = _record()
     store.finish(record)
-    assert Store(tmp_path / "s").record(record.job.id) == record
+    assert Store(store.root).record(record.job.id) == record
     assert not list(store.partial.iterdir())
 
 
-def test_a_torn_record_is_named(tmp_path) -> None:
-    store = Store(tmp_path / "s", create=True)
+def test_a_torn_record_is_named(store) -> None:
     store.finish(_record())
     path = store.jobs / "encode-0123" / "record.json"
     path.write_text(path.read_text()[:-40])
     with pytest.raises(DataError, match="not a whole record"):
-        list(Store(tmp_path / "s").records())
+        list(Store(store.root).records())
 
 
-def test_a_store_of_another_schema_is_refused(tmp_path) -> None:
-    Store(tmp_path / "s", create=True)
-    (tmp_path / "s" / "store.json").write_text(json.dumps({"schema_version": 99}))
+def test_a_store_of_another_schema_is_refused(store) -> None:
+    (store.root / "store.json").write_text(json.dumps({"schema_version": 99}))
     with pytest.raises(DataError, match="schema version 99"):
-        Store(tmp_path / "s")
+        Store(store.root)
 
 
-def test_a_record_is_replaced_whole(tmp_path) -> None:
-    store = Store(tmp_path / "s", create=True)
+def test_a_record_is_replaced_whole(store) -> None:
     store.finish(_record("failed"))
     store.finish(_record("ok"))
     assert store.record("encode-0123").ok
