@@ -14,7 +14,7 @@ import os
 import string
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from reports.schema import TABLES
 
@@ -80,13 +80,7 @@ def _parser() -> _Parser:
     common = _Parser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show tracebacks of errors in the input")
     plugins = _Parser(add_help=False)
-    plugins.add_argument(
-        "--plugins",
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="folder with methods of your own (repeatable)",
-    )
+    _repeatable(plugins, "--plugins", metavar="DIR", help="folder with methods of your own")
     runs = _Parser(add_help=False)
     runs.add_argument("--runs", default="runs", metavar="DIR", help="the run store (default: runs)")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -96,18 +90,13 @@ def _parser() -> _Parser:
 
     run = command("run", "run a suite and report; what is finished is not run again", plugins)
     _add_selection(run)
-    run.add_argument("--out", default="runs", metavar="DIR", help="the run store (default: runs)")
     run.add_argument("--retry", action="store_true", help="run failed jobs again")
     run.add_argument("--no-report", action="store_true", help="leave the page to a later `bench report`")
     run.add_argument("--time-limit", type=_seconds, metavar="TIME", help="per job: 90, 90s, 30m, 2h")
     run.add_argument("--memory-limit", type=_bytes, metavar="SIZE", help="per job: 8G, 500M")
     plan = command("plan", "show the jobs of a suite, which are done, and an estimate", plugins)
     _add_selection(plan)
-    plan.add_argument("--out", default="runs", metavar="DIR", help="the run store (default: runs)")
-    plan.add_argument(
-        "--like", action="append", default=[], metavar="STORE",
-        help="estimate from the finished jobs of this run store too (repeatable)",
-    )  # fmt: skip
+    _repeatable(plan, "--like", metavar="STORE", help="estimate from the finished jobs of this run store too")
 
     lists = command("list", "list methods, datasets, suites or metrics", plugins)
     lists.add_argument("what", choices=("methods", "datasets", "suites", "metrics"))
@@ -116,10 +105,7 @@ def _parser() -> _Parser:
     check.add_argument(
         "--iterations", type=_count, default=60, metavar="N", help="of each of its fits (default: 60)"
     )
-    check.add_argument(
-        "--set", action="append", default=[], metavar="OPTION=VALUE",
-        help="differing from the preset quick (repeatable)",
-    )  # fmt: skip
+    _repeatable(check, "--set", metavar="OPTION=VALUE", help="differing from the preset quick")
     _add_device(check)
     command("doctor", "what this machine has and lacks, with remedies", plugins)
 
@@ -144,7 +130,7 @@ def _parser() -> _Parser:
         "dataset", nargs="*",
         help="name in the catalogue, or a path; contact sheets: default all that are here",
     )  # fmt: skip
-    render.add_argument("--scene", action="append", default=[], help="only this scene (repeatable)")
+    _repeatable(render, "--scene", help="only this scene")
     render.add_argument(
         "--views", type=_count, help="number of views on the test path (default: 8; contact sheets: 3)"
     )
@@ -160,10 +146,10 @@ def _parser() -> _Parser:
     )
     render.add_argument("--out", default="pictures", metavar="DIR", help="default: pictures")
     render.add_argument("--model", metavar="JOB", help="an encode or measure job of --runs: render its model")
-    render.add_argument(
-        "--edit", action="append", default=[], metavar="SCENE.WHAT=VALUE",
+    _repeatable(
+        render, "--edit", metavar="SCENE.WHAT=VALUE",
         help="show it edited: palette=#ff8800, light=headlight or x,y,z, or a factor: opacity, ambient, "
-        "diffuse, specular, shininess (repeatable)",
+        "diffuse, specular, shininess",
     )  # fmt: skip
     render.add_argument(
         "--truth", action="store_true", help="with --model: the ground truth beside, and PSNR"
@@ -195,33 +181,26 @@ def _parser() -> _Parser:
 
 def _add_selection(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("suite", help="a suite of `bench list suites`, or a TOML file")
-    parser.add_argument(
-        "--dataset",
-        action="append",
-        default=[],
-        metavar="NAME|PATH",
-        help="only this of the suite's, or data of your own instead (repeatable)",
-    )
-    parser.add_argument(
-        "--scene",
-        action="append",
-        default=[],
-        help="only this scene, or composition with its scenes (repeatable)",
-    )
+    _repeatable(
+        parser, "--dataset", metavar="NAME|PATH",
+        help="only this of the suite's, or data of your own instead",
+    )  # fmt: skip
+    _repeatable(parser, "--scene", help="only this scene, or composition with its scenes")
     parser.add_argument("--composed", action="store_true", help="measure the compositions of the scenes too")
-    parser.add_argument("--method", action="append", default=[], help="instead of the suite's (repeatable)")
-    parser.add_argument(
-        "--seed", action="append", default=[], type=_seed, help="instead of the suite's (repeatable)"
-    )
+    _repeatable(parser, "--method", help="instead of the suite's")
+    _repeatable(parser, "--seed", type=_seed, help="instead of the suite's")
     parser.add_argument("--preset", choices=("quick", "standard", "paper"), help="default: the suite's")
     parser.add_argument(
         "--split", choices=("test", "val"), default="test",
         help="measure on test views, or leave every tenth training view out of the fit and measure on those",
     )  # fmt: skip
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="METHOD.OPTION=VALUE", help="(repeatable)"
-    )
+    _repeatable(parser, "--set", metavar="METHOD.OPTION=VALUE", help="differing from the preset")
     _add_device(parser)
+    parser.add_argument("--out", default="runs", metavar="DIR", help="the run store (default: runs)")
+
+
+def _repeatable(parser: argparse.ArgumentParser, name: str, *, help: str, **more: Any) -> None:
+    parser.add_argument(name, action="append", default=[], help=f"{help} (repeatable)", **more)
 
 
 def _add_device(parser: argparse.ArgumentParser) -> None:

@@ -44,20 +44,3 @@ def test_scenes_compositions_and_automatic_scenes_have_tiles(tmp_path, capsys) -
     assert every > one
     assert main([*command, "--automatic"]) == 0
     assert _height(tmp_path / "shells@16.png") > every
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["render"], "names no dataset"),
-        (["render", "shells@16", "--automatic"], "is for contact sheets. Add --contact-sheet"),
-        (["render", "--contact-sheet", "shells@16", "--scene", "cor"], "Did you mean core, "),
-        (["render", "--contact-sheet", "shells@16", "--model", "x"], "shows ground truth only"),
-    ],
-)
-def test_unusable_requests_are_one_line(tmp_path, monkeypatch, capsys, arguments, words) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
