@@ -41,10 +41,15 @@ class Store:
         self.root = root.expanduser().resolve()
         self._cache: dict[str, tuple[int, Record]] = {}
         marker = self.root / "store.json"
+        # Looked up before the marker: another run may be writing that, and its folders after it.
+        foreign = self.root.is_file() or any(
+            path.name != "locks" and not path.name.startswith(f".{marker.name}.")
+            for path in self.root.glob("*")
+        )
         if not marker.is_file():
             if not create:
                 raise DataError(root, "no run store", "Give --runs the folder that `bench run --out` wrote")
-            if self.root.is_file() or any(path.name != "locks" for path in self.root.glob("*")):
+            if foreign:
                 raise DataError(root, "neither empty nor a run store", "Give --out a new folder")
             try:
                 self.root.mkdir(parents=True, exist_ok=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pandas as pd
 import pytest
@@ -67,6 +69,17 @@ def test_a_store_of_another_schema_is_refused(store) -> None:
     (store.root / "store.json").write_text(json.dumps({"schema_version": 99}))
     with pytest.raises(DataError, match="schema version 99"):
         Store(store.root)
+
+
+def test_runs_that_begin_together_share_a_new_store(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("os.fsync", lambda handle: time.sleep(0.05))
+
+    def opened(delay: float) -> Store:
+        time.sleep(delay)
+        return Store(tmp_path / "s", create=True)
+
+    with ThreadPoolExecutor(8) as pool:
+        assert len(list(pool.map(opened, [0.01 * i for i in range(8)]))) == 8
 
 
 def test_a_record_is_replaced_whole(store) -> None:
