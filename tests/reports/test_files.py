@@ -16,6 +16,7 @@ from reports.paper.values import NOT_MEASURED
 from reports.tables.documents import tex, to_latex
 from reports.tables.ranks import UNDECIDED_NOTE
 from tests.reports.conftest import fill
+from tests.reports.page.test_page import content
 from tests.reports.paper.test_paper_tables import four, paper_tables, results, row, seen, waves
 
 
@@ -47,7 +48,9 @@ def test_parquet_and_csv_hold_the_same(maker):
     results = maker.tables()["results"]
     stored = pd.read_parquet(out / "results.parquet")
     pd.testing.assert_frame_equal(stored.astype(results.dtypes), results)
-    assert pd.read_csv(out / "results.csv")["psnr"].tolist()[0] == results["psnr"][0]
+    back = pd.read_csv(out / "results.csv", keep_default_na=False)
+    assert list(back.columns) == list(results.columns)
+    assert back["psnr"].tolist() == [str(value) if value else "" for value in results["psnr"].fillna(0)]
 
 
 def test_intervals_and_comparisons_are_files(maker):
@@ -154,13 +157,29 @@ def test_a_table_with_the_least_columns_makes_a_report(tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["--table", str(csv(tmp_path, SMALL)), "--out", str(out)]) == 0
     assert capsys.readouterr().out.strip() == str(out / "report.html")
-    page = (out / "report.html").read_text(encoding="utf-8")
-    assert "31.00" in page  # the mean of x
-    assert "no psnr" in page
+    source, text = content(out / "report.html")
+    assert "31.00" in text  # the mean of x
+    assert "no psnr" in source
+    # Nothing that the table lacks has a column, a fact or a section.
+    for words in ("Preset", "Machine", "Image size", "LPIPS", "SSIM", "FLIP", "ΔE", "Primitives", "Load",
+                  "Host mem", "Reference kernel"):  # fmt: skip
+        assert words not in text, words
+    assert not {"scenes", "editing", "provenance"} & set(re.findall(r'<h2 id="(\w+)"', source))
+    heads = (out / "results.md").read_text(encoding="utf-8").splitlines()[0]
+    assert heads == "| Dataset | Scene | Method | PSNR [dB] | Size [MiB] | Status | Reason |"
     assert (out / "charts" / "psnr-size.pdf").stat().st_size
     assert "**33.00**" in (out / "results.md").read_text(encoding="utf-8")
     curve = json.loads((out / "curves" / "d" / "x.json").read_text())
     assert curve["results"] == {"rate": [""], "bytes": [1500.0], "psnr": [31.0]}
+
+
+def test_a_file_where_the_folder_shall_be_is_an_error(tmp_path, capsys):
+    table = csv(tmp_path, SMALL)
+    assert main(["--table", str(table), "--out", str(table)]) == 2
+    assert main(["--table", str(table), "--out", str(table / "deeper")]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert all(line.startswith(f"error: {table}") and "--out" in line for line in lines)
 
 
 def test_reports_needs_no_other_package_of_this_project(tmp_path):

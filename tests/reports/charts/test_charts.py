@@ -193,11 +193,6 @@ def test_the_page_tells_bd_rates(maker):
     assert "33.50 to 36.00" in html
 
 
-def test_no_rate_chart_where_every_method_has_one_size(maker):
-    maker.run(views=0)
-    assert rates(maker) == []
-
-
 # --------------------------------------------------------------------------- training
 
 
@@ -331,11 +326,6 @@ def test_losses_are_means_over_stretches_with_marks_where_stages_begin():
     assert [panel.title for panel in losses(other, stretches)] == ["ECoNGS", "HAC"]
 
 
-def test_no_loss_chart_without_parts(maker):
-    maker.run()
-    assert "losses" not in sections(maker.tables())
-
-
 # --------------------------------------------------------------------------- parts of a whole
 
 
@@ -449,6 +439,7 @@ def test_an_embedding_is_split_by_scene():
 
 
 def test_sections_of_a_normal_store(maker):
+    """One rate, no parts of the loss, no times of parts, one seed and number of views."""
     fill(maker, "normal")
     assert list(sections(maker.tables())) == [
         "confidence", "tradeoffs", "anytime", "convergence", "ledger"

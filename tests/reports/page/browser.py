@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import select
@@ -170,11 +169,3 @@ class Browser:
             mobile=False,
         )
         self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-
-    def screenshot(self, path: Path) -> None:
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
-
-    def pdf(self, path: Path) -> None:
-        """Print the page."""
-        pdf = self.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)["data"]
-        path.write_bytes(base64.b64decode(pdf))

@@ -48,12 +48,17 @@ def page(maker, draw: bool = False) -> tuple[str, str]:
             stack.enter_context(patch.object(files, "written", return_value=contextlib.nullcontext()))
             stack.enter_context(patch.object(panel_files, "write", return_value="panel"))
         path = write_report(maker.tables(), maker.root, maker.root / "report.html")
+    assert path.stat().st_size < 10e6
+    return content(path)
+
+
+def content(path) -> tuple[str, str]:
+    """A page's source and its text."""
     source = path.read_text(encoding="utf-8")
     checker = Checker()
     checker.feed(source)
     assert checker.open == []
     assert all(value.startswith("data:image/") for value in checker.sources)
-    assert path.stat().st_size < 10e6
     return source, " ".join(" ".join(checker.text).split())
 
 

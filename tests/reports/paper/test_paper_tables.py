@@ -47,6 +47,11 @@ def table(tables, name):
     return next(one for one in tables if one.name == name)
 
 
+def blocks(rows, name="univariate", views=None, **others):
+    """The blocks of a table."""
+    return table(paper_tables(rows, views, **others), name).blocks
+
+
 def line(block, label):
     return next(one for one in block.rows if one.label == label)
 
@@ -69,7 +74,7 @@ def test_measured_values_stand_beside_the_published_ones_in_their_units():
 
 def test_seeds_give_a_spread_and_an_incomplete_seed_is_named():
     rows = [*four("econgs", 35.0), *four("econgs", 36.0, seed=1), *four("econgs", 50.0, seed=2)[:3]]
-    block = table(paper_tables(results(*rows)), "univariate").blocks[0]
+    block = blocks(results(*rows))[0]
     ours = line(block, "ECoNGS")
     assert ours.values["psnr"].mean == pytest.approx(37.0)
     assert ours.values["psnr"].spread == pytest.approx(0.5**0.5)
@@ -99,14 +104,14 @@ def test_rows_of_a_method_are_of_the_seeds_that_all_of_them_have():
     assert any("full ECoNGS: 0; w/o view direction: 1" in remark for remark in block.remarks)
     # Where methods are compared each keeps its seeds.
     literal = four("econgs", 32.0, variant="configuration=paper")
-    block = table(paper_tables(results(*ours, *literal, *others)), "univariate").blocks[0]
+    block = blocks(results(*ours, *literal, *others))[0]
     assert line(block, "ECoNGS").values["psnr"].seeds == (34.5, 31.5)
     assert any("ECoNGS: 0, 1; ECoNGS, the paper's settings: 0" in remark for remark in block.remarks)
 
 
 def test_a_failed_scene_leaves_the_cells_empty():
     rows = [*four("econgs", 35.0)[:3], row(scene="TF04", psnr=None, status="failed"), *four("3dgs", 30.0)]
-    block = table(paper_tables(results(*rows)), "univariate").blocks[0]
+    block = blocks(results(*rows))[0]
     assert line(block, "ECoNGS").values["psnr"].mean is None
     assert line(block, "3DGS").values["psnr"].mean is not None
 
@@ -204,7 +209,7 @@ def places(block, column="psnr"):
 def test_quality_is_not_ranked_where_views_cannot_tell():
     rows = results(*four("econgs", 35.0), *four("3dgs", 34.9), *four("ivr-gs", 30.0))
     for spread, mark in ((0.0, 1), (3.0, 3)):
-        block = table(paper_tables(rows, seen(rows, waves(spread))), "univariate").blocks[0]
+        block = blocks(rows, views=seen(rows, waves(spread)))[0]
         assert places(block)["ECoNGS"] == mark
     assert "\N{ALMOST EQUAL TO}" in to_text(table(paper_tables(rows, seen(rows, waves(3.0))), "univariate"))
 
@@ -213,13 +218,13 @@ def test_a_seed_that_failed_does_not_make_two_methods_differ():
     good = [*four("econgs", 35.1), *four("3dgs", 35.0)]
     failed = [one | {"status": "failed", "psnr": None} for one in four("3dgs", 35.0, seed=1)]
     for rows in (results(*good), results(*good, *failed)):
-        block = table(paper_tables(rows, seen(rows, waves(3.0))), "univariate").blocks[0]
+        block = blocks(rows, views=seen(rows, waves(3.0)))[0]
         assert places(block) == {"ECoNGS": 3, "3DGS": 3}
 
 
 def test_an_incomplete_seed_does_not_hide_a_clear_difference():
     rows = results(*four("econgs", 38.0), *four("3dgs", 35.0), *four("econgs", 20.0, seed=1)[:3])
-    block = table(paper_tables(rows, seen(rows, waves(0.5))), "univariate").blocks[0]
+    block = blocks(rows, views=seen(rows, waves(0.5)))[0]
     assert places(block) == {"ECoNGS": 1, "3DGS": 2}
 
 
@@ -228,14 +233,14 @@ def test_the_leader_must_be_ahead_on_the_views_too():
     rows = results(*four("econgs", 35.0), *four("3dgs", 34.0))
     views = seen(rows, waves(0.1))
     views.loc[views["job"].str.startswith("3dgs"), "psnr"] += 3.0
-    assert places(table(paper_tables(rows, views), "univariate").blocks[0]) == {"ECoNGS": 3, "3DGS": 3}
+    assert places(blocks(rows, views=views)[0]) == {"ECoNGS": 3, "3DGS": 3}
 
 
 def test_a_ranking_without_views_has_a_remark_with_the_rows_that_lack_them():
     rows = results(*four("econgs", 38.0), *four("3dgs", 35.0), *four("ivr-gs", 30.0))
 
     def remark(views):
-        remarks = table(paper_tables(rows, views), "univariate").blocks[0].remarks
+        remarks = blocks(rows, views=views)[0].remarks
         return [text for text in remarks if text.startswith("PSNR [dB]: ")]
 
     (every,) = remark(None)
@@ -251,7 +256,7 @@ def test_speed_and_time_are_ranked_in_one_place_and_where_seeds_agree():
         rows = [*four("econgs", 38.0, fps=fps[0]), *four("econgs", 38.0, fps=fps[1], seed=1)]
         rows += [*four("3dgs", 35.0, fps=fps[2], **changed)]
         rows += [*four("3dgs", 35.0, fps=fps[3], seed=1, **changed)]
-        return table(paper_tables(results(*rows)), "univariate").blocks[0]
+        return blocks(results(*rows))[0]
 
     assert places(block_of(90.0, 100.0, 110.0, 120.0), "fps") == {"3DGS": 1, "ECoNGS": 2}
     near = block_of(90.0, 112.0, 110.0, 120.0)
@@ -264,7 +269,7 @@ def test_speed_and_time_are_ranked_in_one_place_and_where_seeds_agree():
 
 def test_an_empty_column_has_its_reason_and_its_rows():
     rows = [one | {"reason": "flip: slow; lpips_vgg: weights missing"} for one in four("econgs", 35.0)]
-    block = table(paper_tables(results(*rows, *four("3dgs", 34.0))), "univariate").blocks[0]
+    block = blocks(results(*rows, *four("3dgs", 34.0)))[0]
     (remark,) = (remark for remark in block.remarks if "LPIPS" in remark)
     assert "weights missing" in remark
     assert "slow" not in remark, "FLIP is no column of this table"
@@ -277,7 +282,7 @@ def test_an_empty_column_has_its_reason_and_its_rows():
 def test_rows_of_several_versions_of_a_method_have_a_remark():
     without = {"variant": "view_direction=false", "method_version": "1"}
     rows = [*four("econgs", 35.0, method_version="2"), *four("econgs", 34.0, **without)]
-    block = table(paper_tables(results(*rows)), "design").blocks[0]
+    block = blocks(results(*rows), "design")[0]
     assert any("full ECoNGS; w/o view direction" in remark for remark in block.remarks)
     rows = [*four("econgs", 35.0, method_version="2"), *four("3dgs", 34.0, method_version="1")]
     (block,) = table(paper_tables(results(*rows)), "univariate").blocks
