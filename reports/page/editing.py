@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from reports import markup
-from reports.page.scenes import figure
-from reports.pictures import panel_files
+from reports.page.scenes import block, figure, heading
 from reports.pictures.panels import Panel, choose, in_view, models
 from reports.pictures.transfer import beside
 from reports.style import MISSING, label
@@ -25,13 +24,13 @@ UNEDITED = "unedited"
 _KEYS = ["dataset", "preset", "split"]
 
 
-def section(report: Report, root: Path, charts: Path | None) -> str:
+def section(report: Report, root: Path, charts: Path) -> str:
     """A table of quality by edit, and each scene's edits in one view; "" without edits.
 
     Args:
         report: the tables.
         root: folder that the paths of pictures are relative to.
-        charts: folder for sequences as PDF and PNG; None for no files.
+        charts: folder for sequences as PDF and PNG.
     """
     results = report.results
     if not (results["kind"] == "edited").any():
@@ -45,18 +44,13 @@ def section(report: Report, root: Path, charts: Path | None) -> str:
         parts.append(markup.table(name, heads, ([escape(text) for text in row] for row in rows)))
     room, omitted = PICTURE_BYTES, 0
     for name, panels in sequences(report.tables, root):
-        files = ""
-        if charts is not None:
-            short = panel_files.write(panels, f"{name} edited", charts)
-            files = f' <span class="soft">(<a href="charts/{short}.pdf">PDF</a>)</span>'
+        head = heading(panels, name, f"{name} edited", charts)
         figures = [figure(panel, f"{name}, {panel.caption}", report.models) for panel in panels]
         if sum(map(len, figures)) > room:
             omitted += 1
             continue
         room -= sum(map(len, figures))
-        html = "".join(figures)
-        parts.append(f'<section class="scene"><h3>{escape(name)}{files}</h3><div class="panels">{html}</div>')
-        parts.append("</section>")
+        parts.append(block(head, figures))
     if omitted:
         parts.append(f'<p class="note">Only the files contain the edits of {omitted} further scenes.</p>')
     return "\n".join(parts)
@@ -67,17 +61,17 @@ def quality(results: pd.DataFrame) -> Iterator[tuple[str, list[str], list[list[s
 
     A mean needs all scenes and seeds. Otherwise the cell has the statuses of the runs.
     """
-    runs = results[results["kind"].isin(["basic", "edited"])]
-    for keys, rows in runs.groupby(_KEYS, dropna=False, sort=False):
+    for keys, rows in _runs(results).groupby(_KEYS, dropna=False, sort=False):
         edits = [str(edit) for edit in rows["edit"].fillna("").unique() if edit]
         if not edits:
             continue
-        scenes_edited = {_base(row) for row in rows[rows["kind"] == "edited"].itertuples()}
+        scenes = set(rows.loc[rows["kind"] == "edited", "base"])
+        rows = rows[rows["base"].isin(scenes)]
         lines = []
         for name, fits in rows.groupby(["method", "variant", "rate"], dropna=False, sort=False):
             if not (fits["kind"] == "edited").any():
                 continue
-            cells = [_mean(fits[fits["edit"].fillna("") == edit], scenes_edited) for edit in ("", *edits)]
+            cells = [_mean(fits[fits["edit"].fillna("") == edit], scenes) for edit in ("", *edits)]
             lines.append([label(*name), *cells])
         caption = [str(keys[0])]
         caption += [
@@ -89,10 +83,8 @@ def quality(results: pd.DataFrame) -> Iterator[tuple[str, list[str], list[list[s
 def sequences(tables: dict[str, pd.DataFrame], root: Path) -> Iterator[tuple[str, list[Panel]]]:
     """Name of a scene, and panels of the scene and its edits in the median view of the unedited models."""
     results, views, scenes = tables["results"], tables["views"], tables.get("scenes")
-    runs = results[results["kind"].isin(["basic", "edited"])]
-    runs = runs.assign(base=[_base(row) for row in runs.itertuples()])
     keys = [*_KEYS, "base"]
-    for (dataset, preset, split, base), rows in runs.groupby(keys, dropna=False, sort=False):
+    for (dataset, preset, split, base), rows in _runs(results).groupby(keys, dropna=False, sort=False):
         edits = [str(edit) for edit in rows["edit"].fillna("").unique() if edit]
         if not edits:
             continue
@@ -111,10 +103,11 @@ def sequences(tables: dict[str, pd.DataFrame], root: Path) -> Iterator[tuple[str
             yield " \N{MIDDLE DOT} ".join([f"{dataset} / {base}", *axes]), panels
 
 
-def _base(row: object) -> str:
-    """The name of a row's scene without its edit."""
-    scene, edit = str(row.scene), str(row.edit or "")  # type: ignore[attr-defined]
-    return scene.removesuffix(f" {edit}") if edit else scene
+def _runs(results: pd.DataFrame) -> pd.DataFrame:
+    """The rows of scenes and edited scenes; a column `base` has the scene without its edit."""
+    runs = results[results["kind"].isin(["basic", "edited"])]
+    pairs = zip(runs["scene"], runs["edit"].fillna(""), strict=True)
+    return runs.assign(base=[scene.removesuffix(f" {edit}") if edit else scene for scene, edit in pairs])
 
 
 def _several(results: pd.DataFrame, axis: str) -> bool:
@@ -122,8 +115,6 @@ def _several(results: pd.DataFrame, axis: str) -> bool:
 
 
 def _mean(rows: pd.DataFrame, scenes: set[str]) -> str:
-    rows = rows.assign(base=[_base(row) for row in rows.itertuples()])
-    rows = rows[rows["base"].isin(scenes)]
     failures = [str(status) for status in rows["status"] if status != "ok"]
     if failures:
         return ", ".join(dict.fromkeys(failures))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,7 +27,7 @@ PICTURE_BYTES = 4_300_000
 TRUTH = "Ground truth"
 
 
-def section(report: Report, root: Path, charts: Path | None) -> str:
+def section(report: Report, root: Path, charts: Path) -> str:
     """Panels of all scenes with pictures, and notes on missing ones; "" without either.
 
     If the pictures exceed :data:`PICTURE_BYTES`, median views have priority over worst ones.
@@ -34,7 +35,7 @@ def section(report: Report, root: Path, charts: Path | None) -> str:
     Args:
         report: the tables.
         root: folder that the paths of pictures are relative to.
-        charts: folder for panels as PDF and PNG; None for no files.
+        charts: folder for panels as PDF and PNG.
     """
     tables = report.tables
     results = report.results[report.results["kind"] != "edited"]
@@ -46,24 +47,18 @@ def section(report: Report, root: Path, charts: Path | None) -> str:
         first = rows.iloc[0]
         axes = [str(first[a]) for a in ("preset", "split") if results[a].nunique(dropna=False) > 1]
         name = " · ".join([f"{first['dataset']} / {first['scene']}", *axes])
-        head = escape(name)
-        if first["kind"] == "composed":
-            head += ' <span class="soft">composed</span>'
         of_scene = beside(panels(rows, tables["views"], root), tables.get("scenes"), first)
         informative = [panel for panel in of_scene if panel.informative]
         if not informative:
             without += bool(of_scene)
             continue
-        files = ""
-        if charts is not None and any(panel.window for panel in informative):
-            short = panel_files.write(informative, name, charts)
-            files = f' <span class="soft">(<a href="charts/{short}.pdf">PDF</a>)</span>'
+        remark = "composed" if first["kind"] == "composed" else ""
         figures = {panel.which: figure(panel, name, report.models) for panel in informative}
-        blocks.append((f'<section class="scene"><h3>{head}{files}</h3><div class="panels">', figures))
+        blocks.append((heading(informative, name, name, charts, remark), figures))
     selection, omitted = _within(PICTURE_BYTES, [figures for _, figures in blocks])
     parts = [_legend()] if blocks else []
     for (head, _), figures_of_scene in zip(blocks, selection, strict=True):
-        parts.append(f"{head}{''.join(figures_of_scene)}</div></section>")
+        parts.append(block(head, figures_of_scene))
     if omitted:
         parts.append(
             f'<p class="note">This page omits {omitted} panels to stay small; '
@@ -76,6 +71,20 @@ def section(report: Report, root: Path, charts: Path | None) -> str:
             "contain numbers only.</p>"
         )
     return "\n".join(parts)
+
+
+def heading(panels: list[Panel], title: str, name: str, charts: Path, remark: str = "") -> str:
+    """Title of a scene with a link to its panels as files, which are written under ``name``."""
+    html = escape(title) + (f' <span class="soft">{remark}</span>' if remark else "")
+    if any(panel.window for panel in panels):
+        short = panel_files.write(panels, name, charts)
+        html += f' <span class="soft">(<a href="charts/{short}.pdf">PDF</a>)</span>'
+    return html
+
+
+def block(head: str, figures: Iterable[str]) -> str:
+    """A scene with its views."""
+    return f'<section class="scene"><h3>{head}</h3><div class="panels">{"".join(figures)}</div></section>'
 
 
 def _within(room: int, scenes: list[dict[str, str]]) -> tuple[list[list[str]], int]:

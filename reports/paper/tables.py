@@ -42,8 +42,11 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
     for name, layout in layouts()["tables"].items():
         blocks = [
             block
-            for dataset, rows in _protocols(results, layout)
-            for block in _blocks(name, layout, dataset, rows, views, tables.get("superseded"))
+            for dataset, every in _protocols(results, layout)
+            for published, description, rows in _parts(name, dataset, every)
+            for block in _block(
+                name, layout, dataset, rows, published, description, views, tables.get("superseded")
+            )
         ]
         if blocks:
             papers.append(PaperTable(name, layout["title"], layout["head"], layout["columns"], blocks))
@@ -73,15 +76,8 @@ def _by_views(layout: dict[str, Any]) -> bool:
     return any("train_views" in line for line in layout["rows"])
 
 
-def _blocks(
-    name: str,
-    layout: dict[str, Any],
-    dataset: str,
-    results: pd.DataFrame,
-    views: Views,
-    superseded: pd.DataFrame | None,
-) -> Iterator[Block]:
-    """One block per published dataset that this one is or imitates, if the results have all its scenes."""
+def _parts(name: str, dataset: str, results: pd.DataFrame) -> list[tuple[str, dict[str, Any], pd.DataFrame]]:
+    """Each published dataset that this one is or imitates, its description, and the rows of its scenes."""
     parts = []
     for published, description in published_as(name, dataset).items():
         rows = _of_published(results, description)
@@ -89,10 +85,7 @@ def _blocks(
             parts.append((published, description, rows))
     if not parts and takes(name, dataset):
         parts.append((sole_dataset(name), {}, results[results["scenes_together"].isna()]))
-    for published, description, rows in parts:
-        block = _block(name, layout, dataset, rows, published, description, views, superseded)
-        if block is not None:
-            yield block
+    return parts
 
 
 def _of_published(results: pd.DataFrame, description: dict[str, Any]) -> pd.DataFrame:
@@ -120,8 +113,8 @@ def _block(
     description: dict[str, Any],
     views: Views,
     superseded: pd.DataFrame | None,
-) -> Block | None:
-    """A block; None if it has nothing to compare."""
+) -> Iterator[Block]:
+    """A block, if it has something to compare."""
     columns = layout["columns"]
     rows, seed_remarks = _rows(name, layout, results, published)
     measured = [
@@ -132,13 +125,10 @@ def _block(
     same = dataset in description.get("real", ())
     models = {(line["method"], line.get("variant"), line.get("train_views")) for line in measured}
     if len(models) < (1 if same or "scene" in layout["rows"][0] else _LEAST_ROWS):
-        return None
-    if (
-        _by_views(layout)
-        and not description
-        and len({line["train_views"] for line in measured}) < _LEAST_ROWS
-    ):
-        return None  # one number of views does not answer the table's question
+        return
+    several = len({line.get("train_views") for line in measured}) >= _LEAST_ROWS
+    if _by_views(layout) and not description and not several:
+        return  # one number of views does not answer the table's question
     rows = [row for row in rows if row.note != NOT_MEASURED or row.has_published]
     places, remarks = marks(rows, columns, views)
     first = results.iloc[0]
@@ -156,7 +146,7 @@ def _block(
     if superseded is not None:
         same_set = (superseded["dataset"] == dataset) & (superseded["preset"] == first["preset"])
         remarks += filter(None, [superseded_note(superseded[same_set])])
-    return Block(dataset, published, same, scenes, rows, places, remarks, ", ".join(protocol))
+    yield Block(dataset, published, same, scenes, rows, places, remarks, ", ".join(protocol))
 
 
 def _version_remarks(rows: list[Row], methods: Mapping[str, str]) -> list[str]:

@@ -375,14 +375,15 @@ def test_no_timing_without_parts():
 
 
 def features_table(count=60):
+    """Values of two attributes in two scenes."""
     rng = np.random.default_rng(0)
     rows = [
-        ("j", scene, name, list(rng.normal(size=count * width)), width)
+        (scene, name, list(rng.normal(size=count * width)), width)
         for scene in "ab"
         for name, width in (("opacity", 1), ("features", 4))
     ]
-    table = pd.DataFrame(rows, columns=["job", "scene", "name", "values", "width"])
-    return table.assign(dataset="d", method="econgs", preset="quick", **settings(""))
+    table = pd.DataFrame(rows, columns=["scene", "name", "values", "width"])
+    return table.assign(job="j", dataset="d", method="econgs", preset="quick", **settings(""))
 
 
 def test_histograms_pool_scenes_and_components():

@@ -14,6 +14,7 @@ from reports.page import results as results_table
 from reports.style import MOST_NAMED, OTHERS, OTHERS_NAME, Model, legend_entries, look, looks, named
 from tests.reports.charts.test_charts import (
     curve_table,
+    features_table,
     losses,
     rates,
     sections,
@@ -21,6 +22,7 @@ from tests.reports.charts.test_charts import (
     tradeoff,
     tradeoff_data,
 )
+from tests.reports.conftest import settings
 
 ECONGS, CLOUD, HAC = Model("econgs"), Model("3dgs", "start=cloud"), Model("hac")
 MODELS = [ECONGS, *(Model("econgs", f"features={i}") for i in range(20)), CLOUD, HAC]
@@ -224,16 +226,10 @@ def test_titles_of_panels_are_broken_before_they_are_cut():
 # --------------------------------------------------------------------------- attributes
 
 
-def attributes(values, variants=("",)):
-    rows = [("econgs", variant, "offsets", list(values), 1) for variant in variants]
-    table = pd.DataFrame(rows, columns=["method", "base", "name", "values", "width"])
-    table = table.assign(variant=table["base"], knob_value=None)
-    return table.assign(job="j", dataset="d", scene="s", preset="quick")
-
-
 def test_quantised_values_are_no_comb():
     values = np.random.default_rng(0).normal(0.0, 0.1, 20_000)
-    (panel,) = features.histograms(attributes(np.round(values / 0.047) * 0.047))
+    table = features_table().head(1).assign(values=[np.round(values / 0.047) * 0.047])
+    (panel,) = features.histograms(table)
     shares = np.array(panel.shares[ECONGS])
     assert len(find_peaks(np.pad(shares, 1), prominence=0.05 * shares.max())[0]) <= 3
     counted = np.histogram(values, panel.edges)[0] / 200
@@ -241,7 +237,8 @@ def test_quantised_values_are_no_comb():
 
 
 def test_histograms_of_many_variants_show_the_default():
-    table = attributes(np.arange(50.0), ["", *(f"features={i}" for i in range(12))])
+    variants = ["", *(f"features={i}" for i in range(12))]
+    table = pd.concat([features_table().head(1).assign(**settings(variant)) for variant in variants])
     assert list(features.histograms(table)[0].shares) == [ECONGS]
     presets = pd.concat([table, table.assign(preset="paper")])
     assert [panel.dataset for panel in features.histograms(presets)] == ["d · quick", "d · paper"]

@@ -145,6 +145,11 @@ class Browser:
         )
         self.point(*place)
 
+    def choose(self, selector: str, value: str) -> None:
+        """Select an option."""
+        element = f"document.querySelector({json.dumps(selector)})"
+        self.run(f"{element}.value = {json.dumps(value)}; {element}.dispatchEvent(new Event('input'))")
+
     def point(self, x: float, y: float, *, press: bool = True) -> None:
         """Move the mouse to a place of the window, and click there."""
         for kind in ("mouseMoved", *(("mousePressed", "mouseReleased") if press else ())):

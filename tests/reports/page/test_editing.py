@@ -70,4 +70,4 @@ def test_the_page_has_edits_once(edited, tmp_path) -> None:
 
 def test_without_edits_there_is_no_section(maker, tmp_path) -> None:
     maker.run()
-    assert editing.section(maker.report(), maker.root, None) == ""
+    assert editing.section(maker.report(), maker.root, tmp_path) == ""

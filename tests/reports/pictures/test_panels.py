@@ -158,12 +158,12 @@ def test_the_color_blind_can_read_the_scale(kind):
 def test_where_room_is_short_median_views_stay(maker):
     for scene in "abc":
         maker.run(scene=scene, views=3)
-    whole = scenes.section(maker.report(), maker.root, None)
+    whole = scenes.section(maker.report(), maker.root, maker.root)
     assert whole.count("Median view") == whole.count("Worst view") == 3
     assert '<p class="note">' not in whole
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scenes, "PICTURE_BYTES", len(whole) * 2 // 3)
-        page = scenes.section(maker.report(), maker.root, None)
+        page = scenes.section(maker.report(), maker.root, maker.root)
     assert page.count("Median view") == 3
     assert 0 < page.count("Worst view") < 3
     (note,) = re.findall(r'<p class="note">(.*?)</p>', page)
@@ -172,7 +172,7 @@ def test_where_room_is_short_median_views_stay(maker):
 
 def test_composed_scenes_are_shown_and_named(maker):
     maker.run(scene="both", kind="composed", views=2)
-    page = scenes.section(maker.report(), maker.root, None)
+    page = scenes.section(maker.report(), maker.root, maker.root)
     assert re.search(r"<h3>[^<]*both <span[^>]*>composed</span>", page)
     assert page.count('<figure class="card panel"') == 2
 
