@@ -10,6 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from reports.charts import parts
 from reports.charts.parts import OTHER
 from reports.schema import COLUMNS
@@ -179,17 +181,22 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
         for keys, group in good.groupby(["method", "variant", "rate"], dropna=False, sort=False):
             family = model(keys[0], group["base"].iloc[0])
             line = lines.setdefault(family, Line(family, model(*keys[:2])))
-            per_scene = group.groupby("scene", sort=False)
-            means = per_scene[[against, "psnr"]].mean()
-            jobs = [[str(job) for job in seeds["job"]] for _, seeds in per_scene]
+            # By hand: pandas takes milliseconds per group, and a report has thousands.
+            seeds: dict[str, list[tuple[float, float, str]]] = {}
+            for scene, *seed in zip(
+                *(group[name] for name in ("scene", against, "psnr", "job")), strict=True
+            ):
+                seeds.setdefault(str(scene), []).append((float(seed[0]), float(seed[1]), str(seed[2])))
+            means = {scene: np.mean([(x, y) for x, y, _ in rows], axis=0) for scene, rows in seeds.items()}
             line.scenes += [
-                Spot(float(x) / unit, float(y), 0.0, str(scene), keys)
-                for scene, x, y, keys in zip(means.index, means[against], means["psnr"], jobs, strict=True)
+                Spot(float(x) / unit, float(y), 0.0, scene, [job for *_, job in seeds[scene]])
+                for scene, (x, y) in means.items()
             ]
-            if scenes == set(means.index):
-                x, y = float(means[against].mean()) / unit, float(means["psnr"].mean())
+            if scenes == set(means):
+                x, y = np.mean(list(means.values()), axis=0)
                 size = float(group["size_bytes"].fillna(0).astype(float).mean())
-                line.means.append(Spot(x, y, size, "mean over scenes", [mean_key(group.iloc[0])]))
+                spot = Spot(float(x) / unit, float(y), size, "mean over scenes", [mean_key(group.iloc[0])])
+                line.means.append(spot)
         own = named(lines)
         for line in lines.values():
             line.means.sort(key=lambda spot: (spot.size, spot.x))

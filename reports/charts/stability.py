@@ -55,12 +55,11 @@ def records(results: pd.DataFrame, views: pd.DataFrame) -> list[Record]:
     basic = results[results["kind"] == "basic"]
     rows_of_methods = []
     axes = ["dataset", "method", "variant", "preset", "split"]
+    of_jobs = views.groupby("job")["psnr"].agg(["median", "min"])
     for keys, rows in basic.groupby(axes, dropna=False, sort=False):
         good = rows[rows["status"] == "ok"]
         failed = rows.loc[rows["status"] != "ok", "status"].value_counts()
-        seen = views[views["job"].isin(set(good["job"]))]
-        per_job = seen.groupby(["job", "rate"], dropna=False)["psnr"]
-        gaps = (per_job.median() - per_job.min()).dropna()
+        seen = of_jobs.reindex(good["job"]).dropna()
         rows_of_methods.append(
             Record(
                 dataset=str(keys[0]),
@@ -68,8 +67,8 @@ def records(results: pd.DataFrame, views: pd.DataFrame) -> list[Record]:
                 rows=len(rows),
                 failed={str(status): int(count) for status, count in failed.items()},
                 seed_gap=_seed_gap(good),
-                view_gap=float(gaps.mean()) if len(gaps) else None,
-                lowest=float(seen["psnr"].min()) if seen["psnr"].notna().any() else None,
+                view_gap=float((seen["median"] - seen["min"]).mean()) if len(seen) else None,
+                lowest=float(seen["min"].min()) if len(seen) else None,
                 missing=_most(good, "missing"),
                 excess=_most(good, "excess"),
             )

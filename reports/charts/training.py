@@ -247,14 +247,23 @@ def _parts_table(rows: pd.DataFrame) -> pd.DataFrame:
     fits = []
     for _, fit in rows.groupby("job", sort=False):
         points = _long_enough(fit.drop_duplicates("iteration"))
-        parts = [json.loads(text) for text in points["losses"]]
-        table = pd.DataFrame(parts, index=points["iteration"].astype(int))
+        steps = {
+            int(at): json.loads(text) for at, text in zip(points["iteration"], points["losses"], strict=True)
+        }
         # A part cannot exceed the sum; what does is another figure (bits per attribute, say).
-        of_sum = [name for name in table if not (table[name] > 1.001 * table["loss"]).any()]
-        fits.append(table[of_sum])
-    shared = set.intersection(*(set(fit.index) for fit in fits))
-    every = pd.concat([fit.loc[sorted(shared)] for fit in fits])
-    return every.groupby(level=0, sort=True).mean()
+        other = {
+            name for step in steps.values() for name, value in step.items() if value > 1.001 * step["loss"]
+        }
+        fits.append({at: {n: v for n, v in step.items() if n not in other} for at, step in steps.items()})
+    shared = sorted(set.intersection(*(set(fit) for fit in fits)))
+    names = list(dict.fromkeys(name for fit in fits for at in shared for name in fit[at]))
+    means = {name: [_present_mean([fit[at].get(name) for fit in fits]) for at in shared] for name in names}
+    return pd.DataFrame(means, index=shared, dtype=float)
+
+
+def _present_mean(values: list[float | None]) -> float:
+    present = [value for value in values if value is not None]
+    return sum(present) / len(present) if present else float("nan")
 
 
 def _long_enough(points: pd.DataFrame) -> pd.DataFrame:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from reports import markup
 from reports.pictures import panel_files
 from reports.pictures.difference import DELTA_E_MAX, scale
-from reports.pictures.files import uri
+from reports.pictures.files import pictures, uri
 from reports.pictures.panels import RULE, WHICH, Panel, Shot, models, panels
 from reports.pictures.transfer import beside
 from reports.style import Model, label
@@ -42,12 +42,17 @@ def section(report: Report, root: Path, charts: Path) -> str:
     keys = ["dataset", "scene", "preset", "split"]
     blocks: list[tuple[str, dict[str, str]]] = []
     without = 0
-    for _, rows in results.groupby(keys, dropna=False, sort=False):
+    views_of = dict(list(tables["views"].groupby(keys, dropna=False, sort=False)))
+    for scene, rows in results.groupby(keys, dropna=False, sort=False):
+        views = views_of.get(scene, tables["views"][:0])
+        if not pictures(views, root):
+            without += bool(len(views))
+            continue
         rows = models(rows)
         first = rows.iloc[0]
         axes = [str(first[a]) for a in ("preset", "split") if results[a].nunique(dropna=False) > 1]
         name = " · ".join([f"{first['dataset']} / {first['scene']}", *axes])
-        of_scene = beside(panels(rows, tables["views"], root), tables.get("scenes"), first)
+        of_scene = beside(panels(rows, views, root), tables.get("scenes"), first)
         informative = [panel for panel in of_scene if panel.informative]
         if not informative:
             without += bool(of_scene)

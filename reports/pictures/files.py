@@ -6,12 +6,15 @@ import base64
 import io
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reports.style import absent
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _SIDE = 400  # pixels; the page reduces larger pictures
 _LOSSLESS = 256  # pixels; the page keeps every pixel of pictures up to this side
@@ -29,6 +32,18 @@ def inside(root: Path, name: Any) -> Path:
     if not path.is_relative_to(root.resolve()):
         raise ValueError(f"{name} is outside the run store")
     return path
+
+
+def pictures(views: pd.DataFrame, root: Path) -> bool:
+    """Whether a store has a picture of any row of the table `views`, or a row names a file outside it."""
+
+    def present(name: Any) -> bool:
+        try:
+            return inside(root, name).is_file()
+        except ValueError:
+            return True
+
+    return any(present(name) for name in views["render_file"])
 
 
 def background(value: Any) -> tuple[float, float, float]:
