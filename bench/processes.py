@@ -19,7 +19,7 @@ import socket
 import subprocess
 import sys
 from array import array
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -88,14 +88,7 @@ class Processes:
 
     def start(self, folder: Path, log: IO[bytes]) -> Process:
         """A worker in an interpreter of its own, which writes to ``log``."""
-        return subprocess.Popen(
-            [sys.executable, "-m", "bench.worker", str(folder)],
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            env=self._environment,
-        )
+        return self._launch("bench.worker", str(folder), output=log)
 
     def fork(self, folder: Path, log: IO[bytes]) -> Process:
         """A worker forked from the server, which is started (again) if it does not run."""
@@ -115,15 +108,21 @@ class Processes:
             return
         self._connection, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            self.server = subprocess.Popen(
-                [sys.executable, "-m", SERVER, str(theirs.fileno())],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
-                pass_fds=[theirs.fileno()],
-                env=self._environment,
-            )
+            number = theirs.fileno()
+            self.server = self._launch(SERVER, str(number), output=subprocess.DEVNULL, pass_fds=[number])
+
+    def _launch(
+        self, *arguments: str, output: IO[bytes] | int, pass_fds: Sequence[int] = ()
+    ) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-m", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            pass_fds=pass_fds,
+            env=self._environment,
+        )
 
     def close(self) -> None:
         """End the server."""

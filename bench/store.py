@@ -72,24 +72,10 @@ class Store:
             )
         if create and version != SCHEMA:
             write_text(marker, json.dumps({"schema_version": SCHEMA}) + "\n")
-        for folder in (self.jobs, self.partial, self.locks, self.tables):
+        folders = [self.root / name for name in ("jobs", "partial", "locks", "tables")]
+        self.jobs, self.partial, self.locks, self.tables = folders
+        for folder in folders:
             folder.mkdir(exist_ok=True)
-
-    @property
-    def jobs(self) -> Path:
-        return self.root / "jobs"
-
-    @property
-    def partial(self) -> Path:
-        return self.root / "partial"
-
-    @property
-    def locks(self) -> Path:
-        return self.root / "locks"
-
-    @property
-    def tables(self) -> Path:
-        return self.root / "tables"
 
     def lock(self, name: str) -> FileLock:
         """The lock of a job or of "tables"; the system frees it when its holder dies."""

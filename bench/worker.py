@@ -14,7 +14,6 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from importlib import import_module
@@ -29,7 +28,7 @@ from bench.store import Store
 from bench.timing import machine_lock, peak_device_bytes
 from datasets.errors import DataError
 from datasets.memory import peak_host_bytes
-from methods.interface import Diverged, Method, Refused
+from methods.interface import Diverged, Refused
 
 if TYPE_CHECKING:
     from methods.interface import MethodSpec
@@ -90,7 +89,7 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         spec = _spec(task)
         if spec is not None:
             prepare_device(job.device, spec)
-        context = Context(job, folder, store, spec, _loader(spec, task.threads), stop, report)
+        context = Context(job, folder, store, spec, task.threads, stop, report)
         fields = {job.kind: import_module(f"bench.jobs.{job.kind}").run(context)}
     except Refused as error:
         status, reason = "refused", str(error)
@@ -174,21 +173,6 @@ def _spec(task: Task) -> MethodSpec | None:
     from methods.registry import Registry
 
     return Registry(task.plugins).spec(task.job.method)
-
-
-def _loader(spec: MethodSpec | None, threads: int) -> Callable[[], Method]:
-    """A function that imports the implementation and limits torch, if that is imported, to ``threads``."""
-
-    def load() -> Method:
-        from methods.registry import load_method
-
-        assert spec is not None
-        method = load_method(spec)
-        if "torch" in sys.modules:
-            sys.modules["torch"].set_num_threads(threads)
-        return method
-
-    return load
 
 
 def prepare_device(device: str, spec: MethodSpec) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from bench.monitor import Progress, Stop
 from bench.records import Job, Record
 from bench.store import Store
 from methods.interface import Method, MethodSpec
+from methods.registry import load_method
 
 
 @dataclass
@@ -22,7 +23,7 @@ class Context:
         folder: takes the files of the job.
         store: holds the finished jobs.
         spec: declaration of the method; None for views and dvr.
-        method: loads the implementation of the method.
+        threads: limit for torch.
         peak_host_bytes, peak_device_bytes: peak of a part of the job; None: that of the whole process counts.
     """
 
@@ -30,17 +31,24 @@ class Context:
     folder: Path
     store: Store
     spec: MethodSpec | None
-    method: Callable[[], Method]
+    threads: int
     stop: Stop
     report: Progress
     peak_host_bytes: int | None = None
     peak_device_bytes: int | None = None
 
+    def method(self) -> Method:
+        """The implementation of the method; torch, if it imports that, gets the job's threads."""
+        assert self.spec is not None
+        method = load_method(self.spec)
+        if "torch" in sys.modules:
+            sys.modules["torch"].set_num_threads(self.threads)
+        return method
+
     @property
     def options(self) -> Any:
         """The method's options, typed."""
-        if self.spec is None:
-            raise RuntimeError(f"{self.job.id} has no method")
+        assert self.spec is not None
         return self.spec.options(**self.job.options)
 
     def input(self, kind: str) -> Record:

@@ -110,18 +110,12 @@ def declare_torchvision_operators() -> None:
     """
     import torch
 
-    for name, schema in (
-        ("nms", "nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"),
-        (
-            "qnms",
-            "qnms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor",
-        ),
-    ):
+    for name in ("nms", "qnms"):
         try:
             torch._C._get_schema(f"torchvision::{name}", "")
         except RuntimeError:
             fragment = torch.library.Library("torchvision", "FRAGMENT")
-            fragment.define(schema)
+            fragment.define(f"{name}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
             _fragments.append(fragment)  # a schema lives as long as its fragment
 
 

@@ -48,7 +48,7 @@ def test_a_fit_reads_what_was_rendered_bit_for_bit_and_opens_no_dataset(
     store.finish(Record(job=views, status="ok", started="2026", finished="2026", wall_seconds=0.0), folder)
 
     monkeypatch.setattr(scenes, "open_dataset", lambda name: Path("/nowhere").stat())
-    context = Context(fit, tmp_path, store, None, lambda: None, Stop(), lambda **state: None)
+    context = Context(fit, tmp_path, store, None, 1, Stop(), lambda **state: None)
     (scene,) = scenes.scene_inputs(context)
     assert scene.scene == dataset.scene("shock")
     train, other = (sets[name] for name in splits)
