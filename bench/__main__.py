@@ -38,7 +38,7 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code."""
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     from datasets.errors import DataError
 
     module, _, function = COMMANDS[options.command].partition(":")
@@ -71,7 +71,8 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"bench: {message}. See `{self.prog} --help`\n")
 
 
-def _parser() -> _Parser:
+def parser() -> _Parser:
+    """The command line."""
     parser = _Parser(
         prog="bench",
         description="Benchmark of compressed scene representations of volume visualisation.",

@@ -40,7 +40,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from bench.__main__ import _parser
+from bench.__main__ import parser
 from bench.store import Store
 from bench.tables import build_tables
 from reports.charts import svg
@@ -243,9 +243,9 @@ def index(_: str) -> str:
 
 def commands(_: str) -> str:
     """Every command of ``bench`` with its arguments and options, as Markdown."""
-    parser = _parser()
-    (subcommands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-    text = f"{parser.epilog}\n"
+    program = parser()
+    (subcommands,) = (action for action in program._actions if isinstance(action, argparse._SubParsersAction))
+    text = f"{program.epilog}\n"
     for name, command in subcommands.choices.items():
         purpose = _escaped(command.description)
         text += f"\n## bench {name}\n\n{purpose[:1].upper()}{purpose[1:]}.\n\n"
@@ -274,11 +274,6 @@ KINDS: dict[str, Callable[[str], str]] = {
 }
 
 
-def pages() -> list[Path]:
-    """The pages that may hold generated blocks."""
-    return sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), MEASURED / "README.md"])
-
-
 def generated(page: Path) -> dict[Path, str]:
     """A page with its blocks written anew, and its charts: file -> content."""
     text = page.read_text(encoding="utf-8")
@@ -292,7 +287,8 @@ def generated(page: Path) -> dict[Path, str]:
 
 def outdated() -> dict[Path, str]:
     """Files that differ from what the bundles and the parser give now -> their new content."""
-    files = {path: text for page in pages() for path, text in generated(page).items()}
+    pages = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), MEASURED / "README.md"])
+    files = {path: text for page in pages for path, text in generated(page).items()}
     return {
         path: text
         for path, text in files.items()

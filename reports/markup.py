@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from reports.style import Model, absent, label, look, model
+from reports.style import Model, absent, look, model, row_label
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -18,7 +18,7 @@ _LONG = 30
 def method(row: Any, models: Sequence[Model]) -> str:
     """A row's method with variant and rate, after a dot in its color in the charts."""
     shade = look(model(row["method"], row["variant"]), models).color
-    name = escape(label(row["method"], row["variant"], row["rate"]))
+    name = escape(row_label(row))
     for after in ",=":
         name = name.replace(after, f"{after}<wbr>")
     return f'<span class="dot" style="background:{shade}"></span>{name}'

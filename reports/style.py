@@ -43,10 +43,14 @@ def label(method: Any, variant: Any = "", rate: Any = None) -> str:
     return " ".join(parts)
 
 
+def row_label(row: Any) -> str:
+    """What the model of a row is called."""
+    return label(row["method"], row["variant"], row["rate"])
+
+
 def mean_key(row: Any) -> str:
     """What links a row of means in the page's table to its points in charts; a scene's row has its job."""
-    name = label(row["method"], row["variant"], row["rate"])
-    return " / ".join([str(row["dataset"]), name, str(row["preset"]), str(row["split"])])
+    return " / ".join([str(row["dataset"]), row_label(row), str(row["preset"]), str(row["split"])])
 
 
 class Model(NamedTuple):

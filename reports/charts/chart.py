@@ -18,8 +18,6 @@ WIDTH, HEIGHT = 380.0, 310.0
 INK, GRAY = "#222222", "#888888"
 """Colors of text, and of what is no series."""
 _TOP, _RIGHT, _BOTTOM = 8.0, 10.0, 44.0
-_TICK = 11.0
-"""Size of the font of ticks and labels in pixels."""
 MOST_LABELS = 10
 """More series than this are named by a legend and when pointed at."""
 _MOST_ROOM = 0.35
@@ -207,7 +205,7 @@ class Panel:
     @cached_property
     def box(self) -> tuple[float, float, float, float]:
         """Left, top, width and height of the area between the axes, in pixels from the upper left corner."""
-        ticks = max((text_width(text, _TICK) for _, text in self.y.ticks), default=0.0)
+        ticks = max((text_width(text) for _, text in self.y.ticks), default=0.0)
         left = ticks + (28.0 if self.y.title else 10.0)
         return left, _TOP, self.width - left - _RIGHT, self.height - _TOP - _BOTTOM
 

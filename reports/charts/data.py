@@ -250,7 +250,7 @@ def ledger(table: pd.DataFrame) -> tuple[list[Bar], list[str]]:
             bar.amounts[family] = bar.amounts.get(family, 0.0) + count
             bar.details.setdefault(family, {})[part] = count
         bars.append(bar)
-    for family in parts.merged(bar.amounts for bar in bars) - {OTHER}:
+    for family in parts.small(bar.amounts for bar in bars) - {OTHER}:
         for bar in bars:
             if family in bar.amounts:
                 bar.amounts[OTHER] = bar.amounts.get(OTHER, 0.0) + bar.amounts.pop(family)

@@ -130,13 +130,13 @@ def maps(features: pd.DataFrame) -> list[Map]:
     for (dataset, title), scenes in vectors.items():
         each = MOST_ANCHORS // len(scenes)
         rng = np.random.default_rng(0)
-        taken = {scene: rows[np.sort(rng.permutation(len(rows))[:each])] for scene, rows in scenes.items()}
-        every = np.concatenate(list(taken.values()))
+        sample = {scene: rows[np.sort(rng.permutation(len(rows))[:each])] for scene, rows in scenes.items()}
+        every = np.concatenate(list(sample.values()))
         if len(every) < _LEAST_ANCHORS:
             continue
         spots = umap.UMAP(random_state=0, n_jobs=1).fit_transform(every).astype(np.float64)
-        ends = np.cumsum([len(rows) for rows in taken.values()])[:-1]
-        panels.append(Map(dataset, title, dict(zip(taken, np.split(spots, ends), strict=True))))
+        ends = np.cumsum([len(rows) for rows in sample.values()])[:-1]
+        panels.append(Map(dataset, title, dict(zip(sample, np.split(spots, ends), strict=True))))
     return panels
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def written(charts: Mapping[str, Chart], folder: Path) -> Iterator[None]:
+def output(charts: Mapping[str, Chart], folder: Path) -> Iterator[None]:
     """Write charts as NAME.svg and NAME.pdf, fonts embedded; another process makes the PDF files meanwhile.
 
     Args:

@@ -61,7 +61,7 @@ def place_labels(
         area: left, top, right and bottom that labels stay within.
         avoid: further points that no label should cover.
     """
-    taken = [(x - 5, y - 5, x + 5, y + 5) for x, y in (*points, *avoid)]
+    occupied = [(x - 5, y - 5, x + 5, y + 5) for x, y in (*points, *avoid)]
     labels: list[Label] = []
     for (x, y), text in zip(points, texts, strict=True):
         most = int((area[2] - area[0]) / 2 / (text_width(text) / max(1, len(text))))
@@ -82,12 +82,12 @@ def place_labels(
                 cost = 3000.0 * outside + abs(lift)
                 if best is not None and cost >= best[0]:
                     continue
-                cost += sum(100.0 * overlap(box, other) for other in taken)
+                cost += sum(100.0 * overlap(box, other) for other in occupied)
                 if best is None or cost < best[0]:
                     best = cost, Label(x + dx, y + lift, anchor, lines, box, abs(lift) > FAR)
         assert best is not None
         labels.append(best[1])
-        taken.append(best[1].box)
+        occupied.append(best[1].box)
     return labels
 
 

@@ -49,7 +49,7 @@ def family(part: str) -> str:
     return _FAMILIES.get(part, part)
 
 
-def merged(bars: Iterable[Mapping[str, float]]) -> set[str]:
+def small(bars: Iterable[Mapping[str, float]]) -> set[str]:
     """The families that are too small to be drawn in any of the bars (amounts by family)."""
     largest: dict[str, float] = {}
     for amounts in bars:
@@ -61,9 +61,8 @@ def merged(bars: Iterable[Mapping[str, float]]) -> set[str]:
 
 def ordered(families: Iterable[str]) -> list[str]:
     """Families as they follow each other in every bar, what is unknown and the rest at the end."""
-    known = [name for name in _COLORS if name != OTHER]
-    place = {name: i for i, name in enumerate(known)} | {OTHER: len(known) + 1}
-    return sorted(dict.fromkeys(families), key=lambda name: place.get(name, len(known)))
+    place = {name: i for i, name in enumerate(_COLORS)} | {OTHER: len(_COLORS) + 1}
+    return sorted(dict.fromkeys(families), key=lambda name: place.get(name, len(_COLORS)))
 
 
 def colors(families: Iterable[str]) -> dict[str, str]:

@@ -39,8 +39,8 @@ _TRADEOFFS = (
     ("device-memory", "PSNR and device memory", "peak_device_bytes"),
 )
 """Name of the file, caption, column."""
-ANYTIME = "training time per scene [s]"
-HELD_OUT = "PSNR of a few held-out views [dB]"
+_ANYTIME = "training time per scene [s]"
+_PSNR = "PSNR of a few held-out views [dB]"
 _ESTIMATE = "estimated size per scene [MiB]"
 _CONVERGENCE = (
     ("seconds", "train_seconds", "training time of the fit [s]"),
@@ -204,8 +204,8 @@ def _anytime(report: Report) -> Section | None:
     curve = report.tables["curve"]
     panels = {what: training.anytime(curve, report.results, what) for what in ("psnr", "bytes_estimate")}
     charts = {
-        f"anytime-{name}": kinds.lines(panels[what], ANYTIME, title, report.models, log_y=what != "psnr")
-        for name, what, title in (("psnr", "psnr", HELD_OUT), ("size", "bytes_estimate", _ESTIMATE))
+        f"anytime-{name}": kinds.lines(panels[what], _ANYTIME, title, report.models, log_y=what != "psnr")
+        for name, what, title in (("psnr", "psnr", _PSNR), ("size", "bytes_estimate", _ESTIMATE))
         if panels[what]
     }
     if not charts:
@@ -215,21 +215,23 @@ def _anytime(report: Report) -> Section | None:
         f"scenes counts for each with its time / n. PSNR is of {_HELD_OUT}; size is "
         f"the method's own estimate."
     )
-    entries = kinds.legend_of(panels["psnr"], report.models)
+    entries = {
+        name: look for each in panels.values() for name, look in kinds.legend_of(each, report.models).items()
+    }
     heads = ["Dataset", "Method", *(f"{level:g} dB" for level in training.LEVELS)]
-    rows = [
-        [dataset, line.title, *(MISSING if t is None else seconds(t) for t in times)]
-        for dataset, lines in panels["psnr"].items()
-        for line, times in training.time_to_quality(lines)
-    ]
+    rows = []
+    for dataset, lines in panels["psnr"].items():
+        for line in lines:
+            times = [training.time_to_quality(line, level) for level in training.LEVELS]
+            rows.append([dataset, line.title, *(MISSING if t is None else seconds(t) for t in times)])
     words += _rates_left_out(curve)
     words += _GRAY if OTHERS_NAME in entries else ""
-    times = table("Time to a quality", heads, rows) if rows else ""
+    levels = table("Time to a quality", heads, rows) if rows else ""
     side_by_side = cards(panel for group in _by_title(charts).values() for panel in group)
     return Section(
         "anytime",
         "Quality over training time",
-        f"<p>{words}</p>{legend(entries)}{side_by_side}{times}"
+        f"<p>{words}</p>{legend(entries)}{side_by_side}{levels}"
         '<p class="note">Seconds of training per scene until the PSNR of these views first reaches the '
         f"level, linear between evaluations; {MISSING}: never.</p>",
         charts,
@@ -242,7 +244,7 @@ def _convergence(report: Report) -> Section | None:
     entries: dict[str, Look] = {}
     for name, against, title in _CONVERGENCE:
         if panels := training.convergence(curve, against):
-            chart = kinds.lines(panels, title, HELD_OUT, report.models, log_x=False)
+            chart = kinds.lines(panels, title, _PSNR, report.models, log_x=False)
             charts[f"convergence-{name}"] = chart
             entries |= kinds.legend_of(panels, report.models)
     words = (

@@ -145,15 +145,11 @@ def _mean(fits: list[tuple[list[float], list[float], int]]) -> tuple[list[float]
     return times, [float(v) for v in weights @ values / weights.sum()]
 
 
-def time_to_quality(curves: list[Curve]) -> list[tuple[Curve, list[float | None]]]:
-    """Seconds per scene at which each curve first reaches each of :data:`LEVELS`; None where it never does.
+def time_to_quality(curve: Curve, level: float) -> float | None:
+    """Seconds per scene at which a curve first reaches a level, linear between evaluations; None if never.
 
-    Linear between evaluations; a curve that begins above a level has reached it by its first evaluation.
+    A curve that begins above a level has reached it by its first evaluation.
     """
-    return [(curve, [_reached(curve, level) for level in LEVELS]) for curve in curves]
-
-
-def _reached(curve: Curve, level: float) -> float | None:
     for i, (x, y) in enumerate(zip(curve.x, curve.y, strict=True)):
         if y >= level:
             if i == 0:

@@ -58,7 +58,7 @@ def write_report(
     charts = [] if results.empty else chart_sections(report)
     drawings = {name: chart for section in charts for name, chart in section.charts.items()}
     sections: list[Section] = []
-    with chart_files.written(drawings, folder):
+    with chart_files.output(drawings, folder):
         if not results.empty:
             parts = (
                 ("results", "Results", results_table.section(report)),

@@ -13,7 +13,7 @@ from reports.pictures.difference import DELTA_E_MAX, scale
 from reports.pictures.files import pictures, uri
 from reports.pictures.panels import RULE, WHICH, Panel, Shot, models, panels
 from reports.pictures.transfer import beside
-from reports.style import Model, label
+from reports.style import Model, row_label
 from reports.tables.columns import cell
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ def _shot(panel: Panel, shot: Shot, where: str, models: list[Model]) -> str:
     if shot.picture is None or shot.difference is None:
         state = "" if shot.row["status"] == "ok" else markup.status(shot.row)
         return f'<div class="shot">{name}<p class="note">{state} {escape(shot.problem)}</p></div>'
-    model = label(shot.row["method"], shot.row["variant"], shot.row["rate"])
+    model = row_label(shot.row)
     zoom = _image(panel.zoom(shot.picture), f"{where}: {model}, enlarged")
     difference = _picture(panel, shot.difference, where, f"ΔE*uv of {model}")
     values = (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from reports.pictures.difference import DELTA_E_MAX, scale
 from reports.pictures.panels import Panel, Shot
-from reports.style import label
+from reports.style import row_label
 from reports.tables.columns import cell
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def _write(axes: Axes, left: float, top: float, text: str, **style: Any) -> None
 
 def _name(shot: Shot) -> str:
     """Method, variant and rate, in lines that fit above a picture."""
-    return textwrap.fill(label(shot.row["method"], shot.row["variant"], shot.row["rate"]), _BOLD)
+    return textwrap.fill(row_label(shot.row), _BOLD)
 
 
 def _above(panel: Panel) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from reports.schema import METRICS
-from reports.style import MISSING, absent, label
+from reports.style import MISSING, absent, row_label
 from reports.tables.columns import records
 
 if TYPE_CHECKING:
@@ -97,15 +97,13 @@ def signed(value: float, digits: int = 2, sign: bool = True) -> str:
 
 
 def _axes(row: dict[str, Any]) -> dict[str, Any]:
-    return {axis: str(row[axis]) for axis in _AXES} | {
-        "method": label(row["method"], row["variant"], row["rate"])
-    }
+    return {axis: str(row[axis]) for axis in _AXES} | {"method": row_label(row)}
 
 
 def _pair(first: dict[str, Any], second: dict[str, Any], interval: Interval) -> dict[str, Any]:
     return {
-        "first": _axes(first)["method"],
-        "second": _axes(second)["method"],
+        "first": row_label(first),
+        "second": row_label(second),
         "difference": interval.mean,
         "low": interval.low,
         "high": interval.high,

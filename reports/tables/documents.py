@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from reports.schema import by_name
-from reports.style import MISSING, absent, label
+from reports.style import MISSING, absent, row_label
 from reports.tables.columns import cell, is_results
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
 from reports.tables.results import with_notes
@@ -100,7 +100,7 @@ def _rows(table: pd.DataFrame, marks: Marks) -> Iterator[list[tuple[str, int]]]:
 def _unfinished(results: pd.DataFrame) -> list[str]:
     """Each unfinished row with its reason."""
     return [
-        f"{row['dataset']}, {row['scene']}, {label(row['method'], row['variant'], row['rate'])}: "
+        f"{row['dataset']}, {row['scene']}, {row_label(row)}: "
         f"{row['status']}{'' if absent(row['reason']) else f' ({row.reason})'}"
         for _, row in results[results["status"] != "ok"].iterrows()
     ]

@@ -269,8 +269,7 @@ def test_charts_of_training_show_the_default_of_a_rate_knob(maker):
 
 def test_time_to_quality_is_linear_between_evaluations():
     curve = training.Curve(Model("m"), "m", [10.0, 20.0, 40.0, 80.0], [31.0, 33.0, 32.5, 33.5])
-    ((_, times),) = training.time_to_quality([curve])
-    assert times == [10.0, 15.0, None]
+    assert [training.time_to_quality(curve, level) for level in (30, 32, 34)] == [10.0, 15.0, None]
 
 
 def test_loss_parts_without_figures_that_are_no_part_and_with_the_start_of_the_rate():

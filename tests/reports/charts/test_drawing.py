@@ -119,7 +119,7 @@ def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path, mon
             maker.run(dataset, method=method, views=0, psnr=30 + len(method))
     chart = tradeoff(maker, "fps")
     for name in "ab":
-        with files.written({"psnr-fps": chart}, tmp_path / name):
+        with files.output({"psnr-fps": chart}, tmp_path / name):
             pass
     paths = [tmp_path / name / "psnr-fps.pdf" for name in "ab"]
     assert paths[0].read_bytes() == paths[1].read_bytes()
@@ -130,7 +130,7 @@ def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path, mon
 
 def test_a_chart_that_cannot_be_converted_is_an_error(maker, tmp_path, monkeypatch):
     monkeypatch.setattr("reports.charts.svg.file", lambda chart: "<svg")
-    with pytest.raises(RuntimeError, match="PDF"), files.written({"broken": None}, tmp_path):
+    with pytest.raises(RuntimeError, match="PDF"), files.output({"broken": None}, tmp_path):
         pass
 
 

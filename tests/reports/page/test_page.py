@@ -64,7 +64,7 @@ def page(maker, draw: bool = False) -> tuple[str, str]:
     """The page's source and its text; the charts for papers take seconds and are drawn if asked for."""
     with contextlib.ExitStack() as stack:
         if not draw:
-            stack.enter_context(patch.object(files, "written", return_value=contextlib.nullcontext()))
+            stack.enter_context(patch.object(files, "output", return_value=contextlib.nullcontext()))
             stack.enter_context(patch.object(panel_files, "write", return_value="panel"))
         path = write_report(maker.tables(), maker.root, maker.root / "report.html")
     assert path.stat().st_size < 10e6

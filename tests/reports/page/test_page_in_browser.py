@@ -25,7 +25,7 @@ def write(maker: Maker) -> Path:
     """The page alone: the files beside it and the paper's tables have tests of their own."""
     with (
         patch.object(page_module, "write_files"),
-        patch.object(page_module.chart_files, "written", return_value=nullcontext()),
+        patch.object(page_module.chart_files, "output", return_value=nullcontext()),
         patch.object(page_module.verdicts, "section", return_value=""),
         patch.object(panel_files, "write", return_value="panel"),
     ):
