@@ -115,14 +115,38 @@ def check_expansion(path: Path, compressed: int, expected: int, dims: tuple[int,
         raise wrong_size(path, expected, f"{compressed} compressed bytes", dims, dtype)
 
 
-def gunzip(
-    file: BinaryIO, path: Path, compressed: int, skip: int, dims: tuple[int, ...], dtype: np.dtype
-) -> bytearray:
-    """Decompress a gzip stream to exactly the bytes that dims and type need.
+def read_values(
+    path: Path, start: int, skip: int, dims: tuple[int, ...], dtype: np.dtype, gzipped: bool
+) -> NDArray[np.generic]:
+    """Values (nz, ny, nx) at the end of a file, memory-mapped, or from a gzip stream.
+
+    Args:
+        path: the file.
+        start: where the values or their stream begin.
+        skip: further bytes before the first value, within the stream; -1: all that are not values.
+        dims: samples along x, y, z.
+        dtype: type in the file.
+        gzipped: whether a gzip stream holds them.
 
     Raises:
-        DataError: the stream is damaged, ends early, or holds more.
+        DataError: the file has another size than dims and type need, or its stream is damaged.
     """
+    size, expected = path.stat().st_size, math.prod(dims) * dtype.itemsize
+    if gzipped:
+        with path.open("rb") as file:
+            file.seek(start)
+            data = _gunzip(file, path, size - start, max(skip, 0), dims, dtype)
+        return np.frombuffer(data, dtype).reshape(dims[::-1])
+    offset = size - expected if skip == -1 else start + max(skip, 0)
+    if offset < start or offset + expected != size:
+        raise wrong_size(path, expected, f"{size - max(offset, start)} bytes", dims, dtype.name)
+    return np.memmap(path, dtype, mode="r", offset=offset, shape=dims[::-1])
+
+
+def _gunzip(
+    file: BinaryIO, path: Path, compressed: int, skip: int, dims: tuple[int, ...], dtype: np.dtype
+) -> bytearray:
+    """Decompress a gzip stream to exactly the bytes that dims and type need."""
     expected = math.prod(dims) * dtype.itemsize
     check_expansion(path, compressed, expected, dims, dtype.name)
     data = bytearray()

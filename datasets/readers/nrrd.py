@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.readers.finish import UNIT, Spacing, gunzip, positive_dims, wrong_size
+from datasets.readers.finish import UNIT, Spacing, positive_dims, read_values
 
 _DTYPES = {
     "uint8": ("uchar", "unsigned char", "uint8", "uint8_t"),
@@ -94,18 +94,9 @@ def _data(
     line_skip: int,
     byte_skip: int,
 ) -> NDArray[np.generic]:
-    expected = math.prod(dims) * dtype.itemsize
-    size = path.stat().st_size
+    if encoding not in ("raw", "gzip", "gz"):
+        raise DataError(path, f"encoding {encoding!r} is not supported", _REMEDY)
     for _ in range(max(line_skip, 0)):
         if not file.readline():
             break
-    start, shape = file.tell(), tuple(reversed(dims))
-    if encoding in ("gzip", "gz"):
-        data = gunzip(file, path, size - start, max(byte_skip, 0), dims, dtype)
-        return np.frombuffer(data, dtype).reshape(shape)
-    if encoding != "raw":
-        raise DataError(path, f"encoding {encoding!r} is not supported", _REMEDY)
-    offset = size - expected if byte_skip == -1 else start + max(byte_skip, 0)
-    if offset < start or offset + expected != size:
-        raise wrong_size(path, expected, f"{size - start} bytes", dims, dtype.name)
-    return np.memmap(path, dtype, mode="r", offset=offset, shape=shape)
+    return read_values(path, file.tell(), byte_skip, dims, dtype, encoding != "raw")

@@ -12,7 +12,6 @@ Sidecar ``fuel.raw.toml`` beside ``fuel.raw`` (it wins over the name)::
 
 from __future__ import annotations
 
-import math
 import re
 import tomllib
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from datasets.errors import DataError
-from datasets.readers.finish import UNIT, Spacing, gunzip, positive_dims, wrong_size
+from datasets.readers.finish import UNIT, Spacing, positive_dims, read_values
 
 _DTYPES = tuple(f"{sign}int{bits}" for bits in (8, 16, 32, 64) for sign in ("u", ""))
 _DTYPES = (*_DTYPES, "float16", "float32", "float64")
@@ -58,20 +57,9 @@ class Layout:
 def read_raw(path: Path) -> tuple[NDArray[np.generic], Spacing]:
     """Values (nz, ny, nx) and spacing of a raw file."""
     layout = layout_of(path)
-    dims = layout.dims
-    positive_dims(dims, path)
-    expected = math.prod(dims) * layout.dtype.itemsize
-    size = path.stat().st_size
-    shape = tuple(reversed(dims))
-    if path.name.lower().endswith(".gz"):
-        with path.open("rb") as file:
-            data = gunzip(file, path, size, layout.header_bytes, dims, layout.dtype)
-        return np.frombuffer(data, layout.dtype).reshape(shape), layout.spacing
-    if size != expected + layout.header_bytes:
-        actual = f"{size - layout.header_bytes} bytes"
-        raise wrong_size(path, expected, actual, dims, layout.dtype.name)
-    values = np.memmap(path, layout.dtype, mode="r", offset=layout.header_bytes, shape=shape)
-    return values, layout.spacing
+    positive_dims(layout.dims, path)
+    gzipped = path.name.lower().endswith(".gz")
+    return read_values(path, 0, layout.header_bytes, layout.dims, layout.dtype, gzipped), layout.spacing
 
 
 def layout_of(path: Path) -> Layout:

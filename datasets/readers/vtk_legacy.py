@@ -211,12 +211,8 @@ class LegacyFile:
                 raise ValueError("a field array's header")
             if words[0].upper() == "METADATA":
                 raise ValueError("METADATA within a field")
-            name, components, tuples, kind = (
-                words[-4],
-                self._count(words[-3]),
-                self._count(words[-2]),
-                words[-1],
-            )
+            name, kind = words[-4], words[-1]
+            components, tuples = self._count(words[-3]), self._count(words[-2])
             fits = tuples == self._tuples
             self._skip(name if fits else "", kind, components, tuples)
             if self._line_of("METADATA") is not None:

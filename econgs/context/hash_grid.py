@@ -163,18 +163,13 @@ def make_lookup(config: GridConfig, codes: Tensor, extent: Sequence[int]) -> Loo
     return Lookup(index, weight, config)
 
 
-def signs(parameters: Tensor) -> Tensor:
-    """±1, the coded form of the parameters; zero counts as positive."""
-    return torch.where(parameters >= 0.0, 1.0, -1.0).to(parameters.dtype)
-
-
 class _Sign(torch.autograd.Function):
-    """Sign with the straight-through gradient where |p| ≤ 1."""
+    """Signs ±1 (zero counts as positive) with the straight-through gradient where |p| ≤ 1."""
 
     @staticmethod
     def forward(ctx: Any, parameters: Tensor) -> Tensor:  # type: ignore[override]
         ctx.save_for_backward(parameters)
-        return signs(parameters)
+        return torch.where(parameters >= 0.0, 1.0, -1.0).to(parameters.dtype)
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> Tensor:  # type: ignore[override]

@@ -27,18 +27,12 @@ static void adam(float* p, const float* g, float* m, float* v, int64_t n, const 
     store(p + i, load(p + i) - change);
   }
   if (i < n) {
-    vf grad = {}, first = {}, second = {};
-    for (int l = 0; i + l < n; ++l) {
-      grad[l] = g[i + l];
-      first[l] = m[i + l];
-      second[l] = v[i + l];
-    }
-    const vf change = update(grad, first, second);
-    for (int l = 0; i + l < n; ++l) {
-      m[i + l] = first[l];
-      v[i + l] = second[l];
-      p[i + l] -= grad[l] == 0.0f && first[l] == 0.0f ? 0.0f : change[l];
-    }
+    const vf grad = load(g + i, n - i);
+    vf first = load(m + i, n - i), second = load(v + i, n - i);
+    const vf change = where((grad != 0.0f) | (first != 0.0f), update(grad, first, second));
+    store(m + i, first, n - i);
+    store(v + i, second, n - i);
+    store(p + i, load(p + i, n - i) - change, n - i);
   }
 }
 

@@ -58,6 +58,15 @@ union Halves {
 
 INLINE vf load(const float* p) { return (vf) * (const vf_unaligned*)p; }
 INLINE void store(float* p, vf v) { *(vf_unaligned*)p = v; }
+// The first n lanes alone; the others are zero, and not stored.
+INLINE vf load(const float* p, int64_t n) {
+  vf v = {};
+  for (int l = 0; l < n; ++l) v[l] = p[l];
+  return v;
+}
+INLINE void store(float* p, vf v, int64_t n) {
+  for (int l = 0; l < n; ++l) p[l] = v[l];
+}
 INLINE v4 load3(const float* p) { return v4{p[0], p[1], p[2], 0.0f}; }
 INLINE v4 load4(const float* p) { return *(const v4_unaligned*)p; }
 INLINE void store4(float* p, v4 v) { *(v4_unaligned*)p = v; }

@@ -160,16 +160,7 @@ static void ssim_gradient(const float* x, const float* y, const float* partials,
       const bool whole = i + LANES <= n;
       const float *const p = x + row * n + i, *const q = y + row * n + i;
       float* const to = grad + row * n + i;
-      vf a = {}, b = {};
-      if (whole) {
-        a = load(p);
-        b = load(q);
-      } else {
-        for (int l = 0; i + l < n; ++l) {
-          a[l] = p[l];
-          b[l] = q[l];
-        }
-      }
+      const vf a = whole ? load(p) : load(p, n - i), b = whole ? load(q) : load(q, n - i);
       const vf apart = a - b;
       vf g = apart > vf{} ? set(absolute) : apart < vf{} ? set(-absolute) : vf{};
       if (partials) {
@@ -178,8 +169,7 @@ static void ssim_gradient(const float* x, const float* y, const float* partials,
         g += structural * (f[0] + 2.0f * a * f[1] + b * f[2]);
       }
       if (whole) store(to, g);
-      else
-        for (int l = 0; i + l < n; ++l) to[l] = g[l];
+      else store(to, g, n - i);
     }
 }
 

@@ -18,19 +18,8 @@ from datasets.readers import read_volume
 from datasets.volume import Volume
 from tests.datasets.damage import PROPERTY, check_damage, check_refused, check_volumes
 
-KINDS = (
-    "uint8",
-    "int8",
-    "uint16",
-    "int16",
-    "uint32",
-    "int32",
-    "uint64",
-    "int64",
-    "float16",
-    "float32",
-    "float64",
-)
+INTEGERS = tuple(f"{sign}int{bits}" for bits in (8, 16, 32, 64) for sign in ("u", ""))
+KINDS = (*INTEGERS, "float16", "float32", "float64")
 
 
 def _array(dtype: str, shape: tuple[int, int, int] = (3, 4, 5), seed: int = 0) -> np.ndarray:

@@ -18,7 +18,6 @@ from datasets.ground_truth import probe
 from datasets.render_views import views_of
 from datasets.scene import BasicScene, Dataset, Isosurface, Light
 from datasets.transfer import Bump, TransferFunction
-from datasets.view_cache import ViewCache
 from datasets.views import ViewRequest
 from datasets.volume import Volume
 
@@ -36,11 +35,6 @@ def dataset(values=None, spacing=(1.0, 1.0, 1.0), **scene):
     v = Volume("v", field() if values is None else values, spacing, (0.0, 1.0), "made here")
     basic = replace(BasicScene("s", "v", TRANSFER, background=(0.1, 0.2, 0.3)), **scene)
     return Dataset("d", "made here", "volume", (basic,), volumes={"v": lambda: v})
-
-
-@pytest.fixture
-def cache(tmp_path):
-    return ViewCache(tmp_path / "views")
 
 
 @pytest.fixture

@@ -23,11 +23,6 @@ def images(seed=0, n=3, h=20, w=30):
     return rgba
 
 
-@pytest.fixture
-def cache(tmp_path):
-    return ViewCache(tmp_path / "views")
-
-
 def test_views_come_back_within_a_hundred_thousandth_and_as_put_said(cache):
     truth = images()
     stored = cache.put("a", truth, RECORD)
@@ -70,12 +65,6 @@ def test_damaged_entries_are_removed_and_made_again(cache, name, damage):
     assert cache.get("a") is None
     stored = cache.put("a", images(1), RECORD)
     np.testing.assert_array_equal(cache.get("a").images, stored)
-
-
-def test_a_second_writer_of_the_same_key_is_no_error(cache):
-    cache.put("a", images(), RECORD)
-    cache.put("a", images(), RECORD)
-    assert len(list(cache.folder.iterdir())) == 1
 
 
 def test_least_recently_used_entries_go_first(cache):

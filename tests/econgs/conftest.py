@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -28,7 +28,6 @@ class Scene:
     tensors: dict[str, torch.Tensor]
     camera: Camera
     near: float = 0.2
-    reference: Reference | None = field(default=None)
 
     def render(self, dtype: torch.dtype, backend: str | None, device: str = "cpu") -> Any:
         moved = {name: one.to(dtype).to(device) for name, one in self.tensors.items()}
@@ -166,7 +165,7 @@ def brute_force(scene: Scene) -> Reference:
 def relative(actual: torch.Tensor, expected: torch.Tensor) -> float:
     """Relative L2 distance."""
     assert actual.shape == expected.shape
-    return float((actual - expected).norm() / expected.norm().clamp(min=1e-30))
+    return ((actual - expected).norm() / expected.norm().clamp(min=1e-30)).item()
 
 
 def random_seeds(scene: Scene, keep: NDArray[np.bool_], seed: int = 5) -> dict[str, torch.Tensor]:
@@ -271,9 +270,7 @@ def splat() -> SimpleNamespace:
         "brute_force": brute_force,
         "relative": relative,
         "random_seeds": random_seeds,
-        "look_at": look_at,
         "native": native_module(),
-        "Scene": Scene,
         "names": NAMES,
         "outputs": OUTPUTS,
     }

@@ -20,7 +20,7 @@ from econgs.anchors.gaussians import ViewGaussians
 from econgs.anchors.shading import Factors
 from econgs.splat import SplatImages, rasterise
 
-from .conftest import ISAS, native_module
+from .conftest import ISAS, native_module, relative
 
 native = native_module()
 needs_native = pytest.mark.skipif(not ISAS, reason="econgs._native is not compiled here")
@@ -124,12 +124,6 @@ def run(case: Case, dtype: torch.dtype, backend: str, only: tuple[str, ...] = NA
     return Run(decoded, outputs, dict(zip(leaves, grads, strict=True)))
 
 
-def relative(value: Tensor, truth: Tensor) -> float:
-    value, truth = value.detach(), truth.detach()
-    difference = (value.double() - truth.double()).norm()
-    return float(difference / truth.double().norm().clamp_min(1e-30)) if truth.numel() else 0.0
-
-
 def by_hand(case: Case) -> dict[str, Any]:
     """The paper's formulas, Gaussian by Gaussian, in float64 NumPy."""
     decoders, inputs = case.make()
@@ -182,16 +176,15 @@ def by_hand(case: Case) -> dict[str, Any]:
     return {name: np.array(values) for name, values in expected_values.items()}
 
 
-def test_formulas_of_the_paper(case: Case, backend: str) -> None:
+def test_formulas_of_the_paper(case: Case) -> None:
     truth = by_hand(case)
     assert 0 < len(truth["slots"]) < case.count * case.offsets
     assert ((truth["colors"] > 0) & (truth["colors"] < 1)).mean() > 0.02
-    dtype, tolerance = (torch.float64, 1e-12) if backend == "torch" else (torch.float32, 2e-6)
-    decoded = run(case, dtype, backend).decoded
+    decoded = run(case, torch.float64, "torch").decoded
     assert decoded.slots.tolist() == truth["slots"].tolist()
     for name in NAMES:
-        assert relative(getattr(decoded, name), torch.from_numpy(truth[name])) < tolerance, name
-    assert relative(decoded.raw_opacities, torch.from_numpy(truth["raw"])) < tolerance
+        assert relative(getattr(decoded, name), torch.from_numpy(truth[name])) < 1e-12, name
+    assert relative(decoded.raw_opacities, torch.from_numpy(truth["raw"])) < 1e-12
 
 
 @pytest.mark.parametrize("light", [None, SIDE])
@@ -225,6 +218,7 @@ def test_native_results_and_gradients_are_those_of_float64(name: str, isa: str) 
     assert torch.equal(mine.decoded.slots, truth.decoded.slots)
     for output in NAMES:
         assert relative(mine.outputs[output], truth.outputs[output]) < 2e-6, output
+    assert relative(mine.decoded.raw_opacities, truth.decoded.raw_opacities) < 2e-6
     for leaf, gradient in truth.gradients.items():
         if gradient.numel():
             assert gradient.norm() > 0, leaf

@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from econgs.optim import Adam
-from econgs.splat import choose_backend
 
 SHAPES = {"means": (101, 3), "opacities": (101,), "sh": (101, 15, 3), "odd": (7,), "many": (40_001,)}
 RATES = {"means": 1.6e-4, "opacities": 0.05, "sh": 1.25e-4, "odd": 0.3, "many": 1e-3}
@@ -151,10 +150,3 @@ def test_empty_groups_and_wrong_names() -> None:
     optimiser.step()
     with pytest.raises(ValueError, match="name different things"):
         Adam({"means": torch.zeros(1)}, {"scales": 0.1})
-
-
-def test_the_step_of_float32_on_a_cpu_is_the_native_one(splat: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    if splat.native is None:
-        pytest.skip("econgs._native is not compiled here")
-    monkeypatch.delenv("ECONGS_BACKEND", raising=False)
-    assert choose_backend(torch.zeros(1)) == "native"
