@@ -21,8 +21,7 @@ def run(context: Context) -> EncodeResult:
     context.report(stage="loading")
     model = context.method().restore(stored[0], context.options, job.device)
     folder = context.folder / "model"
-    if folder.exists():
-        shutil.rmtree(folder)
+    shutil.rmtree(folder, ignore_errors=True)  # of an attempt that was killed
     folder.mkdir()
     context.report(stage="encode")
     start = time.perf_counter()

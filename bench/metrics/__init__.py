@@ -97,4 +97,4 @@ def evaluate(
     for name in names:
         if name not in METRICS:
             raise unknown("metric", name, METRICS)
-    return scores(Pair.composite(truth, rgb, alpha, background), names)
+    return Scores(*scores(Pair.composite(truth, rgb, alpha, background), names))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.metrics import Scores
 from datasets.views import over
 
 IDENTICAL_DB = 100.0
@@ -73,13 +72,11 @@ def to_8bit(image: NDArray[np.floating]) -> NDArray[np.uint8]:
     return levels
 
 
-def scores(pair: Pair, names: Iterable[str]) -> Scores:
-    """Metrics of :data:`bench.metrics.METRICS` by their names."""
+def scores(pair: Pair, names: Iterable[str]) -> tuple[dict[str, float | None], dict[str, str]]:
+    """Metrics of :data:`bench.metrics.METRICS` by their names: value or None, and why it is None."""
     results = {name: _FUNCTIONS[name](pair) for name in names}
-    return Scores(
-        {name: None if isinstance(result, str) else result for name, result in results.items()},
-        {name: result for name, result in results.items() if isinstance(result, str)},
-    )
+    values = {name: None if isinstance(result, str) else result for name, result in results.items()}
+    return values, {name: result for name, result in results.items() if isinstance(result, str)}
 
 
 def _psnr(truth: NDArray[np.uint8], render: NDArray[np.uint8]) -> float:

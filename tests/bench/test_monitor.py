@@ -20,19 +20,16 @@ class _Model:
         return 5
 
 
-def _monitor(tmp_path, iterations=100, every=1e9, **changes) -> FitMonitor:
-    return FitMonitor(tmp_path / "checkpoint", iterations, {}, lambda **state: None, Stop(), every, **changes)
+def _monitor(tmp_path, iterations=100) -> FitMonitor:
+    return FitMonitor(tmp_path / "checkpoint", iterations, {}, lambda **state: None, Stop(), every=1e9)
 
 
-def _drive(
-    monitor: FitMonitor, first: int, last: int, pace: float = 0.0, slow_evaluation: float = 0.0
-) -> None:
+def _drive(monitor: FitMonitor, first: int, last: int, slow_evaluation: float = 0.0) -> None:
     def model() -> _Model:
         time.sleep(slow_evaluation)
         return _Model()
 
     for i in range(first, last + 1):
-        time.sleep(pace)
         monitor.progress(i, {"loss": 1.0 / i}, 3)
         if monitor.due(i):
             monitor.pause(i, model, lambda i=i: Checkpoint(i, {}, {"i": i}))
