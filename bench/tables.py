@@ -233,6 +233,7 @@ def _measured(measured: MeasureResult) -> Row:
     row: Row = {name: measured.metrics.get(name) for name in (*METRICS, *COVERAGE)}
     if measured.missing:
         row["reason"] = "; ".join(f"{name}: {why}" for name, why in sorted(measured.missing.items()))
+        row["omissions"] = json.dumps(measured.missing, sort_keys=True)
     return row | {
         "primitives": measured.primitives,
         "load_seconds": measured.load_seconds,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 NEEDED = ("dataset", "scene", "method", "psnr", "size_bytes")
 """Columns that a table of results must have."""
 _KEYS = ("dataset", "scene", "method", "variant", "rate", "preset", "requested_views", "split", "seed")
-_OWN = ("job", "stale", "fitted_scenes")
+_OWN = ("job", "stale", "fitted_scenes", "omissions")
 """Columns of `results` that are not read from a foreign table."""
 
 

@@ -180,6 +180,7 @@ COLUMNS: dict[str, Column] = _declare(
     Column("status", _T, "`ok`, `failed`, `oom`, `timeout`, `diverged` or `refused`", "Status", write=str,
            default="ok"),
     Column("reason", _T, "why the job has no result, or why metrics are missing", "Reason", write=str),
+    Column("omissions", _T, "JSON: metric -> why a finished job lacks it"),
     Column("stage", _T, "stage in which the job failed"),
     Column("stale", _B, "the method has another version today", default=False),
     # Quality.
@@ -312,8 +313,8 @@ TABLES: dict[str, Table] = {
         "composition are sums over its scenes or groups; `load_seconds` and `fps` are measured; memory is "
         "the maximum. A method that cannot make an edit, or cannot render models of several groups together, "
         "has a row with status `refused`.", _RESULT,
-        ("job", "status", "reason", "stage", "stale", *METRICS, *COVERAGE, "identical_views", "size_bytes",
-         "group_bytes", "standalone_bytes", "primitives", "train_seconds", "group_seconds",
+        ("job", "status", "reason", "omissions", "stage", "stale", *METRICS, *COVERAGE, "identical_views",
+         "size_bytes", "group_bytes", "standalone_bytes", "primitives", "train_seconds", "group_seconds",
          "partition_seconds", "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95",
          "reference_seconds", "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes"),
     ),

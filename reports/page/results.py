@@ -13,7 +13,7 @@ from reports.schema import COLUMNS, by_name
 from reports.style import MISSING, absent, label, mean_key, models
 from reports.tables.columns import axes, cell, numbers, records
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
-from reports.tables.results import processor_note, reasons, superseded_note
+from reports.tables.results import omissions, processor_note, superseded_note
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -214,4 +214,4 @@ def _reasons(row: Any) -> dict[str, str]:
     """Column -> why it is missing; the key "" applies to all columns of an unfinished row."""
     if row["status"] != "ok":
         return {"": str(row["status"]) + ("" if absent(row["reason"]) else f": {row['reason']}")}
-    return {name: reason for name, reason in reasons(row["reason"]) if name in COLUMNS}
+    return {name: reason for name, reason in omissions(row["omissions"]).items() if name in COLUMNS}

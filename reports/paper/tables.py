@@ -14,7 +14,7 @@ from reports.schema import METRICS
 from reports.statistics import Views
 from reports.style import absent
 from reports.tables.protocols import shared_by_all
-from reports.tables.results import reasons, superseded_note
+from reports.tables.results import omissions, superseded_note
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -269,7 +269,12 @@ def _row(
         frozenset(
             str(version) for part in complete for version in part["method_version"] if not absent(version)
         ),
-        {metric: why for part in complete for text in part["reason"] for metric, why in reasons(text)},
+        {
+            metric: why
+            for part in complete
+            for text in part["omissions"]
+            for metric, why in omissions(text).items()
+        },
     )
 
 

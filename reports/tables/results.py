@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
 from reports.schema import COLUMNS, by_name
@@ -51,10 +52,9 @@ def distinct_processors(results: pd.DataFrame, column: str) -> list[str]:
     return [name for name in names if not any(other.startswith(f"{name},") for other in names)]
 
 
-def reasons(text: Any) -> list[tuple[str, str]]:
-    """(metric, reason why it is missing) pairs of the column `reason` of a finished row."""
-    parts = (part.partition(": ") for part in ("" if absent(text) else str(text)).split("; "))
-    return [(metric, reason) for metric, sign, reason in parts if sign]
+def omissions(text: Any) -> dict[str, str]:
+    """Metric -> reason why it is missing, from the column `omissions`."""
+    return {} if absent(text) else dict(json.loads(text))
 
 
 def superseded_note(superseded: pd.DataFrame | None) -> str:
@@ -73,10 +73,11 @@ def with_notes(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     if "reason" not in table:
         return table, []
     # A note gives each reason once instead of in every row.
-    parts = (part for reason in table["reason"].dropna() for part in reason.split("; "))
     ranked = [name for name in table.columns if name in COLUMNS and COLUMNS[name].better]
     empty = [name for name in ranked if table[name].isna().all()]
-    return table.drop(columns=["reason", *empty]), list(dict.fromkeys(part for part in parts if part))
+    return table.drop(columns=["reason", *empty]), [
+        reason for reason in table["reason"].dropna().unique() if reason
+    ]
 
 
 def _status(row: Any) -> str:

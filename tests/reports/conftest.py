@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,7 @@ class Maker:
                 "preset": "quick", "split": "test", "seed": seed, "job": job,
                 "requested_views": more.pop("requested_views", 42)}  # fmt: skip
         row = {**axes, "kind": "basic", "edit": "", "status": status, "reason": reason, "stale": stale,
+               "omissions": json.dumps(dict([reason.split(": ", 1)])) if reason == NO_LPIPS else None,
                "group": scene, "iterations": 700, "train_views": 38, "width": side, "height": side,
                "device": "cpu", "machine": "laptop", "threads": 2, "commit": "68a71d8fe012",
                "stage": None if status == "ok" else "densify"}  # fmt: skip

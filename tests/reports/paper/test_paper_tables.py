@@ -268,7 +268,10 @@ def test_speed_and_time_are_ranked_in_one_place_and_where_seeds_agree():
 
 
 def test_an_empty_column_has_its_reason_and_its_rows():
-    rows = [one | {"reason": "flip: slow; lpips_vgg: weights missing"} for one in four("econgs", 35.0)]
+    rows = [
+        one | {"omissions": '{"flip": "slow", "lpips_vgg": "weights missing"}'}
+        for one in four("econgs", 35.0)
+    ]
     block = blocks(results(*rows, *four("3dgs", 34.0)))[0]
     (remark,) = (remark for remark in block.remarks if "LPIPS" in remark)
     assert "weights missing" in remark

@@ -144,7 +144,7 @@ def test_scores_without_a_metric_say_so_once():
             "file": ["a.png", "b.png"],
             "psnr": [30.0, 31.0],
             "lpips_vgg": [None, None],
-            "reason": ["lpips_vgg: no weights; flip: x", "lpips_vgg: no weights"],
+            "reason": ["lpips_vgg: no weights", "lpips_vgg: no weights"],
         }
     )
     for text in (to_markdown(scores), to_latex(scores)):
