@@ -26,7 +26,6 @@ from datasets.ground_truth.model import (
 )
 from datasets.ground_truth.occlusion import bake
 from datasets.scene import Light
-from datasets.transfer import TransferFunction
 from datasets.volume import Volume
 
 _SAMPLES_AT_ONCE = 2**20
@@ -103,12 +102,8 @@ class ReferenceMarcher(Marcher):
 
         return draw
 
-    def render_exact(self, camera: Camera, transfer: TransferFunction, light: Light | None) -> Tensor:
-        """(height, width, 4) premultiplied RGBA in this marcher's own precision."""
-        return self.compose_exact(camera, (Layer(self._volumes[0], transfer, light),))
-
     def compose_exact(self, camera: Camera, layers: Sequence[Layer]) -> Tensor:
-        """:meth:`render_exact` of several layers."""
+        """(height, width, 4) premultiplied RGBA in this marcher's own precision."""
         return self._image(camera, self._scene(layers))
 
     def _scene(self, layers: Sequence[Layer]) -> _Scene:

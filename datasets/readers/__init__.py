@@ -7,7 +7,6 @@ file becomes one :class:`~datasets.errors.DataError` that names file, reason and
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -138,9 +137,13 @@ def _refuse_choice(path: Path, array: str | None, step: int | None, resolution: 
 
 
 def _read_single(path: Path, kind: str) -> tuple[NDArray[np.generic], tuple[float, float, float]]:
-    read = getattr(import_module(f"datasets.readers.{kind}"), f"read_{kind}")
-    values, spacing = read(path)
-    return values, spacing
+    from datasets.readers.nifti import read_nifti
+    from datasets.readers.npy import read_npy
+    from datasets.readers.nrrd import read_nrrd
+    from datasets.readers.raw import read_raw
+
+    readers = {"raw": read_raw, "npy": read_npy, "nrrd": read_nrrd, "nifti": read_nifti}
+    return readers[kind](path)
 
 
 def _source(path: Path) -> Source:

@@ -132,9 +132,9 @@ def test_headlight_and_fixed_light_differ_and_the_headlight_follows_the_camera(m
 
 def test_smaller_steps_converge():
     v = volume(noise((24, 24, 24), 2.0))
-    camera = around(v, pick=(3,))[0]
+    camera, layers = around(v, pick=(3,))[0], [Layer(v, NARROW, HEAD)]
     images = [
-        ReferenceMarcher(v, MarchSettings(step_voxels=s)).render_exact(camera, NARROW, HEAD).numpy()
+        ReferenceMarcher(v, MarchSettings(step_voxels=s)).compose_exact(camera, layers).numpy()
         for s in (1.0, 0.5, 0.25, 0.03125)
     ]
     errors = [np.sqrt(((i - images[-1]) ** 2).mean()) for i in images[:-1]]
@@ -144,10 +144,11 @@ def test_smaller_steps_converge():
 
 def test_the_table_is_fine_enough():
     v = volume(noise((24, 24, 24), 2.0))
-    camera = around(v, pick=(3,))[0]
-    exact = ReferenceMarcher(v, MarchSettings(table_size=2**20 + 1)).render_exact(camera, NARROW, HEAD)
-    used = ReferenceMarcher(v).render_exact(camera, NARROW, HEAD)
-    coarse = ReferenceMarcher(v, MarchSettings(table_size=256)).render_exact(camera, NARROW, HEAD)
+    camera, layers = around(v, pick=(3,))[0], [Layer(v, NARROW, HEAD)]
+    exact, used, coarse = (
+        ReferenceMarcher(v, settings).compose_exact(camera, layers)
+        for settings in (MarchSettings(table_size=2**20 + 1), MarchSettings(), MarchSettings(table_size=256))
+    )
     assert float((used - exact).abs().max()) < 2e-4
     assert float(((used - exact) ** 2).mean().sqrt()) < 2e-5
     assert float((coarse - exact).abs().max()) > 1e-3

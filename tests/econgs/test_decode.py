@@ -210,7 +210,6 @@ def test_gradients_of_the_twin_by_finite_differences(light: Any) -> None:
     assert torch.autograd.gradcheck(outputs, (*leaves, *weights), eps=1e-7, atol=1e-5, rtol=1e-4)
 
 
-@needs_native
 @pytest.mark.parametrize("name", [*CASES, "many blocks"])
 def test_native_results_and_gradients_are_those_of_float64(name: str, isa: str) -> None:
     case = CASES.get(name, Case(count=1500, seed=11))
@@ -236,7 +235,6 @@ def test_gradient_of_one_output_alone(only: str) -> None:
         assert gradient.norm() > 0 or mine.gradients[name].norm() == 0, name
 
 
-@needs_native
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 1300])
 def test_bit_identical_for_any_number_of_threads(isa: str, count: int) -> None:
     results = []
