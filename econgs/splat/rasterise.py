@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import math
 import os
@@ -118,21 +119,11 @@ def choose_backend(like: Tensor, backend: str | None = None) -> str:
 
 def native() -> ModuleType:
     """The compiled kernels' module, imported when first used."""
-    from econgs.splat import native
-
-    return native
+    return _module("native")
 
 
 def _module(backend: str) -> ModuleType:
-    if backend == "native":
-        return native()
-    if backend == "gsplat":
-        from econgs.splat import gsplat_backend
-
-        return gsplat_backend
-    from econgs.splat import torch_backend
-
-    return torch_backend
+    return importlib.import_module(f"econgs.splat.{backend if backend == 'native' else f'{backend}_backend'}")
 
 
 @cache

@@ -57,13 +57,6 @@ def spherical_harmonics(
         return colors
     if rest is not None:
         coefficients = torch.cat([coefficients, rest[:, : needed - 1]], dim=1)
-    return torch_spherical_harmonics(degree, means, camera_position, coefficients)
-
-
-def torch_spherical_harmonics(
-    degree: int, means: Tensor, camera_position: Tensor, coefficients: Tensor
-) -> Tensor:
-    """The same in plain PyTorch, for any dtype and device."""
     if degree == 0:  # no direction enters, so none is computed
         return (0.5 + 0.28209479177387814 * coefficients[:, 0]).clamp(min=0)
     basis = _basis(degree, torch.nn.functional.normalize(means - camera_position, dim=-1))
