@@ -18,8 +18,8 @@ _HEAD = """# Options of the methods
 def page() -> str:
     """The whole page, as Markdown: a table for each built-in method."""
     registry = Registry()
-    own = [spec for spec in registry if registry.origin(spec.name).startswith("built in")]
-    return "\n\n".join([_HEAD, *(part for spec in own for part in _section(spec))]) + "\n"
+    sections = [part for name in registry.built_in() for part in _section(registry.spec(name))]
+    return "\n\n".join([_HEAD, *sections]) + "\n"
 
 
 def _section(spec: MethodSpec) -> Iterator[str]:

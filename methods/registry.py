@@ -12,6 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from methods.interface import Method
 
 GROUP = "econgs_bench.methods"
+BUILT_IN = "built in: methods."
+"""How the origins of the methods that come with the harness begin."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,10 @@ class Registry:
         """Names of all usable methods, sorted."""
         return sorted(self._specs)
 
+    def built_in(self) -> list[str]:
+        """Names of the methods that come with the harness, sorted."""
+        return [name for name in self.names() if self._origins[name].startswith(BUILT_IN)]
+
     def spec(self, name: str) -> MethodSpec:
         """The spec of a method.
 
@@ -141,10 +148,7 @@ def check_spec(spec: Any, origin: str) -> None:
     Raises:
         DataError: naming what is wrong with it.
     """
-
-    def wrong(reason: str, remedy: str) -> DataError:
-        return DataError(origin, reason, remedy)
-
+    wrong = partial(DataError, origin)
     if not isinstance(spec, MethodSpec):
         raise wrong(f"SPEC is a {type(spec).__name__}", "Make it a methods.interface.MethodSpec")
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", spec.name):
@@ -189,9 +193,7 @@ def _built_in() -> Iterator[_Candidate]:
     for module in pkgutil.iter_modules(methods.__path__):
         folder = Path(methods.__path__[0], module.name)
         if module.ispkg and (folder / "spec.py").is_file():
-            yield _Candidate(
-                None, f"built in: methods.{module.name}", _importer(f"methods.{module.name}.spec", "SPEC")
-            )
+            yield _Candidate(None, f"{BUILT_IN}{module.name}", _spec_of(f"methods.{module.name}.spec"))
 
 
 def _installed() -> Iterator[_Candidate]:
@@ -229,7 +231,7 @@ def _in_folder(folder: Path) -> Iterator[_Candidate]:
         origin = Path(located.origin) if located is not None and located.origin is not None else None
         if origin is None or not origin.resolve().is_relative_to(root):
             raise DataError(path, f"another module {top!r} comes first ({origin})", "Rename the plugin")
-        yield _Candidate(None, f"plugin folder: {path}", _importer(module, "SPEC"))
+        yield _Candidate(None, f"plugin folder: {path}", _spec_of(module))
 
 
 def _spec_module(path: Path) -> str | None:
@@ -246,5 +248,5 @@ def _spec_module(path: Path) -> str | None:
     return None
 
 
-def _importer(module: str, attribute: str) -> Callable[[], Any]:
-    return lambda: getattr(importlib.import_module(module), attribute)
+def _spec_of(module: str) -> Callable[[], Any]:
+    return lambda: importlib.import_module(module).SPEC

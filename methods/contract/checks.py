@@ -116,6 +116,7 @@ class Subject:
         self.iterations, self.plugins = iterations, tuple(plugins)
         self.overrides = dict(overrides or {})
         self.scene = self.tiny("tiny")
+        self.camera = self.scene.validation.cameras[0]
         self.stops = sorted({max(1, iterations * part // 8) for part in (1, 3, 5, 7)} | {iterations})
         self._first: tuple[Model, Recorder] | None = None
 
@@ -248,7 +249,7 @@ def fit(subject: Subject) -> str:
         model.primitives() == model.primitives("tiny") > 0,
         f"{model.primitives()} primitives in all, {model.primitives('tiny')} of the only scene",
     )
-    camera = subject.scene.validation.cameras[0]
+    camera = subject.camera
     white, alpha = _picture(model, camera, background=(1.0, 1.0, 1.0))
     expect(white.shape == (camera.height, camera.width, 3), f"rgb has shape {tuple(white.shape)}")
     expect(alpha.shape == (camera.height, camera.width), f"alpha has shape {tuple(alpha.shape)}")
@@ -271,7 +272,7 @@ def saved_and_loaded(subject: Subject) -> str:
     model, _ = subject.first()
     folder, ledger = subject.saved(model, "model")
     total = _check_ledger(ledger, folder, model)
-    camera = subject.scene.validation.cameras[0]
+    camera = subject.camera
     np.save(subject.folder / "pose.npy", camera.camera_to_world)
     code = (
         "import sys, numpy as np\n"
@@ -302,7 +303,7 @@ def saved_and_loaded(subject: Subject) -> str:
 def edits(subject: Subject) -> str:
     """Declared edits change the picture, the others are refused, and so are bad values and names."""
     model, _ = subject.first()
-    camera = subject.scene.validation.cameras[0]
+    camera = subject.camera
     plain = _picture(model, camera)
     _same(_picture(model, camera, edit={"tiny": Edit()}), plain, "an edit of nothing")
     for kind, examples in EDITS.items():
@@ -336,18 +337,18 @@ def edits(subject: Subject) -> str:
 def nothing_visible(subject: Subject) -> str:
     """A camera that sees nothing shows the background, and views of nothing can be learned from."""
     model, _ = subject.first()
-    camera = away(subject.scene.validation.cameras[0])
+    camera = away(subject.camera)
     rgb, alpha = _picture(model, camera, background=(0.25, 0.5, 1.0))
     expect(float(alpha.max()) == 0.0, f"alpha is up to {float(alpha.max())} where nothing is")
     _same((rgb,), (torch.tensor([0.25, 0.5, 1.0]).expand_as(rgb),), "the background")
     train = subject.scene.train
     empty = replace(subject.scene, train=replace(train, images=np.zeros_like(train.images)))
     faded = subject.fit([empty])
-    pictures = _picture(faded, subject.scene.validation.cameras[0])
+    camera = subject.camera
+    pictures = _picture(faded, camera)
     expect(all(bool(torch.isfinite(one).all()) for one in pictures), "views of nothing give NaN")
     folder, ledger = subject.saved(faded, "faded")
     _check_ledger(ledger, folder, faded)
-    camera = subject.scene.validation.cameras[0]
     _same(_picture(subject.method.load(folder, subject.device), camera), pictures, "what is left, loaded")
     return f"{faded.primitives()} primitives are left of an empty scene"
 
@@ -418,7 +419,7 @@ def joint(subject: Subject) -> str:
     folder, ledger = subject.saved(model, "joint")
     total = _check_ledger(ledger, folder, model)
     loaded = subject.method.load(folder, subject.device)
-    camera = subject.scene.validation.cameras[0]
+    camera = subject.camera
     pictures = {name: _picture(model, camera, scenes=[name]) for name in model.scenes}
     for name, pictured in pictures.items():
         _same(_picture(loaded, camera, scenes=[name]), pictured, f"scene {name}, loaded")
@@ -443,7 +444,7 @@ def composition(subject: Subject) -> str:
     expect(both.scenes == ("tiny", "other"), f"the composed model holds {both.scenes}")
     counts = [one.primitives(), other.primitives()]
     expect(both.primitives() == sum(counts), f"{both.primitives()} primitives in all, {counts} of the models")
-    camera = subject.scene.validation.cameras[0]
+    camera = subject.camera
     alone = _picture(one, camera)
     _same(_picture(both, camera, scenes=["tiny"]), alone, "the first scene, alone")
     _same(_picture(both, camera, scenes=["other"]), _picture(other, camera), "the second scene, alone")
@@ -468,7 +469,7 @@ def rates(subject: Subject) -> str:
     """Every value of every rate knob gives a model that loads; without one, saving at a rate is refused."""
     model, _ = subject.first()
     rows = []
-    camera = subject.scene.validation.cameras[0]
+    camera = subject.camera
     for knob in subject.spec.rate_knobs:
         for value in knob.values:
             fitted = model

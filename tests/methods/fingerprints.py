@@ -31,7 +31,7 @@ ITERATIONS = {"fair": 64}
 SHORT = 24
 VIEWS = 3
 """Of the loaded model, whose mean colors and alphas are recorded."""
-TOLERANCE = {"losses": 2e-3, "pictures": 2e-3, "bytes": 0.02, "primitives": 0.02}
+TOLERANCE = {"losses": 2e-3, "pictures": 2e-3, "sizes": 0.02}
 """Relative differences that other software may cause; see :func:`differences`."""
 BASELINE = {
     "ECONGS_ISA": "baseline",
@@ -62,26 +62,22 @@ def fingerprint(name: str) -> dict[str, Any]:
     import torch
 
     from methods.contract.checks import Subject
+    from methods.interface import PRESETS
     from methods.options import CONFIGURATION, resolve
-    from methods.registry import PRESETS, Registry, load_method
+    from methods.registry import Registry, load_method
 
     torch.set_num_threads(1)
     spec = Registry().spec(name)
     configurations = list(spec.configurations) or [""]
-    settings = {}
-    for preset in PRESETS:
-        for one in configurations:
-            settings[f"{preset} {one}".strip()] = _plain(
-                resolve(spec, preset, {CONFIGURATION: one} if one else {})
-            )
-    fits = {}
+    settings, fits = {}, {}
     for one in configurations:
+        overrides = {CONFIGURATION: one} if one else {}
+        for preset in PRESETS:
+            resolved = resolve(spec, preset, overrides)
+            settings[f"{preset} {one}".strip()] = {"iterations": resolved.iterations, **resolved.values}
         with tempfile.TemporaryDirectory() as folder:
-            overrides = {CONFIGURATION: one} if one else {}
-            subject = Subject(
-                spec, load_method(spec), Path(folder), ITERATIONS.get(one or "fair", SHORT), overrides
-            )
-            fits[one] = _fit(subject)
+            count = ITERATIONS.get(one or "fair", SHORT)
+            fits[one] = _fit(Subject(spec, load_method(spec), Path(folder), count, overrides))
     return {"version": spec.version, "arithmetic": arithmetic(), "settings": settings, "fits": fits}
 
 
@@ -110,14 +106,6 @@ def arithmetic() -> dict[str, str]:
         "compiler": compiler[0].decode() if compiler else "",
         "probe": digest.hexdigest()[:16],
     }
-
-
-def _plain(settings: Any) -> dict[str, Any]:
-    from dataclasses import asdict, is_dataclass
-
-    options = settings.options
-    values = asdict(options) if is_dataclass(options) else dict(options)
-    return {"iterations": settings.iterations, **dict(sorted(values.items()))}
 
 
 def _fit(subject: Any) -> dict[str, Any]:
@@ -185,14 +173,13 @@ def _unlike(label: str, one: dict[str, Any], other: dict[str, Any]) -> list[str]
         if abs(a - b) > TOLERANCE["losses"] * abs(b):
             lines.append(f"{label}: loss {a:.8g} at iteration {i}, recorded {b:.8g}")
             break
-    pairs = [("primitives", one["primitives"], other["primitives"])]
-    pairs += [
-        ("bytes", one["bytes"].get(part, -100), other["bytes"].get(part, -100))
-        for part in sorted(set(one["bytes"]) | set(other["bytes"]))
-    ]
-    parts = ["primitives", *(f"bytes of {part}" for part in sorted(set(one["bytes"]) | set(other["bytes"])))]
-    for part, (kind, a, b) in zip(parts, pairs, strict=True):
-        if abs(a - b) > max(TOLERANCE[kind] * abs(b), 4):
+    sizes, past_sizes = (
+        {"primitives": fit["primitives"], **{f"bytes of {part}": n for part, n in fit["bytes"].items()}}
+        for fit in (one, other)
+    )
+    for part in sorted(sizes | past_sizes):
+        a, b = sizes.get(part, -100), past_sizes.get(part, -100)
+        if abs(a - b) > max(TOLERANCE["sizes"] * abs(b), 4):
             lines.append(f"{label}: {part} {a}, recorded {b}")
     far = max(
         abs(a - b)
@@ -222,15 +209,9 @@ def verdict(name: str, now: dict[str, Any], past: dict[str, Any] | None) -> str:
     return ""
 
 
-def built_in() -> list[str]:
-    """Names of the methods that come with the harness."""
+def main() -> int:
     from methods.registry import Registry
 
-    registry = Registry()
-    return [name for name in registry.names() if registry.origin(name).startswith("built in")]
-
-
-def main() -> int:
     parser = argparse.ArgumentParser(description="Compare or record the fingerprints of the methods.")
     parser.add_argument("methods", nargs="*", metavar="METHOD", help="default: all built-in ones")
     parser.add_argument("--write", action="store_true", help="record them in tests/fingerprints.json")
@@ -243,7 +224,7 @@ def main() -> int:
         print(json.dumps(fingerprint(options.measure)))
         return 0
     past, wrong = recorded(), 0
-    for name in options.methods or built_in():
+    for name in options.methods or Registry().built_in():
         now = measure(name)
         problem = verdict(name, now, past.get(name))
         if options.write and (not problem.startswith("results of") or options.keep_version):

@@ -25,10 +25,9 @@ SMALL = {
     "ivr-gs": {"max_gaussians": 300},
 }
 """Small models; growth at every occasion and random backgrounds, so that resuming has more to keep."""
-METHODS = [name for name in Registry().names() if Registry().origin(name).startswith("built in")]
 
 
-@pytest.fixture(scope="module", params=METHODS)
+@pytest.fixture(scope="module", params=Registry().built_in())
 def subject(request, tmp_path_factory):
     """One examination for all checks of a method: they share its first fit."""
     spec = Registry().spec(request.param)

@@ -6,10 +6,11 @@ import copy
 
 import pytest
 
+from methods.registry import Registry
 from tests.methods import fingerprints
 
 
-@pytest.mark.parametrize("method", fingerprints.built_in())
+@pytest.mark.parametrize("method", Registry().built_in())
 def test_results_are_as_recorded_for_their_version(method):
     problem = fingerprints.verdict(method, fingerprints.measure(method), fingerprints.recorded().get(method))
     assert not problem, problem
