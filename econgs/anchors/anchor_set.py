@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -15,20 +13,6 @@ PARAMETERS = ("features", "log_scalings", "offsets")
 MASKS = "masks"
 FIRST_MASK = 1.0  # before the sigmoid (HAC)
 SCALE_CAP = 0.05
-
-
-@dataclass(frozen=True)
-class GrowthEvent:
-    """Result of one growth event.
-
-    Attributes:
-        added, pruned: numbers of anchors.
-        limited: whether the limit prevented some additions.
-    """
-
-    added: int
-    pruned: int
-    limited: bool
 
 
 class AnchorSet:
@@ -102,7 +86,7 @@ class AnchorSet:
         rules: AnchorRules,
         generator: torch.Generator,
         decoded_offsets: Tensor | None = None,
-    ) -> GrowthEvent:
+    ) -> bool:
         """One growth event (Scaffold-GS: growing first, then pruning).
 
         Args:
@@ -110,6 +94,9 @@ class AnchorSet:
             rules: thresholds.
             generator: generator of the random thinning.
             decoded_offsets: (N, K, 3) offsets of the Gaussians; None: the parameter ``offsets``.
+
+        Returns:
+            Whether the limit prevented some additions.
         """
         features, log_scalings, offsets = (optimiser[self.name(parameter)] for parameter in PARAMETERS)
         places = offsets if decoded_offsets is None else decoded_offsets
@@ -126,11 +113,10 @@ class AnchorSet:
             self.positions = torch.cat([self.positions, new_anchors.anchors])
             self.statistics = self.statistics.extended(added)
         faint = prunable(self.statistics, rules)
-        pruned = int(faint.sum())
-        if pruned:
+        if bool(faint.any()):
             self.keep(optimiser, ~faint)
             optimiser[self.name("log_scalings")][:, 3:].clamp_(max=SCALE_CAP)
-        return GrowthEvent(added, pruned, new_anchors.limited)
+        return new_anchors.limited
 
     @torch.no_grad()
     def keep(self, optimiser: Adam, rows: Tensor) -> None:

@@ -167,16 +167,10 @@ class EcongsModel(SceneModel[SceneAnchors]):
 
     @classmethod
     def load(cls, folder: Path, device: str) -> EcongsModel:
-        """Read what :meth:`save` wrote.
-
-        Raises:
-            DataError: a stream is missing, damaged or of another kind.
-        """
         return cls([Group(coded, device, file) for file, coded in read_streams(folder, SUFFIX, "econgs")])
 
     @classmethod
     def join(cls, models: Sequence[EcongsModel]) -> EcongsModel:
-        """One model of the groups of several."""
         return cls([group for model in models for group in model.groups])
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.camera import Camera
-from datasets.cloud import random_cloud
 from methods.econgs.spec import EcongsOptions
-from methods.interface import Refused, SceneInput
+from methods.interface import SceneInput
+from methods.shared.anchors import start_cloud
 
 
 def starting_points(
@@ -27,11 +27,7 @@ def starting_points(
     Raises:
         Refused: the cloud is empty.
     """
-    cloud, start = scene.cloud, options.start
-    if start == "random":
-        cloud = random_cloud(options.random_points, options.random_half_extent, seed)
-    if len(cloud) == 0:
-        raise Refused(f"the initial cloud of scene {scene.name!r} is empty; set start=random")
+    cloud, start = start_cloud(scene, options, seed), options.start
     points = np.array(cloud.points, dtype=np.float32)
     color = np.array(cloud.colors, dtype=np.float32).mean(axis=0)
     if start == "random":

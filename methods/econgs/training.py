@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -24,7 +23,6 @@ from econgs.context.arrays import round_arrays
 from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
 from econgs.context.stream import GroupAttributes, SceneAttributes, round_group
-from econgs.losses import photometric_loss
 from econgs.optim import Adam
 from econgs.splat.composite import over
 from methods.econgs.control import STEPS, RateControl
@@ -34,30 +32,22 @@ from methods.econgs.schedule import Schedule
 from methods.econgs.spec import EcongsOptions
 from methods.econgs.start import starting_points
 from methods.interface import Checkpoint, SceneInput
+from methods.shared.anchors import AnchorLoop, Rate
 from methods.shared.coding import coded_context
-from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, to_numpy, under
+from methods.shared.training import CHECK_EVERY, TrainingState, to_numpy
 
-
-@dataclass(frozen=True)
-class Rate:
-    """A learning rate that decays log-linearly over the budget."""
-
-    first: float
-    last: float
-
-
-DECODER_RATES = {
-    "opacity": Rate(2e-3, 2e-5),
-    "covariance": Rate(4e-3, 4e-3),
-    "shading": Rate(8e-3, 5e-5),
-    "normal": Rate(8e-3, 5e-5),
-    "offset": Rate(2e-3, 2e-5),
+DECODER_RATES: dict[str, Rate] = {
+    "opacity": (2e-3, 2e-5),
+    "covariance": (4e-3, 4e-3),
+    "shading": (8e-3, 5e-5),
+    "normal": (8e-3, 5e-5),
+    "offset": (2e-3, 2e-5),
 }
-ANCHOR_RATES = {"features": Rate(1e-2, 1e-4), "log_scalings": Rate(1e-2, 1e-4)}
-OFFSET_RATE = Rate(1e-2, 1e-4)
+ANCHOR_RATES: dict[str, Rate] = {"features": (1e-2, 1e-4), "log_scalings": (1e-2, 1e-4)}
+OFFSET_RATE: Rate = (1e-2, 1e-4)
 """Times the extent."""
-CONTEXT_RATE = Rate(5e-3, 1e-5)
-EMBEDDING_RATE = Rate(2e-3, 2e-5)
+CONTEXT_RATE = (5e-3, 1e-5)
+EMBEDDING_RATE = (2e-3, 2e-5)
 _EMBEDDING_SPREAD = 0.01
 COLOR_SAMPLE = 256
 """Anchors whose offset colors a step regularises."""
@@ -101,15 +91,11 @@ class _Scene:
         self.light = None if light is None else light.direction
 
 
-class Trainer(TrainingLoop):
+class Trainer(AnchorLoop):
     """State of a fit: anchors of every scene, shared networks, optimiser, order of views, random state.
 
-    Args:
-        group: the scenes to train together.
-        options: resolved options of the spec.
-        iterations: the budget of the whole group; each step sees one view of one scene.
-        seed: seed of the only generator.
-        device: "cpu" or "cuda".
+    Arguments: the scenes to train together, resolved options, and those of
+    :class:`methods.shared.training.TrainingLoop`. Each step sees one view of one scene.
 
     Raises:
         Refused: a scene without views or points.
@@ -119,12 +105,7 @@ class Trainer(TrainingLoop):
     schedule: Schedule
 
     def __init__(
-        self,
-        group: Sequence[SceneInput],
-        options: EcongsOptions,
-        iterations: int,
-        seed: int,
-        device: str,
+        self, group: Sequence[SceneInput], options: EcongsOptions, iterations: int, seed: int, device: str
     ) -> None:
         super().__init__(group, iterations, seed, device)
         self.options = options
@@ -139,6 +120,7 @@ class Trainer(TrainingLoop):
             _Scene(str(i), source, start, *shared)
             for i, (source, start) in enumerate(zip(group, starts, strict=True))
         ]
+        self.sets = [scene.anchors for scene in self.scenes]
         self.rules = AnchorRules(
             voxel=options.voxel,
             init_factor=options.init_factor,
@@ -156,9 +138,8 @@ class Trainer(TrainingLoop):
             groups[f"{scene.key}/palette"] = scene.palette.to(device)
             groups[f"{scene.key}/embedding"] = (_EMBEDDING_SPREAD * embedding).to(device)
         groups |= {name: list(self.decoders.network(name).tensors()) for name in self.decoders.names}
-        self.coding = None
         self.context_hidden = options.context_hidden or _units(first, 100, 4)
-        if self.schedule.context:
+        if self.schedule.coding:
             config = ContextConfig.of(options, self.decoders.width, self.context_hidden)
             self.coding = Coding(config, self.schedule, self.generator, device)
             groups |= self.coding.groups()
@@ -166,40 +147,20 @@ class Trainer(TrainingLoop):
         self.control = RateControl(options.target_bytes * len(self.scenes), options.target_psnr)
 
     @property
-    def count(self) -> int:
-        """Number of anchors of all scenes."""
-        return sum(len(scene.anchors) for scene in self.scenes)
-
-    @property
     def may_pause(self) -> bool:
         """Whether no gradients wait for the rest of a batch."""
         return self.fresh
 
-    def stage(self) -> str:
-        stage = self.schedule.stage(self.iteration + 1)
-        return f"{stage}, stopped at {self.rules.limit} anchors" if self.limited else stage
-
     def step(self) -> dict[str, float]:
-        """One view of one scene, the optimiser's step, and what the schedule adds to it.
-
-        Returns:
-            The loss ("loss") and its parts.
-
-        Raises:
-            Diverged: a loss or a parameter is not finite.
-        """
         self.iteration += 1
         if self.schedule.settles_rent(self.iteration):
             self._settle_rent()
-        if self.coding is not None and self.iteration == self.schedule.context_start + 1:
-            self.coding.place([scene.anchors for scene in self.scenes])
-            self.coding.begin([self._attributes(scene) for scene in self.scenes])
+        self.begin_coding()
         place, view = self.next_view()
         scene = self.scenes[place]
         camera = scene.source.train.cameras[view]
         truth = scene.images[view].to(self.device)
-        target = over(truth[..., :3], truth[..., 3], scene.source.train.background)
-        anchors, values = scene.anchors, self._attributes(scene)
+        anchors, values = scene.anchors, self.attributes(scene.anchors)
         rows = visible_anchors(camera, anchors.positions, values.scalings).nonzero()[:, 0]
         positions = anchors.positions
         if len(rows) < len(positions):
@@ -209,11 +170,9 @@ class Trainer(TrainingLoop):
         if self.coding is not None:
             values, rate = self.coding.apply(anchors, values, rows, self.count, self.iteration)
         decoded = self._decode(scene, camera, positions, values)
-        collects = self.schedule.collects(self.iteration)
-        offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
-        splats = draw([decoded], camera, offset)
-        image = over(splats.features, splats.alpha, scene.source.train.background)
-        parts = {"image": photometric_loss(image, target, self.options.ssim_weight)}
+        splats, offset = self.splat(decoded, camera)
+        back = scene.source.train.background
+        parts = {"image": self.image_loss(splats.features, splats.alpha, truth, back)}
         if self._asks_alpha(scene):
             parts["alpha"] = self._alpha_loss(splats.alpha, truth[..., 3])
         parts["scale"] = self._scale_loss(decoded.scales)
@@ -238,7 +197,7 @@ class Trainer(TrainingLoop):
             self.optimiser.step()
             self.fresh = True
         if self.schedule.grows(self.iteration):
-            self._grow()
+            self.grow()
         if self.control.active and self.schedule.corrects_rate(self.iteration, STEPS):
             model = self.model()
             self.control.correct(model.bytes_estimate(), self._psnr(model))
@@ -269,11 +228,6 @@ class Trainer(TrainingLoop):
             camera.position,
             light=scene.light,
         )
-
-    def _attributes(self, scene: _Scene) -> Attributes:
-        """The scene's attributes as they are optimised, scalings activated."""
-        features, scalings, offsets = (self.optimiser[name] for name in scene.anchors.names)
-        return Attributes(features, scalings.exp(), offsets)
 
     def _asks_alpha(self, scene: _Scene) -> bool:
         """Whether alpha is a target: opaque pictures have their background in them."""
@@ -334,11 +288,10 @@ class Trainer(TrainingLoop):
             return
         for scene in self.scenes:
             scene.anchors.keep(self.optimiser, self._who_stays(scene, allowance))
-        if self.coding is not None and self.schedule.coded(self.iteration - 1):
-            self.coding.place([scene.anchors for scene in self.scenes])
+        self.place()
 
     def _who_stays(self, scene: _Scene, allowance: float) -> Tensor:
-        positions, values = scene.anchors.positions, self._attributes(scene)
+        positions, values = scene.anchors.positions, self.attributes(scene.anchors)
         cameras, background = scene.source.train.cameras, scene.source.train.background
 
         def frame(camera: Camera, kept: Tensor) -> tuple[ViewGaussians, Tensor]:
@@ -381,37 +334,23 @@ class Trainer(TrainingLoop):
         return sum(values) / len(values)
 
     def _set_rates(self, scene: _Scene) -> None:
-        def now(rate: Rate, factor: float = 1.0) -> float:
-            return factor * self.schedule.decayed(self.iteration, rate.first, rate.last)
-
         rates = self.optimiser.rates
         for name in self.decoders.names:
-            rates[name] = now(DECODER_RATES[name])
+            rates[name] = self.decayed(DECODER_RATES[name])
         for parameter, rate in ANCHOR_RATES.items():
-            rates[scene.anchors.name(parameter)] = now(rate)
-        rates[scene.anchors.name("offsets")] = now(OFFSET_RATE, scene.source.extent)
-        rates[f"{scene.key}/embedding"] = now(EMBEDDING_RATE)
+            rates[scene.anchors.name(parameter)] = self.decayed(rate)
+        rates[scene.anchors.name("offsets")] = self.decayed(OFFSET_RATE) * scene.source.extent
+        rates[f"{scene.key}/embedding"] = self.decayed(EMBEDDING_RATE)
         rates[f"{scene.key}/palette"] = self.options.palette_lr
         if self.coding is not None:
-            rates["grid"] = rates["head"] = now(CONTEXT_RATE)
-
-    def _grow(self) -> None:
-        self.check_finite()
-        for scene in self.scenes:
-            event = scene.anchors.grow_and_prune(
-                self.optimiser, self.rules, self.generator, self._implicit_offsets(scene)
-            )
-            self.limited |= event.limited
-        if self.coding is not None and self.schedule.coded(self.iteration):
-            self.coding.place([scene.anchors for scene in self.scenes])
+            rates["grid"] = rates["head"] = self.decayed(CONTEXT_RATE)
 
     @torch.no_grad()
-    def _implicit_offsets(self, scene: _Scene) -> Tensor | None:
-        """Offsets where they are decoded instead of stored."""
+    def decoded_offsets(self, anchors: AnchorSet) -> Tensor | None:
         if self.decoders.storage != "implicit":
             return None
-        features = self.optimiser[scene.anchors.name("features")]
-        return self.decoders.implicit_offsets(features, self.optimiser[f"{scene.key}/embedding"])
+        features, embedding = (self.optimiser[anchors.name(name)] for name in ("features", "embedding"))
+        return self.decoders.implicit_offsets(features, embedding)
 
     # ------------------------------------------------------------------ what comes out
 
@@ -467,27 +406,14 @@ class Trainer(TrainingLoop):
         return EcongsModel([Group(round_group(group), state.device)])
 
     def checkpoint(self) -> Checkpoint:
-        """All that :meth:`resume` needs to go on as if nothing had happened."""
         state = super().checkpoint()
-        for scene in self.scenes:
-            state.arrays |= {f"anchors/{name}": v.clone() for name, v in scene.anchors.state().items()}
-        if self.coding is not None:
-            state.arrays |= self.coding.state()
         state.scalars["rate_factor"] = self.control.factor
         state.scalars["hidden"] = [self.decoders.hidden, self.context_hidden]
         return state
 
     def resume(self, checkpoint: Checkpoint) -> None:
-        """Continue from a checkpoint of the same fit."""
         super().resume(checkpoint)
-        arrays = self.arrays(checkpoint)
-        for scene in self.scenes:
-            scene.anchors.load_state(under("anchors/", arrays))
         self.control.factor = float(checkpoint.scalars["rate_factor"])
-        if self.coding is not None:
-            self.coding.load_state(arrays)
-            if self.schedule.coded(self.iteration):
-                self.coding.place([scene.anchors for scene in self.scenes])
 
 
 def _units(anchors: int, per_unit: int, least: int) -> int:
@@ -497,7 +423,7 @@ def _units(anchors: int, per_unit: int, least: int) -> int:
 
 def make_schedule(options: EcongsOptions, iterations: int) -> Schedule:
     """Schedule of a fit of that budget."""
-    return Schedule(iterations, options.growth_stop, options.context)
+    return Schedule(iterations, options.context, options.growth_stop)
 
 
 def make_decoders(options: EcongsOptions, hidden: int, generator: torch.Generator) -> Decoders:

@@ -137,11 +137,6 @@ class GaussianModel(SplatModel):
 
     @classmethod
     def load(cls, folder: Path, device: str) -> GaussianModel:
-        """Read what :meth:`save` wrote.
-
-        Raises:
-            DataError: a file is missing, damaged or of another kind.
-        """
         return cls(_load_scene(file, device) for file in saved_files(folder, ".json", "3dgs"))
 
 

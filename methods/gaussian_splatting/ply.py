@@ -31,10 +31,6 @@ def properties(parts: Parts) -> tuple[str, ...]:
     return tuple(name for names in parts.values() for name in names)
 
 
-PROPERTIES = properties(PARTS)
-BYTES_PER_GAUSSIAN = 4 * len(PROPERTIES)
-
-
 def write_ply(path: Path, rows: NDArray[np.float32], parts: Parts = PARTS) -> dict[str, int]:
     """Write (N, columns) ``rows``, columns as in ``properties(parts)``.
 

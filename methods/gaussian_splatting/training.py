@@ -6,9 +6,7 @@ import torch
 
 from datasets.camera import Camera
 from datasets.scene import RGB, WHITE
-from econgs.losses import photometric_loss
 from econgs.optim import Adam
-from econgs.splat.composite import over
 from econgs.splat.rasterise import SplatImages, rasterise
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, capped_logits, grow
@@ -25,20 +23,13 @@ LEARNING_RATES = {"log_scales": 5e-3, "quats": 1e-3, "sh_dc": 2.5e-3}
 POSITION_DECAY = 0.01
 """Positions end at this fraction of their first rate."""
 
-_BACKGROUNDS: dict[str, RGB] = {"white": WHITE, "black": (0.0, 0.0, 0.0)}
-
 
 class Trainer(TrainingLoop):
     """State of a fit: parameters, optimiser, densification statistics, order of views, random state.
 
     Methods that begin as 3DGS build on it: vq-3dgs, ivr-gs.
 
-    Args:
-        scene: the scene to train.
-        options: resolved options of the spec.
-        iterations: the budget.
-        seed: seed of the only generator.
-        device: "cpu" or "cuda".
+    Arguments: a scene, resolved options, and those of :class:`methods.shared.training.TrainingLoop`.
 
     Raises:
         Refused: no views, no initial points, or too many of them.
@@ -52,8 +43,7 @@ class Trainer(TrainingLoop):
     ) -> None:
         super().__init__([scene], iterations, seed, device)
         self.scene, self.options = scene, options
-        choice = options.background
-        self.background = scene.train.background if choice == "scene" else _BACKGROUNDS.get(choice)
+        self.background = self.chosen_background(scene)
         self.schedule = self._schedule(iterations)
         self.rules = GrowthRules(
             gradient=options.growth_gradient,
@@ -103,18 +93,10 @@ class Trainer(TrainingLoop):
         return f"growth, stopped at {self.rules.limit} Gaussians" if self.limited else "growth"
 
     def step(self) -> dict[str, float]:
-        """One step of the optimiser on one view, and what the schedule adds to it.
-
-        Returns:
-            The loss ("loss") and, where it has several, its parts.
-
-        Raises:
-            Diverged: a loss or a parameter is not finite.
-        """
         self.iteration += 1
         view = self.next_view()
         camera = self.scene.train.cameras[view]
-        back = self._background_color()
+        back = self.background_color()
         parts, offset, radii = self._losses(camera, self.images[view].to(self.device), back)
         losses = self.numbers(parts)
         loss = sum(parts.values(), torch.zeros((), device=self.device))
@@ -138,7 +120,7 @@ class Trainer(TrainingLoop):
     ) -> tuple[dict[str, torch.Tensor], torch.Tensor | None, torch.Tensor]:
         """Parts of the loss against a view (H, W, 4), screen offsets that densification reads, radii."""
         splats, offset = self._splat(self._colors(camera), camera)
-        image = self._image_loss(splats.features, splats.alpha, truth, back)
+        image = self.image_loss(splats.features, splats.alpha, truth, back)
         return {"image": image}, offset, splats.radii
 
     def _splat(self, features: torch.Tensor, camera: Camera) -> tuple[SplatImages, torch.Tensor | None]:
@@ -162,13 +144,6 @@ class Trainer(TrainingLoop):
             raise
         return splats, offset
 
-    def _image_loss(
-        self, colors: torch.Tensor, alpha: torch.Tensor, truth: torch.Tensor, back: RGB | torch.Tensor
-    ) -> torch.Tensor:
-        """Loss of premultiplied colors over the background."""
-        target = over(truth[..., :3], truth[..., 3], back)
-        return photometric_loss(over(colors, alpha, back), target, self.options.ssim_weight)
-
     def _record(self, gradients: torch.Tensor, radii: torch.Tensor, camera: Camera) -> None:
         """Add a view to the statistics that densification reads."""
         self.statistics.record(gradients, radii, camera.width, camera.height)
@@ -180,9 +155,6 @@ class Trainer(TrainingLoop):
 
     def views(self) -> list[int]:
         return self.shuffled(len(self.scene.train))
-
-    def _background_color(self) -> RGB | torch.Tensor:
-        return torch.rand(3, generator=self.generator) if self.background is None else self.background
 
     def _set_rates(self) -> None:
         """Learning rates of this iteration, as far as they change."""
@@ -212,13 +184,11 @@ class Trainer(TrainingLoop):
         return GaussianModel([plain_gaussians(state, options.sh_degree)])
 
     def checkpoint(self) -> Checkpoint:
-        """All that :meth:`resume` needs to go on as if nothing had happened."""
         state = super().checkpoint()
         state.arrays |= {f"statistics/{name}": v.clone() for name, v in vars(self.statistics).items()}
         return state
 
     def resume(self, checkpoint: Checkpoint) -> None:
-        """Continue from a checkpoint of the same fit."""
         super().resume(checkpoint)
         statistics = under("statistics/", self.arrays(checkpoint))
         self.statistics = GrowthStatistics(**{name: values.clone() for name, values in statistics.items()})

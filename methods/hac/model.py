@@ -67,17 +67,11 @@ class HacModel(AnchorModel):
 
     @classmethod
     def load(cls, folder: Path, device: str) -> HacModel:
-        """Read what :meth:`save` wrote.
-
-        Raises:
-            DataError: a stream is missing, damaged or of another kind.
-        """
         files, groups = zip(*read_streams(folder, SUFFIX, _METHOD), strict=True)
         return cls(groups, device, files)
 
     @classmethod
     def join(cls, models: Sequence[HacModel]) -> HacModel:
-        """One model of the scenes of several."""
         return cls([group for model in models for group in model.groups], models[0].device)
 
 

@@ -1,10 +1,11 @@
 """HAC: spec and options."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
+from methods.interface import Configuration, RateKnob, option
 from methods.scaffold_gs.spec import PUBLISHED, ScaffoldOptions
+from methods.scaffold_gs.spec import SPEC as PLAIN
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,8 @@ class HacOptions(ScaffoldOptions):
     offset_step: float = option(0.2, "quantisation step Q of offsets", minimum=1e-6)
 
 
-SPEC = MethodSpec(
+SPEC = replace(
+    PLAIN,
     name="hac",
     title="HAC: hash-grid assisted context",
     reference=(
@@ -32,12 +34,7 @@ SPEC = MethodSpec(
     ),
     version="1",
     implementation="methods.hac.method:Hac",
-    source=SHARED_SOURCE,
-    composable=True,
-    edits=frozenset({"opacity"}),
-    uses_alpha="views are composited on the training background; alpha is no target of its own",
     options=HacOptions,
-    iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     rate_knobs=(RateKnob("rate_weight", (5e-4, 1e-3, 2e-3, 3e-3, 4e-3), refit=True),),
     configurations={
         "fair": Configuration(),

@@ -32,6 +32,7 @@ class Trainer(scaffold_gs.Trainer):
     """State of a fit; see :class:`methods.scaffold_gs.training.Trainer`."""
 
     options: HacOptions
+    coding: Coding
     distance = True
     quantised = True
     masks = True
@@ -58,9 +59,7 @@ class Trainer(scaffold_gs.Trainer):
 
     def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
         """Noise or rounding, masks with straight-through gradients, and the losses of rate and masks."""
-        if self.iteration == self.schedule.context_start + 1:
-            self.coding.place([self.anchors])
-            self.coding.begin([self.attributes()])
+        self.begin_coding()
         soft = self.optimiser[self.anchors.name(MASKS)].sigmoid()
         hard = (soft.detach() > LEAST_MASK).to(soft.dtype)
         masks = (hard + (soft - soft.detach())).index_select(0, rows)
@@ -73,12 +72,6 @@ class Trainer(scaffold_gs.Trainer):
             losses["rate"] = self.options.rate_weight * bits
             losses["masks"] = self.options.mask_weight * soft.mean()
         return Prepared(values, masks, losses)
-
-    def grow(self) -> None:
-        """One growth event; what is new needs a context."""
-        super().grow()
-        if self.schedule.coded(self.iteration):
-            self.coding.place([self.anchors])
 
     @staticmethod
     @torch.no_grad()
@@ -103,16 +96,9 @@ class Trainer(scaffold_gs.Trainer):
         return HacModel([round_group(group)], state.device)
 
     def checkpoint(self) -> Checkpoint:
-        """All that :meth:`resume` needs to go on as if nothing had happened."""
         checkpoint = super().checkpoint()
-        checkpoint.arrays.update(self.coding.state())
         checkpoint.scalars["voxel"] = self.anchors.voxel
         return checkpoint
-
-    def resume(self, checkpoint: Checkpoint) -> None:
-        """Continue from a checkpoint of the same fit."""
-        super().resume(checkpoint)
-        self.coding.load_state(self.arrays(checkpoint))
 
 
 def context_config(options: HacOptions) -> ContextConfig:

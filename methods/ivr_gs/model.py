@@ -232,17 +232,11 @@ class IvrModel(SceneModel[ShadedGaussians]):
 
     @classmethod
     def load(cls, folder: Path, device: str) -> IvrModel:
-        """Read what :meth:`save` wrote.
-
-        Raises:
-            DataError: a file is missing, damaged or of another kind.
-        """
         read = read_folder(folder, METHOD, FORMAT, WIDTHS, partial(_checked, device=device))
         return cls([scene for _, scene in read], [Stored(coded, None, frozenset()) for coded, _ in read])
 
     @classmethod
     def join(cls, models: Sequence[IvrModel]) -> IvrModel:
-        """One model of the scenes of several."""
         whole = all(model.stored is not None for model in models)
         stored = [one for model in models for one in model.stored or ()]
         return cls(

@@ -190,17 +190,11 @@ class ScaffoldModel(AnchorModel):
 
     @classmethod
     def load(cls, folder: Path, device: str) -> ScaffoldModel:
-        """Read what :meth:`save` wrote.
-
-        Raises:
-            DataError: a file is missing, damaged or of another kind.
-        """
         files = saved_files(folder, ".safetensors", cls.method)
         return cls([_load_scene(file, device) for file in files], device)
 
     @classmethod
     def join(cls, models: Sequence[ScaffoldModel]) -> ScaffoldModel:
-        """One model of the scenes of several."""
         return cls([scene for model in models for scene in model.stored], models[0].device)
 
 

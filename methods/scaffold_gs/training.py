@@ -7,28 +7,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.cloud import random_cloud
 from econgs.anchors.anchor_set import AnchorSet
 from econgs.anchors.decode import visible_anchors
 from econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
-from econgs.anchors.gaussians import apply_masks, draw
+from econgs.anchors.gaussians import apply_masks
 from econgs.anchors.growing import AnchorRules
 from econgs.context.model import Attributes
-from econgs.losses import photometric_loss
 from econgs.optim import Adam
 from econgs.points import median_neighbour_distance
-from econgs.splat.composite import over
-from methods.interface import Checkpoint, Model, Refused, SceneInput
+from methods.interface import Model, Refused, SceneInput
 from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
 from methods.scaffold_gs.spec import ScaffoldOptions
-from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, to_numpy, under
+from methods.shared.anchors import AnchorLoop, Rate, start_cloud
+from methods.shared.training import CHECK_EVERY, TrainingState, to_numpy
 
-Rate = tuple[float, float]
-"""First and last learning rate; between them it decays log-linearly."""
 DECODER_RATES: dict[str, Rate] = {"opacity": (2e-3, 2e-5), "covariance": (4e-3, 4e-3), "color": (8e-3, 5e-5)}
 FEATURE_RATE, SCALING_RATE = 7.5e-3, 7e-3
 OFFSET_RATE: Rate = (1e-2, 1e-4)
@@ -52,15 +47,10 @@ class Prepared:
     losses: Mapping[str, Tensor] = field(default_factory=dict)
 
 
-class Trainer(TrainingLoop):
+class Trainer(AnchorLoop):
     """State of a fit: anchors, networks, optimiser, order of views, random state.
 
-    Args:
-        scene: the scene to train.
-        options: resolved options of the spec.
-        iterations: the budget.
-        seed: seed of the only generator.
-        device: "cpu" or "cuda".
+    Arguments: a scene, resolved options, and those of :class:`methods.shared.training.TrainingLoop`.
 
     Raises:
         Refused: no views, no points to start from, or more than ``max_anchors``.
@@ -73,17 +63,12 @@ class Trainer(TrainingLoop):
     masks = False
 
     def __init__(
-        self,
-        scene: SceneInput,
-        options: ScaffoldOptions,
-        iterations: int,
-        seed: int,
-        device: str,
+        self, scene: SceneInput, options: ScaffoldOptions, iterations: int, seed: int, device: str
     ) -> None:
         super().__init__([scene], iterations, seed, device)
         self.scene, self.options = scene, options
         self.schedule = Schedule(iterations, self.quantised)
-        points = torch.from_numpy(_start(scene, options, seed))
+        points = torch.from_numpy(np.array(start_cloud(scene, options, seed).points, dtype=np.float32))
         voxel = options.voxel or median_neighbour_distance(points, 0.01 * scene.extent)
         self.anchors = AnchorSet(
             KEY,
@@ -95,6 +80,7 @@ class Trainer(TrainingLoop):
             masks=self.masks,
             device=device,
         )
+        self.sets = [self.anchors]
         limit = options.max_anchors
         if 0 < limit < len(self.anchors):
             raise Refused(f"{len(self.anchors)} initial anchors are more than max_anchors = {limit}")
@@ -116,7 +102,7 @@ class Trainer(TrainingLoop):
             distance=self.distance,
             generator=self.generator,
         ).to(device)
-        self.background = _background(scene, options.background)
+        self.background = self.chosen_background(scene)
         self.images = torch.from_numpy(scene.train.images)
         groups = self.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
@@ -129,18 +115,13 @@ class Trainer(TrainingLoop):
         Few starts give every offset a negative opacity; what is not shown gets no gradient, and such a fit
         would never begin.
         """
-        values, positions = self.attributes(), self.anchors.positions
+        values, positions = self.attributes(self.anchors), self.anchors.positions
         for camera in self.scene.train.cameras:
             if len(decode_colors(positions, *values, self.decoders, camera.position).slots):
                 return
         network = self.decoders.network("opacity")
         network.second_weight.neg_()
         network.second_bias.neg_()
-
-    @property
-    def count(self) -> int:
-        """Number of anchors."""
-        return len(self.anchors)
 
     # ------------------------------------------------------------------ what HAC changes
 
@@ -185,21 +166,12 @@ class Trainer(TrainingLoop):
     # ------------------------------------------------------------------ a step
 
     def step(self) -> dict[str, float]:
-        """One step of the optimiser on one view, and what the schedule adds to it.
-
-        Returns:
-            The loss ("loss") and its parts.
-
-        Raises:
-            Diverged: a loss or a parameter is not finite.
-        """
         self.iteration += 1
         view = self.next_view()
         camera = self.camera = self.scene.train.cameras[view]
-        background = self._background_now()
+        background = self.background_color()
         truth = self.images[view].to(self.device)
-        target = over(truth[..., :3], truth[..., 3], background)
-        values = self.attributes()
+        values = self.attributes(self.anchors)
         rows = self.visible(values).nonzero()[:, 0]
         if len(rows) < len(self.anchors):
             values = values.of(rows)
@@ -209,11 +181,8 @@ class Trainer(TrainingLoop):
         )
         if prepared.masks is not None:
             decoded = apply_masks(decoded, prepared.masks)
-        collects = self.schedule.collects(self.iteration)
-        offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
-        splats = draw([decoded], camera, offset)
-        image = over(splats.features, splats.alpha, background)
-        losses = {"image": photometric_loss(image, target, self.options.ssim_weight)}
+        splats, offset = self.splat(decoded, camera)
+        losses = {"image": self.image_loss(splats.features, splats.alpha, truth, background)}
         if len(decoded.scales):
             losses["scale"] = self.options.scale_weight * decoded.scales.prod(dim=1).mean()
         losses |= prepared.losses
@@ -239,48 +208,8 @@ class Trainer(TrainingLoop):
             self.check_finite()
         return {"loss": sum(numbers.values()), **numbers}
 
-    def attributes(self) -> Attributes:
-        """Attributes of all anchors as they are optimised, scalings activated."""
-        names = ("features", "log_scalings", "offsets")
-        features, log_scalings, offsets = (self.optimiser[self.anchors.name(name)] for name in names)
-        return Attributes(features, log_scalings.exp(), offsets)
-
-    def decayed(self, rate: Rate) -> float:
-        """A learning rate at this iteration."""
-        return self.schedule.decayed(self.iteration, *rate)
-
-    def grow(self) -> None:
-        """One growth event."""
-        self.check_finite()
-        self.limited |= self.anchors.grow_and_prune(self.optimiser, self.rules, self.generator).limited
-
-    def stage(self) -> str:
-        stage = self.schedule.stage(self.iteration + 1)
-        if len(self.anchors) == 0:
-            return f"{stage}, no anchors left"
-        return f"{stage}, stopped at {self.rules.limit} anchors" if self.limited else stage
-
     def views(self) -> list[int]:
         return self.shuffled(len(self.images))
-
-    def _background_now(self) -> tuple[float, float, float]:
-        if self.background is not None:
-            return self.background
-        red, green, blue = torch.rand(3, generator=self.generator).tolist()
-        return red, green, blue
-
-    # ------------------------------------------------------------------ checkpoints
-
-    def checkpoint(self) -> Checkpoint:
-        """All that :meth:`resume` needs to go on as if nothing had happened."""
-        state = super().checkpoint()
-        state.arrays |= {f"anchors/{name}": values.clone() for name, values in self.anchors.state().items()}
-        return state
-
-    def resume(self, checkpoint: Checkpoint) -> None:
-        """Continue from a checkpoint of the same fit."""
-        super().resume(checkpoint)
-        self.anchors.load_state(under("anchors/", self.arrays(checkpoint)))
 
 
 def color_decoders(state: TrainingState, options: ScaffoldOptions, *, distance: bool) -> ColorDecoders:
@@ -291,18 +220,3 @@ def color_decoders(state: TrainingState, options: ScaffoldOptions, *, distance: 
     for name in NETWORKS:
         state.fill(name, decoders.network(name).tensors())
     return decoders.requires_grad_(False)
-
-
-def _start(scene: SceneInput, options: ScaffoldOptions, seed: int) -> NDArray[np.float32]:
-    cloud = scene.cloud
-    if options.start == "random":
-        cloud = random_cloud(options.random_points, options.random_half_extent, seed)
-    if len(cloud) == 0:
-        raise Refused(f"the initial cloud of scene {scene.name!r} is empty; set start=random")
-    return np.array(cloud.points, dtype=np.float32)
-
-
-def _background(scene: SceneInput, choice: str) -> tuple[float, float, float] | None:
-    """Background of training views; None: a random color each time."""
-    fixed = {"scene": scene.train.background, "white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
-    return fixed.get(choice)

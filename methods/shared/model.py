@@ -68,7 +68,11 @@ class SceneModel(ABC, Generic[S]):
 
     @classmethod
     def load(cls, folder: Any, device: str) -> Any:
-        """Read a saved model; see :class:`methods.interface.Method`."""
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            DataError: a file is missing, damaged or of another kind.
+        """
         raise NotImplementedError
 
     @classmethod

@@ -28,8 +28,15 @@ class Proportional:
         return math.exp((1.0 - t) * math.log(first) + t * math.log(last))
 
 
+@dataclass(frozen=True)
 class AnchorSchedule(Proportional):
-    """Base class of the schedules of anchors: Scaffold-GS, HAC, ECoNGS."""
+    """Base class of the schedules of anchors: Scaffold-GS, HAC, ECoNGS.
+
+    Attributes:
+        coding: whether attributes are quantised and coded: trained under noise, then with the context model.
+    """
+
+    coding: bool = False
 
     @property
     def growth_start(self) -> int:
@@ -69,6 +76,34 @@ class AnchorSchedule(Proportional):
     def collects(self, iteration: int) -> bool:
         """Whether growth statistics are taken."""
         return self._scaled(500) < iteration < self.growth_stop
+
+    def noisy(self, iteration: int) -> bool:
+        """Whether attributes carry quantisation noise."""
+        return self.coding and iteration > self.noise_start
+
+    def coded(self, iteration: int) -> bool:
+        """Whether steps and probabilities come from the context model, and the rate counts."""
+        return self.coding and iteration > self.context_start
+
+    @property
+    def rounding_start(self) -> int:
+        """Attributes are rounded as the coder will round them from here on: in the last twentieth."""
+        return self._scaled(round(0.95 * self.published))
+
+    def exact(self, iteration: int) -> bool:
+        """Whether attributes are rounded as the coder will round them."""
+        return self.coded(iteration) and iteration > self.rounding_start
+
+    def stage(self, iteration: int) -> str:
+        """Name of the stage, for people."""
+        growth = "growth" if self.collects(iteration) else ""
+        if self.exact(iteration):
+            return "rounding"
+        if self.coded(iteration):
+            return "growth with context model" if growth else "context model"
+        if self.noisy(iteration):
+            return "growth under noise" if growth else "noise"
+        return growth or ("refinement" if iteration >= self.growth_stop else "warm-up")
 
     def grows(self, iteration: int) -> bool:
         """Whether a growth event follows."""

@@ -13,13 +13,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.scene import RGB
+from datasets.scene import RGB, WHITE
+from econgs.losses import photometric_loss
 from econgs.optim import Adam
+from econgs.splat.composite import over
 from methods.interface import Checkpoint, Diverged, Monitor, Refused, SceneInput
 from methods.shared.edits import Direction
 
 CHECK_EVERY = 100
 """Iterations between looks at whether parameters are finite."""
+_BACKGROUNDS: dict[str, RGB] = {"white": WHITE, "black": (0.0, 0.0, 0.0)}
 _LOGARITHMS = ("log_scales", "log_scalings")  # may be finite where their exponentials are not
 
 
@@ -91,6 +94,7 @@ class TrainingLoop(ABC):
     Attributes:
         optimiser: holds the parameters.
         options: the method's options.
+        background: what training views are composited on; None: a random color each time.
         iteration: steps done.
         pending: views not yet drawn in this round.
         limited: growth has met its limit.
@@ -101,6 +105,7 @@ class TrainingLoop(ABC):
 
     optimiser: Adam
     options: Any
+    background: RGB | None
 
     def __init__(self, scenes: Sequence[SceneInput], iterations: int, seed: int, device: str) -> None:
         for scene in scenes:
@@ -128,7 +133,7 @@ class TrainingLoop(ABC):
         """One step of the optimiser on one view, and what the schedule adds to it.
 
         Returns:
-            The loss ("loss") and its parts.
+            The loss ("loss") and, where it has several, its parts.
 
         Raises:
             Diverged: a loss or a parameter is not finite.
@@ -188,6 +193,20 @@ class TrainingLoop(ABC):
         if not self.pending:
             self.pending = self.views()
         return self.pending.pop()
+
+    def chosen_background(self, scene: SceneInput) -> RGB | None:
+        """The background that the option of that name chooses."""
+        choice = self.options.background
+        return scene.train.background if choice == "scene" else _BACKGROUNDS.get(choice)
+
+    def background_color(self) -> RGB | Tensor:
+        """The background of this iteration."""
+        return torch.rand(3, generator=self.generator) if self.background is None else self.background
+
+    def image_loss(self, colors: Tensor, alpha: Tensor, truth: Tensor, back: RGB | Tensor) -> Tensor:
+        """Loss of premultiplied colors (H, W, 3) against a view (H, W, 4), both over a background."""
+        target = over(truth[..., :3], truth[..., 3], back)
+        return photometric_loss(over(colors, alpha, back), target, self.options.ssim_weight)
 
     def shuffled(self, count: int) -> list[int]:
         order: list[int] = torch.randperm(count, generator=self.generator).tolist()

@@ -100,17 +100,11 @@ class VqModel(SplatModel):
 
     @classmethod
     def load(cls, folder: Path, device: str) -> VqModel:
-        """Read what :meth:`save` wrote.
-
-        Raises:
-            DataError: a file is missing, damaged or of another kind.
-        """
         read = read_folder(folder, "vq-3dgs", FORMAT, WIDTHS, partial(_checked, device=device))
         return cls([[coded] for coded, _ in read], [ready for _, ready in read], device)
 
     @classmethod
     def join(cls, models: Sequence[VqModel]) -> VqModel:
-        """One model of the scenes of several."""
         stored = [scene for model in models for scene in model.stored]
         return cls(stored, [model.scene(name) for model in models for name in model.scenes], models[0].device)
 

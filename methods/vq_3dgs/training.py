@@ -74,7 +74,7 @@ class VqTrainer(Trainer):
             spherical_harmonics(now.sh_degree, now.means, position, now.sh_dc, now.sh_rest),
             camera,
         )
-        return {"image": self._image_loss(splats.features, splats.alpha, truth, back)}, None, splats.radii
+        return {"image": self.image_loss(splats.features, splats.alpha, truth, back)}, None, splats.radii
 
     def _set_rates(self) -> None:
         if not self.coded:
