@@ -1,14 +1,11 @@
 """Scaffold-GS and HAC on a tiny scene of known Gaussians: what both promise to the harness."""
 
-from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-import methods
 from datasets.errors import DataError
 from econgs.anchors.direct import ColorDecoders
 from methods.hac.method import Hac
@@ -21,18 +18,17 @@ from methods.scaffold_gs.schedule import Schedule
 from methods.scaffold_gs.spec import SPEC as SCAFFOLD
 from methods.scaffold_gs.training import Trainer as ScaffoldTrainer
 
-ROOT = Path(methods.__file__).parents[1]
 SMALL = {"features": 16, "offsets": 4, "voxel": 0.01}
 BUDGET = 600
 
 KINDS = {
     "scaffold-gs": SimpleNamespace(
-        spec=SCAFFOLD, method=ScaffoldGS, trainer=ScaffoldTrainer, small=SMALL, suffix=".safetensors",
-        module="methods.scaffold_gs.model", least=25.0, stages=["warm-up", "growth", "refinement"],
+        spec=SCAFFOLD, method=ScaffoldGS, trainer=ScaffoldTrainer, small=SMALL, least=25.0,
+        stages=["warm-up", "growth", "refinement"],
     ),
     "hac": SimpleNamespace(
-        spec=HAC, method=Hac, trainer=HacTrainer, small=SMALL | {"grid": "small", "context_hidden": 24},
-        suffix=".hac", module="methods.hac.model", least=23.0,
+        spec=HAC, method=Hac, trainer=HacTrainer, least=23.0,
+        small=SMALL | {"grid": "small", "context_hidden": 24},
         stages=["warm-up", "growth", "growth under noise", "growth with context model", "context model",
                 "rounding"],
     ),
@@ -52,10 +48,6 @@ def fit(kind, scene, recorder, iterations=60, seed=0, resume=None, **changed):
     return kind.method().fit(
         [scene], options(kind, **changed), Budget(iterations), seed, "cpu", recorder, resume
     )
-
-
-def renamed(scene, name):
-    return replace(scene, scene=replace(scene.scene, name=name))
 
 
 @pytest.fixture(scope="module")
@@ -114,9 +106,6 @@ def test_what_cannot_be_fitted_is_refused(kind, tiny, scene):
     assert fit(kind, empty, tiny.Recorder(), 5, start="random", random_points=50).primitives() > 0
     with pytest.raises(Refused, match="more than max_anchors"):
         fit(kind, scene, tiny.Recorder(), 5, max_anchors=3)
-
-
-def test_cells_of_no_size_are_refused(kind, tiny, scene):
     with pytest.raises(Refused, match="cells"):
         fit(kind, scene, tiny.Recorder(), 5, init_factor=4)
 
@@ -155,19 +144,6 @@ def test_what_is_not_finite_is_called_diverged(kind, scene):
     trainer.images = torch.full_like(trainer.images, torch.nan)
     with pytest.raises(Diverged, match=r"image loss.*iteration 1"):
         trainer.step()
-
-
-def test_configurations_are_chosen_like_an_option(kind):
-    fair, paper = (resolve(kind.spec, "paper", {"configuration": name}) for name in ("fair", "paper"))
-    assert (fair.variant, fair.options.start, fair.iterations) == ("", "cloud", 20_000)
-    assert (paper.variant, paper.options.start, paper.iterations) == (
-        "configuration=paper",
-        "random",
-        30_000,
-    )
-    own = resolve(kind.spec, "quick", {"configuration": "paper", "start": "cloud"})
-    assert own.variant == "configuration=paper,start=cloud"
-    assert own.iterations == resolve(kind.spec, "quick").iterations
 
 
 def test_the_schedule_is_the_published_one_at_its_budget():

@@ -79,7 +79,7 @@ def test_views_are_spread():
 
 def test_rent_is_settled_twice_after_growth():
     for share, context in ((0.5, True), (0.75, True), (0.5, False)):
-        schedule = Schedule(2_000, share, context)
+        schedule = Schedule(2_000, context, share)
         when = [i for i in range(1, 2_001) if schedule.settles_rent(i)]
         assert len(when) == 2
         assert not any(schedule.grows(i) for i in range(when[0], 2_001))

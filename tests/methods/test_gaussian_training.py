@@ -97,11 +97,6 @@ def test_all_pruned_away_ends_in_an_empty_model(tiny, scene, tmp_path):
     )
 
 
-def test_a_single_point_trains(tiny, scene):
-    model = fit(tiny.with_cloud(scene, [[0.0, 0.0, 0.0]]), tiny.Recorder(), 40)
-    assert model.primitives() >= 1
-
-
 def test_parameters_that_blow_up_are_called_diverged(scene, options):
     trainer = Trainer(scene, options, 20, 0, "cpu")
     with torch.no_grad():
@@ -131,13 +126,8 @@ def test_the_limit_is_kept_and_shown(tiny, scene):
     assert any("110" in stage for stage in recorder.stages)
 
 
-def test_what_cannot_be_fitted_is_refused(tiny, scene, options):
+def test_what_cannot_be_fitted_is_refused(tiny, scene):
     with pytest.raises(Refused, match="more than max_gaussians = 50"):
         fit(scene, tiny.Recorder(), 10, max_gaussians=50)
     with pytest.raises(Refused, match="empty"):
         fit(tiny.with_cloud(scene, []), tiny.Recorder(), 10)
-    with pytest.raises(Refused, match="2 together"):
-        GaussianSplatting().fit([scene, scene], options, Budget(5), 0, "cpu", tiny.Recorder())
-    blind = replace(scene, train=replace(scene.train, cameras=(), images=scene.train.images[:0]))
-    with pytest.raises(Refused, match="no training views"):
-        fit(blind, tiny.Recorder(), 10)

@@ -184,9 +184,6 @@ def test_light_of_the_scene_and_of_edits(scene, tiny, tmp_path):
     up = model.render(camera, edit={"tiny": Edit(light=(0.0, 0.0, 1.0))})[0]
     assert torch.equal(up, plain)
     assert not torch.equal(model.render(camera, edit={"tiny": Edit(light="headlight")})[0], plain)
-    for bad in (Edit(light=(0.0, 0.0, 0.0)), Edit(specular=-1.0), Edit(palette=(2.0, 0.0, 0.0))):
-        with pytest.raises(Refused):
-            model.render(camera, edit={"tiny": bad})
 
 
 def test_what_cannot_be_seen_goes(scene):
