@@ -85,6 +85,11 @@ def test_rent_is_settled_twice_after_growth():
         assert not any(schedule.grows(i) for i in range(when[0], 2_001))
 
 
+def test_after_growth_a_fit_without_context_model_refines():
+    stages = [Schedule(2_000, coding=False).stage(iteration) for iteration in (1, 100, 1_500)]
+    assert stages == ["warm-up", "growth", "refinement"]
+
+
 def test_anchors_that_add_nothing_go_and_the_picture_stays(tiny, scene):
     """Points far from the object are never seen to add anything."""
     far = np.concatenate([scene.cloud.points, np.float32([[0.0, 0.0, z] for z in np.linspace(3.0, 4.0, 40)])])
