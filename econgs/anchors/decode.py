@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from datasets.camera import Camera
 from econgs.anchors.decoders import NETWORKS, Decoders
@@ -231,7 +231,7 @@ def _check_shapes(inputs: dict[str, Tensor], decoders: Decoders) -> None:
 
 
 @torch.no_grad()
-def refuse_non_finite(inputs: dict[str, Tensor], decoders: Decoders) -> None:
+def refuse_non_finite(inputs: dict[str, Tensor], decoders: nn.Module) -> None:
     """Raises for the first tensor that holds NaN or infinity.
 
     Raises:

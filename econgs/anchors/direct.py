@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
 
-from econgs.anchors.decode import Vector, rotation
+from econgs.anchors.decode import Vector, refuse_non_finite, rotation
 from econgs.anchors.decoders import Decoder
 from econgs.anchors.gaussians import ViewGaussians
 from econgs.anchors.shading import unit
@@ -105,9 +104,8 @@ def decode_colors(
         weights = [one for name in NETWORKS for one in decoders.network(name).tensors()]
         decoded = native.decode_plain(inputs, weights, view, opacity > 0.0)
     else:
-        tensors = (*inputs, *decoders.parameters())
-        if not math.isfinite(float(torch.stack([one.detach().sum() for one in tensors]).sum())):
-            raise ValueError("decode: every value must be finite")
+        names = ("anchors", "features", "scalings", "offsets")
+        refuse_non_finite(dict(zip(names, inputs, strict=True)), decoders)
         decoded = _torch_decode(*inputs, decoders, view, opacity > 0.0)
     if opacity == 1.0:
         return decoded

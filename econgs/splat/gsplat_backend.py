@@ -15,23 +15,15 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
+from econgs.splat.rasterise import Splats
 
 TILE = 16
 BLUR = 0.3
 
 
-def rasterise(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    features: Tensor,
-    camera: Camera,
-    *,
-    near: float,
-    screen_offset: Tensor | None,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Features H×W×C, alpha H×W, depth H×W and radii N; arguments as in :func:`econgs.splat.rasterise`."""
+def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Features H×W×C, alpha H×W, depth H×W and radii N."""
+    means, quats, scales, opacities, features, camera, near, screen_offset = splats
     import gsplat
 
     width, height = camera.width, camera.height

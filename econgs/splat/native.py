@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import econgs._native as _native
-from datasets.camera import Camera
 from datasets.names import unknown
+from econgs.splat.rasterise import Splats
 
 
 def available_isas(*, testing: bool = False) -> list[str]:
@@ -139,22 +139,13 @@ class _Rasterise(torch.autograd.Function):
         return (*results, grad_offset, None, None, None)
 
 
-def rasterise(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    features: Tensor,
-    camera: Camera,
-    *,
-    near: float = 0.2,
-    screen_offset: Tensor | None = None,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Features H×W×C, alpha H×W, depth H×W and radii N; arguments as in :func:`econgs.splat.rasterise`.
+def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Features H×W×C, alpha H×W, depth H×W and radii N.
 
     Raises:
         ValueError: NaN or infinity, a zero quaternion, a negative scale or an opacity outside [0, 1].
     """
+    means, quats, scales, opacities, features, camera, near, screen_offset = splats
     pose = camera.world_to_camera[:3, :4].ravel()
     view = np.array([*pose.tolist(), camera.fx, camera.fy, camera.cx, camera.cy])
     size = (camera.width, camera.height)

@@ -10,6 +10,7 @@ import warnings
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,6 +19,19 @@ from datasets.camera import Camera
 from datasets.names import unknown
 
 BACKENDS = ("native", "gsplat", "torch")
+
+
+class Splats(NamedTuple):
+    """What a backend splats; fields as the arguments of :func:`rasterise`."""
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    features: Tensor
+    camera: Camera
+    near: float = 0.2
+    screen_offset: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -83,7 +97,7 @@ def rasterise(
         _check_values(tensors)
     try:
         images = _module(name).rasterise(
-            means, quats, scales, opacities, features, camera, near=near, screen_offset=screen_offset
+            Splats(means, quats, scales, opacities, features, camera, near, screen_offset)
         )
     except ValueError:
         _find_bad(tensors)  # the same message for every backend

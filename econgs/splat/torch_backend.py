@@ -15,6 +15,7 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from econgs.splat.composite import MIN_ALPHA
+from econgs.splat.rasterise import Splats
 
 TILE = 16  # pixels
 BLUR = 0.3  # px², added to the diagonal of the projected covariance
@@ -35,18 +36,9 @@ class Projected(NamedTuple):
     det: Tensor
 
 
-def rasterise(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    features: Tensor,
-    camera: Camera,
-    *,
-    near: float,
-    screen_offset: Tensor | None,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Features H×W×C, alpha H×W, depth H×W and radii N; arguments as in :func:`econgs.splat.rasterise`."""
+def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Features H×W×C, alpha H×W, depth H×W and radii N."""
+    means, quats, scales, opacities, features, camera, near, screen_offset = splats
     with torch.no_grad():
         seen, radii, boxes = _visible(
             _project(means, quats, scales, camera, screen_offset), opacities, camera, near
@@ -54,12 +46,13 @@ def rasterise(
     # Everything differentiable is computed from the visible rows only: what is culled gets exact zeros
     # as gradients, whatever infinities its projection holds.
     offset = None if screen_offset is None else screen_offset[seen]
-    splats = _project(means[seen], quats[seen], scales[seen], camera, offset)
+    visible = _project(means[seen], quats[seen], scales[seen], camera, offset)
     pairs, counts = _intersections(boxes, camera)
-    columns = [splats.u, splats.v, splats.c / splats.det, -splats.b / splats.det, splats.a / splats.det]
+    columns = [visible.u, visible.v, visible.c / visible.det, -visible.b / visible.det]
+    columns.append(visible.a / visible.det)
     geometry = torch.stack([*columns, opacities[seen]], dim=0)
     payload = torch.cat(
-        [features[seen], splats.depth[:, None], torch.ones_like(splats.depth[:, None])], dim=1
+        [features[seen], visible.depth[:, None], torch.ones_like(visible.depth[:, None])], dim=1
     )
 
     pixels: list[Tensor] = []

@@ -15,6 +15,7 @@ import torch
 
 from datasets.camera import Camera
 from datasets.errors import UnknownName
+from econgs.splat.rasterise import Splats
 
 from .conftest import ISAS
 
@@ -42,7 +43,7 @@ def everything() -> list[torch.Tensor]:
     """Outputs and gradients of the kernels on one scene."""
     leaves = [one.requires_grad_(True) for one in cloud()]
     offset = torch.zeros(len(leaves[0]), 2, requires_grad=True)
-    image, alpha, depth, radii = native.rasterise(*leaves, camera(), screen_offset=offset)
+    image, alpha, depth, radii = native.rasterise(Splats(*leaves, camera(), screen_offset=offset))
     target = torch.rand(image.shape, generator=torch.Generator().manual_seed(1))
     loss = native.photometric_loss(image, target, 0.2) + (alpha * alpha).mean() + depth.mean()
     grads = torch.autograd.grad(loss, [*leaves, offset])
@@ -61,7 +62,7 @@ def test_bit_identical_for_any_number_of_threads(isa: str) -> None:
 
 def digest() -> str:
     """A digest of one frame, by the native kernels alone: torch's own threads do not survive a fork."""
-    image, *_ = native.rasterise(*cloud(500), camera())
+    image, *_ = native.rasterise(Splats(*cloud(500), camera()))
     return hashlib.sha256(image.numpy().tobytes()).hexdigest()
 
 
@@ -124,7 +125,7 @@ def test_extreme_scales_give_finite_numbers(isa: str, scale: float) -> None:
     leaves[2][::3, 0] = scale
     for one in leaves:
         one.requires_grad_(True)
-    image, alpha, depth, _ = native.rasterise(*leaves, camera())
+    image, alpha, depth, _ = native.rasterise(Splats(*leaves, camera()))
     (image.sum() + alpha.sum() + depth.sum()).backward()
     assert torch.isfinite(image).all()
     assert torch.isfinite(alpha).all()
@@ -135,7 +136,7 @@ def test_extreme_scales_give_finite_numbers(isa: str, scale: float) -> None:
 def test_wrong_shapes_are_refused() -> None:
     tensors = cloud(10)
     with pytest.raises(ValueError, match="quats must have shape"):
-        native.rasterise(tensors[0], tensors[1][:9], *tensors[2:], camera())
+        native.rasterise(Splats(tensors[0], tensors[1][:9], *tensors[2:], camera()))
 
 
 def test_adam_moments_are_those_of_float64(isa: str) -> None:
@@ -160,7 +161,7 @@ def test_a_tile_is_drawn_near_to_far_whatever_its_number(isa: str) -> None:
         means = np.stack([0 * depth, 0 * depth, depth], 1).astype(np.float32)
         tensors = [means, np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), 1e6), np.full(count, 0.01)]
         inputs = [torch.from_numpy(np.asarray(one, np.float32)) for one in (*tensors, colors)]
-        image, *_ = native.rasterise(*inputs, view)
+        image, *_ = native.rasterise(Splats(*inputs, view))
         passing, expected = 1.0, 0.0
         for n in np.argsort(depth, kind="stable"):
             expected += passing * 0.01 * colors[n, 0]
