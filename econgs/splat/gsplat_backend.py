@@ -23,9 +23,9 @@ BLUR = 0.3
 
 def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Features H×W×C, alpha H×W, depth H×W and radii N."""
-    means, quats, scales, opacities, features, camera, near, screen_offset = splats
     import gsplat
 
+    means, quats, scales, opacities, features, camera, near, screen_offset = splats
     width, height = camera.width, camera.height
     if len(means) == 0:
         # Zeros with a gradient path to the inputs, for a backward pass.
