@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -143,15 +144,16 @@ class EcongsModel(SceneModel[SceneAnchors]):
         """
         if rate is not None:
             raise Refused("econgs has one size: set rate_weight and train")
-        ledger: dict[str, dict[str, int]] = {}
+        ledger: defaultdict[str, Counter[str]] = defaultdict(Counter)  # "" for what a group shares
         for place, group in enumerate(self.groups):
-            data = _encode(group)
+            data, names = _encode(group), tuple(group.scenes)
             (folder / f"{place}{SUFFIX}").write_bytes(data)
-            for scene, parts in _ledger(data, tuple(group.scenes)).items():
-                into = ledger.setdefault(scene, {})
-                for part, count in parts.items():
-                    into[part] = into.get(part, 0) + count
-        return ledger
+            sections = read_container(data, "stream")
+            ledger[""]["container"] += overhead(len(sections))
+            for section in sections:
+                scene = names[section.scene] if section.kind >= Kind.SCENE else ""
+                ledger[scene][section.kind.name.lower()] += len(section.payload)
+        return {scene: dict(parts) for scene, parts in ledger.items()}
 
     def gaussians(self, scene: SceneAnchors, camera: Camera, edit: Edit) -> Gaussians:
         """The shaded Gaussians of the anchors in view."""
@@ -176,15 +178,3 @@ class EcongsModel(SceneModel[SceneAnchors]):
 
 def _encode(group: Group) -> bytes:
     return encode_group(group.coded, weights=group.coded.metadata["decoders"]["precision"]).data
-
-
-def _ledger(data: bytes, scenes: Sequence[str]) -> dict[str, dict[str, int]]:
-    """Bytes of a stream by scene ("" for what all share) and part."""
-    sections = read_container(data, "stream")
-    ledger: dict[str, dict[str, int]] = {"": {"container": overhead(len(sections))}}
-    for section in sections:
-        scene = scenes[section.scene] if section.kind >= Kind.SCENE else ""
-        parts = ledger.setdefault(scene, {})
-        part = section.kind.name.lower()
-        parts[part] = parts.get(part, 0) + len(section.payload)
-    return ledger
