@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
-from econgs.splat.rasterise import Splats
+from econgs.splat.splats import Splats
 
 TILE = 16
 BLUR = 0.3

@@ -18,7 +18,7 @@ from torch import Tensor
 
 import econgs._native as _native
 from datasets.names import unknown
-from econgs.splat.rasterise import Splats
+from econgs.splat.splats import Splats
 
 
 def available_isas(*, testing: bool = False) -> list[str]:

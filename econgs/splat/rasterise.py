@@ -10,28 +10,15 @@ import warnings
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.names import unknown
+from econgs.splat.splats import Splats
 
 BACKENDS = ("native", "gsplat", "torch")
-
-
-class Splats(NamedTuple):
-    """What a backend splats; fields as the arguments of :func:`rasterise`."""
-
-    means: Tensor
-    quats: Tensor
-    scales: Tensor
-    opacities: Tensor
-    features: Tensor
-    camera: Camera
-    near: float = 0.2
-    screen_offset: Tensor | None = None
 
 
 @dataclass(frozen=True)

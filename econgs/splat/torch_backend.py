@@ -15,7 +15,7 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from econgs.splat.composite import MIN_ALPHA
-from econgs.splat.rasterise import Splats
+from econgs.splat.splats import Splats
 
 TILE = 16  # pixels
 BLUR = 0.3  # px², added to the diagonal of the projected covariance

@@ -15,7 +15,7 @@ import torch
 
 from datasets.camera import Camera
 from datasets.errors import UnknownName
-from econgs.splat.rasterise import Splats
+from econgs.splat.splats import Splats
 
 from .conftest import ISAS
 

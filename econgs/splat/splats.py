@@ -1,0 +1,22 @@
+"""Arguments of the backends."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+from datasets.camera import Camera
+
+
+class Splats(NamedTuple):
+    """What a backend splats; fields as the arguments of :func:`econgs.splat.rasterise`."""
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    features: Tensor
+    camera: Camera
+    near: float = 0.2
+    screen_offset: Tensor | None = None
