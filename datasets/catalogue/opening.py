@@ -13,7 +13,7 @@ from datasets.errors import DataError
 from datasets.names import unknown
 
 if TYPE_CHECKING:
-    from datasets.scene import BasicScene, Dataset, Isosurface
+    from datasets.scene import BasicScene, Dataset
     from datasets.transfer import Bump
     from datasets.volume import Volume
 
@@ -141,7 +141,7 @@ def _fetch(name: str, file: dict[str, Any]) -> Path | None:
 
 
 def _scenes(table: dict[str, Any]) -> tuple[BasicScene, ...]:
-    from datasets.scene import WHITE, BasicScene, Light
+    from datasets.scene import WHITE, BasicScene, Isosurface, Light
     from datasets.transfer import TransferFunction
 
     scenes = []
@@ -161,7 +161,10 @@ def _scenes(table: dict[str, Any]) -> tuple[BasicScene, ...]:
                 transfer,
                 Light(**light),
                 background,
-                isosurfaces=tuple(_isosurface(surface) for surface in scene.get("isosurfaces", [])),
+                isosurfaces=tuple(
+                    Isosurface(**{**surface, "color": tuple(surface["color"])})
+                    for surface in scene.get("isosurfaces", [])
+                ),
                 depth_enhancement=scene.get("depth_enhancement", 0.0),
             )
         )
@@ -173,12 +176,6 @@ def _bump(table: dict[str, Any]) -> Bump:
 
     start, rise, fall, end = table["range"]
     return Bump(table["name"], start, rise, fall, end, tuple(table["color"]), table["opacity"])
-
-
-def _isosurface(table: dict[str, Any]) -> Isosurface:
-    from datasets.scene import Isosurface
-
-    return Isosurface(table["name"], table["value"], tuple(table["color"]), table.get("opacity", 1.0))
 
 
 def _views_folder(path: Path) -> Dataset:

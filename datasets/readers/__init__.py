@@ -147,35 +147,43 @@ def _read_single(path: Path, kind: str) -> tuple[NDArray[np.generic], tuple[floa
 
 
 def _source(path: Path) -> Source:
-    from datasets.readers.arrays import Arrays
-    from datasets.readers.exodus import Exodus
-    from datasets.readers.hdf5 import Hdf5
-    from datasets.readers.npz import Npz
-    from datasets.readers.vtk_legacy import LegacyFile
-    from datasets.readers.vtk_xml import XmlFile
+    kind = _CONTAINERS[suffix_of(path)]
+    if kind == "vtk_xml":
+        from datasets.readers.vtk_xml import XmlFile
 
-    match _CONTAINERS[suffix_of(path)]:
-        case "vtk_xml":
-            return XmlFile(path)
-        case "vtk_legacy":
-            return LegacyFile(path)
-        case "exodus":
-            return Exodus(path, _netcdf(path))
-        case "npz":
-            return Arrays(path, Npz(path), missing=False)
-        case "netcdf":
-            return Arrays(path, _netcdf(path), missing=True)
+        return XmlFile(path)
+    if kind == "vtk_legacy":
+        from datasets.readers.vtk_legacy import LegacyFile
+
+        return LegacyFile(path)
+    if kind == "exodus":
+        from datasets.readers.exodus import Exodus
+
+        return Exodus(path, _netcdf(path))
+    from datasets.readers.arrays import Arrays
+
+    if kind == "npz":
+        from datasets.readers.npz import Npz
+
+        return Arrays(path, Npz(path), missing=False)
+    if kind == "netcdf":
+        return Arrays(path, _netcdf(path), missing=True)
+    from datasets.readers.hdf5 import Hdf5
+
     return Arrays(path, Hdf5(path), missing=True)
 
 
 def _netcdf(path: Path) -> Container:
     """Classic NetCDF, or NetCDF-4, which is HDF5."""
-    from datasets.readers.hdf5 import Hdf5
-    from datasets.readers.netcdf3 import NetCdf3
-
     with path.open("rb") as file:
         classic = file.read(3) == b"CDF"
-    return NetCdf3(path) if classic else Hdf5(path)
+    if classic:
+        from datasets.readers.netcdf3 import NetCdf3
+
+        return NetCdf3(path)
+    from datasets.readers.hdf5 import Hdf5
+
+    return Hdf5(path)
 
 
 def _check_file(path: Path) -> None:
