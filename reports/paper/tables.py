@@ -188,7 +188,8 @@ def _rows(
     the seeds where rows of one method differ.
     """
     lines = layout["rows"]
-    fits = [_by_seed(line, results) for line in lines]
+    models = set(zip(results["method"], results["variant"], strict=True))
+    fits = [_by_seed(line, results, models) for line in lines]
     remarks = []
     methods = list(dict.fromkeys(line["method"] for line in lines))
     for method in methods:
@@ -221,11 +222,20 @@ def _numbers(seeds: Iterable[Any]) -> str:
     return ", ".join(f"{seed}" for seed in sorted(seeds))
 
 
-def _by_seed(line: dict[str, Any], results: pd.DataFrame) -> tuple[dict[Any, pd.DataFrame], list[str]]:
-    """The rows of a layout's line by seed, for seeds that have all scenes; notes on the other seeds."""
-    model = (results["method"] == line["method"]) & (results["variant"] == line.get("variant", ""))
-    if not model.any():
+def _by_seed(
+    line: dict[str, Any], results: pd.DataFrame, models: set[tuple[Any, Any]]
+) -> tuple[dict[Any, pd.DataFrame], list[str]]:
+    """The rows of a layout's line by seed, for seeds that have all scenes; notes on the other seeds.
+
+    Args:
+        line: of the layout.
+        results: of one block.
+        models: (method, variant) of all rows.
+    """
+    method, variant = line["method"], line.get("variant", "")
+    if (method, variant) not in models:
         return {}, [NOT_MEASURED]
+    model = (results["method"] == method) & (results["variant"] == variant)
     kind = results["kind"] == ("composed" if line.get("composed") else "basic")
     if "scene" in line:
         kind &= results["scene"] == line["scene"]
@@ -264,7 +274,7 @@ def _row(
         frozenset(
             tuple("" if absent(value) else str(value) for value in host)
             for part in complete
-            for host in part[["machine", "device", "threads"]].itertuples(index=False)
+            for host in zip(part["machine"], part["device"], part["threads"], strict=True)
         ),
         frozenset(
             str(version) for part in complete for version in part["method_version"] if not absent(version)

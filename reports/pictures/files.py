@@ -35,15 +35,8 @@ def inside(root: Path, name: Any) -> Path:
 
 
 def pictures(views: pd.DataFrame, root: Path) -> bool:
-    """Whether a store has a picture of any row of the table `views`, or a row names a file outside it."""
-
-    def present(name: Any) -> bool:
-        try:
-            return inside(root, name).is_file()
-        except ValueError:
-            return True
-
-    return any(present(name) for name in views["render_file"])
+    """Whether any picture that the table `views` names exists."""
+    return any((root / name).is_file() for name in views["render_file"].dropna())
 
 
 def background(value: Any) -> tuple[float, float, float]:

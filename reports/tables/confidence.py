@@ -35,13 +35,14 @@ def intervals(results: pd.DataFrame, means: pd.DataFrame, views: Views) -> pd.Da
     rows: list[dict[str, Any]] = []
     by_job = results.set_index("job")
     for row in records(means[means["complete"]]):
-        fits = by_job.loc[list(row["jobs"])]
+        fits = by_job.loc[list(row["jobs"]), ["seed", *METRICS]].astype(float)
+        of_seeds = fits.groupby("seed").mean()
         for metric in METRICS:
             sample = views.sample(row["jobs"], metric)
             interval = sample.interval() if sample is not None else None
             if interval is None:
                 continue
-            values = fits[metric].astype(float).groupby(fits["seed"]).mean()
+            values = of_seeds[metric]
             few = 1 < len(values) <= FEW_SEEDS
             rows.append(
                 _axes(row)
