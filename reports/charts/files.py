@@ -1,6 +1,6 @@
 """Charts as files for papers: SVG and PDF.
 
-Run as a program with the paths of SVG files, it writes the PDF of each beside it.
+Run as a program, it reads paths of SVG files, a line each, and writes the PDF of each beside it.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,37 +18,47 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def output(charts: Mapping[str, Chart], folder: Path) -> Iterator[None]:
-    """Write charts as NAME.svg and NAME.pdf, fonts embedded; another process makes the PDF files meanwhile.
+def output(folder: Path) -> Iterator[Callable[[Mapping[str, Chart]], None]]:
+    """Yield a function that writes charts (name -> chart) as NAME.svg and NAME.pdf, fonts embedded.
+
+    Another process makes the PDF files meanwhile; all are there when the context ends.
 
     Args:
-        charts: name -> chart.
-        folder: folder of the files; it is created if it does not exist.
+        folder: folder of the files; it is created if it does not exist and there is a chart.
 
     Raises:
         RuntimeError: a chart cannot be converted. The message holds the converter's own.
     """
     from reports.charts import svg
 
-    if not charts:
-        yield
-        return
-    folder.mkdir(parents=True, exist_ok=True)
     # By its path: by its name, a folder `reports/` in the working directory would be run instead.
     command = [sys.executable, "-P", __file__]
-    for name, chart in charts.items():
-        path = folder / f"{name}.svg"
-        path.write_text(svg.file(chart), encoding="utf-8")
-        command.append(str(path.resolve()))
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+    with ExitStack() as stack:
+        processes: list[subprocess.Popen[str]] = []
+
+        def write(charts: Mapping[str, Chart]) -> None:
+            for name, chart in charts.items():
+                if not processes:
+                    folder.mkdir(parents=True, exist_ok=True)
+                    child = subprocess.Popen(
+                        command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+                    )
+                    processes.append(stack.enter_context(child))
+                path = folder / f"{name}.svg"
+                path.write_text(svg.file(chart), encoding="utf-8")
+                with suppress(BrokenPipeError):  # its message follows at the end
+                    print(path.resolve(), file=processes[0].stdin, flush=True)
+
         try:
-            yield
+            yield write
         except BaseException:
-            process.kill()
+            for process in processes:
+                process.kill()
             raise
-        _, message = process.communicate()
-    if process.returncode:
-        raise RuntimeError(f"the charts in {folder} cannot be converted to PDF: {message.strip()}")
+        for process in processes:
+            _, message = process.communicate()
+            if process.returncode:
+                raise RuntimeError(f"the charts in {folder} cannot be converted to PDF: {message.strip()}")
 
 
 def pdf(document: str) -> bytes:
@@ -64,6 +74,6 @@ def pdf(document: str) -> bytes:
 
 
 if __name__ == "__main__":
-    for argument in sys.argv[1:]:
-        file = Path(argument)
+    for line in sys.stdin:
+        file = Path(line.rstrip("\n"))
         file.with_suffix(".pdf").write_bytes(pdf(file.read_text(encoding="utf-8")))

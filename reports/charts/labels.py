@@ -6,6 +6,9 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 SIZE = 11.0
 """Size of a label's font in pixels."""
 LINE = 13.0
@@ -61,7 +64,7 @@ def place_labels(
         area: left, top, right and bottom that labels stay within.
         avoid: further points that no label should cover.
     """
-    occupied = [(x - 5, y - 5, x + 5, y + 5) for x, y in (*points, *avoid)]
+    occupied = np.array([(x - 5, y - 5, x + 5, y + 5) for x, y in (*points, *avoid)])
     labels: list[Label] = []
     for (x, y), text in zip(points, texts, strict=True):
         most = int((area[2] - area[0]) / 2 / (text_width(text) / max(1, len(text))))
@@ -82,15 +85,18 @@ def place_labels(
                 cost = 3000.0 * outside + abs(lift)
                 if best is not None and cost >= best[0]:
                     continue
-                cost += sum(100.0 * overlap(box, other) for other in occupied)
+                cost += 100.0 * float(overlap(box, occupied).sum())
                 if best is None or cost < best[0]:
                     best = cost, Label(x + dx, y + lift, anchor, lines, box, abs(lift) > FAR)
         assert best is not None
         labels.append(best[1])
-        occupied.append(best[1].box)
+        occupied = np.vstack([occupied, best[1].box])
     return labels
 
 
-def overlap(a: tuple[float, float, float, float], b: tuple[float, float, float, float]) -> float:
-    """Area that two boxes share, in square pixels."""
-    return max(0.0, min(a[2], b[2]) - max(a[0], b[0])) * max(0.0, min(a[3], b[3]) - max(a[1], b[1]))
+def overlap(box: tuple[float, float, float, float], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) areas that a box shares with (n, 4) others, in square pixels."""
+    wide = np.minimum(box[2], others[:, 2]) - np.maximum(box[0], others[:, 0])
+    tall = np.minimum(box[3], others[:, 3]) - np.maximum(box[1], others[:, 1])
+    areas: NDArray[np.float64] = np.maximum(wide, 0.0) * np.maximum(tall, 0.0)
+    return areas

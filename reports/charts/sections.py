@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -49,22 +50,25 @@ _CONVERGENCE = (
 """Name of the file, column, title of the axis."""
 
 
-def chart_sections(report: Report) -> list[Section]:
-    """The sections for which there are data, in the order of the page."""
-    sections = (
-        _confidence(report),
-        _rate_distortion(report),
-        _tradeoffs(report),
-        stability_sections.stability_section(report),
-        stability_sections.complexity_section(report),
-        _anytime(report),
-        _convergence(report),
-        _losses(report.tables),
-        _features(report),
-        _timing(report.tables["timing"]),
-        _ledger(report.tables["ledger"]),
+def chart_sections(report: Report) -> Iterator[Section]:
+    """The sections for which there are data, in the order of the page, each when it is asked for."""
+    makers: tuple[Callable[[Report], Section | None], ...] = (
+        _confidence,
+        _rate_distortion,
+        _tradeoffs,
+        stability_sections.stability_section,
+        stability_sections.complexity_section,
+        _anytime,
+        _convergence,
+        _losses,
+        _features,
+        _timing,
+        _ledger,
     )
-    return [section for section in sections if section is not None]
+    for make in makers:
+        section = make(report)
+        if section is not None:
+            yield section
 
 
 def _confidence(report: Report) -> Section | None:
@@ -266,8 +270,8 @@ def _by_title(charts: dict[str, Chart]) -> dict[str, list[Panel]]:
     return groups
 
 
-def _losses(tables: dict[str, pd.DataFrame]) -> Section | None:
-    steps = training.steps(tables)
+def _losses(report: Report) -> Section | None:
+    steps = training.steps(report.tables)
     panels = training.losses(steps)
     if not panels:
         return None
@@ -284,7 +288,7 @@ def _losses(tables: dict[str, pd.DataFrame]) -> Section | None:
     small = sorted({name for panel in panels for name in panel.small})
     if small:
         words += f" Not drawn, for they are under {training.LEAST_SHARE:g} of it: {escape(', '.join(small))}."
-    words += _rates_left_out(tables["curve"])
+    words += _rates_left_out(report.tables["curve"])
     words += _DEFAULTS if _many(steps) else ""
     return Section("losses", "Parts of the loss", f"<p>{words}</p>{cards(chart.panels)}", {"losses": chart})
 
@@ -314,20 +318,20 @@ def _features(report: Report) -> Section | None:
     return Section("attributes", "Attributes", "".join(parts), charts)
 
 
-def _timing(times: pd.DataFrame) -> Section | None:
+def _timing(report: Report) -> Section | None:
     words = (
         "Where the time of a frame goes, mean over scenes and seeds. The parts are timed one by one, without "
         "what happens between them, which is “other”."
     )
-    return _wholes("timing", "Time of a frame", words, kinds.timing(*data.timing(times)))
+    return _wholes("timing", "Time of a frame", words, kinds.timing(*data.timing(report.tables["timing"])))
 
 
-def _ledger(sizes: pd.DataFrame) -> Section | None:
+def _ledger(report: Report) -> Section | None:
     words = (
         "Bytes of the files that a model is loaded from, by what they hold, over all scenes of a dataset, "
         "mean over seeds. Pointed at, a bar names its parts; what is under 1 % of every bar is “other”."
     )
-    return _wholes("ledger", "Size ledger", words, kinds.ledger(*data.ledger(sizes)))
+    return _wholes("ledger", "Size ledger", words, kinds.ledger(*data.ledger(report.tables["ledger"])))
 
 
 def _wholes(name: str, title: str, words: str, chart: Chart) -> Section | None:

@@ -7,8 +7,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from reports.charts.training import Curve
 from reports.style import MIB, Model, label, model
+from reports.tables.columns import places
 from reports.tables.protocols import ORIGIN
 
 if TYPE_CHECKING:
@@ -77,10 +80,11 @@ def records(results: pd.DataFrame, views: pd.DataFrame) -> list[Record]:
 
 
 def _seed_gap(good: pd.DataFrame) -> float | None:
-    per_scene = good.groupby(["scene", "rate"], dropna=False)
-    several = per_scene["seed"].nunique() > 1
-    gaps = (per_scene["psnr"].max() - per_scene["psnr"].min())[several].dropna()
-    return float(gaps.max()) if len(gaps) else None
+    good = good[good["psnr"].notna()]
+    seed, psnr = good["seed"].tolist(), good["psnr"].to_numpy(float)
+    scenes = places(good, ["scene", "rate"]).values()
+    gaps = [float(np.ptp(psnr[at])) for at in scenes if len({seed[i] for i in at}) > 1]
+    return max(gaps, default=None)
 
 
 def _most(good: pd.DataFrame, column: str) -> float | None:

@@ -14,10 +14,12 @@ import numpy as np
 
 from reports.charts.rate_distortion import at_default_rates
 from reports.style import MIB, Model, model, models, named
+from reports.tables.columns import places
 from reports.tables.protocols import comparable
 
 if TYPE_CHECKING:
     import pandas as pd
+    from numpy.typing import NDArray
 
 LEVELS = (30.0, 32.0, 34.0)
 """Levels of PSNR, dB, whose times are reported."""
@@ -68,14 +70,15 @@ def convergence(curve: pd.DataFrame, against: str) -> dict[str, list[Curve]]:
         rows = every[every["psnr"].notna() & every[against].notna()]
         several = len(models(rows)) > 1
         many = {axis: rows[axis].nunique() > 1 for axis in ("scene", "seed")}
-        for (_, method, variant, seed, scene), fit in rows.groupby(_FIT, dropna=False, sort=False):
+        iteration, x, y = (rows[name].to_numpy(float) for name in ("iteration", against, "psnr"))
+        for (_, method, variant, seed, scene), fit in places(rows, _FIT).items():
             mine = model(method, variant)
             words = [mine.title] if several else []
             words += [str(scene)] if many["scene"] or not words else []
             words += [f"seed {seed}"] if many["seed"] else []
-            ordered = fit.sort_values("iteration")
-            x, y = ([float(v) for v in ordered[column]] for column in (against, "psnr"))
-            panels.setdefault(title, []).append(Curve(mine, " \N{MIDDLE DOT} ".join(words), x, y))
+            fit = fit[np.argsort(iteration[fit], kind="stable")]
+            name = " \N{MIDDLE DOT} ".join(words)
+            panels.setdefault(title, []).append(Curve(mine, name, x[fit].tolist(), y[fit].tolist()))
         if len(panels.get(title, [])) > MOST_FITS:
             panels[title] = _of_methods(panels[title])
     return panels
@@ -112,7 +115,16 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, 
         basic = (results["kind"] == "basic") & (results["dataset"] == first["dataset"])
         scenes = set(results.loc[basic & (results["preset"] == first["preset"]), "scene"])
         for names, rows in evaluations.groupby(["method", "variant"], dropna=False, sort=False):
-            x, y = _mean([_shares(fit, what) for _, fit in rows.groupby("job", sort=False)])
+            scene, *numbers = (
+                rows[name].to_numpy() for name in ("scene", "iteration", "train_seconds", what)
+            )
+            iteration, seconds, values = (column.astype(float) for column in numbers)
+            x, y = _mean(
+                [
+                    _shares(len(set(scene[fit])), iteration[fit], seconds[fit], values[fit], what)
+                    for fit in places(rows, ["job"]).values()
+                ]
+            )
             if not x:
                 continue
             mine = model(*names)
@@ -122,12 +134,16 @@ def anytime(curve: pd.DataFrame, results: pd.DataFrame, what: str) -> dict[str, 
     return panels
 
 
-def _shares(fit: pd.DataFrame, what: str) -> tuple[list[float], list[float], int]:
+def _shares(
+    scenes: int,
+    iteration: NDArray[np.float64],
+    seconds: NDArray[np.float64],
+    values: NDArray[np.float64],
+    what: str,
+) -> tuple[list[float], list[float], int]:
     """Seconds and values of a fit, mean over its scenes, and their number."""
-    scenes = len(set(fit["scene"]))
-    # Groups by numpy: a report has thousands of fits, and pandas takes milliseconds for each.
-    _, at, counts = np.unique(fit["iteration"].to_numpy(float), return_inverse=True, return_counts=True)
-    x, y = (np.bincount(at, fit[name].to_numpy(float)) / counts for name in ("train_seconds", what))
+    _, at, counts = np.unique(iteration, return_inverse=True, return_counts=True)
+    x, y = (np.bincount(at, column) / counts for column in (seconds, values))
     # The bytes are of all scenes together, in every scene's row.
     divisor = _UNIT[what] * (scenes if what == "bytes_estimate" else 1)
     return (x / scenes).tolist(), (y / divisor).tolist(), scenes
@@ -241,11 +257,14 @@ def _parts_table(rows: pd.DataFrame) -> pd.DataFrame:
     import pandas as pd
 
     fits = []
-    for _, fit in rows.groupby("job", sort=False):
-        points = _long_enough(fit.drop_duplicates("iteration"))
-        steps = {
-            int(at): json.loads(text) for at, text in zip(points["iteration"], points["losses"], strict=True)
-        }
+    texts = rows["losses"].tolist()
+    last = rows["iteration"].to_numpy(float)
+    first = rows["first"].to_numpy(float, na_value=np.nan) if "first" in rows else np.full(len(rows), np.nan)
+    for fit in places(rows, ["job"]).values():
+        _, once = np.unique(last[fit], return_index=True)
+        fit = fit[np.sort(once)]
+        fit = fit[_long_enough(last[fit] - first[fit] + 1)]
+        steps = {int(last[at]): json.loads(texts[at]) for at in fit}
         # A part cannot exceed the sum; what does is another figure (bits per attribute, say).
         other = {
             name for step in steps.values() for name, value in step.items() if value > 1.001 * step["loss"]
@@ -262,13 +281,9 @@ def _present_mean(values: list[float | None]) -> float:
     return sum(present) / len(present) if present else float("nan")
 
 
-def _long_enough(points: pd.DataFrame) -> pd.DataFrame:
-    """Without stretches that stages cut so short that they are single steps again."""
-    if "first" not in points or points["first"].isna().any():
-        return points
-    steps = points["iteration"] - points["first"] + 1
-    kept: pd.DataFrame = points[steps >= _SHORT * steps.max()]
-    return kept
+def _long_enough(steps: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which stretches stages did not cut so short that they are single steps again; all if not known."""
+    return np.isnan(steps).any() | (steps >= _SHORT * steps.max())  # type: ignore[no-any-return]
 
 
 def _marks(rows: pd.DataFrame, parts: list[Part]) -> list[tuple[float, str]]:

@@ -55,11 +55,13 @@ def write_report(
     paper = paper_tables(tables, report.views) if paper is None else paper
     folder = out.parent / "charts"
     results, dvr = report.results, tables["dvr"]
-    charts = [] if results.empty else chart_sections(report)
-    drawings = {name: chart for section in charts for name, chart in section.charts.items()}
     sections: list[Section] = []
-    with chart_files.output(drawings, folder):
+    with chart_files.output(folder) as write_charts:
         if not results.empty:
+            charts = []
+            for section in chart_sections(report):
+                write_charts(section.charts)
+                charts.append(section)
             parts = (
                 ("results", "Results", results_table.section(report)),
                 ("paper", "The paper's tables", verdicts.section(paper, report.views)),

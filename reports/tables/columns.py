@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from reports.schema import METRICS, by_name
 from reports.style import MISSING, absent
 
 if TYPE_CHECKING:
     import pandas as pd
+    from numpy.typing import NDArray
 
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:
     """The rows of a table; much faster than `iterrows`."""
     return table.to_dict("records")  # type: ignore[return-value]
+
+
+def places(table: pd.DataFrame, keys: Sequence[str]) -> dict[tuple[Any, ...], NDArray[np.intp]]:
+    """Values of some columns -> positions of their rows, both in order of appearance.
+
+    Much faster than the parts of a `groupby` where there are thousands.
+    """
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for place, key in enumerate(zip(*(table[name].tolist() for name in keys), strict=True)):
+        groups.setdefault(key, []).append(place)
+    return {key: np.array(at) for key, at in groups.items()}
 
 
 def quality(table: pd.DataFrame) -> tuple[str, ...]:

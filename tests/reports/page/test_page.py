@@ -4,7 +4,7 @@ import re
 from collections import Counter
 from html.parser import HTMLParser
 from itertools import pairwise
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 import pytest
 from PIL import Image
@@ -64,7 +64,7 @@ def page(maker, draw: bool = False) -> tuple[str, str]:
     """The page's source and its text; the charts for papers take seconds and are drawn if asked for."""
     with contextlib.ExitStack() as stack:
         if not draw:
-            stack.enter_context(patch.object(files, "output", return_value=contextlib.nullcontext()))
+            stack.enter_context(patch.object(files, "output", return_value=contextlib.nullcontext(Mock())))
             stack.enter_context(patch.object(panel_files, "write", return_value="panel"))
         path = write_report(maker.tables(), maker.root, maker.root / "report.html")
     assert path.stat().st_size < 10e6

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 import pytest
 
@@ -25,7 +25,7 @@ def write(maker: Maker) -> Path:
     """The page alone: the files beside it and the paper's tables have tests of their own."""
     with (
         patch.object(page_module, "write_files"),
-        patch.object(page_module.chart_files, "output", return_value=nullcontext()),
+        patch.object(page_module.chart_files, "output", return_value=nullcontext(Mock())),
         patch.object(page_module.verdicts, "section", return_value=""),
         patch.object(panel_files, "write", return_value="panel"),
     ):
