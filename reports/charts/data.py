@@ -234,8 +234,6 @@ class Bar:
 
 def ledger(table: pd.DataFrame) -> tuple[list[Bar], list[str]]:
     """Bytes of all scenes and what they share, mean over seeds: the bars, and the families of parts."""
-    if table.empty:
-        return [], []
     bars = []
     for axes, rows in table.groupby(_BAR, dropna=False, sort=False):
         # One fit listed twice (under two runs) is one set of bytes.
@@ -266,8 +264,6 @@ def timing(table: pd.DataFrame) -> tuple[list[Bar], list[str]]:
 
     Parts are timed one by one: what of the frame they do not explain is :data:`OTHER`.
     """
-    if table.empty:
-        return [], []
     bars = []
     for axes, rows in table.groupby(_BAR, dropna=False, sort=False):
         rows = _whole_seeds(rows).drop_duplicates(["job", "part"])

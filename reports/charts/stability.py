@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from reports.charts.training import Curve
-from reports.style import MIB, Model, label, model
+from reports.style import MIB, label, model
 from reports.tables.columns import places
 from reports.tables.protocols import ORIGIN
 
@@ -107,14 +107,7 @@ def few_views(results: pd.DataFrame) -> dict[str, list[Curve]]:
     for dataset, rows in basic.groupby(ORIGIN, sort=False):
         scenes = [set(part["scene"]) for _, part in rows.groupby("requested_views")]
         rows = rows[rows["scene"].isin(set.intersection(*scenes))]
-        lines = []
-        for title, mine, fits in _methods(rows):
-            whole = fits.groupby("requested_views").filter(lambda part: bool((part["status"] == "ok").all()))
-            means = whole.groupby("requested_views")["psnr"].mean().dropna()
-            if len(means):
-                x, y = [float(v) for v in means.index], [float(v) for v in means]
-                lines.append(Curve(mine, title, x, y))
-        if lines:
+        if lines := _lines(rows, rows["requested_views"], "psnr"):
             panels[str(dataset)] = lines
     return panels
 
@@ -132,18 +125,7 @@ def by_complexity(results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
     panels: dict[str, list[Curve]] = {}
     for family, members in families(basic["dataset"].unique()).items():
         rows = basic[basic["dataset"].isin(members)]
-        lines = []
-        for title, mine, fits in _methods(rows):
-            points = []
-            for dataset, part in fits.groupby("dataset", sort=False):
-                values = part[what].astype("Float64")
-                if (part["status"] == "ok").all() and values.notna().all():
-                    unit = MIB if what == "size_bytes" else 1.0
-                    points.append((float(members[str(dataset)]), float(values.mean()) / unit))
-            points.sort()
-            if points:
-                lines.append(Curve(mine, title, [x for x, _ in points], [y for _, y in points]))
-        if lines:
+        if lines := _lines(rows, rows["dataset"].map(members), what):
             panels[family] = lines
     return panels
 
@@ -158,11 +140,22 @@ def families(datasets: Iterable[str]) -> dict[str, dict[str, int]]:
     return {stem: members for stem, members in stems.items() if len(members) >= LEAST_FAMILY}
 
 
-def _methods(rows: pd.DataFrame) -> Iterator[tuple[str, Model, pd.DataFrame]]:
-    """Title, model and rows of each method; of several presets and splits, each on its own."""
+def _lines(rows: pd.DataFrame, numbers: pd.Series, what: str) -> list[Curve]:
+    """Mean of a column at each number, a line per method; of several presets and splits, each on its own.
+
+    Numbers at which a method lacks any value have no point.
+    """
+    unit = MIB if what == "size_bytes" else 1.0
+    lines = []
     axes = ["method", "variant", "rate", "preset", "split"]
     for keys, fits in rows.groupby(axes, dropna=False, sort=False):
-        yield _title(label(*keys[:3]), rows, *keys[3:]), model(*keys[:2]), fits
+        values = fits[what].astype("Float64").where(fits["status"] == "ok")
+        means = values.groupby(numbers).agg(lambda part: part.mean(skipna=False)).dropna()
+        if len(means):
+            title = _title(label(*keys[:3]), rows, *keys[3:])
+            x, y = [float(v) for v in means.index], [float(v) / unit for v in means]
+            lines.append(Curve(model(*keys[:2]), title, x, y))
+    return lines
 
 
 def _title(name: str, rows: pd.DataFrame, preset: object, split: object) -> str:

@@ -26,7 +26,6 @@ from turns import Time, heading, interleaved, row
 from bench.executor import available_cores
 from bench.provenance import cpu
 from datasets.camera import Camera
-from datasets.camera_paths import training_cameras
 from datasets.ground_truth import probe
 from datasets.ground_truth.model import Draw, Layer, MarchSettings
 from datasets.ground_truth.reference import ReferenceMarcher
@@ -35,10 +34,13 @@ from datasets.transfer import Bump, TransferFunction
 from datasets.volume import Volume
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "datasets"))
+import marching
 import vtk_oracle
 
 LIGHT = Light(model="phong")  # VTK's
-VIEWS = 4
+PICK = (3, 4, 5, 6)
+"""Cameras, of 42."""
+VIEWS = len(PICK)
 
 
 def shells(n: int) -> Volume:
@@ -87,15 +89,8 @@ def decibels(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
     return float(-10.0 * np.log10(np.mean((a.astype(np.float64) - b) ** 2)))
 
 
-def around(volume: Volume, pixels: int, views: int = VIEWS) -> tuple[Camera, ...]:
-    cameras = training_cameras(42, 0.5 * float(np.linalg.norm(volume.extent)), pixels, pixels)
-    return tuple(cameras[i % 42] for i in range(3, 3 + views))
-
-
 def ours(volume: Volume, tf: TransferFunction, light: Light | None, step: float = 1.0) -> Draw:
-    from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
-
-    return MitsubaMarcher(volume, MarchSettings(step_voxels=step)).prepare((Layer(volume, tf, light),))
+    return marching.mitsuba(volume, MarchSettings(step_voxels=step)).prepare((Layer(volume, tf, light),))
 
 
 def against_vtk(size: int, pixels: int, turns: int) -> None:
@@ -118,7 +113,7 @@ def against_vtk(size: int, pixels: int, turns: int) -> None:
         "set-up ours, VTK in s", "same picture",
     )  # fmt: skip
     for volume, tf, light, target in cases:
-        cameras = around(volume, pixels)
+        cameras = marching.around(volume, pixels, 42, PICK)
         our_setup = seconds(lambda v=volume, t=tf, i=light: ours(v, t, i))
         draw = ours(volume, tf, light)
         caster, their_setup = fastest_caster(volume, tf, light, threads, cameras)
@@ -180,7 +175,7 @@ def by_size(sizes: Sequence[int], images: Sequence[int], size: int, pixels: int,
 
 def narrow_and_wide(volume: Volume, pixels: int, turns: int) -> Iterable[Time]:
     draws = {tf.name: ours(volume, tf, Light()) for tf in (NARROW, WIDE)}
-    cameras = around(volume, pixels)
+    cameras = marching.around(volume, pixels, 42, PICK)
     ways = {name: lambda d=draw: d(cameras) for name, draw in draws.items()}
     return interleaved(ways, max(2, turns // 2), VIEWS).values()
 
@@ -188,7 +183,7 @@ def narrow_and_wide(volume: Volume, pixels: int, turns: int) -> Iterable[Time]:
 def reference(turns: int) -> None:
     """The renderer without Mitsuba."""
     volume = shells(64)
-    cameras = around(volume, 128, 3)
+    cameras = marching.around(volume, 128, 42, PICK[:3])
     marcher = ReferenceMarcher(volume, MarchSettings(), dtype=torch.float32)
     draw = ours(volume, NARROW, Light(), 0.5)
     ways = {"reference": lambda: marcher.render(cameras, NARROW, Light()), "Mitsuba": lambda: draw(cameras)}

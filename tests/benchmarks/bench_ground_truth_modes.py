@@ -10,17 +10,20 @@ import sys
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 from turns import heading, interleaved, row
 
-from datasets.camera_paths import training_cameras
-from datasets.ground_truth import probe
 from datasets.ground_truth.model import Layer, MarchSettings
+from datasets.ground_truth.reference import ReferenceMarcher
 from datasets.scene import Isosurface, Light
 from datasets.transfer import Bump, TransferFunction
 from datasets.volume import Volume
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "datasets"))
+from marching import around, mitsuba
 
 PHONG = Light(model="phong")
 FIXED = Light(direction=(0.6, 0.0, 0.8))
@@ -65,26 +68,16 @@ def modes(n: int) -> dict[str, list[Layer]]:
 
 
 def marcher(layers: list[Layer], step: float = MarchSettings.step_voxels, leap: bool = True):
-    from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
-
-    return MitsubaMarcher([layer.volume for layer in layers], MarchSettings(step_voxels=step), leap)
-
-
-def cameras(layers: list[Layer], pixels: int, pick: tuple[int, ...]):
-    radius = 0.5 * float(np.linalg.norm(layers[0].volume.extent))
-    made = training_cameras(42, radius, pixels, pixels)
-    return tuple(made[i] for i in pick)
+    return mitsuba([layer.volume for layer in layers], MarchSettings(step_voxels=step), leap=leap)
 
 
 def accuracy() -> None:
-    from datasets.ground_truth.reference import ReferenceMarcher
-
     heading(
         "Mitsuba against the float64 oracle, shells of 64^3, two views of 96^2",
         "mode", "RMS", "max", "pixels over 2e-4", "bricks off",
     )  # fmt: skip
     for name, layers in modes(64).items():
-        views = cameras(layers, 96, (3, 17))
+        views = around(layers[0].volume, 96, 42, (3, 17))
         image = marcher(layers).compose(views, layers)
         oracle = ReferenceMarcher([layer.volume for layer in layers])
         exact = np.stack([oracle.compose_exact(camera, layers).numpy() for camera in views])
@@ -102,7 +95,7 @@ def convergence() -> None:
         "mode", *map(str, steps),
     )  # fmt: skip
     for name, layers in modes(128).items():
-        views = cameras(layers, 200, (3, 17))
+        views = around(layers[0].volume, 200, 42, (3, 17))
         seen = {}
         for step in (*steps, 1 / 32):
             image = marcher(layers, step).compose(views, layers)
@@ -119,7 +112,7 @@ def cost() -> None:
         ready = time.perf_counter()
         draw = held.prepare(layers)
         volume_setup[name], scene_setup[name] = ready - start, time.perf_counter() - ready
-        ways[name] = partial(draw, cameras(layers, 400, (3, 4, 5, 6)))
+        ways[name] = partial(draw, around(layers[0].volume, 400, 42, (3, 4, 5, 6)))
     times = interleaved(ways, turns=4, views=4)
     heading(
         "Cost, ms per view: shells of 256^3, 400^2, four views in a launch, least of four turns",
@@ -133,6 +126,5 @@ def cost() -> None:
 
 if __name__ == "__main__":
     parts = {"accuracy": accuracy, "convergence": convergence, "cost": cost}
-    probe.activate(probe.find_backend())
     for part in sys.argv[1:] or parts:
         parts[part]()

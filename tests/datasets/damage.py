@@ -20,6 +20,13 @@ PROPERTY = settings(
 _NUMBERS = (b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"9999", b"\0\0\0\0")
 
 
+def array(dtype: str = "float32", shape: tuple[int, ...] = (4, 5, 6), seed: int = 0) -> np.ndarray:
+    """Whole numbers that every type holds, not all the same."""
+    values = np.random.default_rng(seed).integers(-60, 60, shape)
+    values.flat[0], values.flat[1] = 5, 6
+    return (np.abs(values) if dtype.startswith("u") else values).astype(dtype)
+
+
 def check_damage(
     path: Path, write: Callable[[Path], object], check: Callable[[Path], None], *kinds: str, many: int = 40
 ) -> None:

@@ -68,23 +68,18 @@ def test_cameras_of_any_intrinsics(tmp_path: Path, cameras: tuple[Camera, ...]) 
 
 
 FRAME = {"file_path": "a", "transform_matrix": np.eye(4).tolist()}
+CAMERA = {"camera_angle_x": 0.5, "w": 4, "h": 4}
 BAD = [
     {},
     {"frames": []},
     {"frames": [FRAME]},
-    {"camera_angle_x": 0.5, "w": 4, "h": 4, "frames": [{"file_path": "a"}]},
-    {"camera_angle_x": 0.5, "w": 4, "h": 4, "frames": [{**FRAME, "transform_matrix": [[1, 2]]}]},
-    {
-        "camera_angle_x": 0.5,
-        "w": 4,
-        "h": 4,
-        "frames": [{**FRAME, "transform_matrix": (2 * np.eye(4)).tolist()}],
-    },
-    {"camera_angle_x": 0.5, "w": 4, "h": 4, "frames": [{**FRAME, "transform_matrix": "x"}]},
-    {"camera_angle_x": 9.0, "w": 4, "h": 4, "frames": [FRAME]},
-    {"camera_angle_x": 0.5, "w": "4", "h": 4, "frames": [FRAME]},
-    {"camera_angle_x": 0.5, "w": -4, "h": 4, "frames": [FRAME]},
-    {"camera_angle_x": 0.5, "w": 4, "h": 4, "frames": [{"transform_matrix": np.eye(4).tolist()}]},
+    {**CAMERA, "frames": [{"file_path": "a"}]},
+    *(
+        {**CAMERA, "frames": [{**FRAME, "transform_matrix": matrix}]}
+        for matrix in ([[1, 2]], (2 * np.eye(4)).tolist(), "x")
+    ),
+    *({**CAMERA, **wrong, "frames": [FRAME]} for wrong in ({"camera_angle_x": 9.0}, {"w": "4"}, {"w": -4})),
+    {**CAMERA, "frames": [{"transform_matrix": np.eye(4).tolist()}]},
 ]
 
 

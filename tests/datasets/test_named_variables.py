@@ -21,16 +21,11 @@ from datasets.catalogue.opening import _reader
 from datasets.errors import DataError, UnknownName
 from datasets.readers import hdf5, list_variables, read_volume
 from tests.datasets.damage import PROPERTY, check_damage, check_volumes
+from tests.datasets.damage import array as _array
 
 CLASSIC = ("NETCDF3_CLASSIC", "NETCDF3_64BIT_OFFSET", "NETCDF3_64BIT_DATA")
 FORMATS = (*CLASSIC, "NETCDF4", "NETCDF4_CLASSIC")
 AXES = {"z": np.arange(4) * 0.5, "y": np.arange(5) * 2.0, "x": np.arange(6) * 3.0}
-
-
-def _array(dtype: str = "float32", shape: tuple[int, ...] = (4, 5, 6), seed: int = 0) -> np.ndarray:
-    values = np.random.default_rng(seed).integers(-60, 60, shape)
-    values.flat[0], values.flat[1] = 5, 6  # never constant
-    return (np.abs(values) if dtype.startswith("u") else values).astype(dtype)
 
 
 def _netcdf(
@@ -244,8 +239,7 @@ def test_choices_that_are_not_there(tmp_path: Path) -> None:
 
 
 def test_missing_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with h5py.File(tmp_path / "v.h5", "w") as file:
-        file["v"] = _array()
+    _write(tmp_path / "v.h5")
     monkeypatch.setattr(
         "datasets.readers.fields.find_spec",
         lambda name: None if name == "h5py" else importlib.util.find_spec(name),
@@ -255,8 +249,7 @@ def test_missing_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_reader_that_dies_or_stands_still(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with h5py.File(tmp_path / "v.h5", "w") as file:
-        file["v"] = _array()
+    _write(tmp_path / "v.h5")
     source = hdf5.Hdf5(tmp_path / "v.h5")
     os.kill(source._child.pid, signal.SIGSEGV)
     with pytest.raises(DataError, match=r"ended with code -11"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
+from functools import partial
 from pathlib import Path
 
 import nibabel
@@ -16,16 +17,13 @@ from hypothesis import strategies as st
 from datasets.errors import DataError
 from datasets.readers import read_volume
 from datasets.volume import Volume
-from tests.datasets.damage import PROPERTY, check_damage, check_refused, check_volumes
+from tests.datasets.damage import PROPERTY, array, check_damage, check_refused, check_volumes
 
 INTEGERS = tuple(f"{sign}int{bits}" for bits in (8, 16, 32, 64) for sign in ("u", ""))
 KINDS = (*INTEGERS, "float16", "float32", "float64")
 
 
-def _array(dtype: str, shape: tuple[int, int, int] = (3, 4, 5), seed: int = 0) -> np.ndarray:
-    values = np.random.default_rng(seed).integers(-60, 60, shape)
-    values.flat[0], values.flat[1] = 5, 6  # never constant
-    return (np.abs(values) if dtype.startswith("u") else values).astype(dtype)
+_array = partial(array, shape=(3, 4, 5))
 
 
 def _write(path: Path, array: np.ndarray, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> None:
@@ -242,7 +240,7 @@ def test_damaged_files(tmp_path: Path, name: str) -> None:
     suffix=st.sampled_from([".raw", ".raw.gz"]),
 )  # fmt: skip
 def test_any_raw_round_trip(tmp_path: Path, shape: tuple, dtype: str, seed: int, suffix: str) -> None:
-    array = _array(dtype, shape, seed)
+    array = _array(dtype, shape=shape, seed=seed)
     path = tmp_path / f"v_{shape[2]}x{shape[1]}x{shape[0]}_{dtype}{suffix}"
     _write(path, array)
     volume = read_volume(path)

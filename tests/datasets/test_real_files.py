@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,11 +20,15 @@ pytestmark = pytest.mark.data
 CTH = "cth_impact/cth.vtr"
 
 
-def test_impact_as_vtk_reads_it(data_folder: Path) -> None:
-    reader = vtk.vtkXMLRectilinearGridReader()
-    reader.SetFileName(str(data_folder / CTH))
+def _output(reader: Any, path: Path) -> Any:
+    """What VTK's reader makes of a file."""
+    reader.SetFileName(str(path))
     reader.Update()
-    grid = reader.GetOutput()
+    return reader.GetOutput()
+
+
+def test_impact_as_vtk_reads_it(data_folder: Path) -> None:
+    grid = _output(vtk.vtkXMLRectilinearGridReader(), data_folder / CTH)
     variables = list_variables(data_folder / CTH)
     assert len(variables) == 9
     assert {v.dims for v in variables} == {(128, 64, 64)}
@@ -47,24 +52,21 @@ def test_impact_as_vtk_reads_it(data_folder: Path) -> None:
 @pytest.mark.parametrize("step", ["02", "05"])
 def test_hurricane_as_vtk_reads_it(data_folder: Path, step: str) -> None:
     path = data_folder / "isabel_wind" / f"isabel_wind_{step}.vti"
-    reader = vtk.vtkXMLImageDataReader()
-    reader.SetFileName(str(path))
-    reader.Update()
-    expected = vtk_to_numpy(reader.GetOutput().GetPointData().GetScalars()).reshape(25, 125, 125)
+    grid = _output(vtk.vtkXMLImageDataReader(), path)
+    expected = vtk_to_numpy(grid.GetPointData().GetScalars()).reshape(25, 125, 125)
     volume = read_volume(path)
     assert volume.name == "velocityMag"
     np.testing.assert_array_equal(volume.values, expected)
-    assert volume.spacing == pytest.approx(reader.GetOutput().GetSpacing())
+    assert volume.spacing == pytest.approx(grid.GetSpacing())
 
 
 def test_fire_mesh_as_vtk_reads_it(data_folder: Path) -> None:
-    reader = vtk.vtkXMLUnstructuredGridReader()
-    reader.SetFileName(str(data_folder / "mesh_fire_ug" / "fire_ug.vtu"))
-    reader.Update()
-    expected = vtk_to_numpy(reader.GetOutput().GetPointData().GetArray("t"))
-    volume = read_volume(data_folder / "mesh_fire_ug" / "fire_ug.vtu", "t", resolution=64)
+    path = data_folder / "mesh_fire_ug" / "fire_ug.vtu"
+    grid = _output(vtk.vtkXMLUnstructuredGridReader(), path)
+    expected = vtk_to_numpy(grid.GetPointData().GetArray("t"))
+    volume = read_volume(path, "t", resolution=64)
     np.testing.assert_array_equal(np.sort(volume.vertex_values), np.sort(expected))
-    bounds = np.array(reader.GetOutput().GetBounds()).reshape(3, 2)
+    bounds = np.array(grid.GetBounds()).reshape(3, 2)
     sides = np.ptp(bounds, axis=1)
     np.testing.assert_allclose(volume.extent, sides / sides.max(), rtol=1e-6)
     assert volume.mask is not None

@@ -5,7 +5,9 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -258,19 +260,14 @@ def test_a_library_that_is_none_is_found_out_once(tmp_path):
     assert trial(library, tmp_path / "cache").startswith("none 1 ")
 
 
-def _times_out(*arguments, **options):
-    raise subprocess.TimeoutExpired("python", 120.0)
-
-
-def _is_killed(*arguments, **options):
-    return subprocess.CompletedProcess("python", -9, "", "")
-
-
-def _cannot_start(*arguments, **options):
-    raise OSError("no memory")
-
-
-@pytest.mark.parametrize("outcome", [_times_out, _is_killed, _cannot_start])
+@pytest.mark.parametrize(
+    "outcome",
+    [
+        subprocess.TimeoutExpired("python", 120.0),
+        subprocess.CompletedProcess("python", -9, "", ""),
+        OSError("no memory"),
+    ],
+)
 def test_a_trial_that_decides_nothing_is_an_error_and_no_other_renderer(
     monkeypatch, tmp_path, cache, outcome
 ):
@@ -279,7 +276,7 @@ def test_a_trial_that_decides_nothing_is_an_error_and_no_other_renderer(
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
     monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(probe, "_has_cuda_driver", lambda: False)
-    monkeypatch.setattr(probe.subprocess, "run", outcome)
+    monkeypatch.setattr(probe.subprocess, "run", Mock(side_effect=repeat(outcome)))
     probe.find_backend.cache_clear()
     for _ in range(2):
         with pytest.raises(DataError, match=r"libLLVM.so.*less busy.*DRJIT_LIBLLVM_PATH"):

@@ -5,14 +5,17 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from datasets.errors import DataError
 from datasets.png import read_png, write_png
 from datasets.view_cache import ViewCache, cache_root
 from datasets.view_files import read_views
+from tests.datasets.damage import damage
 
 RECORD = {"renderer": "none", "ms_per_view": 1.5}
 
@@ -40,28 +43,18 @@ def test_absent_entries_are_none(cache):
     assert cache.size() == 0
 
 
-def truncate(file):
-    file.write_bytes(file.read_bytes()[:-7])
-
-
-def flip(file):
-    data = bytearray(file.read_bytes())
-    data[len(data) // 2] ^= 4
-    file.write_bytes(data)
-
-
-def empty(file):
-    file.write_bytes(b"")
+CUT, EMPTY = (partial(damage, kind="cut", at=at, value=0) for at in (0.99, 0.0))
+FLIP = partial(damage, kind="flip", at=0.5, value=2)
 
 
 @pytest.mark.parametrize(
-    ("name", "damage"),
-    [("images.zst", d) for d in (truncate, flip, Path.unlink, empty)]
-    + [("entry.json", d) for d in (truncate, Path.unlink, empty)],
+    ("name", "spoil"),
+    [("images.zst", each) for each in (CUT, FLIP, Path.unlink, EMPTY)]
+    + [("entry.json", each) for each in (CUT, Path.unlink, EMPTY)],
 )
-def test_damaged_entries_are_removed_and_made_again(cache, name, damage):
+def test_damaged_entries_are_removed_and_made_again(cache, name, spoil):
     cache.put("a", images(), RECORD)
-    damage(cache.folder / "a" / name)
+    spoil(cache.folder / "a" / name)
     assert cache.get("a") is None
     stored = cache.put("a", images(1), RECORD)
     np.testing.assert_array_equal(cache.get("a").images, stored)
@@ -190,8 +183,6 @@ def test_pictures_keep_straight_alpha_on_disk_and_premultiplied_in_memory(tmp_pa
 
 
 def test_what_is_no_picture_is_refused_by_name(tmp_path):
-    from datasets.errors import DataError
-
     (tmp_path / "a.png").write_bytes(b"no picture")
     with pytest.raises(DataError, match=r"a\.png"):
         read_png(tmp_path / "a.png")

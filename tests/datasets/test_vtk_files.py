@@ -21,7 +21,7 @@ from datasets.render_views import volume_digest
 from datasets.scene import BasicScene, Dataset
 from datasets.transfer import Bump, TransferFunction
 from datasets.volume import Volume
-from tests.datasets.damage import PROPERTY, check_damage, check_refused, check_volumes
+from tests.datasets.damage import PROPERTY, array, check_damage, check_refused, check_volumes
 from tests.datasets.test_named_variables import big_array, peak_bytes
 from tests.datasets.vtk_files import (
     COMPRESSORS,
@@ -41,14 +41,9 @@ KINDS = ("uint8", "int8", "uint16", "int16", "int32", "int64", "uint64", "float3
 EVEN = [np.arange(6) * 1.0, np.arange(5) * 2.0, np.arange(4) * 0.5]
 
 
-def _array(dtype: str = "float32", seed: int = 0) -> np.ndarray:
-    values = np.random.default_rng(seed).integers(-60, 60, (4, 5, 6))
-    return (np.abs(values) if dtype.startswith("u") else values).astype(dtype)
-
-
-def _grid(dtype: str = "float32", even: bool = True, seed: int = 0) -> vtk.vtkDataSet:
+def _grid(dtype: str = "float32", even: bool = True) -> vtk.vtkDataSet:
     """Point data "a b" and "vec" (a, 2 a, a), cell data "c"."""
-    a = _array(dtype, seed)
+    a = array(dtype)
     vec = np.stack([a, a * 2, a], axis=-1).reshape(-1, 3)
     points, cells = {"a b": a.reshape(-1), "vec": vec}, {"c": a[1:, 1:, 1:].reshape(-1)}
     if even:
@@ -56,8 +51,13 @@ def _grid(dtype: str = "float32", even: bool = True, seed: int = 0) -> vtk.vtkDa
     return rectilinear(points, cells, EVEN)
 
 
+def _linear(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """(nz, ny, nx) values of a linear field on a grid."""
+    return x + 2 * y[:, None] + 3 * z[:, None, None]
+
+
 def _check_grid(path: Path, dtype: str, rtol: float = 0.0) -> None:
-    a = _array(dtype)
+    a = array(dtype)
     volume = read_volume(path, "a b")
     np.testing.assert_allclose(volume.values, a, rtol=rtol)
     assert volume.values.dtype == np.dtype(dtype)
@@ -137,16 +137,15 @@ def test_pieces_make_one_grid(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".vtr", ".vtk"])
 def test_uneven_axes_are_resampled(tmp_path: Path, suffix: str) -> None:
     axes = [np.array([0.0, 1.0, 2.0, 4.0]), np.array([0.0, 2.0, 4.0]), np.array([-1.0, -0.5, 0.5, 1.5, 3.5])]
-    z, y, x = np.meshgrid(*reversed(axes), indexing="ij")
-    field = (x + 2 * y + 3 * z).astype(np.float32)
+    field = _linear(*axes).astype(np.float32)
     middles = [0.5 * (axis[1:] + axis[:-1]) for axis in axes]
     grid = rectilinear({"f": field.reshape(-1)}, {"c": np.arange(24.0)}, axes)
     write_xml(tmp_path / "v.vtr", grid) if suffix == ".vtr" else write_legacy(tmp_path / "v.vtk", grid, True)
     volume = read_volume(tmp_path / f"v{suffix}", "f")
     assert volume.dims == (5, 3, 10)
     assert volume.spacing == pytest.approx((1.0, 2.0, 0.5))
-    z, y, x = np.meshgrid(np.arange(-1, 3.6, 0.5), np.arange(0, 5, 2), np.arange(5), indexing="ij")
-    np.testing.assert_allclose(volume.values, x + 2 * y + 3 * z, rtol=1e-5)
+    expected = _linear(np.arange(5), np.arange(0, 5, 2), np.arange(-1, 3.6, 0.5))
+    np.testing.assert_allclose(volume.values, expected, rtol=1e-5)
     cells = read_volume(tmp_path / f"v{suffix}", "c")
     length = [axis[-1] - axis[0] for axis in middles]
     np.testing.assert_allclose(np.array(cells.spacing) * (np.array(cells.dims) - 1), length)
@@ -217,8 +216,8 @@ def test_linear_fields_on_meshes_are_exact(tmp_path: Path, name: str) -> None:
     assert volume.dims == (33, 17, 9)
     assert volume.mask is None  # the mesh is a box: every sample, also on its faces, lies inside
     np.testing.assert_allclose(volume.extent, [1.0, 0.5, 0.25])
-    z, y, x = np.meshgrid(np.linspace(0, 0.5, 9), np.linspace(0, 1, 17), np.linspace(0, 2, 33), indexing="ij")
-    np.testing.assert_allclose(volume.values, x + 2 * y + 3 * z, atol=1e-9)
+    expected = _linear(np.linspace(0, 2, 33), np.linspace(0, 1, 17), np.linspace(0, 0.5, 9))
+    np.testing.assert_allclose(volume.values, expected, atol=1e-9)
     assert volume.value_range == pytest.approx((LINEAR.min(), LINEAR.max()))
     assert volume.vertices is not None
     assert volume.vertex_values is not None
@@ -259,8 +258,8 @@ def test_quadratic_cells_of_exodus_in_vtks_order(tmp_path: Path) -> None:
     field = positions @ [1.0, 2.0, 3.0]
     write_exodus(tmp_path / "a.exo", positions, [("HEX20", np.arange(20)[None])], {"f": field[None]}, {})
     volume = read_volume(tmp_path / "a.exo", resolution=9)
-    z, y, x = np.meshgrid(*[np.linspace(0, 1, 9)] * 3, indexing="ij")
-    np.testing.assert_allclose(volume.values, x + 2 * y + 3 * z, atol=1e-3)  # VTK solves for the place
+    expected = _linear(*[np.linspace(0, 1, 9)] * 3)
+    np.testing.assert_allclose(volume.values, expected, atol=1e-3)  # VTK solves for the place
     assert volume.mask is None
 
 

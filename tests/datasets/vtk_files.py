@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,10 @@ def mesh(
     return grid
 
 
+TETRAHEDRA = ((0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7))
+"""Corners of the tetrahedra of a cube whose corner z y x has the number 4 z + 2 y + x."""
+
+
 def tetrahedra(n: int = 4, seed: int = 0) -> tuple[np.ndarray, list[tuple[int, list[int]]]]:
     """A box of n^3 points, inner ones displaced, cut into tetrahedra: positions and cells."""
     axis = np.linspace(0.0, 1.0, n)
@@ -68,25 +73,11 @@ def tetrahedra(n: int = 4, seed: int = 0) -> tuple[np.ndarray, list[tuple[int, l
     positions = np.stack([2.0 * x, y, 0.5 * z], axis=-1).reshape(-1, 3)
     inner = ((positions > 1e-6) & (positions < np.array([2.0, 1.0, 0.5]) - 1e-6)).all(axis=1)
     positions[inner] += np.random.default_rng(seed).uniform(-0.02, 0.02, (int(inner.sum()), 3))
+    steps = np.array([1, n, n * n])
     cells = []
-    for k in range(n - 1):
-        for j in range(n - 1):
-            for i in range(n - 1):
-                c = [
-                    (k + dz) * n * n + (j + dy) * n + i + dx
-                    for dz in (0, 1)
-                    for dy in (0, 1)
-                    for dx in (0, 1)
-                ]
-                for tet in (
-                    (0, 1, 3, 7),
-                    (0, 3, 2, 7),
-                    (0, 2, 6, 7),
-                    (0, 6, 4, 7),
-                    (0, 4, 5, 7),
-                    (0, 5, 1, 7),
-                ):
-                    cells.append((10, [c[t] for t in tet]))
+    for corner in product(range(n - 1), repeat=3):  # z, y, x
+        around = [int(steps @ np.add(corner, offset)[::-1]) for offset in product((0, 1), repeat=3)]
+        cells += [(10, [around[at] for at in tetrahedron]) for tetrahedron in TETRAHEDRA]
     return positions, cells
 
 

@@ -36,6 +36,12 @@ def views(**psnr: list[float]):
     return frame("views", rows)
 
 
+def panels_of(maker):
+    """The panels of a store of one scene."""
+    tables = maker.tables()
+    return list(panels(models(tables["results"]), tables["views"], maker.root))
+
+
 def test_worst_and_median_views_are_those_of_all_models_together():
     table = views(a=[30, 20, 31, 40, 33], b=[30, 29, 21, 42, 35])
     # means: 30, 24.5, 26, 41, 34; the lowest single value is 20, in the worst view anyway
@@ -88,8 +94,7 @@ def test_all_models_are_shown_in_the_same_view_and_window(maker):
     maker.run(method="3dgs", views=3)
     maker.run(method="hac", views=3, psnr=30)
     maker.run(method="veg", status="oom")
-    tables = maker.tables()
-    of_scene = list(panels(models(tables["results"]), tables["views"], maker.root))
+    of_scene = panels_of(maker)
     assert {panel.which for panel in of_scene} == {"median", "worst"}
     for panel in of_scene:
         assert [shot.picture is None for shot in panel.shots] == [False, False, True]
@@ -116,8 +121,7 @@ def test_a_picture_of_another_size_is_a_problem_that_names_both_sizes(maker):
     maker.run(views=1)
     maker.run(method="hac", views=1)
     Image.new("RGBA", (50, 50)).save(maker.root / maker.rows["views"][1]["render_file"])
-    tables = maker.tables()
-    (panel,) = panels(models(tables["results"]), tables["views"], maker.root)
+    (panel,) = panels_of(maker)
     assert panel.shots[0].picture is not None
     assert panel.shots[1].picture is None
     assert "96" in panel.shots[1].problem
@@ -179,8 +183,7 @@ def test_composed_scenes_are_shown_and_named(maker):
 
 def test_captions_of_panels_for_papers_end_at_their_picture(maker):
     maker.run(views=1)
-    tables = maker.tables()
-    (panel,) = panels(models(tables["results"]), tables["views"], maker.root)
+    (panel,) = panels_of(maker)
     axes = panel_files.draw([replace(panel, which="lowest", view="test_003")], "x").axes[0]
     (caption,) = [text for text in axes.texts if text.get_text().startswith("lowest")]
     (values,) = [text for text in axes.texts if " dB" in text.get_text()]
@@ -190,8 +193,7 @@ def test_captions_of_panels_for_papers_end_at_their_picture(maker):
 def test_long_names_in_panels_for_papers_keep_off_their_neighbours_and_pictures(maker):
     for variant in ("configuration=paper random_half_extent=0.5", "storage=explicit"):
         maker.run(variant=variant, views=1)
-    tables = maker.tables()
-    (panel,) = panels(models(tables["results"]), tables["views"], maker.root)
+    (panel,) = panels_of(maker)
     axes = panel_files.draw([panel], "x").axes[0]
     names = [text.get_window_extent() for text in axes.texts if text.get_text().startswith("3DGS")]
     assert "random_half_extent=0.5" in "".join(text.get_text() for text in axes.texts).replace("\n", "")
@@ -204,8 +206,7 @@ def test_long_names_in_panels_for_papers_keep_off_their_neighbours_and_pictures(
 def test_panels_for_papers_have_odd_names_and_failed_models(maker):
     maker.run("set@64", "a/b c", views=2)
     maker.run("set@64", "a/b c", method="hac", status="oom", reason="no memory")
-    tables = maker.tables()
-    of_scene = list(panels(models(tables["results"]), tables["views"], maker.root))
+    of_scene = panels_of(maker)
     name = panel_files.write(of_scene, "set@64 / a/b c", maker.root / "charts")
     assert name == "panel-set@64-a-b-c"
     assert (maker.root / "charts" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
