@@ -65,11 +65,9 @@ def icosphere(n: int) -> NDArray[np.float64]:
     """
     if n == 6:
         return np.concatenate([np.eye(3), -np.eye(3)])
-    frequency = round(math.sqrt(max(n - 2, 0) / 10.0))
+    frequency = math.isqrt(max(n - 2, 0) // 10)
     if frequency < 1 or 10 * frequency**2 + 2 != n:
-        lower = 10 * max(math.floor(math.sqrt(max(n - 2, 0) / 10.0)), 0) ** 2 + 2
-        upper = 10 * (math.floor(math.sqrt(max(n - 2, 0) / 10.0)) + 1) ** 2 + 2
-        near = [6, 12] if n < 12 else [lower, upper]
+        near = [6, 12] if n < 12 else [10 * f**2 + 2 for f in (frequency, frequency + 1)]
         raise DataError(
             f"{n} training views",
             "training cameras stand on an octahedron (6) or an icosphere of 10 f^2 + 2 vertices",

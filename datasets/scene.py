@@ -115,12 +115,10 @@ class Dataset:
         Raises:
             UnknownName: neither a basic scene nor a composition has it; the remedy lists near matches.
         """
-        if name in self.compositions:
-            return tuple(self.scene(part) for part in self.compositions[name])
-        for scene in self.scenes:
-            if scene.name == name:
-                return (scene,)
-        raise unknown("scene", name, [*(s.name for s in self.scenes), *self.compositions], of=self.name)
+        names = [scene.name for scene in self.scenes]
+        if name not in (*names, *self.compositions):
+            raise unknown("scene", name, [*names, *self.compositions], of=self.name)
+        return tuple(self.scene(part) for part in self.compositions.get(name, (name,)))
 
     def volume(self, variable: str) -> Volume:
         """The volume of a variable, read once.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,7 +231,7 @@ class LegacyFile:
         else:
             _, self._at = self._numbers(start, dtype, tuples * components)
         if name and self._tuples >= 0:
-            name = _decode(name)
+            name = unquote(name)
             label = f"{name}_cells" if name in self._arrays else name
             colors = kind == _COLORS[False]
             self._arrays[label] = _Array(self._of_cells, start, dtype, components, tuples, colors)
@@ -301,10 +302,3 @@ class LegacyFile:
             self._points, connectivity.astype(np.int64), ends.astype(np.int64), types.astype(np.uint8)
         )
         return Mesh.joined([mesh], self.path)
-
-
-def _decode(name: str) -> str:
-    """Decode the percent-encoding of names."""
-    from urllib.parse import unquote
-
-    return unquote(name)

@@ -12,7 +12,7 @@ import numpy as np
 from reports.charts.training import Curve
 from reports.style import MIB, label, model
 from reports.tables.columns import places
-from reports.tables.protocols import ORIGIN
+from reports.tables.protocols import ORIGIN, conditions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,7 +66,7 @@ def records(results: pd.DataFrame, views: pd.DataFrame) -> list[Record]:
         rows_of_methods.append(
             Record(
                 dataset=str(keys[0]),
-                title=_title(label(keys[1], keys[2]), basic, *keys[3:]),
+                title=" ".join([label(keys[1], keys[2]), *conditions(rows.iloc[0], basic)]),
                 rows=len(rows),
                 failed={str(status): int(count) for status, count in failed.items()},
                 seed_gap=_seed_gap(good),
@@ -152,13 +152,7 @@ def _lines(rows: pd.DataFrame, numbers: pd.Series, what: str) -> list[Curve]:
         values = fits[what].astype("Float64").where(fits["status"] == "ok")
         means = values.groupby(numbers).agg(lambda part: part.mean(skipna=False)).dropna()
         if len(means):
-            title = _title(label(*keys[:3]), rows, *keys[3:])
+            title = " ".join([label(*keys[:3]), *conditions(fits.iloc[0], rows)])
             x, y = [float(v) for v in means.index], [float(v) / unit for v in means]
             lines.append(Curve(model(*keys[:2]), title, x, y))
     return lines
-
-
-def _title(name: str, rows: pd.DataFrame, preset: object, split: object) -> str:
-    """A method's name, with preset and split where the rows have several."""
-    axes = [str(v) for v, axis in ((preset, "preset"), (split, "split")) if rows[axis].nunique() > 1]
-    return " ".join([name, *axes])

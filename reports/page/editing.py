@@ -12,6 +12,7 @@ from reports.page.scenes import block, figure, heading
 from reports.pictures.panels import Panel, choose, in_view, models
 from reports.pictures.transfer import beside
 from reports.style import MISSING, label
+from reports.tables.protocols import conditions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,7 +62,7 @@ def quality(results: pd.DataFrame) -> Iterator[tuple[str, list[str], list[list[s
 
     A mean needs all scenes and seeds. Otherwise the cell has the statuses of the runs.
     """
-    for keys, rows in _runs(results).groupby(_KEYS, dropna=False, sort=False):
+    for (dataset, *_), rows in _runs(results).groupby(_KEYS, dropna=False, sort=False):
         edits = [str(edit) for edit in rows["edit"].fillna("").unique() if edit]
         if not edits:
             continue
@@ -73,22 +74,18 @@ def quality(results: pd.DataFrame) -> Iterator[tuple[str, list[str], list[list[s
                 continue
             cells = [_mean(fits[fits["edit"].fillna("") == edit], scenes) for edit in ("", *edits)]
             lines.append([label(*name), *cells])
-        caption = [str(keys[0])]
-        caption += [
-            str(key) for key, axis in zip(keys[1:], _KEYS[1:], strict=True) if _several(results, axis)
-        ]
-        yield " \N{MIDDLE DOT} ".join(caption), ["Method", UNEDITED, *edits], lines
+        caption = " \N{MIDDLE DOT} ".join([str(dataset), *conditions(rows.iloc[0], results)])
+        yield caption, ["Method", UNEDITED, *edits], lines
 
 
 def sequences(tables: dict[str, pd.DataFrame], root: Path) -> Iterator[tuple[str, list[Panel]]]:
     """Name of a scene, and panels of the scene and its edits in the median view of the unedited models."""
     results, views, scenes = tables["results"], tables["views"], tables.get("scenes")
     keys = [*_KEYS, "base"]
-    for (dataset, preset, split, base), rows in _runs(results).groupby(keys, dropna=False, sort=False):
+    for (dataset, *_, base), rows in _runs(results).groupby(keys, dropna=False, sort=False):
         edits = [str(edit) for edit in rows["edit"].fillna("").unique() if edit]
         if not edits:
             continue
-        axes = [str(v) for v, axis in ((preset, "preset"), (split, "split")) if _several(results, axis)]
         panels: list[Panel] = []
         view = ""
         for edit in ("", *edits):
@@ -100,7 +97,7 @@ def sequences(tables: dict[str, pd.DataFrame], root: Path) -> Iterator[tuple[str
             if panel.window is not None:
                 panels += beside([panel], scenes, edited.iloc[0])
         if panels:
-            yield " \N{MIDDLE DOT} ".join([f"{dataset} / {base}", *axes]), panels
+            yield " \N{MIDDLE DOT} ".join([f"{dataset} / {base}", *conditions(rows.iloc[0], results)]), panels
 
 
 def _runs(results: pd.DataFrame) -> pd.DataFrame:
@@ -108,10 +105,6 @@ def _runs(results: pd.DataFrame) -> pd.DataFrame:
     runs = results[results["kind"].isin(["basic", "edited"])]
     pairs = zip(runs["scene"], runs["edit"].fillna(""), strict=True)
     return runs.assign(base=[scene.removesuffix(f" {edit}") if edit else scene for scene, edit in pairs])
-
-
-def _several(results: pd.DataFrame, axis: str) -> bool:
-    return bool(results[axis].nunique(dropna=False) > 1)
 
 
 def _mean(rows: pd.DataFrame, scenes: set[str]) -> str:

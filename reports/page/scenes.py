@@ -15,6 +15,7 @@ from reports.pictures.panels import RULE, WHICH, Panel, Shot, models, panels
 from reports.pictures.transfer import beside
 from reports.style import Model, row_label
 from reports.tables.columns import cell
+from reports.tables.protocols import conditions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,8 +51,7 @@ def section(report: Report, root: Path, charts: Path) -> str:
             continue
         rows = models(rows)
         first = rows.iloc[0]
-        axes = [str(first[a]) for a in ("preset", "split") if results[a].nunique(dropna=False) > 1]
-        name = " · ".join([f"{first['dataset']} / {first['scene']}", *axes])
+        name = " · ".join([f"{first['dataset']} / {first['scene']}", *conditions(first, results)])
         of_scene = beside(panels(rows, views, root), tables.get("scenes"), first)
         informative = [panel for panel in of_scene if panel.informative]
         if not informative:

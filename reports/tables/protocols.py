@@ -23,6 +23,11 @@ def comparable(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
         yield " \N{MIDDLE DOT} ".join(str(key) for key, used in zip(keys, titled, strict=True) if used), rows
 
 
+def conditions(row: Any, table: pd.DataFrame) -> list[str]:
+    """Preset and split of a row, each where the table has several."""
+    return [str(row[axis]) for axis in _CONDITIONS if table[axis].nunique(dropna=False) > 1]
+
+
 def shared_by_all(seeds: Iterable[Iterable[Any]]) -> set[Any]:
     """The seeds that all settings have; all seeds if they have none in common."""
     sets = [set(each) for each in seeds]

@@ -19,7 +19,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from turns import Time, heading, interleaved, row
 
@@ -84,11 +83,6 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def decibels(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
-    """PSNR over premultiplied red, green, blue and alpha."""
-    return float(-10.0 * np.log10(np.mean((a.astype(np.float64) - b) ** 2)))
-
-
 def ours(volume: Volume, tf: TransferFunction, light: Light | None, step: float = 1.0) -> Draw:
     return marching.mitsuba(volume, MarchSettings(step_voxels=step)).prepare((Layer(volume, tf, light),))
 
@@ -124,7 +118,9 @@ def against_vtk(size: int, pixels: int, turns: int) -> None:
         fast, slow = interleaved(ways, turns, VIEWS).values()
         alike = "shaded otherwise"
         if light is None:
-            alike = f"{decibels(draw(cameras), np.stack([caster.render(c) for c in cameras])):.0f} dB"
+            alike = (
+                f"{marching.decibels(draw(cameras), np.stack([caster.render(c) for c in cameras])):.0f} dB"
+            )
         row(
             f"{tf.name}, {volume.name}",
             "Phong" if light else "none",

@@ -59,6 +59,11 @@ def errors(layers):
     return np.abs(image - exact).max(axis=-1)
 
 
+def decibels(a, b):
+    """PSNR over all values: red, green, blue (premultiplied) and alpha."""
+    return float(-10.0 * np.log10(np.mean((a.astype(np.float64) - b) ** 2)))
+
+
 def kernels(draw):
     """Hashes of the kernels that a drawing launches."""
     import drjit as dr

@@ -34,10 +34,15 @@ def _check(volume: Volume, count: int) -> None:
             end = bump.end
 
 
+def _radius(n: int, centre: float = 0.0) -> np.ndarray:
+    """(n, n, n) distances from a point of the x axis in a box from -1 to 1."""
+    at = np.linspace(-1, 1, n)
+    return np.sqrt(at[:, None, None] ** 2 + at[:, None] ** 2 + (at - centre) ** 2)
+
+
 def _balls(noise: float = 0.0) -> np.ndarray:
     """A ball of 200 in one of 100 in surroundings of 20 (u8), blurred by one voxel."""
-    at = np.linspace(-1, 1, 48)
-    r = np.sqrt(at[:, None, None] ** 2 + at[None, :, None] ** 2 + at[None, None, :] ** 2)
+    r = _radius(48)
     soft = 1 / (1 + np.exp((r - 0.7) / 0.03)), 1 / (1 + np.exp((r - 0.35) / 0.03))
     field = 20 + 80 * soft[0] + 100 * soft[1]
     field += noise * np.random.default_rng(0).standard_normal(field.shape)
@@ -85,11 +90,10 @@ def test_inverted_values_have_their_background_on_top() -> None:
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_signed_values_show_both_signs_and_not_zero(count: int) -> None:
     """Two balls of opposite sign in a still surrounding, as of a velocity."""
-    at = np.linspace(-1, 1, 40)
-    z, y, x = np.meshgrid(at, at, at, indexing="ij")
-    field = np.zeros(x.shape)
-    for centre, sign in ((-0.45, -1.0), (0.45, 1.0)):
-        field += sign / (1 + np.exp((np.sqrt((x - centre) ** 2 + y**2 + z**2) - 0.3) / 0.05))
+    field = sum(
+        sign / (1 + np.exp((_radius(40, centre) - 0.3) / 0.05))
+        for centre, sign in ((-0.45, -1.0), (0.45, 1.0))
+    )
     volume = _volume(field.astype(np.float32))
     normalised = volume.normalised()
     opacity = sum(s.transfer.classify(normalised)[..., 3] for s in automatic_scenes(volume, count))
@@ -118,9 +122,7 @@ def test_masked_voxels_enter_no_histogram() -> None:
 
 def test_parts_too_small_to_be_seen_join_a_neighbour() -> None:
     """A field with a long tail: hardly any voxel has most of the range."""
-    at = np.linspace(-1, 1, 64)
-    r = np.sqrt(at[:, None, None] ** 2 + at[None, :, None] ** 2 + at[None, None, :] ** 2)
-    volume = _volume(np.exp(-9.0 * r).astype(np.float32))
+    volume = _volume(np.exp(-9.0 * _radius(64)).astype(np.float32))
     normalised = volume.normalised()
     for scene in automatic_scenes(volume, 6):
         assert (scene.transfer.classify(normalised)[..., 3] > 0).mean() > 5e-4

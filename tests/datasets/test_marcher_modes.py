@@ -28,7 +28,8 @@ LEVELS = (Isosurface("a", 0.55, (0.9, 0.5, 0.2), 0.4), Isosurface("b", 0.7, (0.2
 
 A = volume(noise((30, 40, 35), 2.5), (1.0, 1.2, 0.9))
 B = volume(noise((30, 40, 35), 3.5, seed=1), (1.0, 1.2, 0.9))
-BALL = np.linalg.norm(np.moveaxis(np.indices((30, 40, 35)), 0, -1) - (15.0, 20.0, 17.0), axis=-1) < 14.3
+FROM_MIDDLE = np.linalg.norm(np.moveaxis(np.indices((30, 40, 35)), 0, -1) - (15.0, 20.0, 17.0), axis=-1)
+BALL = FROM_MIDDLE < 14.3
 MASKED = replace(A, mask=BALL)
 
 SCENES = {
@@ -67,6 +68,11 @@ def slab(shape=(9, 9, 33)):
     return volume(np.broadcast_to(np.linspace(0.0, 1.0, shape[2]), shape)), camera_at([3.0, 0.0, 0.0])
 
 
+def picture(renderer, camera, *layers):
+    """(height, width, 4) of one view."""
+    return renderer.compose((camera,), layers)[0]
+
+
 def density(opacity):
     return -np.log1p(-opacity) / 0.01
 
@@ -90,12 +96,10 @@ def test_each_layer_is_shaded_by_its_own_gradient_and_light(marcher):
     a, b = volume(np.broadcast_to(x, (25, 25, 25))), volume(np.broadcast_to(x[:, None, None], (25, 25, 25)))
     everywhere = transfer((-1.0, 0.0, 1.0, 2.0, (0.8, 0.8, 0.8), 0.05))
     along_x, along_z = (Light(d, 0.0, 1.0, 0.0) for d in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
-    camera = (camera_at([0.0, 4.0, 0.0], fov=0.1),)
-    facing = marcher([a, b]).compose(camera, [Layer(a, everywhere, along_x), Layer(b, everywhere, along_z)])[
-        0
-    ]
+    camera, both = camera_at([0.0, 4.0, 0.0], fov=0.1), marcher([a, b])
+    facing = picture(both, camera, Layer(a, everywhere, along_x), Layer(b, everywhere, along_z))
     np.testing.assert_allclose(facing[..., :3] / facing[..., 3:], 0.8, atol=1e-4)
-    aside = marcher([a, b]).compose(camera, [Layer(a, everywhere, along_x), Layer(b, everywhere, along_x)])[0]
+    aside = picture(both, camera, Layer(a, everywhere, along_x), Layer(b, everywhere, along_x))
     np.testing.assert_allclose(aside[..., :3] / aside[..., 3:], 0.4, atol=1e-4)
 
 
@@ -123,10 +127,7 @@ def test_a_mask_fades_within_the_cell_of_its_border(marcher):
 
 def test_what_lies_beyond_a_mask_is_never_seen(marcher):
     """No shell of other values: a border cell and its gradient reach two voxels beyond the mask."""
-    far = (
-        np.linalg.norm(np.moveaxis(np.indices(BALL.shape), 0, -1) - (15.0, 20.0, 17.0), axis=-1)
-        > 14.3 + 2 * 3**0.5
-    )
+    far = FROM_MIDDLE > 14.3 + 2 * 3**0.5
     values = A.values.copy()
     values[far] = np.random.default_rng(3).random(far.sum())
     for layer in (Layer(MASKED, EVERYTHING, HEAD), Layer(MASKED, None, HEAD, LEVELS)):
@@ -172,11 +173,9 @@ def test_a_plateau_at_the_level_is_inside(marcher):
     values = np.full((17, 17, 17), 51, dtype=np.uint8)
     values[:, :, :8] = 7
     v = Volume("v", values, (1.0, 1.0, 1.0), (0.0, 255.0), "made here")
-    image = marcher(v).compose(
-        (camera_at([3.0, 0.4, 0.3]),),
-        [Layer(v, None, None, (Isosurface("s", 51 / 255, (1.0, 1.0, 1.0), 0.5),))],
-    )
-    assert set(np.unique(image[0, 8:25, 8:25, 3])) == {np.float32(0.5)}
+    level = Layer(v, None, None, (Isosurface("s", 51 / 255, (1.0, 1.0, 1.0), 0.5),))
+    image = picture(marcher(v), camera_at([3.0, 0.4, 0.3]), level)
+    assert set(np.unique(image[8:25, 8:25, 3])) == {np.float32(0.5)}
 
 
 def sphere(n=49, radius=0.35):
@@ -190,9 +189,7 @@ def test_a_sphere_has_its_silhouette_and_its_normals(marcher):
     v, radius = sphere(), 0.35
     light = Light((0.0, 0.6, 0.8), 0.1, 0.9, 0.0)
     camera = camera_at([1.5, -1.2, 0.9], size=80, fov=0.5)
-    image = marcher(v).compose((camera,), [Layer(v, None, light, (Isosurface("s", 0.5, (0.9, 0.6, 0.3)),))])[
-        0
-    ]
+    image = picture(marcher(v), camera, Layer(v, None, light, (Isosurface("s", 0.5, (0.9, 0.6, 0.3)),)))
     origin, direction = camera.rays()
     along = -(direction @ origin)
     nearest = np.linalg.norm(origin + along[..., None] * direction, axis=-1)
@@ -215,9 +212,7 @@ def test_silhouettes_are_those_of_marching_cubes():
     vertices, faces, _, _ = marching_cubes(v.values, 0.55)
     points = vertices[:, ::-1] / (np.array(v.dims) - 1.0) * v.extent - 0.5 * v.extent
     camera = around(v, size=120, pick=(3,))[0]
-    image = mitsuba(v).compose((camera,), [Layer(v, None, None, (Isosurface("s", 0.55, (1.0, 1.0, 1.0)),))])[
-        0
-    ]
+    image = picture(mitsuba(v), camera, Layer(v, None, None, (Isosurface("s", 0.55, (1.0, 1.0, 1.0)),)))
     rotation, fine = camera.camera_to_world[:3, :3], 8
     local = (points - camera.position) @ rotation
     x = fine * (camera.fx * local[:, 0] / local[:, 2] + camera.cx) - 0.5
@@ -299,8 +294,7 @@ def test_depth_enhancement_darkens_by_the_occlusion_and_off_is_off(marcher):
     camera = camera_at([3.0, 0.0, 0.0])
     color = np.array([0.5, 0.3, 0.7])
     plain, off, half = (
-        marcher(v).compose((camera,), [Layer(v, EVERYTHING, None, (), strength)])[0]
-        for strength in (0.0, 0.0, 0.5)
+        picture(marcher(v), camera, Layer(v, EVERYTHING, None, (), strength)) for strength in (0.0, 0.0, 0.5)
     )
     np.testing.assert_array_equal(plain, off)
     np.testing.assert_array_equal(plain[..., 3], half[..., 3])

@@ -20,7 +20,7 @@ from datasets.transfer import Bump, TransferFunction
 from datasets.volume import Volume
 
 from . import vtk_oracle
-from .marching import mitsuba, noise, volume
+from .marching import decibels, mitsuba, noise, volume
 
 PHONG = Light(ambient=0.2, diffuse=0.6, specular=0.6, shininess=12.0, model="phong")
 FIXED = Light(
@@ -91,17 +91,15 @@ def theirs() -> dict[str, NDArray[np.float32]]:
     return dict(zip(CASES, vtk_oracle.render([case.job() for case in CASES.values()]), strict=True))
 
 
-def decibels(a: NDArray[np.float32], b: NDArray[np.float32]) -> list[float]:
-    """PSNR of each view over red, green, blue (premultiplied) and alpha."""
-    return [
-        float(-10.0 * np.log10(np.mean((x - y).astype(np.float64) ** 2))) for x, y in zip(a, b, strict=True)
-    ]
+def of_views(a: NDArray[np.float32], b: NDArray[np.float32]) -> list[float]:
+    """PSNR of each view."""
+    return list(map(decibels, a, b))
 
 
 def foreground(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
     """PSNR of the pixels that either shows."""
     mask = (a[..., 3] > 0.0) | (b[..., 3] > 0.0)
-    return float(-10.0 * np.log10(np.mean((a[mask] - b[mask]).astype(np.float64) ** 2)))
+    return decibels(a[mask], b[mask])
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -109,7 +107,7 @@ def test_agrees_with_vtk(theirs, name):
     case = CASES[name]
     ours = case.ours(case.light)
     assert ours[..., 3].max() > 0.9
-    each, decibels_inside = decibels(ours, theirs[name]), foreground(ours, theirs[name])
+    each, decibels_inside = of_views(ours, theirs[name]), foreground(ours, theirs[name])
     print(name, *(f"{x:.1f}" for x in each), f"foreground {decibels_inside:.1f} dB")
     if not case.alike:
         # 8 bits a channel, rays stopped at an alpha of 254/255, samples half a step further on.
@@ -135,7 +133,7 @@ def test_agrees_with_vtk_on_measured_and_simulated_data():
     for (name, case), picture in zip(cases.items(), pictures, strict=True):
         ours = case.ours(PHONG)
         assert ours[..., 3].max() > 0.5
-        each = decibels(ours, picture)
+        each = of_views(ours, picture)
         print(name, *(f"{x:.1f}" for x in each), "dB")
         assert min(each) >= 55.0, name
 
@@ -143,11 +141,11 @@ def test_agrees_with_vtk_on_measured_and_simulated_data():
 def test_comparison_tells_phong_from_blinn_phong_and_from_no_light(theirs):
     case = CASES["Phong"]
     for light in (dataclasses.replace(PHONG, model="blinn-phong"), None):
-        assert max(decibels(case.ours(light), theirs["Phong"])) < 45.0
+        assert max(of_views(case.ours(light), theirs["Phong"])) < 45.0
 
 
 def test_comparison_sees_a_shift_of_a_tenth_of_a_pixel(theirs):
     case = CASES["unshaded"]
     ours = case.ours(None)
     shifted = 0.9 * ours + 0.1 * np.roll(ours, 1, axis=2)
-    assert max(decibels(shifted, theirs["unshaded"])) < 55.0
+    assert max(of_views(shifted, theirs["unshaded"])) < 55.0

@@ -1,6 +1,6 @@
 import json
 import sys
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 import numpy as np
 import pandas as pd
@@ -418,15 +418,9 @@ def test_without_vectors_the_reason_is_told():
 
 
 def test_an_embedding_is_split_by_scene():
-    class Flat:
-        def __init__(self, **_):
-            pass
-
-        def fit_transform(self, values):
-            return values[:, :2]
-
-    with patch.dict(sys.modules, {"umap": type(sys)("umap")}):
-        sys.modules["umap"].UMAP = Flat
+    umap = Mock()
+    umap.UMAP.return_value.fit_transform = lambda values: values[:, :2]
+    with patch.dict(sys.modules, {"umap": umap}):
         (anchors,) = features.maps(features_table())
     (panel,) = kinds.feature_maps([anchors]).panels
     first = np.reshape(features_table()["values"].iloc[1], (-1, 4))[:, :2]
