@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+# Opens a volume file and renders views of its first scene.
 PROCESS = """
 import sys, tempfile
 from pathlib import Path
@@ -39,20 +40,12 @@ def write_shells(path: Path, n: int, dtype: str) -> None:
     out.flush()
 
 
-def peak_bytes(path: Path) -> int:
-    """High-water mark of a fresh process that opens a volume file and renders views of its first scene."""
-    done = subprocess.run(
-        [sys.executable, "-c", PROCESS, str(path)], capture_output=True, text=True, check=True
-    )
-    return int(done.stdout)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
 def test_512_cubed_renders_within_3_gb(tmp_path, dtype):
     path = tmp_path / "volume.npy"
     write_shells(path, 512, dtype)
-    peak = peak_bytes(path)
+    peak = int(subprocess.check_output([sys.executable, "-c", PROCESS, str(path)]))
     print(f"512^3 of {dtype}, views of 400^2: {peak / 1e9:.2f} GB")
     held = 512**3 * (4 + np.dtype(dtype).itemsize)  # what is mapped and at least one copy of it
     assert held < peak < 3e9

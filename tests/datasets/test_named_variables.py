@@ -374,8 +374,7 @@ def peak_bytes(path: Path, variable: str = "") -> int:
     peaks = []
     for what in ("volume", "nothing"):
         command = [sys.executable, "-c", MEASURE, str(path), what, variable]
-        process = subprocess.run(command, capture_output=True, text=True, check=True, cwd=path.parent)
-        peaks.append(int(process.stdout))
+        peaks.append(int(subprocess.check_output(command, cwd=path.parent)))
     return peaks[0] - peaks[1]
 
 

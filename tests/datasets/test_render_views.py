@@ -223,9 +223,7 @@ def test_without_libllvm_the_reference_renders_with_a_notice(no_backend, cache, 
 def output_of(code, **environment):
     """Output of a fresh process."""
     command, environment = [sys.executable, "-c", code], {**os.environ, **environment}
-    return subprocess.run(
-        command, capture_output=True, text=True, env=environment, cwd=ROOT, check=True
-    ).stdout
+    return subprocess.check_output(command, text=True, env=environment, cwd=ROOT)
 
 
 def trial(library, cache_folder):
