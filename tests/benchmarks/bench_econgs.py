@@ -14,9 +14,10 @@ import statistics
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any
+from unittest.mock import patch
 
 import torch
 
@@ -59,33 +60,28 @@ def scenes(name: str, chosen: list[str]) -> list[SceneInput]:
 @contextmanager
 def clocked(trainer: Trainer, spent: dict[str, float]) -> Iterator[None]:
     """Adds up the seconds of each part of a step."""
-    undo: list[tuple[Any, str, Any]] = []
+    with ExitStack() as patches:
 
-    def watch(owner: Any, name: str, part: str) -> None:
-        before = getattr(owner, name)
+        def watch(owner: Any, name: str, part: str) -> None:
+            before = getattr(owner, name)
 
-        def timed(*given: Any, **named: Any) -> Any:
-            start = time.perf_counter()
-            try:
-                return before(*given, **named)
-            finally:
-                spent[part] += time.perf_counter() - start
+            def timed(*given: Any, **named: Any) -> Any:
+                start = time.perf_counter()
+                try:
+                    return before(*given, **named)
+                finally:
+                    spent[part] += time.perf_counter() - start
 
-        undo.append((owner, name, before))
-        setattr(owner, name, timed)
+            patches.enter_context(patch.object(owner, name, timed))
 
-    watch(training, "decode", "decode")
-    watch(training, "draw", "rasterise")
-    watch(training, "photometric_loss", "loss")
-    watch(torch.Tensor, "backward", "backward")
-    watch(trainer.optimiser, "step", "optimiser")
-    if trainer.coding is not None:
-        watch(trainer.coding, "apply", "context model")
-    try:
+        watch(training, "decode", "decode")
+        watch(trainer, "splat", "rasterise")
+        watch(trainer, "image_loss", "loss")
+        watch(torch.Tensor, "backward", "backward")
+        watch(trainer.optimiser, "step", "optimiser")
+        if trainer.coding is not None:
+            watch(trainer.coding, "apply", "context model")
         yield
-    finally:
-        for owner, name, before in undo:
-            setattr(owner, name, before)
 
 
 def measure(trainer: Trainer, steps: int) -> dict[str, tuple[float, dict[str, float]]]:
