@@ -29,17 +29,17 @@ def _drive(monitor: FitMonitor, first: int, last: int, slow_evaluation: float = 
         time.sleep(slow_evaluation)
         return _Model()
 
+    monitor.start()
     for i in range(first, last + 1):
         monitor.progress(i, {"loss": 1.0 / i}, 3)
         if monitor.due(i):
             monitor.pause(i, model, lambda i=i: Checkpoint(i, {}, {"i": i}))
+    monitor.stop()
 
 
 def test_evaluations_are_log_spaced_and_the_last_iteration_is_stored(tmp_path) -> None:
     monitor = _monitor(tmp_path)
-    monitor.start()
     _drive(monitor, 1, 100)
-    monitor.stop()
     at = [point.iteration for point in monitor.curve]
     assert 6 <= len(at) <= 10
     assert at[0] == 2
@@ -54,9 +54,7 @@ def test_evaluations_are_log_spaced_and_the_last_iteration_is_stored(tmp_path) -
 def test_the_clock_stands_still_while_it_evaluates(tmp_path) -> None:
     monitor = _monitor(tmp_path, iterations=20)
     start = time.perf_counter()
-    monitor.start()
     _drive(monitor, 1, 20, slow_evaluation=0.05)
-    monitor.stop()
     wall = time.perf_counter() - start
     assert len(monitor.curve) >= 6
     assert monitor.seconds <= wall - 0.05 * len(monitor.curve)
@@ -65,10 +63,8 @@ def test_the_clock_stands_still_while_it_evaluates(tmp_path) -> None:
 
 def test_a_resumed_fit_continues_clock_and_curve(tmp_path) -> None:
     first = _monitor(tmp_path)
-    first.start()
-    stop = first._stop
     _drive(first, 1, 49)
-    stop.requested.set()
+    first._stop.requested.set()
     with pytest.raises(Stopped):
         _drive(first, 50, 60)
     first.stop()
@@ -79,10 +75,8 @@ def test_a_resumed_fit_continues_clock_and_curve(tmp_path) -> None:
     assert [p.iteration for p in second.curve] == [p.iteration for p in first.curve]
     assert 0.0 < second.seconds <= first.seconds
     assert 0.0 < second.cpu_seconds <= first.cpu_seconds
-    second.start()
     _drive(second, 51, 100)
     whole = _monitor(tmp_path / "whole")
-    whole.start()
     _drive(whole, 1, 100)
     assert [p.iteration for p in second.curve] == [p.iteration for p in whole.curve]
 
@@ -121,7 +115,6 @@ def test_losses_are_means_over_stretches_that_stages_cut(tmp_path) -> None:
 
 def test_a_stop_at_the_last_iteration_is_too_late(tmp_path) -> None:
     monitor = _monitor(tmp_path, iterations=5)
-    monitor.start()
     _drive(monitor, 1, 4)
     monitor._stop.requested.set()
     _drive(monitor, 5, 5)

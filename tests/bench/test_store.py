@@ -11,12 +11,14 @@ import pandas as pd
 import pytest
 
 from bench.comparison import compared
-from bench.jobs.encode import check_ledger
 from bench.records import EncodeResult, Job, Record, Request, derived_seed, hash_of
 from bench.store import Store
 from bench.tables import share, stored_tables
 from datasets.errors import DataError
+from methods.interface import check_ledger
 from reports.schema import frame, joined, read_tables
+
+from .conftest import Bench
 
 
 def _record(status: str = "ok", key: str = "0123", **changes) -> Record:
@@ -26,15 +28,8 @@ def _record(status: str = "ok", key: str = "0123", **changes) -> Record:
         group="a+b+c", method="m",
     )  # fmt: skip
     result = EncodeResult(seconds=1.0, total_bytes=30, ledger={"": {"net": 8}, "a": {"p": 22}})
-    base = {
-        "job": job,
-        "status": status,
-        "started": "",
-        "finished": "",
-        "wall_seconds": 1.0,
-        "encode": result,
-    }
-    return Record.model_validate({**base, **changes})
+    base = {"job": job, "started": "", "finished": "", "wall_seconds": 1.0, "encode": result}
+    return Record.model_validate({**base, "status": status, **changes})
 
 
 @pytest.fixture
@@ -153,11 +148,11 @@ def test_views_are_paired(rate) -> None:
     assert compared(_views([30.0], 1.0), _views([30.0], 2.0)).empty
 
 
-def test_merge_joins_and_prefers_success(finished, make_bench, tmp_path) -> None:
+def test_merge_joins_and_prefers_success(finished, tmp_path) -> None:
     bench = finished
-    other = make_bench(tmp_path / "other", bench.dataset)
+    other = Bench(tmp_path / "other", bench.dataset)
     other.store.parent.mkdir()
-    assert other.run("--seed", "1", scenes=("a",)).returncode == 0
+    other.run("--seed", "1", scenes=("a",))
     failed = other.store / "failed"
     shutil.copytree(bench.store, failed)
     store = Store(failed)
@@ -165,8 +160,7 @@ def test_merge_joins_and_prefers_success(finished, make_bench, tmp_path) -> None
     store.finish(fit.model_copy(update={"status": "failed", "reason": "elsewhere", "fit": None}))
 
     merged = tmp_path / "all"
-    done = bench("merge", failed, bench.store, other.store, "--out", merged)
-    assert done.returncode == 0, done.stderr
+    bench("merge", failed, bench.store, other.store, "--out", merged)
     records = list(Store(merged).records())
     assert all(r.ok for r in records)
     assert len(records) == 4 + 3  # the views job is common
@@ -177,12 +171,9 @@ def test_merge_joins_and_prefers_success(finished, make_bench, tmp_path) -> None
     assert all((merged / file).is_file() for file in [*views["truth_file"], *views["render_file"]])
 
     same = bench("compare", merged, merged)
-    assert same.returncode == 0
     assert "psnr" in same.stdout
     assert "rate" not in same.stdout  # nobody has one
     written = bench("compare", merged, merged, "--format", "md")
-    assert written.returncode == 0, written.stderr
     assert "| Metric | Views | First | Second | Difference |" in written.stdout
-    apart = bench("compare", bench.store, other.store)
-    assert apart.returncode == 2
+    apart = bench("compare", bench.store, other.store, code=2)
     assert "no view in common" in apart.stderr

@@ -51,10 +51,10 @@ def _spec(name: str, joint: bool, implementation: str = "") -> MethodSpec:
 SPEC = _spec("fake", joint=False)
 
 
+@dataclass
 class Color:
-    def __init__(self, colors: dict[str, list[float]], wrong_ledger: bool = False) -> None:
-        self.colors = colors
-        self.wrong_ledger = wrong_ledger
+    colors: dict[str, list[float]]
+    wrong_ledger: bool = False
 
     @property
     def scenes(self) -> tuple[str, ...]:
