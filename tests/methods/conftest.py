@@ -1,4 +1,4 @@
-"""A tiny scene of known Gaussians, rendered by the torch oracle: what the method must recover."""
+"""Fits of a tiny scene of known Gaussians, rendered by the torch oracle: what the method must recover."""
 
 import math
 from dataclasses import replace
@@ -10,8 +10,31 @@ import pytest
 from datasets.cloud import PointCloud
 from methods.contract import checks
 from methods.contract.scene import look_at, tiny_gaussians, tiny_scene
-from methods.gaussian_splatting.spec import SPEC
+from methods.interface import Budget
 from methods.options import resolve
+from methods.registry import Registry, load_method
+
+
+class Fits:
+    """Fits of a method at the preset quick.
+
+    Args:
+        name: the method.
+        small: option values that differ, for a small model.
+    """
+
+    def __init__(self, name, **small):
+        self.spec, self.small = Registry().spec(name), small
+        self.method = load_method(self.spec)
+
+    def options(self, **changed):
+        return resolve(self.spec, "quick", self.small | changed).options
+
+    def __call__(self, scenes, recorder, iterations, seed=0, resume=None, **changed):
+        """The model of a scene, or of several learned together."""
+        group = scenes if isinstance(scenes, list) else [scenes]
+        budget = Budget(iterations)
+        return self.method.fit(group, self.options(**changed), budget, seed, "cpu", recorder, resume)
 
 
 class Recorder(checks.Recorder):
@@ -37,11 +60,6 @@ class Recorder(checks.Recorder):
 def scene():
     """Twelve training and three validation views; a cloud of noisy points with wrong colors."""
     return tiny_scene("tiny")
-
-
-@pytest.fixture
-def options():
-    return resolve(SPEC, "quick").options
 
 
 def psnr(model, views, **arguments):

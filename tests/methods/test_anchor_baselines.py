@@ -8,27 +8,22 @@ import torch
 
 from datasets.errors import DataError
 from econgs.anchors.direct import ColorDecoders
-from methods.hac.method import Hac
-from methods.hac.spec import SPEC as HAC
 from methods.hac.training import Trainer as HacTrainer
-from methods.interface import Budget, Diverged, EstimatesBytes, Refused
-from methods.options import resolve
-from methods.scaffold_gs.method import ScaffoldGS
+from methods.interface import EstimatesBytes, Refused
 from methods.scaffold_gs.schedule import Schedule
-from methods.scaffold_gs.spec import SPEC as SCAFFOLD
 from methods.scaffold_gs.training import Trainer as ScaffoldTrainer
+from tests.methods.conftest import Fits
 
 SMALL = {"features": 16, "offsets": 4, "voxel": 0.01}
 BUDGET = 600
 
 KINDS = {
     "scaffold-gs": SimpleNamespace(
-        spec=SCAFFOLD, method=ScaffoldGS, trainer=ScaffoldTrainer, small=SMALL, least=25.0,
+        fit=Fits("scaffold-gs", **SMALL), trainer=ScaffoldTrainer, least=25.0,
         stages=["warm-up", "growth", "refinement"],
     ),
     "hac": SimpleNamespace(
-        spec=HAC, method=Hac, trainer=HacTrainer, least=23.0,
-        small=SMALL | {"grid": "small", "context_hidden": 24},
+        fit=Fits("hac", **SMALL, grid="small", context_hidden=24), trainer=HacTrainer, least=23.0,
         stages=["warm-up", "growth", "growth under noise", "growth with context model", "context model",
                 "rounding"],
     ),
@@ -40,20 +35,10 @@ def kind(request):
     return KINDS[request.param]
 
 
-def options(kind, **changed):
-    return resolve(kind.spec, "quick", {**kind.small, **changed}).options
-
-
-def fit(kind, scene, recorder, iterations=60, seed=0, resume=None, **changed):
-    return kind.method().fit(
-        [scene], options(kind, **changed), Budget(iterations), seed, "cpu", recorder, resume
-    )
-
-
 @pytest.fixture(scope="module")
 def fitted(kind, tiny, scene):
     recorder = tiny.Recorder(checkpoint_at=[1])
-    return fit(kind, scene, recorder, BUDGET), recorder
+    return kind.fit(scene, recorder, BUDGET), recorder
 
 
 def test_a_fit_approaches_views_that_it_never_saw(kind, tiny, scene, fitted):
@@ -67,16 +52,15 @@ def test_a_fit_approaches_views_that_it_never_saw(kind, tiny, scene, fitted):
 
 
 def test_a_model_of_another_method_is_refused(tmp_path, tiny, scene):
-    scaffold = fit(KINDS["scaffold-gs"], scene, tiny.Recorder(), 5)
-    hac = fit(KINDS["hac"], scene, tiny.Recorder(), 5)
-    for one, other in ((ScaffoldGS, hac), (Hac, scaffold)):
+    models = [kind.fit(scene, tiny.Recorder(), 5) for kind in KINDS.values()]
+    for kind, other in zip(KINDS.values(), reversed(models), strict=True):
         with pytest.raises(Refused, match="of its own only"):
-            one().compose([scaffold, hac])
+            kind.fit.method.compose(models)
         folder = tmp_path / other.method
         folder.mkdir()
         other.save(folder)
         with pytest.raises(DataError, match="no saved"):
-            one().load(folder, "cpu")
+            kind.fit.method.load(folder, "cpu")
 
 
 def test_bytes_are_estimated(tmp_path, fitted):
@@ -87,7 +71,7 @@ def test_bytes_are_estimated(tmp_path, fitted):
 
 
 def test_a_fit_may_lose_every_anchor(kind, tiny, scene, tmp_path):
-    trainer = kind.trainer(scene, options(kind), 40, 0, "cpu")
+    trainer = kind.trainer(scene, kind.fit.options(), 40, 0, "cpu")
     trainer.anchors.keep(trainer.optimiser, torch.zeros(len(trainer.anchors), dtype=torch.bool))
     recorder = tiny.Recorder()
     trainer.run(recorder)
@@ -96,25 +80,25 @@ def test_a_fit_may_lose_every_anchor(kind, tiny, scene, tmp_path):
     assert any("no anchors left" in stage for stage in recorder.stages)
     bare.save(tmp_path)
     camera = tiny.look_at([3.0, 0.0, 0.0])
-    assert torch.equal(kind.method().load(tmp_path, "cpu").render(camera)[0], torch.ones(32, 32, 3))
+    assert torch.equal(kind.fit.method.load(tmp_path, "cpu").render(camera)[0], torch.ones(32, 32, 3))
 
 
 def test_what_cannot_be_fitted_is_refused(kind, tiny, scene):
     empty = tiny.with_cloud(scene, np.zeros((0, 3)))
     with pytest.raises(Refused, match="empty"):
-        fit(kind, empty, tiny.Recorder(), 5)
-    assert fit(kind, empty, tiny.Recorder(), 5, start="random", random_points=50).primitives() > 0
+        kind.fit(empty, tiny.Recorder(), 5)
+    assert kind.fit(empty, tiny.Recorder(), 5, start="random", random_points=50).primitives() > 0
     with pytest.raises(Refused, match="more than max_anchors"):
-        fit(kind, scene, tiny.Recorder(), 5, max_anchors=3)
+        kind.fit(scene, tiny.Recorder(), 5, max_anchors=3)
     with pytest.raises(Refused, match="cells"):
-        fit(kind, scene, tiny.Recorder(), 5, init_factor=4)
+        kind.fit(scene, tiny.Recorder(), 5, init_factor=4)
 
 
 def test_a_start_that_shows_nothing_is_turned_and_no_other(kind, scene):
     """With one offset about half of all seeds make it invisible."""
     turned = 0
     for seed in range(12):
-        trainer = kind.trainer(scene, options(kind, offsets=1), 40, seed, "cpu")
+        trainer = kind.trainer(scene, kind.fit.options(offsets=1), 40, seed, "cpu")
         drawn = torch.Generator().manual_seed(seed)
         network = ColorDecoders(16, 1, distance=trainer.distance, generator=drawn).network("opacity")
         own = trainer.decoders.network("opacity")
@@ -131,19 +115,13 @@ def test_a_start_that_shows_nothing_is_turned_and_no_other(kind, scene):
     assert 0 < turned < 12
 
 
-def test_growth_stops_at_the_limit(kind, tiny, scene):
+@pytest.mark.parametrize("fit", [kind.fit for kind in KINDS.values()] + [Fits("econgs", hidden=24, **SMALL)])
+def test_growth_stops_at_the_limit(fit, tiny, scene):
     recorder = tiny.Recorder()
     limit = len(np.unique(np.round(scene.cloud.points / 0.01), axis=0)) + 5
-    fit(kind, scene, recorder, 300, max_anchors=limit, growth_gradient=0.0)
+    fit(scene, recorder, 300, max_anchors=limit, growth_gradient=0.0)
     assert max(recorder.counts) == limit
     assert any("stopped at" in stage for stage in recorder.stages)
-
-
-def test_what_is_not_finite_is_called_diverged(kind, scene):
-    trainer = kind.trainer(scene, options(kind), 10, 0, "cpu")
-    trainer.images = torch.full_like(trainer.images, torch.nan)
-    with pytest.raises(Diverged, match=r"image loss.*iteration 1"):
-        trainer.step()
 
 
 def test_the_schedule_is_the_published_one_at_its_budget():
@@ -162,11 +140,11 @@ def test_the_schedule_is_the_published_one_at_its_budget():
 def test_hac_pays_for_bits_and_masks(tiny, scene):
     """A larger lambda makes smaller streams; a larger weight of masks pushes them down."""
     kind = KINDS["hac"]
-    sizes = [fit(kind, scene, tiny.Recorder(), 400, rate_weight=w).bytes_estimate() for w in (0.0, 0.05)]
+    sizes = [kind.fit(scene, tiny.Recorder(), 400, rate_weight=w).bytes_estimate() for w in (0.0, 0.05)]
     assert sizes[1] < 0.9 * sizes[0]
     masks = []
     for weight in (0.0, 0.1):
-        trainer = HacTrainer(scene, options(kind, mask_weight=weight), 400, 0, "cpu")
+        trainer = HacTrainer(scene, kind.fit.options(mask_weight=weight), 400, 0, "cpu")
         trainer.run(tiny.Recorder())
         masks.append(float(trainer.optimiser[trainer.anchors.name("masks")].detach().mean()))
     assert masks[1] < masks[0] - 0.1

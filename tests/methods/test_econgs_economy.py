@@ -15,17 +15,12 @@ from econgs.context.arrays import round_arrays, write_arrays
 from methods.econgs.control import RateControl
 from methods.econgs.rent import some_views, who_stays
 from methods.econgs.schedule import Schedule
-from methods.econgs.spec import SPEC
 from methods.econgs.start import one_per_cell, starting_points
 from methods.econgs.training import Trainer
 from methods.interface import Refused
-from methods.options import resolve
+from tests.methods.conftest import Fits
 
-SMALL = {"features": 16, "hidden": 24, "embedding": 8, "offsets": 4, "voxel": 0.01}
-
-
-def options(**changed):
-    return resolve(SPEC, "quick", {**SMALL, **changed}).options
+options = Fits("econgs", features=16, hidden=24, embedding=8, offsets=4, voxel=0.01).options
 
 
 def trained(scene, iterations, **changed):

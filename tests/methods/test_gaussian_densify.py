@@ -6,13 +6,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from econgs.optim import Adam
-from methods.gaussian_splatting.densify import (
-    GrowthRules,
-    GrowthStatistics,
-    capped_logits,
-    grow,
-    rotate,
-)
+from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, capped_logits, grow, rotate
 from methods.gaussian_splatting.training import PARAMETERS
 
 SHAPES = {"means": (3,), "log_scales": (3,), "quats": (4,), "logits": (), "sh_dc": (1, 3), "sh_rest": (15, 3)}

@@ -8,34 +8,26 @@ import pytest
 import torch
 
 from datasets.scene import Light
-from methods.interface import Budget, Edit, Refused
+from methods.interface import Edit, Refused
 from methods.ivr_gs.losses import depth_normals, normal_loss, smoothness_loss
-from methods.ivr_gs.method import IvrGs
 from methods.ivr_gs.model import WIDTHS, IvrModel, Stored, attributes_with_codebooks, ready
 from methods.ivr_gs.schedule import IvrSchedule
-from methods.ivr_gs.spec import SPEC
 from methods.ivr_gs.training import IvrTrainer
-from methods.options import resolve
+from tests.methods.conftest import Fits
 
-
-def options(**changed):
-    return resolve(SPEC, "quick", {"max_gaussians": 500, **changed}).options
-
-
-def fit(scene, recorder, iterations=400, resume=None, **changed):
-    return IvrGs().fit([scene], options(**changed), Budget(iterations), 0, "cpu", recorder, resume)
+fit = Fits("ivr-gs", max_gaussians=500)
 
 
 @pytest.fixture(scope="module")
 def fitted(tiny, scene):
     recorder = tiny.Recorder()
-    return fit(scene, recorder), recorder
+    return fit(scene, recorder, 400), recorder
 
 
 def saved(model, folder, rate=None):
     folder.mkdir()
     ledger = model.save(folder, rate)["tiny"]
-    return IvrGs().load(folder, "cpu"), ledger
+    return fit.method.load(folder, "cpu"), ledger
 
 
 def test_a_fit_approaches_views_that_it_never_saw(tiny, scene, fitted):
@@ -78,7 +70,7 @@ def test_values_are_activated_once(tiny, scene, tmp_path):
 
     The published code activates specular coefficients and shininess a second time.
     """
-    trainer = IvrTrainer(scene, options(), 400, 0, "cpu")
+    trainer = IvrTrainer(scene, fit.options(), 400, 0, "cpu")
     trainer.run(tiny.Recorder())
     with torch.no_grad():
         trainer.optimiser["specular"].add_(1.0)  # highlights that a second sigmoid would change
@@ -99,7 +91,7 @@ def test_parts_of_the_loss_carry_their_weights(tiny, scene):
     """Each part is its weight times what it was: twice the weight is twice the part."""
     names = {"alpha": "alpha", "normal": "normals", "offset": "offset colors",
              "smoothness": "smoothness", "opacity": "opacity"}  # fmt: skip
-    trainer = IvrTrainer(scene, options(), 40, 0, "cpu")
+    trainer = IvrTrainer(scene, fit.options(), 40, 0, "cpu")
     while not trainer.shading:
         trainer.step()
     camera, back = scene.train.cameras[0], scene.train.background
@@ -187,7 +179,7 @@ def test_light_of_the_scene_and_of_edits(scene, tiny, tmp_path):
 
 
 def test_what_cannot_be_seen_goes(scene):
-    trainer = IvrTrainer(scene, options(), 40, 0, "cpu")
+    trainer = IvrTrainer(scene, fit.options(), 40, 0, "cpu")
     with torch.no_grad():
         trainer.optimiser["logits"][:5] = -6.0
     before = trainer.count
@@ -198,8 +190,8 @@ def test_what_cannot_be_seen_goes(scene):
 
 def test_normals_alone_can_grow_gaussians(scene):
     changed = {"growth_gradient": 1e9, "opacity_reset": False}
-    grown = IvrTrainer(scene, options(**changed, normal_gradient=0.0), 100, 0, "cpu")
-    still = IvrTrainer(scene, options(**changed, normal_gradient=1e9), 100, 0, "cpu")
+    grown = IvrTrainer(scene, fit.options(**changed, normal_gradient=0.0), 100, 0, "cpu")
+    still = IvrTrainer(scene, fit.options(**changed, normal_gradient=1e9), 100, 0, "cpu")
     for _ in range(25):
         grown.step()
         still.step()

@@ -8,33 +8,25 @@ import torch
 from safetensors import safe_open
 
 from datasets.errors import DataError
-from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.gaussian_splatting.training import PARAMETERS, Trainer
-from methods.interface import Budget, Refused
-from methods.options import resolve
-from methods.vq_3dgs.method import VectorQuantised
+from methods.interface import Refused
 from methods.vq_3dgs.model import gaussians, grouped, quantised
-from methods.vq_3dgs.spec import SIZES, SPEC
+from methods.vq_3dgs.spec import SIZES
 from methods.vq_3dgs.training import VqTrainer
+from tests.methods.conftest import Fits
 
-
-def options(**changed):
-    return resolve(SPEC, "quick", {"max_gaussians": 400, **changed}).options
-
-
-def fit(scene, recorder, iterations=250, resume=None, **changed):
-    return VectorQuantised().fit([scene], options(**changed), Budget(iterations), 0, "cpu", recorder, resume)
+fit = Fits("vq-3dgs", max_gaussians=400)
 
 
 @pytest.fixture(scope="module")
 def fitted(tiny, scene):
     recorder = tiny.Recorder()
-    return fit(scene, recorder), recorder
+    return fit(scene, recorder, 250), recorder
 
 
 def test_until_it_is_quantised_it_is_3dgs_bit_for_bit(scene):
-    plain = Trainer(scene, resolve(PLAIN, "quick", {"max_gaussians": 400}).options, 40, 3, "cpu")
-    quantising = VqTrainer(scene, options(tuning=0.2), 50, 3, "cpu")
+    plain = Trainer(scene, Fits("3dgs").options(max_gaussians=400), 40, 3, "cpu")
+    quantising = VqTrainer(scene, fit.options(tuning=0.2), 50, 3, "cpu")
     for _ in range(40):
         assert plain.step() == quantising.step()
     for name in PARAMETERS:
@@ -53,7 +45,7 @@ def test_a_fit_approaches_views_that_it_never_saw(tiny, scene, fitted):
 
 def test_tuning_recovers_some_of_what_few_words_lose(tiny, scene, tmp_path):
     """At the same codebooks: with and without the steps that tune them."""
-    tuned = VqTrainer(scene, options(codebook_size=16, stages=1, tuning=0.5, tuning_lr=3), 300, 0, "cpu")
+    tuned = VqTrainer(scene, fit.options(codebook_size=16, stages=1, tuning=0.5, tuning_lr=3), 300, 0, "cpu")
     for _ in range(151):
         tuned.step()
     before = tiny.psnr(tuned.model(), scene.train)
@@ -69,7 +61,7 @@ def test_sizes_trade_bytes_for_quality(tiny, scene, fitted, tmp_path):
         folder.mkdir()
         ledger = model.save(folder, float(size))["tiny"]
         sizes.append(sum(ledger.values()))
-        qualities.append(tiny.psnr(VectorQuantised().load(folder, "cpu"), scene.validation))
+        qualities.append(tiny.psnr(fit.method.load(folder, "cpu"), scene.validation))
     assert sizes == sorted(sizes)
     assert qualities[2] > qualities[0]
     (tmp_path / "default").mkdir()
@@ -91,7 +83,7 @@ def test_bytes_are_ids_words_and_positions(fitted, tmp_path):
 
 
 def test_only_the_visible_is_stored_and_rotations_keep_their_sense(scene):
-    trainer = VqTrainer(scene, options(), 10, 0, "cpu")
+    trainer = VqTrainer(scene, fit.options(), 10, 0, "cpu")
     plain = trainer._plain()
     plain.logits[:10] = math.log(1 / 300)
     plain.quats[10:20] *= -3.0
@@ -107,7 +99,7 @@ def test_a_fit_too_short_to_tune_is_quantised_all_the_same(tiny, scene, tmp_path
     model = fit(scene, tiny.Recorder(), 1)
     model.save(tmp_path)
     camera = scene.validation.cameras[0]
-    assert torch.equal(VectorQuantised().load(tmp_path, "cpu").render(camera)[0], model.render(camera)[0])
+    assert torch.equal(fit.method.load(tmp_path, "cpu").render(camera)[0], model.render(camera)[0])
 
 
 def test_a_model_under_way_renders_but_is_not_saved(tiny, scene, tmp_path):
@@ -132,4 +124,4 @@ def test_metadata_that_are_not_its_own_are_named(fitted, tmp_path, change):
     about["about"] = about["about"] | change if change else change
     save_file(tensors, file, metadata={"model": json.dumps(about)})
     with pytest.raises(DataError, match="tiny"):
-        VectorQuantised().load(tmp_path, "cpu")
+        fit.method.load(tmp_path, "cpu")
