@@ -6,7 +6,6 @@ import sys
 import time
 from typing import Any
 
-from bench.executor import Display
 from bench.records import Job, Record
 
 PLAIN_SECONDS = 10.0
@@ -14,11 +13,11 @@ PLAIN_SECONDS = 10.0
 
 def make_display() -> Display:
     """The display that fits standard error."""
-    return LiveDisplay() if sys.stderr.isatty() else PlainDisplay()
+    return LiveDisplay() if sys.stderr.isatty() else Display()
 
 
-class PlainDisplay:
-    """Lines on standard error: begin and end of each job, and a state now and then."""
+class Display:
+    """Progress as lines on standard error: begin and end of each job, and a state now and then."""
 
     def __init__(self) -> None:
         self._printed = 0.0
@@ -41,7 +40,7 @@ class PlainDisplay:
         print(line, file=sys.stderr, flush=True)
 
 
-class LiveDisplay:
+class LiveDisplay(Display):
     """One live line per running job (rich), a line that stays for each finished one."""
 
     def __init__(self) -> None:

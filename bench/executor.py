@@ -12,11 +12,12 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import psutil
 from filelock import Timeout
 
+from bench.display import Display
 from bench.plan import Planner
 from bench.processes import Process, Processes, end_session
 from bench.provenance import imports_torch
@@ -27,16 +28,6 @@ from bench.worker import BUSY, STOPPED, log_tail, now, read_progress, traces
 POLL_SECONDS = 0.1
 GRACE_SECONDS = 60.0
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "ECONGS_THREADS")
-
-
-class Display(Protocol):
-    """Reports the progress of a run."""
-
-    def begin(self, job: Job, number: int, total: int) -> None: ...
-
-    def state(self, state: dict[str, Any]) -> None: ...
-
-    def end(self, job: Job, record: Record | None, note: str = "") -> None: ...
 
 
 @dataclass(frozen=True)

@@ -239,11 +239,8 @@ class FitMonitor:
             return
         left = None
         if self._speed is not None and self.iteration > self._speed[0]:
-            left = (
-                (self._iterations - self.iteration)
-                * (now - self._speed[1])
-                / (self.iteration - self._speed[0])
-            )
+            first, begin = self._speed
+            left = (self._iterations - self.iteration) * (now - begin) / (self.iteration - first)
         elif self._speed is None and self.iteration:
             self._speed = (self.iteration, now)
         self._reported = now

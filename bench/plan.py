@@ -79,15 +79,16 @@ class Planner:
         self, spec: MethodSpec, overrides: Mapping[str, Any]
     ) -> Iterator[tuple[Settings, list[float | None]]]:
         """The method's own size or, where the suite asks for its curve, every value of its rate knobs."""
-        settings = resolve(spec, self._preset_name, overrides)
-        saved: list[float | None] = [None]
-        if self._selection.suite.rates == "all":
-            saved += [value for knob in spec.rate_knobs if not knob.refit for value in knob.values]
-        yield settings, saved
-        if self._selection.suite.rates == "all":
-            for knob in spec.rate_knobs:
-                for value in knob.values if knob.refit else ():
-                    yield resolve(spec, self._preset_name, {**overrides, knob.name: value}), [None]
+        points = [
+            (knob, value)
+            for knob in (spec.rate_knobs if self._selection.suite.rates == "all" else ())
+            for value in knob.values
+        ]
+        saved = [None, *(value for knob, value in points if not knob.refit)]
+        yield resolve(spec, self._preset_name, overrides), saved
+        for knob, value in points:
+            if knob.refit:
+                yield resolve(spec, self._preset_name, {**overrides, knob.name: value}), [None]
 
     # ------------------------------------------------------------------ graph
 
@@ -145,12 +146,7 @@ class Planner:
                 yield self._measure(models, parts, views[name], name)
 
     def _measure(
-        self,
-        encodes: list[Job],
-        scenes: tuple[str, ...],
-        views: Job,
-        composition: str = "",
-        edit: str = "",
+        self, encodes: list[Job], scenes: tuple[str, ...], views: Job, composition: str = "", edit: str = ""
     ) -> Job:
         """The measurement of a basic scene, edited or not, or of the scenes of a composition together."""
         identity: dict[str, Any] = {

@@ -51,9 +51,8 @@ def main(folder: Path) -> int:
             store.put_in_place(folder, task.job.id)
             return 0
         before = store.record(task.job.id)
-        if before is not None and (
-            store.holds_files_of(before) or not before.ok
-        ):  # from another run meanwhile
+        # From another run meanwhile.
+        if before is not None and (store.holds_files_of(before) or not before.ok):
             shutil.rmtree(folder, ignore_errors=True)
             return 0
         stop.install()
@@ -85,9 +84,10 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
     context = None
     try:
         from bench.jobs.context import Context
+        from methods.registry import Registry
 
-        spec = _spec(task)
-        if spec is not None:
+        if job.method is not None:
+            spec = Registry(task.plugins).spec(job.method)
             prepare_device(job.device, spec)
         context = Context(job, folder, store, spec, task.threads, stop, report)
         fields = {job.kind: import_module(f"bench.jobs.{job.kind}").run(context)}
@@ -165,14 +165,6 @@ def traces(folder: Path) -> dict[str, Any]:
 def now() -> str:
     """Time in UTC, to the millisecond."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
-
-
-def _spec(task: Task) -> MethodSpec | None:
-    if task.job.method is None:
-        return None
-    from methods.registry import Registry
-
-    return Registry(task.plugins).spec(task.job.method)
 
 
 def prepare_device(device: str, spec: MethodSpec) -> None:

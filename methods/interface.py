@@ -350,6 +350,23 @@ class Method(Protocol):
         """
 
 
+def check_ledger(ledger: Mapping[str, Mapping[str, int]], total: int, scenes: Sequence[str]) -> None:
+    """Check the byte ledger of a saved model (:meth:`Model.save`).
+
+    Raises:
+        RuntimeError: it names other scenes, has negative entries, or does not sum to the files' ``total``.
+    """
+    foreign = [name for name in ledger if name and name not in scenes]
+    if foreign:
+        raise RuntimeError(f"byte ledger names scenes that are not in the group: {', '.join(foreign)}")
+    negative = [f"{s}/{p}" for s, parts in ledger.items() for p, n in parts.items() if n < 0]
+    if negative:
+        raise RuntimeError(f"byte ledger has negative entries: {', '.join(negative)}")
+    claimed = sum(sum(parts.values()) for parts in ledger.values())
+    if claimed != total:
+        raise RuntimeError(f"byte ledger sums to {claimed} bytes, the saved files have {total}")
+
+
 def edits_by_scene(edit: Mapping[str, Edit] | None, scenes: Sequence[str]) -> dict[str, Edit]:
     """Resolve ``edit`` for the scenes rendered, refusing names that are not among them."""
     resolved = dict(edit or {})

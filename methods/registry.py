@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -203,11 +203,8 @@ def _installed() -> Iterator[_Candidate]:
         own = point.value.startswith(f"{methods.__name__}.")
         if not own and (point.name, point.value) not in seen:
             seen.add((point.name, point.value))
-            yield _Candidate(point.name, f"installed: {_distribution(point)}{point.value}", point.load)
-
-
-def _distribution(point: EntryPoint) -> str:
-    return f"{point.dist.name} {point.dist.version}, " if point.dist is not None else ""
+            package = f"{point.dist.name} {point.dist.version}, " if point.dist is not None else ""
+            yield _Candidate(point.name, f"installed: {package}{point.value}", point.load)
 
 
 def _in_folder(folder: Path) -> Iterator[_Candidate]:

@@ -80,8 +80,7 @@ def _render(options: Namespace, dataset_name: str) -> None:
                     values, _ = evaluate(truth.images[index], rgb, alpha, background, ["psnr"])
                     psnr.append(float(values["psnr"] or 0.0))
             if psnr:
-                low, high = min(psnr), max(psnr)
-                mean = sum(psnr) / len(psnr)
+                low, mean, high = min(psnr), sum(psnr) / len(psnr), max(psnr)
                 print(f"PSNR {mean:.2f} dB ({low:.2f} to {high:.2f}) against {folder / 'truth'}")
         print(folder)
 

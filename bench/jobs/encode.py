@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Mapping
 
 from bench.checkpoints import read_checkpoint
 from bench.jobs.context import Context
 from bench.records import EncodeResult
 from bench.timing import synchronise
+from methods.interface import check_ledger
 
 
 def run(context: Context) -> EncodeResult:
@@ -31,20 +31,3 @@ def run(context: Context) -> EncodeResult:
     total = sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
     check_ledger(ledger, total, job.scenes)
     return EncodeResult(seconds=seconds, total_bytes=total, ledger=ledger)
-
-
-def check_ledger(ledger: Mapping[str, Mapping[str, int]], total: int, scenes: tuple[str, ...]) -> None:
-    """Refuse a byte ledger that is not about these scenes or does not sum to the files' size.
-
-    Raises:
-        RuntimeError: saying by how much, or what is in it that should not be.
-    """
-    foreign = [name for name in ledger if name and name not in scenes]
-    if foreign:
-        raise RuntimeError(f"byte ledger names scenes that are not in the group: {', '.join(foreign)}")
-    negative = [f"{s}/{p}" for s, parts in ledger.items() for p, n in parts.items() if n < 0]
-    if negative:
-        raise RuntimeError(f"byte ledger has negative entries: {', '.join(negative)}")
-    claimed = sum(sum(parts.values()) for parts in ledger.values())
-    if claimed != total:
-        raise RuntimeError(f"byte ledger sums to {claimed} bytes, the saved files have {total}")

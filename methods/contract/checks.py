@@ -35,6 +35,7 @@ from methods.interface import (
     OptionValue,
     Refused,
     SceneInput,
+    check_ledger,
 )
 from methods.options import CONFIGURATION, declared, resolve
 from methods.registry import check_spec
@@ -182,12 +183,10 @@ def _same(one: tuple[torch.Tensor, ...], other: tuple[torch.Tensor, ...], what: 
 
 def _check_ledger(ledger: Mapping[str, Mapping[str, int]], folder: Path, model: Model) -> int:
     total = sum(len(data) for data in files_of(folder).values())
-    claimed = sum(count for parts in ledger.values() for count in parts.values())
-    expect(claimed == total, f"the ledger sums to {claimed} bytes, the files to {total}")
-    foreign = set(ledger) - {"", *model.scenes}
-    expect(not foreign, f"the ledger names {sorted(foreign)}, which are no scenes of the model")
-    low = [part for parts in ledger.values() for part, count in parts.items() if count < 0]
-    expect(not low, f"the ledger has negative entries: {low}")
+    try:
+        check_ledger(ledger, total, model.scenes)
+    except RuntimeError as error:
+        raise Broken(str(error)) from error
     return total
 
 

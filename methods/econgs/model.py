@@ -21,7 +21,7 @@ from econgs.context.arrays import Precision
 from econgs.context.container import Kind, overhead, read_container
 from econgs.context.model import Attributes
 from econgs.context.stream import GroupAttributes, SceneAttributes, encode_group
-from methods.interface import Edit, Refused
+from methods.interface import Edit
 from methods.shared.coding import placed, placed_anchors, stored_networks
 from methods.shared.edits import Direction, shading_edit, triple
 from methods.shared.files import read_streams
@@ -136,14 +136,8 @@ class EcongsModel(SceneModel[SceneAnchors]):
         values = anchors.values.of(rows.to(anchors.positions.device))
         return {name: one.flatten(1) for name, one in values._asdict().items()}
 
-    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
-        """Write the stream of each group, ``<place>.econgs``.
-
-        Raises:
-            Refused: ``rate`` is given; the rate is set by training.
-        """
-        if rate is not None:
-            raise Refused("econgs has one size: set rate_weight and train")
+    def write(self, folder: Path) -> Mapping[str, Mapping[str, int]]:
+        """Write the stream of each group, ``<place>.econgs``; ``rate_weight`` sets its size in training."""
         ledger: defaultdict[str, Counter[str]] = defaultdict(Counter)  # "" for what a group shares
         for place, group in enumerate(self.groups):
             data, names = _encode(group), tuple(group.scenes)

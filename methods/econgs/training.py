@@ -109,7 +109,7 @@ class Trainer(AnchorLoop):
     ) -> None:
         super().__init__(group, iterations, seed, device)
         self.options = options
-        self.schedule = make_schedule(options, iterations)
+        self.schedule = Schedule(iterations, options.context, options.growth_stop)
         starts = [starting_points(source, options, seed) for source in group]
         first = sum(len(points) for points, _ in starts)
         self.decoders = make_decoders(options, options.hidden or _units(first, 50, 25), self.generator).to(
@@ -179,7 +179,8 @@ class Trainer(AnchorLoop):
         if self.options.color_weight:
             parts["color"] = self._color_loss(scene, camera, positions, values.features)
         if rate is not None:
-            parts["rate"] = self._rate_weight * (rate.attributes + rate.grid)
+            present_weight = self.options.rate_weight * self.control.factor
+            parts["rate"] = present_weight * (rate.attributes + rate.grid)
         loss = sum(parts.values(), torch.zeros((), device=self.device))
         losses = self.numbers(parts)
         if self.fresh:
@@ -211,11 +212,6 @@ class Trainer(AnchorLoop):
         schedule, i = self.schedule, self.iteration
         changes = schedule.grows(i) or schedule.settles_rent(i + 1) or i == schedule.context_start
         return i % self.batch == 0 or changes or i == schedule.iterations
-
-    @property
-    def _rate_weight(self) -> float:
-        """Present lambda_e."""
-        return self.options.rate_weight * self.control.factor
 
     def _decode(self, scene: _Scene, camera: Camera, positions: Tensor, values: Attributes) -> ViewGaussians:
         """Gaussians of these anchors of a scene."""
@@ -382,7 +378,7 @@ class Trainer(AnchorLoop):
             for label, key, positions, embedding in zip(state.scenes, keys, places, embeddings, strict=True)
         )
         context = None
-        if make_schedule(options, state.iterations).coded(state.iteration):
+        if Schedule(state.iterations, options.context).coded(state.iteration):
             context = coded_context(state, ContextConfig.of(options, decoders.width, context_hidden))
         precision = options.decoder_precision
         group = GroupAttributes(
@@ -419,11 +415,6 @@ class Trainer(AnchorLoop):
 def _units(anchors: int, per_unit: int, least: int) -> int:
     """Hidden units of a network that so many first anchors are to pay for; 50, the paper's, at most."""
     return min(max(anchors // per_unit, least), 50)
-
-
-def make_schedule(options: EcongsOptions, iterations: int) -> Schedule:
-    """Schedule of a fit of that budget."""
-    return Schedule(iterations, options.context, options.growth_stop)
 
 
 def make_decoders(options: EcongsOptions, hidden: int, generator: torch.Generator) -> Decoders:

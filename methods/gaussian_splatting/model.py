@@ -18,7 +18,7 @@ from econgs.anchors.gaussians import Gaussians
 from econgs.splat.composite import scale_depth
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.ply import read_ply, write_ply
-from methods.interface import Edit, Refused
+from methods.interface import Edit
 from methods.shared.edits import opacity_factor, triple
 from methods.shared.files import saved_files
 from methods.shared.model import SceneModel
@@ -113,14 +113,8 @@ class GaussianModel(SplatModel):
         """Bytes of the Gaussians; headers and metadata add a few hundred."""
         return sum(scene.rows().nbytes for scene in self._scenes.values())
 
-    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
-        """Write ``<scene>.ply`` and ``<scene>.json`` (background, degree) per scene.
-
-        Raises:
-            Refused: ``rate`` is given; this method has one size.
-        """
-        if rate is not None:
-            raise Refused("3dgs has no rate knob")
+    def write(self, folder: Path) -> Mapping[str, Mapping[str, int]]:
+        """Write ``<scene>.ply`` and ``<scene>.json`` (background, degree) per scene."""
         ledger: dict[str, dict[str, int]] = {}
         for name, scene in self._scenes.items():
             stem = quote(name, safe=" ")

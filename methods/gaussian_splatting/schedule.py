@@ -11,9 +11,8 @@ from methods.shared.schedule import Proportional
 class Schedule(Proportional):
     """The published schedule, fitted to a budget.
 
-    Iterations count from 1. Phase boundaries (start and end of growth, SH degrees, end of the
-    learning-rate decay) are the published fractions of the budget. Growth happens every 100
-    iterations as published, or more often where that would leave fewer than ten growth events.
+    Phase boundaries (start and end of growth, SH degrees, end of the learning-rate decay) are the published
+    fractions of the budget.
 
     Attributes:
         sh_degree: final SH degree.
@@ -21,21 +20,10 @@ class Schedule(Proportional):
         early_reset: also reset when growth starts (white background).
     """
 
+    growth = (500, 15_000)
     sh_degree: int = 3
     resets: bool = True
     early_reset: bool = False
-
-    @property
-    def growth_start(self) -> int:
-        return self._scaled(500)
-
-    @property
-    def growth_stop(self) -> int:
-        return self._scaled(15_000)
-
-    @property
-    def growth_interval(self) -> int:
-        return max(1, min(100, (self.growth_stop - self.growth_start) // 11))
 
     @property
     def reset_interval(self) -> int:
@@ -48,9 +36,6 @@ class Schedule(Proportional):
     def collects(self, iteration: int) -> bool:
         """Whether densification statistics are still needed."""
         return iteration < self.growth_stop
-
-    def grows(self, iteration: int) -> bool:
-        return self.growth_start < iteration < self.growth_stop and iteration % self.growth_interval == 0
 
     def prunes_large(self, iteration: int) -> bool:
         """Whether Gaussians that are too large go as well: once resets have begun."""

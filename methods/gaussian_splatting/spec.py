@@ -60,10 +60,7 @@ SPEC = MethodSpec(
     edits=frozenset({"opacity"}),
     uses_alpha="views are composited on the training background; alpha is no target of its own",
     options=GaussianOptions,
-    presets={
-        "quick": {"sh_rest_lr": 1e-3},
-        "standard": {"sh_rest_lr": 5e-4},
-    },
+    presets={"quick": {"sh_rest_lr": 1e-3}, "standard": {"sh_rest_lr": 5e-4}},
     iterations={"quick": 1_200, "standard": 7_000, "paper": 30_000},
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
 )

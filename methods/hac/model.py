@@ -11,7 +11,6 @@ from datasets.errors import DataError
 from datasets.scene import RGB
 from econgs.anchors.direct import ColorDecoders
 from econgs.context.stream import GroupAttributes, encode_group
-from methods.interface import Refused
 from methods.scaffold_gs.model import AnchorModel, SceneAnchors
 from methods.shared.coding import placed, placed_anchors, stored_networks
 from methods.shared.edits import triple
@@ -49,14 +48,8 @@ class HacModel(AnchorModel):
         """Bytes that :meth:`save` would write."""
         return sum(len(encode_group(group).data) for group in self.groups)
 
-    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
-        """Write the stream of each scene, ``<scene>.hac``.
-
-        Raises:
-            Refused: ``rate`` is given; the rate is set by training.
-        """
-        if rate is not None:
-            raise Refused("hac has one size: set rate_weight and train")
+    def write(self, folder: Path) -> Mapping[str, Mapping[str, int]]:
+        """Write the stream of each scene, ``<scene>.hac``; ``rate_weight`` sets its size in training."""
         ledger = {}
         for group in self.groups:
             name = group.scenes[0].name

@@ -8,7 +8,6 @@ from typing import ClassVar
 from methods.gaussian_splatting.schedule import Schedule
 
 SHADED = 30_000
-_EVENTS = 10  # of growth in the first stage, at least
 
 
 @dataclass(frozen=True)
@@ -20,24 +19,14 @@ class IvrSchedule(Schedule):
     """
 
     published: ClassVar[int] = 40_000
+    growth = (500, 10_000)
+    longest_interval: ClassVar[int] = 500
     grows_shaded: bool = True
 
     @property
     def shading_start(self) -> int:
         """Last iteration of the first stage."""
         return min(self.iterations, self._scaled(SHADED))
-
-    @property
-    def growth_stop(self) -> int:
-        return self._scaled(10_000)
-
-    @property
-    def growth_interval(self) -> int:
-        return max(1, min(500, (self.growth_stop - self.growth_start) // (_EVENTS + 1)))
-
-    @property
-    def shaded_growth_stop(self) -> int:
-        return self.shading_start + self._scaled(2_000)
 
     @property
     def shaded_interval(self) -> int:
@@ -49,7 +38,8 @@ class IvrSchedule(Schedule):
         return iteration > self.shading_start
 
     def _grows_again(self, iteration: int) -> bool:
-        return self.grows_shaded and self.shading_start < iteration < self.shaded_growth_stop
+        stop = self.shading_start + self._scaled(2_000)
+        return self.grows_shaded and self.shading_start < iteration < stop
 
     def collects(self, iteration: int) -> bool:
         """Whether densification statistics are needed."""

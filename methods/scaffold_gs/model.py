@@ -23,7 +23,7 @@ from econgs.anchors.direct import ColorDecoders, decode_colors
 from econgs.anchors.gaussians import Gaussians, apply_masks
 from econgs.context.model import Attributes
 from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
-from methods.interface import Edit, Refused
+from methods.interface import Edit
 from methods.shared.edits import opacity_factor, triple
 from methods.shared.files import saved_files
 from methods.shared.model import SceneModel
@@ -157,14 +157,8 @@ class ScaffoldModel(AnchorModel):
         networks = 4 * sum(one.numel() for scene in self.stored for one in scene.decoders.parameters())
         return networks + sum(scene.rows.nbytes for scene in self.stored)
 
-    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
-        """Write ``<scene>.ply`` (anchors) and ``<scene>.safetensors`` (networks) per scene.
-
-        Raises:
-            Refused: ``rate`` is given; this method has one size.
-        """
-        if rate is not None:
-            raise Refused("scaffold-gs has no rate knob")
+    def write(self, folder: Path) -> Mapping[str, Mapping[str, int]]:
+        """Write ``<scene>.ply`` (anchors) and ``<scene>.safetensors`` (networks) per scene."""
         ledger: dict[str, dict[str, int]] = {}
         for scene in self.stored:
             stem = quote(scene.name, safe=" ")

@@ -61,8 +61,5 @@ SPEC = MethodSpec(
     uses_alpha="views are composited on the training background; alpha is no target of its own",
     options=ScaffoldOptions,
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
-    configurations={
-        "fair": Configuration(),
-        "paper": Configuration(PUBLISHED, {"paper": 30_000}),
-    },
+    configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED, {"paper": 30_000})},
 )

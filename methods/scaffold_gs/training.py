@@ -97,10 +97,7 @@ class Trainer(AnchorLoop):
         except ValueError as error:  # options that are possible one by one
             raise Refused(str(error)) from error
         self.decoders = ColorDecoders(
-            options.features,
-            options.offsets,
-            distance=self.distance,
-            generator=self.generator,
+            options.features, options.offsets, distance=self.distance, generator=self.generator
         ).to(device)
         self.background = self.chosen_background(scene)
         self.images = torch.from_numpy(scene.train.images)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
 import torch
@@ -36,7 +37,7 @@ S = TypeVar("S", bound=Scene)
 class SceneModel(ABC, Generic[S]):
     """A :class:`methods.interface.Model` of scenes; their Gaussians are concatenated and sorted once.
 
-    A method's model adds ``gaussians`` and ``save``, and the class methods ``load`` and ``join``.
+    A method's model adds ``gaussians``, ``write`` (``save``, if it has several sizes), ``load`` and ``join``.
 
     Args:
         scenes: at least one, with distinct names, on one device.
@@ -65,6 +66,20 @@ class SceneModel(ABC, Generic[S]):
         Raises:
             Refused: an edit that the method cannot make.
         """
+
+    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
+        """Write every file; see :class:`methods.interface.Model`.
+
+        Raises:
+            Refused: ``rate`` is given; the model has one size.
+        """
+        if rate is not None:
+            raise Refused(f"{self.method} has no rate knob for saving")
+        return self.write(folder)
+
+    def write(self, folder: Path) -> Mapping[str, Mapping[str, int]]:
+        """Write the files of the only size; the ledger."""
+        raise NotImplementedError
 
     @classmethod
     def load(cls, folder: Any, device: str) -> Any:

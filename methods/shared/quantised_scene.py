@@ -96,11 +96,7 @@ class QuantisedScene:
 
 
 def read_folder(
-    folder: Path,
-    method: str,
-    kind: str,
-    widths: Mapping[str, int],
-    ready: Callable[[QuantisedScene], R],
+    folder: Path, method: str, kind: str, widths: Mapping[str, int], ready: Callable[[QuantisedScene], R]
 ) -> list[tuple[QuantisedScene, R]]:
     """The scenes of a folder that a method saved, as they are stored (on the CPU) and ready to render.
 

@@ -14,10 +14,14 @@ class Proportional:
     Attributes:
         iterations: the budget.
         published: that of the published schedule.
+        growth: published iterations between which primitives grow.
+        longest_interval: published number of iterations from one growth event to the next.
     """
 
     iterations: int
     published: ClassVar[int] = 30_000
+    growth: ClassVar[tuple[int, int]]
+    longest_interval: ClassVar[int] = 100
 
     def _scaled(self, published: int) -> int:
         return max(1, round(published * self.iterations / self.published))
@@ -26,6 +30,30 @@ class Proportional:
         """Log-linear decay from ``first`` to ``last`` over the budget."""
         t = min(1.0, iteration / self.iterations)
         return math.exp((1.0 - t) * math.log(first) + t * math.log(last))
+
+    @property
+    def rest(self) -> range:
+        """Iterations in which nothing grows."""
+        return range(0)
+
+    @property
+    def growth_start(self) -> int:
+        return self._scaled(self.growth[0])
+
+    @property
+    def growth_stop(self) -> int:
+        return self._scaled(self.growth[1])
+
+    @property
+    def growth_interval(self) -> int:
+        """Iterations between growth events: as published, fewer where that would leave less than ten."""
+        free = self.growth_stop - self.growth_start - len(self.rest)
+        return max(1, min(self.longest_interval, free // 11))
+
+    def grows(self, iteration: int) -> bool:
+        """Whether a growth event follows."""
+        growing = self.growth_start < iteration < self.growth_stop
+        return growing and iteration not in self.rest and iteration % self.growth_interval == 0
 
 
 @dataclass(frozen=True)
@@ -36,15 +64,8 @@ class AnchorSchedule(Proportional):
         coding: whether attributes are quantised and coded: trained under noise, then with the context model.
     """
 
+    growth = (1_500, 15_000)
     coding: bool = False
-
-    @property
-    def growth_start(self) -> int:
-        return self._scaled(1_500)
-
-    @property
-    def growth_stop(self) -> int:
-        return self._scaled(15_000)
 
     @property
     def noise_start(self) -> int:
@@ -60,11 +81,6 @@ class AnchorSchedule(Proportional):
     def rest(self) -> range:
         """Iterations in which nothing grows since the noise is new."""
         return range(self.noise_start, self._scaled(4_000))
-
-    @property
-    def growth_interval(self) -> int:
-        """100 iterations as published, fewer where that would leave less than ten growth events."""
-        return max(1, min(100, (self.growth_stop - self.growth_start - len(self.rest)) // 11))
 
     def visits(self, published: float) -> float:
         """A number of visits that was published for a growth interval of 100 iterations.
@@ -104,8 +120,3 @@ class AnchorSchedule(Proportional):
         if self.noisy(iteration):
             return "growth under noise" if growth else "noise"
         return growth or ("refinement" if iteration >= self.growth_stop else "warm-up")
-
-    def grows(self, iteration: int) -> bool:
-        """Whether a growth event follows."""
-        growing = self.growth_start < iteration < self.growth_stop
-        return growing and iteration not in self.rest and iteration % self.growth_interval == 0

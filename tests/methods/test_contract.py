@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
 
@@ -12,7 +13,7 @@ from methods.gaussian_splatting.method import GaussianSplatting
 from methods.gaussian_splatting.model import GaussianModel
 from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.gaussian_splatting.training import Trainer
-from methods.interface import Edit, RateKnob
+from methods.interface import Diverged, Edit, RateKnob
 from methods.registry import Registry, load_method
 
 ANCHORS = {"features": 16, "offsets": 4, "voxel": 0.01, "growth_gradient": 0.0}
@@ -43,6 +44,13 @@ def test_built_in_methods_keep_the_contract(subject, check):
 def test_another_seed_gives_another_model(subject):
     one, other = (subject.saved(subject.fit(iterations=8, seed=seed), f"seed{seed}")[0] for seed in (7, 8))
     assert files_of(one) != files_of(other)
+
+
+def test_views_that_are_not_finite_are_called_diverged(subject):
+    train = subject.scene.train
+    broken = dataclasses.replace(train, images=np.full_like(train.images, np.nan))
+    with pytest.raises(Diverged, match=r"image loss.*iteration 1"):
+        subject.fit([dataclasses.replace(subject.scene, train=broken)])
 
 
 # --------------------------------------------------------------------------- what the kit must catch
@@ -129,7 +137,7 @@ KNOB = RateKnob("size", (4.0, 8.0), refit=False)
 @pytest.mark.parametrize(
     ("method", "changed", "check", "words"),
     [
-        (with_model(Wasteful), {}, "saved_and_loaded", "the ledger sums to"),
+        (with_model(Wasteful), {}, "saved_and_loaded", "byte ledger sums to"),
         (with_model(Deaf), {}, "edits", "palette edit: not refused"),
         (with_model(Deaf), {"edits": frozenset(PLAIN.edits | {"palette"})}, "edits", "changes nothing"),
         (with_model(Careless), {}, "rates", "saving at a rate: not refused"),
