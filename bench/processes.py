@@ -204,9 +204,9 @@ def main() -> int:
     folder = serve(socket.socket(fileno=int(sys.argv[1])))
     if folder is None:
         return 0
-    from bench.worker import main as work
+    from bench import worker
 
-    return work(folder)
+    worker.end(worker.main(folder))
 
 
 if __name__ == "__main__":
