@@ -109,12 +109,12 @@ def interval(strata: Sequence[NDArray[np.float64]], length: int | None = None) -
         blocks = len(values) / size
         variance += float(values @ _covariance(len(values), size) @ values) * blocks / (blocks - 1)
         fewest = min(fewest, blocks)
-    half = _quantile(float(fewest) - 1.0) * variance**0.5 / len(strata)
+    half = t_quantile(float(fewest) - 1.0) * variance**0.5 / len(strata)
     return Interval(mean, mean - half, mean + half, count)
 
 
 @cache
-def _quantile(freedom: float) -> float:
+def t_quantile(freedom: float) -> float:
     """97.5 % quantile of Student's t."""
     from scipy.special import stdtrit  # the one of scipy.stats takes a second to import
 
