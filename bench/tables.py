@@ -8,7 +8,7 @@ import re
 import uuid
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.lineage import Lineage, Model
 from bench.records import EncodeResult, FitResult, Job, MeasureResult, Record
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Row = dict[str, Any]
+_N = TypeVar("_N", int, float)
 _ORDER = ("dataset", "kind", "scene", "method", "variant", "preset", "seed", "rate", "split")
 
 
@@ -223,6 +224,7 @@ def _result(record: Record, lineage: Lineage, versions: Mapping[str, str]) -> Ro
         "reason": record.reason,
         "stage": record.stage,
         "stale": is_stale(fits, versions),
+        "fit_reference_seconds": _largest(fit.fit.reference_seconds for fit in fits if fit.fit is not None),
         **_costs(record.job, models),
         **_memory(record, fits),
     }
@@ -253,7 +255,7 @@ def _memory(record: Record, fits: list[Record]) -> Row:
     }
 
 
-def _largest(values: Iterable[int | None]) -> int | None:
+def _largest(values: Iterable[_N | None]) -> _N | None:
     return max((value for value in values if value is not None), default=None)
 
 

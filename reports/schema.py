@@ -233,6 +233,7 @@ COLUMNS: dict[str, Column] = _declare(
     Column("fps_p95", _F, "1 / 5th percentile of time", "Fastest 5 %", unit="FPS", write="{:.4g}".format),
     Column("reference_seconds", _F, "time of a fixed kernel next to the timed part: how fast the machine was "
            "then", "Reference kernel", unit="s", write=seconds),
+    Column("fit_reference_seconds", _F, "the same next to the fit, largest of its groups", unit="s"),
     Column("peak_host_bytes", _W, "peak host memory of fit and measurement", "Host mem.", "bytes", -1, mib,
            "peak host memory"),
     Column("peak_device_bytes", _W, "peak device memory of fit and measurement", "Device mem.", "bytes", -1,
@@ -316,7 +317,8 @@ TABLES: dict[str, Table] = {
         ("job", "status", "reason", "omissions", "stage", "stale", *METRICS, *COVERAGE, "identical_views",
          "size_bytes", "group_bytes", "standalone_bytes", "primitives", "train_seconds", "group_seconds",
          "partition_seconds", "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95",
-         "reference_seconds", "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes"),
+         "reference_seconds", "fit_reference_seconds", "peak_host_bytes", "peak_device_bytes",
+         "group_peak_host_bytes"),
     ),
     "views": Table(
         "A measured view of a model.", _MEASURED,

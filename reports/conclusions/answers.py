@@ -1,11 +1,11 @@
-"""The answers to "which method?": one per criterion, as values and as a sentence."""
+"""The answers to "which method?": one per criterion, as ranked values and as a sentence."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,37 +13,66 @@ from reports.conclusions.contest import Cells, Contest, Values
 from reports.conclusions.effects import Effect, effect
 from reports.schema import COLUMNS
 from reports.style import absent, label
+from reports.tables.confidence import signed
 
 if TYPE_CHECKING:
     import pandas as pd
 
+ROBUST = "Most robust"
+EDITABLE = "Can be edited"
+_MOST_NAMES = 3
+"""Methods that share a first place and are named."""
+
 
 @dataclass(frozen=True)
 class Criterion:
-    """Something a reader wants of a method.
+    """Something that a reader wants of a method.
 
     Attributes:
         title: the criterion, as a superlative.
         column: the measured column.
         comparative: of the better method against another.
+        unit: of a value's text, with the space before it; "" where the text has it.
         ratio: values differ by factors.
     """
 
     title: str
     column: str
     comparative: str
+    unit: str = ""
     ratio: bool = True
+
+    @property
+    def better(self) -> int:
+        """1 if higher is better, -1 if lower is."""
+        return COLUMNS[self.column].better
+
+    def effect(self, first: Cells, second: Cells) -> Effect | None:
+        """How much better the first method is."""
+        return effect(first, second, self.better, self.ratio)
+
+    def amount(self, difference: Effect) -> str:
+        """As "3.1 times smaller" or "0.55 dB higher"."""
+        if self.ratio:
+            return f"{_factor(math.exp(difference.mean))} times {self.comparative}"
+        return f"{difference.mean:.2f}{self.unit} {self.comparative}"
+
+    def interval(self, difference: Effect) -> str:
+        """The 95 % interval of the same."""
+        if difference.ends is None:
+            return "no interval: nothing is repeated"
+        return "95 %: " + " to ".join(
+            _factor(end) if self.ratio else signed(end, 2, False) for end in difference.ends
+        )
 
 
 CRITERIA = (
-    Criterion("Smallest", "size_bytes", "smaller"),
-    Criterion("Best picture", "psnr", "higher", ratio=False),
+    Criterion("Smallest", "size_bytes", "smaller", " MiB"),
+    Criterion("Best picture", "psnr", "higher", " dB", ratio=False),
     Criterion("Fastest to train", "train_seconds", "faster"),
-    Criterion("Fastest to draw", "fps", "faster"),
-    Criterion("Least memory", "group_peak_host_bytes", "less"),
+    Criterion("Fastest to draw", "fps", "faster", " FPS"),
+    Criterion("Least memory", "peak_host_bytes", "smaller", " MiB"),
 )
-ROBUST = "Most robust"
-EDITABLE = "Can be edited"
 
 
 @dataclass(frozen=True)
@@ -52,8 +81,8 @@ class Place:
 
     Attributes:
         method: its name.
-        value: mean over datasets of the means over scenes; geometric of ratios.
-        text: the value for people, with its unit.
+        value: its figure; higher or lower is better as the criterion has it.
+        text: the figure for people, with its unit.
     """
 
     method: str
@@ -68,16 +97,14 @@ class Answer:
     Attributes:
         title: the criterion.
         places: the ranked methods, best first; empty without an answer.
-        winner: the best method, if the difference to the next is sure; "" otherwise.
+        winner: the best method, if its lead is sure; "" otherwise.
         sentence: the answer for people, with its uncertainty.
-        lead: the best method against the next, if both have values.
     """
 
     title: str
     places: tuple[Place, ...]
     winner: str
     sentence: str
-    lead: Effect | None = None
 
 
 def answers(contest: Contest, results: pd.DataFrame) -> list[Answer]:
@@ -87,64 +114,66 @@ def answers(contest: Contest, results: pd.DataFrame) -> list[Answer]:
         contest: the methods and rows that are compared.
         results: the table that the contest is from; its edited scenes decide about editing.
     """
-    return [
-        *(answer(criterion, contest) for criterion in CRITERIA),
-        robustness(contest),
-        editing(contest, results),
-    ]
+    return [*(measured(each, contest) for each in CRITERIA), robustness(contest), editing(contest, results)]
 
 
-def answer(criterion: Criterion, contest: Contest) -> Answer:
-    """The answer to one criterion of :data:`CRITERIA`."""
+def measured(criterion: Criterion, contest: Contest) -> Answer:
+    """The answer to one criterion of :data:`CRITERIA`.
+
+    The best mean wins if the interval of its difference to the next best excludes zero. Means are over
+    datasets, of means over scenes, of means over seeds; those of ratios are geometric.
+    """
     column = COLUMNS[criterion.column]
     values = contest.values(criterion.column)
     cells = {name: own for name, own in values.cells.items() if own}
     if len(cells) < 2:
         return Answer(criterion.title, (), "", f"Not decided: {_gap(criterion, values)}.")
-    means = {name: _level(own, criterion.ratio) for name, own in cells.items()}
-    order = sorted(means, key=lambda name: -column.better * means[name])
-    unit = column.display_unit
-    places = tuple(
-        Place(name, means[name], f"{column.text(means[name])}{f' {unit}' if _bare(criterion.column) else ''}")
-        for name in order
-    )
-    lead = effect(cells[order[0]], cells[order[1]], column.better, criterion.ratio)
+    means = {name: _mean(own, criterion.ratio) for name, own in cells.items()}
+    order = sorted(means, key=lambda name: -criterion.better * means[name])
+    places = tuple(Place(name, means[name], column.text(means[name]) + criterion.unit) for name in order)
+    differences = [criterion.effect(cells[order[0]], cells[name]) for name in order[1:]]
+    lead = differences[0]
     assert lead is not None  # all methods have the same datasets
-    sentence = _sentence(criterion, places, lead, contest)
-    return Answer(
-        criterion.title, places, order[0] if lead.sure else "", sentence + _caution(values), lead
-    )
+    first, second = places[:2]
+    if lead.sure:
+        text = f"{label(first.method)}, {first.text}: {criterion.amount(lead)} than {label(second.method)} ("
+    else:
+        near = [name for name, one in zip(order[1:], differences, strict=True) if one is None or not one.sure]
+        text = f"No winner among {_listing([order[0], *near])}: {label(first.method)}, {first.text}, is "
+        text += f"{criterion.amount(lead)} than {label(second.method)} ({second.text}; "
+    text += f"{criterion.interval(lead)}), better on {lead.wins} of {_count(lead.datasets, 'dataset')}; "
+    text += f"{_seeds(lead)}{_caution(values)}."
+    return Answer(criterion.title, places, order[0] if lead.sure else "", text)
 
 
 def robustness(contest: Contest) -> Answer:
-    """Which method has the smallest worst case: fewest failures, then the smallest shortfall of PSNR.
+    """Which method has the mildest worst case: the fewest failures, then the smallest largest shortfall.
 
     A method's shortfall on a scene is the distance of its PSNR, mean over seeds, to that of the best method.
+    Scenes with few training views count as well.
     """
     shortfalls = _shortfalls(contest)
-    if not shortfalls:
+    if len(shortfalls) < 2:
         return Answer(ROBUST, (), "", "Not decided: no scene was finished by two methods.")
-    worst = {name: max(own.items(), key=lambda pair: pair[1]) for name, own in shortfalls.items()}
-    failures = contest.failures
-    order = sorted(worst, key=lambda name: (failures[name], worst[name][1]))
-    places = tuple(
-        Place(name, worst[name][1], f"\N{MINUS SIGN}{worst[name][1]:.1f} dB{_failed(failures[name])}")
-        for name in order
+    farthest = {name: max(own, key=lambda scene: own[scene]) for name, own in shortfalls.items()}
+    worst = {name: (shortfalls[name][scene], scene) for name, scene in farthest.items()}
+    ranks = {name: (contest.failures[name], worst[name][0]) for name in worst}
+    order = sorted(ranks, key=lambda name: ranks[name])
+
+    def text(name: str) -> str:
+        distance, scene = worst[name]
+        place = f" ({scene})" if distance > 0 else ""
+        failures = contest.failures[name]
+        return f"{distance:.1f} dB{place}" + (f" and {_count(failures, 'failed fit')}" if failures else "")
+
+    places = tuple(Place(name, worst[name][0], f"\N{MINUS SIGN}{worst[name][0]:.1f} dB") for name in order)
+    first, second = order[:2]
+    scenes = len(set().union(*shortfalls.values()))
+    sentence = (
+        f"{label(first)}: behind the best method of a scene by at most {text(first)}; {label(second)} by "
+        f"{text(second)}. The worst of {_count(scenes, 'scene')}, few training views included."
     )
-    first, second = order[0], order[1] if len(order) > 1 else ""
-    where, most = worst[first]
-    scenes = len(shortfalls[first])
-    text = (
-        f"{label(first)}: at worst {most:.1f} dB behind the best method"
-        f"{f' ({where})' if most > 0 else ''}{_failed(failures[first])}"
-    )
-    if second:
-        text += (
-            f"; next {label(second)} with {worst[second][1]:.1f} dB ({worst[second][0]})"
-            f"{_failed(failures[second])}"
-        )
-    tie = bool(second) and (failures[first], most) == (failures[second], worst[second][1])
-    return Answer(ROBUST, places, "" if tie else first, f"{text}. The worst of {scenes} scenes.")
+    return Answer(ROBUST, places, first if ranks[first] < ranks[second] else "", sentence)
 
 
 def _shortfalls(contest: Contest) -> dict[str, dict[str, float]]:
@@ -163,94 +192,49 @@ def _shortfalls(contest: Contest) -> dict[str, dict[str, float]]:
 
 
 def editing(contest: Contest, results: pd.DataFrame) -> Answer:
-    """Which method makes the most of the requested edits, and with the best pictures among those."""
+    """Which method makes the most of the requested edits, and how well those that all can make."""
     edited = results[(results["kind"] == "edited") & (results["variant"].fillna("") == "")]
-    done: dict[str, dict[tuple[str, str], list[float]]] = {}
-    refused: dict[str, set[tuple[str, str]]] = {}
+    psnr: dict[str, dict[tuple[str, ...], list[float]]] = {}
     columns = (edited[name] for name in ("method", "dataset", "scene", "edit", "status", "psnr"))
-    for method, dataset, scene, edit, status, psnr in zip(*columns, strict=True):
-        if status == "ok" and not absent(psnr):
-            done.setdefault(str(method), {}).setdefault((f"{dataset} / {scene}", edit), []).append(float(psnr))
-        else:
-            refused.setdefault(str(method), set()).add((f"{dataset} / {scene}", edit))
-    every = {edit for edits in [*done.values()] for edit in edits}.union(*refused.values())
-    methods = list(dict.fromkeys([*done, *refused]))
-    if not every:
+    for method, dataset, scene, edit, status, value in zip(*columns, strict=True):
+        own = psnr.setdefault(str(method), {}).setdefault((str(dataset), str(scene), str(edit)), [])
+        if status == "ok" and not absent(value):
+            own.append(float(value))
+    if not psnr:
         return Answer(EDITABLE, (), "", "Not measured: no suite with edits was run (`bench run editing`).")
-    shared = set.intersection(*(set(edits) for edits in done.values())) if done else set()
-
-    def quality(name: str) -> float:
-        own = done.get(name, {})
-        chosen = shared or set(own)
-        return float(np.mean([np.mean(own[edit]) for edit in chosen])) if chosen and own else -math.inf
-
-    order = sorted(methods, key=lambda name: (-len(done.get(name, ())), -quality(name)))
-    places = tuple(
-        Place(
-            name,
-            len(done.get(name, ())),
-            f"{len(done.get(name, ()))} of {len(every)}"
-            + (f", {quality(name):.2f} dB" if name in done else ""),
-        )
-        for name in order
+    edits = set().union(*psnr.values())
+    done = {name: {edit: values for edit, values in own.items() if values} for name, own in psnr.items()}
+    able = [name for name, own in done.items() if own]
+    shared = set.intersection(*(set(done[name]) for name in able)) if able else set()
+    quality = {
+        name: float(np.mean([np.mean(done[name][edit]) for edit in shared])) if shared else -math.inf
+        for name in able
+    }
+    order = sorted(psnr, key=lambda name: (-len(done[name]), -quality.get(name, 0.0)))
+    places = tuple(Place(name, len(done[name]), f"{len(done[name])} of {len(edits)}") for name in order)
+    parts = [f"{label(place.method)} makes {place.text}" for place in places if place.value]
+    if shared and len(able) > 1:
+        values = ", ".join(f"{quality[name]:.2f} dB" for name in order if name in able)
+        parts.append(f"PSNR of the {_count(len(shared), 'edit')} that they share: {values}")
+    refusing = [name for name in order if not done[name]]
+    parts += (
+        [f"{_listing(refusing, every=True)} refuse{'s' if len(refusing) == 1 else ''} all"]
+        if refusing
+        else []
     )
-    able = [name for name in order if name in done]
-    if not able:
-        return Answer(EDITABLE, places, "", f"No method made any of the {len(every)} edits.")
-    text = "; ".join(f"{label(place.method)} {place.text}" for place in places if place.method in done)
-    unable = [label(name) for name in order if name not in done]
-    text += f". Refused by {', '.join(unable)}" if unable else ""
-    untried = [label(name) for name in contest.methods if name not in methods]
-    text += f". Not tried: {', '.join(untried)}" if untried else ""
-    alone = len(able) == 1 or len(done[able[0]]) > len(done[able[1]])
-    return Answer(EDITABLE, places, able[0] if alone else "", f"Edits done, PSNR of shared ones: {text}.")
+    untried = [name for name in contest.methods if name not in psnr]
+    parts += [f"not tried: {_listing(untried, every=True)}"] if untried else []
+    alone = able and (len(able) == 1 or len(done[order[0]]) > len(done[order[1]]))
+    return Answer(EDITABLE, places, order[0] if alone else "", f"{'; '.join(parts)}.")
 
 
-def _level(cells: Cells, ratio: bool) -> float:
-    """Mean over datasets of the means over scenes of the means over seeds; geometric of ratios."""
+def _mean(cells: Cells, ratio: bool) -> float:
     scale = math.log if ratio else float
     means = [
         np.mean([np.mean([scale(value) for value in seeds.values()]) for seeds in scenes.values()])
         for scenes in cells.values()
     ]
-    mean = float(np.mean(means))
-    return math.exp(mean) if ratio else mean
-
-
-def _sentence(criterion: Criterion, places: tuple[Place, ...], lead: Effect, contest: Contest) -> str:
-    first, second = places[:2]
-    interval = _interval(criterion, lead)
-    count = _count(lead.datasets, "dataset")
-    if lead.sure:
-        text = f"{label(first.method)}, {first.text}: {_amount(criterion, lead)} than {label(second.method)}"
-        text += f" ({interval}), on {lead.wins} of {count}"
-    else:
-        ahead = [place.method for place in places[1:] if not _behind(criterion, contest, first.method, place.method)]
-        names = [label(first.method), *(label(name) for name in ahead)]
-        text = f"No winner among {_listing(names)}: {label(first.method)} ({first.text}) is "
-        text += f"{_amount(criterion, lead)} than {label(second.method)} ({second.text}; {interval}), "
-        text += f"on {lead.wins} of {count}"
-    return f"{text}; {_seeds(lead)}"
-
-
-def _behind(criterion: Criterion, contest: Contest, first: str, other: str) -> bool:
-    cells = contest.values(criterion.column).cells
-    difference = effect(cells[first], cells[other], COLUMNS[criterion.column].better, criterion.ratio)
-    return difference is not None and difference.sure
-
-
-def _amount(criterion: Criterion, lead: Effect) -> str:
-    if not criterion.ratio:
-        return f"{lead.mean:.2f} {COLUMNS[criterion.column].display_unit} {criterion.comparative}"
-    return f"{_factor(lead.factor)} times {criterion.comparative}"
-
-
-def _interval(criterion: Criterion, lead: Effect) -> str:
-    if lead.ends is None:
-        return "no interval: nothing repeats"
-    low, high = lead.ends
-    text = _factor if criterion.ratio else lambda value: f"{value:.2f}".replace("-", "\N{MINUS SIGN}")
-    return f"95 %: {text(low)} to {text(high)}"
+    return math.exp(float(np.mean(means))) if ratio else float(np.mean(means))
 
 
 def _factor(value: float) -> str:
@@ -259,40 +243,27 @@ def _factor(value: float) -> str:
 
 def _seeds(lead: Effect) -> str:
     least, most = lead.seeds
-    if most == 1:
-        return "one seed"
-    return f"{least} seeds" if least == most else f"{least} to {most} seeds"
+    return "one seed" if most == 1 else f"{least} seeds" if least == most else f"{least} to {most} seeds"
 
 
 def _caution(values: Values) -> str:
     """Rows that a speed does not count."""
-    parts = []
-    if values.busy:
-        parts.append(f"{_count(values.busy, 'row')} from a busy machine left out")
-    if values.elsewhere:
-        parts.append(f"{_count(values.elsewhere, 'row')} from other processors left out")
-    return f"; {'; '.join(parts)}." if parts else "."
+    parts = [(values.busy, "from a busy machine"), (values.elsewhere, "from other processors")]
+    return "".join(f"; left out: {_count(number, 'row')} {text}" for number, text in parts if number)
 
 
 def _gap(criterion: Criterion, values: Values) -> str:
     if values.busy:
-        return f"all {values.busy} values are from a busy machine"
-    return f"no dataset has {COLUMNS[criterion.column].title.lower()} of all methods"
-
-
-def _failed(count: int) -> str:
-    return f", {_count(count, 'failure')}" if count else ""
+        return f"{_count(values.busy, 'value')} from a busy machine, the others not of all methods"
+    return f"no dataset has {COLUMNS[criterion.column].title or criterion.column} of two methods"
 
 
 def _count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _listing(names: Iterable[str]) -> str:
-    *head, last = names
+def _listing(names: Iterable[str], every: bool = False) -> str:
+    *head, last = [label(name) for name in names]
+    if len(head) >= _MOST_NAMES and not every:
+        return f"{len(head) + 1} methods"
     return f"{', '.join(head)} and {last}" if head else last
-
-
-def _bare(name: str) -> bool:
-    """Whether a column's text lacks its unit."""
-    return COLUMNS[name].header.endswith("]")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from reports.style import absent
 from reports.tables.columns import records
+from reports.tables.protocols import ORIGIN
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,11 +55,13 @@ class Contest:
         preset: the preset.
         rows: finished and failed rows of basic scenes, one per dataset, scene, method and seed; a dataset's
             name includes its number of training views where there are several.
+        main: datasets that count for all but robustness: of several numbers of training views the largest.
         quiet: processor and threads -> quiet time of the reference kernel, in seconds.
     """
 
     preset: str
     rows: list[dict[str, Any]]
+    main: frozenset[str]
     quiet: Mapping[tuple[Any, Any], float] = field(default_factory=dict)
 
     @cached_property
@@ -100,26 +103,30 @@ class Contest:
     def values(self, column: str) -> Values:
         """The values of a column on the datasets where all ranked methods have all scenes.
 
-        Speeds are of one processor, the one with the most values, and of quiet machines.
+        Speeds are of quiet machines, and of the processor and number of threads with the most datasets.
         """
         rows = [
             row
             for row in self.rows
-            if row["method"] in self.methods and row["status"] == "ok" and not absent(row[column])
+            if row["dataset"] in self.main
+            and row["method"] in self.methods
+            and row["status"] == "ok"
+            and not absent(row[column])
         ]
         if column not in _CLOCKS:
             return Values(self._common(rows, column))
         processor, reference = _CLOCKS[column]
         quiet = [row for row in rows if not self._busy(row, processor, reference)]
-        counts: dict[tuple[Any, Any], int] = {}
+        places: dict[tuple[Any, Any], list[dict[str, Any]]] = {}
         for row in quiet:
-            counts[_place(row, processor)] = counts.get(_place(row, processor), 0) + 1
-        if not counts:
+            places.setdefault(_place(row, processor), []).append(row)
+        if not places:
             return Values({}, busy=len(rows))
-        place = max(counts, key=lambda each: counts[each])
-        here = [row for row in quiet if _place(row, processor) == place]
-        text = f"{place[0]}, {place[1]} thread{'s' if place[1] != 1 else ''}"
-        return Values(self._common(here, column), len(rows) - len(quiet), len(quiet) - len(here), text)
+        common = {place: self._common(here, column) for place, here in places.items()}
+        best = max(places, key=lambda place: (len(next(iter(common[place].values()))), len(places[place])))
+        text = f"{best[0]}, {best[1]} thread{'s' if best[1] != 1 else ''}"
+        left_out = len(quiet) - len(places[best])
+        return Values(common[best], len(rows) - len(quiet), left_out, text)
 
     def _busy(self, row: Mapping[str, Any], processor: str, reference: str) -> bool:
         quiet = self.quiet.get(_place(row, processor))
@@ -133,7 +140,7 @@ class Contest:
         whole = [
             dataset
             for dataset, scenes in self.scenes.items()
-            if all(set(own.get(dataset, ())) == scenes for own in cells.values())
+            if dataset in self.main and all(set(own.get(dataset, ())) == scenes for own in cells.values())
         ]
         return {name: {dataset: own[dataset] for dataset in whole} for name, own in cells.items()}
 
@@ -144,11 +151,7 @@ def contests(results: pd.DataFrame) -> list[Contest]:
     Args:
         results: the table `results` of :func:`reports.tables.protocols.by_protocol`.
     """
-    default = (
-        (results["kind"] == "basic")
-        & (results["variant"].fillna("") == "")
-        & results["rate"].isna()
-    )
+    default = (results["kind"] == "basic") & (results["variant"].fillna("") == "") & results["rate"].isna()
     if "scenes_together" in results:
         default &= results["scenes_together"].isna()
     rows = results[default]
@@ -157,20 +160,32 @@ def contests(results: pd.DataFrame) -> list[Contest]:
     for preset, every in rows.groupby("preset", dropna=False, sort=False):
         # Datasets with one method compare nothing.
         several = every.groupby("dataset")["method"].transform("nunique") > 1
-        contest = Contest(str(preset), records(every[several]), quiet)
+        compared = every[several]
+        contest = Contest(str(preset), records(compared), _main(compared), quiet)
         if len(contest.methods) > 1:
             contests.append(contest)
     return sorted(contests, key=lambda each: -sum(len(each.attempts[name]) for name in each.methods))
 
 
+def _main(rows: pd.DataFrame) -> frozenset[str]:
+    """The datasets with the most training views of their kind."""
+    whole = rows[ORIGIN].fillna(rows["dataset"]) if ORIGIN in rows else rows["dataset"]
+    views = rows["requested_views"].fillna(0)
+    most = views.groupby(whole).transform("max")
+    return frozenset(rows.loc[views == most, "dataset"])
+
+
 def _quiet_times(results: pd.DataFrame) -> dict[tuple[Any, Any], float]:
+    """Processor and threads -> time of the reference kernel on the quiet machine."""
     times: dict[tuple[Any, Any], float] = {}
     for processor, reference in _CLOCKS.values():
         if reference not in results or processor not in results:
             continue
-        for place, rows in results.dropna(subset=[processor, reference]).groupby([processor, "threads"]):
+        for (name, threads), rows in results.dropna(subset=[processor, reference]).groupby(
+            [processor, "threads"]
+        ):
             time = float(rows[reference].astype(float).quantile(_QUIET))
-            times[place] = min(time, times.get(place, time))
+            times[name, threads] = min(time, times.get((name, threads), time))
     return times
 
 

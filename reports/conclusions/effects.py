@@ -43,11 +43,6 @@ class Effect:
         return self.half is not None and abs(self.mean) > self.half
 
     @property
-    def factor(self) -> float:
-        """How many times better, of a ratio."""
-        return math.exp(self.mean)
-
-    @property
     def ends(self) -> tuple[float, float] | None:
         """The interval, of a ratio as factors."""
         if self.half is None:
@@ -64,15 +59,15 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | No
     that scenes and seeds share, so the interval is rather too wide.
 
     Args:
-        first, second: values, by dataset, scene and seed. Ratios need positive ones.
+        first: values of a method, by dataset, scene and seed. Ratios need positive ones.
+        second: those of the other.
         better: 1 if higher is better, -1 if lower is.
         ratio: compare by quotient instead of difference.
     """
     differences = {
         dataset: scenes
         for dataset in first
-        if dataset in second
-        and (scenes := _differences(first[dataset], second[dataset], better, ratio))
+        if dataset in second and (scenes := _differences(first[dataset], second[dataset], better, ratio))
     }
     if not differences:
         return None

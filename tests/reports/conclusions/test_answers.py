@@ -1,0 +1,183 @@
+"""The answers on hand-made tables: who wins, how sure it is, and when nobody does."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from reports.conclusions.answers import CRITERIA, EDITABLE, ROBUST, answers, measured
+from reports.conclusions.contest import BUSY, contests
+from reports.conclusions.effects import effect
+from reports.schema import frame
+from reports.tables.protocols import by_protocol
+
+SMALLEST, PICTURE, TRAINING, DRAWING, MEMORY = CRITERIA
+
+
+def row(method, psnr, dataset="d", scene="s", seed=0, **more):
+    speeds = {"train_seconds": 10.0, "fps": 100.0, "processor": "P", "fit_processor": "P", "threads": 1}
+    kernel = {"reference_seconds": 1.0, "fit_reference_seconds": 1.0}
+    axes = {
+        "job": f"{method}-{dataset}-{scene}-{seed}-{sorted(more.items())}",
+        "dataset": dataset,
+        "seed": seed,
+    }
+    axes |= {"kind": "basic", "variant": "", "preset": "quick", "split": "test", "requested_views": 42}
+    numbers = {"size_bytes": 1 << 20, "peak_host_bytes": 1 << 28, "status": "ok", "stale": False}
+    return axes | speeds | kernel | numbers | {"method": method, "scene": scene, "psnr": psnr} | more
+
+
+def contest(*rows):
+    return contests(table(*rows))[0]
+
+
+def table(*rows):
+    return by_protocol({"results": frame("results", rows)})["results"]
+
+
+def of(answered, title):
+    return next(answer for answer in answered if answer.title == title)
+
+
+def pair(differences, first="a", second="b", **more):
+    """Two methods on one dataset per difference of PSNR."""
+    for i, difference in enumerate(differences):
+        yield row(first, 30.0 + difference, f"d{i}", **more)
+        yield row(second, 30.0, f"d{i}", **more)
+
+
+def test_a_lead_is_sure_where_students_t_says_so():
+    differences = [1.0, 1.5, 0.7, 1.2]
+    answer = measured(PICTURE, contest(*pair(differences)))
+    low, high = stats.ttest_1samp(differences, 0.0).confidence_interval()
+    assert answer.winner == "a"
+    assert f"1.10 dB higher than b (95 %: {low:.2f} to {high:.2f})" in answer.sentence
+    assert "better on 4 of 4 datasets; one seed" in answer.sentence
+    assert [place.method for place in answer.places] == ["a", "b"]
+
+
+def test_datasets_that_disagree_have_no_winner():
+    answer = measured(PICTURE, contest(*pair([3.0, -1.0, 2.0, -1.5])))
+    assert answer.winner == ""
+    assert answer.sentence.startswith("No winner among a and b: a, 30.62 dB, is 0.62 dB higher than b")
+    assert "better on 2 of 4 datasets" in answer.sentence
+
+
+def test_a_tie_has_no_winner():
+    tables = [*pair([0.0, 0.0, 0.0])]
+    answered = answers(contest(*tables), table(*tables))
+    assert {answer.winner for answer in answered} == {""}
+    assert "0.00 dB higher" in of(answered, "Best picture").sentence
+
+
+def test_one_scene_with_one_seed_decides_nothing():
+    answer = measured(PICTURE, contest(*pair([5.0])))
+    assert answer.winner == ""
+    assert "no interval" in answer.sentence
+
+
+def test_scenes_of_one_dataset_and_seeds_are_both_counted():
+    """Variance of the scenes' means and of the seeds' means, each over its number (two-way layout)."""
+    noise = np.array([[0.9, 1.3, 1.1], [1.6, 1.4, 1.9]])  # scene, seed
+    cells = {
+        sign: {
+            "d": {f"s{i}": {k: sign * v / 2 for k, v in enumerate(seeds)} for i, seeds in enumerate(noise)}
+        }
+        for sign in (1, -1)
+    }
+    result = effect(cells[1], cells[-1], 1, ratio=False)
+    scenes, seeds = noise.mean(1), noise.mean(0)
+    terms = np.array([scenes.var(ddof=1) / 2, seeds.var(ddof=1) / 3])
+    freedom = terms.sum() ** 2 / (terms**2 / (1, 2)).sum()
+    assert result.mean == pytest.approx(noise.mean())
+    assert result.half == pytest.approx(stats.t.ppf(0.975, freedom) * math.sqrt(terms.sum()))
+    assert (result.seeds, result.scenes) == ((3, 3), 2)
+
+
+def test_factors_are_means_of_logarithms():
+    rows = [*pair([0.0] * 3)]
+    for one, size in zip(rows, (100, 200, 100, 400, 100, 800), strict=True):
+        one["size_bytes"] = size << 20
+    answer = measured(SMALLEST, contest(*rows))
+    assert answer.sentence.startswith(
+        "No winner among a and b: a, 100 MiB, is 4.0 times smaller than b (400 MiB"
+    )
+    assert answer.places[1].value == pytest.approx(400 << 20)
+
+
+def test_a_method_with_few_datasets_is_not_ranked():
+    found = contest(*pair([1.0] * 4), row("c", 50.0, "d0"))
+    assert found.methods == ["a", "b"]
+    assert found.others == {"c": 1}
+    assert measured(PICTURE, found).winner == "a"
+
+
+def test_a_failed_fit_counts_for_robustness_and_takes_its_dataset_out_of_the_rest():
+    rows = [*pair([1.0, 1.2, 1.4, -9.0])]
+    rows[-1] |= {"status": "oom", "psnr": None}
+    answered = answers(contest(*rows), table(*rows))
+    assert "better on 3 of 3 datasets" in of(answered, "Best picture").sentence
+    robust = of(answered, ROBUST)
+    assert robust.winner == "a"
+    assert "1 failed fit" in robust.sentence
+
+
+def test_robust_is_who_is_least_behind_in_the_worst_scene():
+    answered = answers(contest(*pair([3.0, 3.0, -1.0])), table(*pair([3.0, 3.0, -1.0])))
+    robust = of(answered, ROBUST)
+    assert robust.winner == "a"
+    assert "at most 1.0 dB (d2 / s); b by 3.0 dB (d0 / s)" in robust.sentence
+
+
+def test_few_training_views_count_for_robustness_alone():
+    rows = [*pair([1.0, 1.1, 1.2]), *pair([-7.0, -7.0, -7.0], requested_views=6)]
+    answered = answers(contest(*rows), table(*rows))
+    assert of(answered, "Best picture").winner == "a"
+    assert of(answered, ROBUST).winner == "b"
+
+
+def test_speeds_are_of_one_processor_and_of_quiet_machines():
+    rows = [*pair([0.0] * 4), *pair([0.0], seed=1)]
+    for one in rows:
+        one["train_seconds"] = 10.0 if one["method"] == "a" else 20.0
+    rows[-1] |= {"fit_reference_seconds": 1.01 * BUSY, "train_seconds": 1.0}
+    rows[-3] |= {"fit_processor": "Q", "train_seconds": 1.0}
+    answer = measured(TRAINING, contest(*rows))
+    assert answer.winner == "a"
+    assert "2.00 times faster than b" in answer.sentence
+    assert "1 row from a busy machine" in answer.sentence
+    assert "1 row from other processors" in answer.sentence
+    assert "better on 3 of 3 datasets" in answer.sentence, "the dataset without a time of b is out"
+
+
+def test_busy_machines_alone_decide_nothing():
+    rows = [*pair([0.0, 0.0, 0.0])]
+    quiet = [row("x", 1.0, f"q{i}", reference_seconds=0.5) for i in range(20)]
+    answer = measured(DRAWING, contest(*rows, *quiet))
+    assert answer.places == ()
+    assert "busy" in answer.sentence
+
+
+def test_variants_rates_and_choices_of_scenes_are_not_compared():
+    others = [
+        row("c", 99.0, variant="x=1"), row("c", 99.0, rate=4.0), row("c", 99.0, kind="composed"),
+        row("c", 99.0, scenes_together=3),
+    ]  # fmt: skip
+    assert contest(*pair([1.0]), *others).methods == ["a", "b"]
+    assert contests(table(row("a", 30.0))) == []
+
+
+def test_edits_are_counted_and_compared_where_all_make_them():
+    edits = [
+        row("a", 30.0, kind="edited", edit="light"), row("a", 40.0, kind="edited", edit="color"),
+        row("b", 20.0, kind="edited", edit="light"),
+        row("b", None, kind="edited", edit="color", status="refused"),
+        row("c", None, kind="edited", edit="light", status="refused"),
+    ]  # fmt: skip
+    rows = [*pair([1.0]), row("c", 30.0, "d0"), row("e", 30.0, "d0"), *edits]
+    answer = of(answers(contest(*rows), table(*rows)), EDITABLE)
+    assert answer.winner == "a"
+    assert [place.text for place in answer.places] == ["2 of 2", "1 of 2", "0 of 2"]
+    assert "1 edit that they share: 30.00 dB, 20.00 dB" in answer.sentence
+    assert "c refuses all; not tried: e" in answer.sentence
