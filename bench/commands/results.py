@@ -27,22 +27,25 @@ def results(options: Namespace) -> int:
 
 def report(options: Namespace) -> int:
     """Print those of the paper's tables that a store has rows of, and write its HTML report."""
+    from reports.charts.report import Report
+    from reports.conclusions.answers import to_text
     from reports.page.document import write_report
     from reports.paper import claims, documents, verdicts
     from reports.paper.tables import paper_tables
-    from reports.statistics import Views
 
     store = Store(Path(options.runs))
     page = _page(Path(options.out)) if options.out else store.root / "report.html"
     tables = build_tables(store, current(options))
-    views = Views(tables["views"])
-    paper = paper_tables(tables, views)
+    contents = Report(tables)
+    paper = paper_tables(tables, contents.views)
     for table in paper:
         print(documents.to_text(table))
     if options.check_claims:
-        print(verdicts.to_text(claims.check(paper, views)))
+        print(verdicts.to_text(claims.check(paper, contents.views)))
     _print_superseded(tables, sys.stdout)
-    write_report(tables, store.root, page, paper, views)
+    write_report(tables, store.root, page, paper, contents)
+    if contents.contests:
+        print("\n".join(to_text(contents.contests[0], contents.answers)))
     print(page)
     return 0
 

@@ -6,6 +6,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from reports.charts import rate_distortion
+from reports.conclusions.answers import answers
+from reports.conclusions.contest import contests
 from reports.statistics import Views
 from reports.style import Model, models
 from reports.tables import confidence
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from reports.charts.rate_distortion import Curve, Difference
+    from reports.conclusions.answers import Answer
+    from reports.conclusions.contest import Contest
 
 
 class Report:
@@ -24,18 +28,17 @@ class Report:
 
     Args:
         tables: the tables of :mod:`reports.schema`.
-        views: ``tables["views"]``, if the caller has it.
 
     Attributes:
         stored: the tables.
         tables: the same :func:`~reports.tables.protocols.by_protocol`.
     """
 
-    def __init__(self, tables: dict[str, pd.DataFrame], views: Views | None = None) -> None:
+    def __init__(self, tables: dict[str, pd.DataFrame]) -> None:
         self.stored = tables
         self.tables = by_protocol(tables)
         self.results = self.tables["results"]
-        self.views = views or Views(tables["views"])
+        self.views = Views(tables["views"])
 
     @cached_property
     def models(self) -> list[Model]:
@@ -58,6 +61,16 @@ class Report:
     @cached_property
     def comparisons(self) -> pd.DataFrame:
         return confidence.comparisons(self.means, self.views)
+
+    @cached_property
+    def contests(self) -> list[Contest]:
+        """The one with the most comparisons first."""
+        return contests(self.results)
+
+    @cached_property
+    def answers(self) -> list[Answer]:
+        """Of the first contest; empty without one."""
+        return answers(self.contests[0], self.results) if self.contests else []
 
     @cached_property
     def at_shared_seeds(self) -> pd.DataFrame:

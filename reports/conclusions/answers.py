@@ -117,6 +117,25 @@ def answers(contest: Contest, results: pd.DataFrame) -> list[Answer]:
     return [*(measured(each, contest) for each in CRITERIA), robustness(contest), editing(contest, results)]
 
 
+def scope(contest: Contest) -> str:
+    """What is compared, and when a lead counts."""
+    datasets = len(next(iter(contest.values("psnr").cells.values())))
+    text = (
+        f"{len(contest.methods)} methods with their default options on {datasets} "
+        f"{'dataset' if datasets == 1 else 'datasets'}, preset {contest.preset}. A method wins if the "
+        "95 % interval of its lead, over datasets (scenes of fewer than three) and seeds, excludes zero."
+    )
+    for name, count in contest.others.items():
+        text += f" {label(name)} was measured on {count} of them and is not ranked."
+    return text
+
+
+def to_text(contest: Contest, answers: Iterable[Answer]) -> list[str]:
+    """The same for a terminal, a line each."""
+    width = max((len(answer.title) for answer in answers), default=0)
+    return [scope(contest), *(f"{answer.title:<{width}}  {answer.sentence}" for answer in answers)]
+
+
 def measured(criterion: Criterion, contest: Contest) -> Answer:
     """The answer to one criterion of :data:`CRITERIA`.
 
@@ -127,7 +146,7 @@ def measured(criterion: Criterion, contest: Contest) -> Answer:
     values = contest.values(criterion.column)
     cells = {name: own for name, own in values.cells.items() if own}
     if len(cells) < 2:
-        return Answer(criterion.title, (), "", f"Not decided: {_gap(criterion, values)}.")
+        return Answer(criterion.title, (), "", f"Not decided: {_gap(values)}.")
     means = {name: _mean(own, criterion.ratio) for name, own in cells.items()}
     order = sorted(means, key=lambda name: -criterion.better * means[name])
     places = tuple(Place(name, means[name], column.text(means[name]) + criterion.unit) for name in order)
@@ -248,14 +267,15 @@ def _seeds(lead: Effect) -> str:
 
 def _caution(values: Values) -> str:
     """Rows that a speed does not count."""
-    parts = [(values.busy, "from a busy machine"), (values.elsewhere, "from other processors")]
-    return "".join(f"; left out: {_count(number, 'row')} {text}" for number, text in parts if number)
+    counts = [(values.busy, "from a busy machine"), (values.elsewhere, "from other processors")]
+    parts = [f"{_count(number, 'row')} {text}" for number, text in counts if number]
+    return f"; without {' and '.join(parts)}" if parts else ""
 
 
-def _gap(criterion: Criterion, values: Values) -> str:
+def _gap(values: Values) -> str:
     if values.busy:
         return f"{_count(values.busy, 'value')} from a busy machine, the others not of all methods"
-    return f"no dataset has {COLUMNS[criterion.column].title or criterion.column} of two methods"
+    return "not measured of two methods on one dataset"
 
 
 def _count(number: int, noun: str) -> str:

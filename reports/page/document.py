@@ -14,7 +14,7 @@ from reports.charts.elements import Section
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.files import write_files, write_text
-from reports.page import datasets, editing, provenance, scenes
+from reports.page import answers, datasets, editing, provenance, scenes
 from reports.page import results as results_table
 from reports.paper import verdicts
 from reports.paper.tables import paper_tables
@@ -26,9 +26,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from reports.paper.values import PaperTable
-    from reports.statistics import Views
 
 _WEB = Path(__file__).parent / "web"
+_OPEN = ("answers", "scenes")
+"""Sections that are unfolded; all are in a report without answers."""
 _LONG = 50  # characters from which a fact has a wide box
 
 
@@ -37,7 +38,7 @@ def write_report(
     root: Path,
     out: Path,
     paper: Sequence[PaperTable] | None = None,
-    views: Views | None = None,
+    report: Report | None = None,
 ) -> Path:
     """Write the report, the files of :func:`reports.files.write_files`, and panels into ``charts/``.
 
@@ -46,12 +47,12 @@ def write_report(
         root: folder that the paths of pictures in ``views`` are relative to.
         out: the HTML file.
         paper: the paper's tables of the same rows, if the caller has them.
-        views: ``tables["views"]``, if the caller has it.
+        report: the same tables, if the caller has them so.
 
     Returns:
         ``out``.
     """
-    report = Report(tables, views)
+    report = report or Report(tables)
     paper = paper_tables(tables, report.views) if paper is None else paper
     folder = out.parent / "charts"
     results, dvr = report.results, tables["dvr"]
@@ -69,6 +70,10 @@ def write_report(
                 ("editing", "Editing", editing.section(report, root, folder)),
             )
             sections = [*(Section(*part) for part in parts if part[2]), *charts]
+            first = answers.section(report, [part.anchor for part in sections])
+            if first is not None:
+                write_charts(first.charts)
+                sections.insert(0, first)
         if not dvr.empty:
             sections.append(Section("datasets", "Rendering the volumes", datasets.section(dvr)))
         if not results[["machine", "commit"]].dropna(how="all").empty:
@@ -83,9 +88,12 @@ def _document(name: str, head: str, sections: list[Section]) -> str:
     body = "\n".join(
         f'<section aria-labelledby="{part.anchor}"><h2 id="{part.anchor}">{escape(part.title)}</h2>\n'
         f"{part.html}</section>"
+        if part.anchor in _OPEN or sections[0].anchor != "answers"
+        else f'<details class="part"><summary><h2 id="{part.anchor}">{escape(part.title)}</h2></summary>\n'
+        f"{part.html}</details>"
         for part in sections
     )
-    scripts = ["theme.js", "table.js"]
+    scripts = ["theme.js", "fold.js", "table.js"]
     if 'class="compare"' in body:
         body += scenes.COMPARE
         scripts.append("compare.js")
@@ -182,4 +190,5 @@ def _head(name: str, results: pd.DataFrame, sections: list[Section]) -> str:
     stale = int(results["stale"].fillna(False).astype(bool).sum())
     if stale:
         tags += f' <span class="tag stale">{stale} stale</span>'
-    return f'{title}<p>{tags}</p>{nav}<dl class="facts">{cards}</dl>'
+    facts_of_runs = f'<details><summary>About these runs</summary><dl class="facts">{cards}</dl></details>'
+    return f"{title}<p>{tags}</p>{facts_of_runs}{nav}"

@@ -57,6 +57,7 @@ def browser(driver: Browser, page: Path) -> Iterator[Browser]:
     driver.problems.clear()
     driver.requests.clear()
     driver.open(page)
+    driver.run("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
     yield driver
     assert driver.problems == []
     assert driver.requests == [page.resolve().as_uri()]

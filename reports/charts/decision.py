@@ -1,0 +1,67 @@
+"""The chart that decides: difference of PSNR over ratio of a cost, relative to a reference method."""
+
+from __future__ import annotations
+
+import math
+
+from reports.charts.chart import GRAY, Chart, Panel, Series, Text, linear_axis, log_axis
+from reports.charts.data import pareto
+from reports.conclusions.contest import Contest
+from reports.conclusions.relative import Mark, marks, reference
+from reports.schema import COLUMNS
+from reports.style import Look, Model, label, look
+
+COSTS = {"size_bytes": "Size", "train_seconds": "Training time", "fps": "Frames per second"}
+"""Column of a cost -> its title."""
+_WIDTH, _HEIGHT = 520.0, 380.0
+
+
+def decision(contest: Contest, column: str, models: list[Model]) -> Chart | None:
+    """One mark per method with its 95 % interval in both directions, and the Pareto front.
+
+    Args:
+        contest: the methods and rows.
+        column: a key of :data:`COSTS`.
+        models: all of the report.
+
+    Returns:
+        The chart, or None where no method can be compared with the reference.
+    """
+    relatives = marks(contest, column)
+    if not relatives:
+        return None
+    base = reference(contest)
+    spots = {base: (1.0, 0.0)} | {
+        mark.method: (math.exp(mark.cost.mean), mark.quality.mean) for mark in relatives
+    }
+    crosses = {mark.method: _cross(mark) for mark in relatives}
+    every = [*spots.values(), *(spot for cross in crosses.values() for line in cross for spot in line)]
+    x = log_axis([spot[0] for spot in every], f"{COSTS[column]} relative to {label(base)}")
+    y = linear_axis([spot[1] for spot in every], f"PSNR relative to {label(base)} [dB]", least=1.0)
+    series = [_line([(x.low, 0.0), (x.high, 0.0)], GRAY), _line([(1.0, y.low), (1.0, y.high)], GRAY)]
+    front = pareto(list(spots.values()), COLUMNS[column].better)
+    if len(front) > 1:
+        series.append(_line(front, GRAY, dash="dash"))
+    labels = []
+    for method, spot in spots.items():
+        style = look(Model(method), models)
+        series += [_line(line, style.color) for line in crosses.get(method, ())]
+        series.append(Series(label(method), [spot[0]], [spot[1]], style, mark=9.0, names=[""]))
+        labels.append(Text(*spot, label(method), style.color))
+    return Chart([Panel(COSTS[column], x, y, series, labels, width=_WIDTH, height=_HEIGHT)])
+
+
+def _cross(mark: Mark) -> list[list[tuple[float, float]]]:
+    """The two intervals of a mark, as lines through it."""
+    x, y = math.exp(mark.cost.mean), mark.quality.mean
+    lines = []
+    if mark.cost.ends is not None:
+        lines.append([(end, y) for end in mark.cost.ends])
+    if mark.quality.ends is not None:
+        lines.append([(x, end) for end in mark.quality.ends])
+    return lines
+
+
+def _line(spots: list[tuple[float, float]], color: str, dash: str = "solid") -> Series:
+    x, y = zip(*spots, strict=True)
+    return Series("", x, y, Look(color, "", dash), line=1.0)

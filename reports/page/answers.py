@@ -1,0 +1,111 @@
+"""The page's first screen: which method is best at what, the chart that decides, and methods by criteria."""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from html import escape
+from typing import TYPE_CHECKING
+
+from reports.charts import svg
+from reports.charts.decision import COSTS, decision
+from reports.charts.elements import Section
+from reports.conclusions.answers import scope
+from reports.style import Model, label, look
+
+if TYPE_CHECKING:
+    from reports.charts.chart import Chart
+    from reports.charts.report import Report
+    from reports.conclusions.answers import Answer
+    from reports.conclusions.contest import Contest
+
+_EVIDENCE = {
+    "Smallest": "ledger", "Best picture": "confidence", "Fastest to train": "anytime",
+    "Fastest to draw": "timing", "Least memory": "tradeoffs", "Most robust": "stability",
+    "Can be edited": "editing",
+}  # fmt: skip
+"""Criterion -> anchor of the section with its evidence."""
+_SHADES = 4
+
+
+def section(report: Report, anchors: Container[str]) -> Section | None:
+    """The answers of the first contest; None where no two methods can be compared.
+
+    Args:
+        report: the tables.
+        anchors: of the other sections of the page.
+    """
+    if not report.contests:
+        return None
+    contest = report.contests[0]
+    charts = {
+        f"decision-{column.partition('_')[0]}": chart
+        for column in COSTS
+        if (chart := decision(contest, column, report.models)) is not None
+    }
+    entries = "".join(_entry(answer, report.models) for answer in report.answers)
+    html = (
+        f"<p>{escape(scope(contest))}</p>"
+        f'<div class="answer"><dl>{entries}</dl>{_charts(charts)}</div>'
+        f"{_matrix(report.answers, contest, report.models, anchors)}"
+    )
+    return Section("answers", "Which method?", html, charts)
+
+
+def _entry(answer: Answer, models: list[Model]) -> str:
+    head = escape(answer.title)
+    text = escape(answer.sentence)
+    if answer.winner:
+        name = escape(label(answer.winner))
+        text = f"<b>{_dot(answer.winner, models)}{name}</b>{text.removeprefix(name)}"
+    return f"<div><dt>{head}</dt><dd>{text}</dd></div>"
+
+
+def _dot(method: str, models: list[Model]) -> str:
+    return f'<span class="dot" style="background:{look(Model(method), models).color}"></span>'
+
+
+def _charts(charts: dict[str, Chart]) -> str:
+    """The charts, one at a time; a row of buttons selects it."""
+    if not charts:
+        return ""
+    inputs, figures = [], []
+    for i, (name, chart) in enumerate(charts.items()):
+        (panel,) = chart.panels
+        checked = " checked" if i == 0 else ""
+        button = f'<input type="radio" name="decision" value="{name}"{checked}>'
+        inputs.append(f"<label>{button} {escape(panel.title)}</label>")
+        figures.append(f'<figure class="card" data-decision="{name}">{svg.page_panel(panel)}</figure>')
+    return (
+        f'<div class="decision"><div class="controls">PSNR against {"".join(inputs)}</div>{"".join(figures)}'
+        '<p class="note">Bars are 95 % intervals; the dashed line joins the methods that no other is better '
+        "than in both.</p></div>"
+    )
+
+
+def _matrix(answers: list[Answer], contest: Contest, models: list[Model], anchors: Container[str]) -> str:
+    """Methods by criteria: figures, shaded from the best to the worst."""
+    heads = ['<th scope="col">Method</th>']
+    for answer in answers:
+        anchor, title = _EVIDENCE[answer.title], escape(answer.title)
+        link = f'<a href="#{anchor}">{title}</a>' if anchor in anchors else title
+        heads.append(f'<th scope="col">{link}</th>')
+    lines = []
+    for method in contest.methods:
+        cells = "".join(_cell(answer, method) for answer in answers)
+        lines.append(f'<tr><th scope="row">{_dot(method, models)}{escape(label(method))}</th>{cells}</tr>')
+    return (
+        '<div class="wide" role="region" tabindex="0" aria-label="Methods by criteria"><table class="matrix">'
+        "<caption>Methods by criteria: means per scene, shaded from best to worst; a criterion leads to its "
+        f"evidence.</caption><thead><tr>{''.join(heads)}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
+    )
+
+
+def _cell(answer: Answer, method: str) -> str:
+    methods = [place.method for place in answer.places]
+    if method not in methods:
+        return '<td class="soft">\N{EN DASH}</td>'
+    rank = methods.index(method)
+    shade = round(_SHADES * (1.0 - rank / max(1, len(methods) - 1)))
+    text = escape(answer.places[rank].text)
+    first = " first" if method == answer.winner else ""
+    return f'<td class="shade{shade}{first}">{text}</td>'

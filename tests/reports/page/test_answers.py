@@ -1,0 +1,36 @@
+"""The first screen: answers, the chart that decides, methods by criteria."""
+
+import re
+
+from reports.charts.report import Report
+from reports.conclusions.answers import to_text
+from reports.page.document import write_report
+
+
+def test_the_answers_come_first_with_their_evidence_and_all_else_is_folded(maker):
+    for dataset in ("x", "y", "z"):
+        maker.run(dataset, method="3dgs", psnr=30.0, size=4_000_000, views=0)
+        maker.run(
+            dataset, method="econgs", psnr=31.0 + len(maker.rows["results"]) / 10, size=1_000_000, views=0
+        )
+    page = write_report(maker.tables(), maker.root, maker.root / "r.html").read_text(encoding="utf-8")
+    anchors = re.findall(r'<h2 id="([\w-]+)"', page)
+    assert anchors[0] == "answers"
+    assert re.findall(r'<section aria-labelledby="([\w-]+)"', page) == ["answers"]
+    assert page.count('<details class="part">') == len(anchors) - 1
+    matrix = re.search(r'<table class="matrix">.*?</table>', page)[0]
+    assert re.search(r'<td class="shade4 first">0.95 MiB</td>', matrix)
+    assert set(re.findall(r'href="#([\w-]+)"', matrix)) <= set(anchors)
+    assert page.count('type="radio" name="decision"') == 3
+    assert (maker.root / "charts" / "decision-size.pdf").is_file()
+    report = Report(maker.tables())
+    lines = to_text(report.contests[0], report.answers)
+    assert len(lines) <= 10
+    assert any("ECoNGS, 0.95 MiB: 4.0 times smaller than 3DGS" in line for line in lines)
+
+
+def test_a_report_of_one_method_has_no_answers_and_nothing_folded(maker):
+    maker.run(views=0)
+    page = write_report(maker.tables(), maker.root, maker.root / "r.html").read_text(encoding="utf-8")
+    assert 'id="answers"' not in page
+    assert '<details class="part">' not in page
