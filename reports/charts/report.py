@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ from reports.charts import rate_distortion
 from reports.conclusions.answers import answers
 from reports.conclusions.contest import contests
 from reports.statistics import Views
-from reports.style import Model, models
+from reports.style import Model, absent, models
 from reports.tables import confidence
 from reports.tables.means import summary
 from reports.tables.protocols import by_protocol
@@ -21,6 +22,17 @@ if TYPE_CHECKING:
     from reports.charts.rate_distortion import Curve, Difference
     from reports.conclusions.answers import Answer
     from reports.conclusions.contest import Contest
+
+
+def _cells(table: pd.DataFrame) -> Iterator[tuple[tuple[Any, ...], bool]]:
+    """Dataset, preset and method of each row, and whether it is of a variant of options."""
+    columns = (table[name].tolist() for name in ("dataset", "preset", "method", "base"))
+    for *model, base in zip(*columns, strict=True):
+        yield tuple(model), not absent(base) and base != ""
+
+
+def _models(results: pd.DataFrame, *, varied: bool) -> set[tuple[Any, ...]]:
+    return {model for model, variant in _cells(results) if variant == varied}
 
 
 class Report:
@@ -44,6 +56,31 @@ class Report:
     def models(self) -> list[Model]:
         """The models that have looks."""
         return models(self.results, self.tables["curve"], self.tables["features"])
+
+    @cached_property
+    def of_defaults(self) -> Report:
+        """The same without variants of options, where a method has its default as well.
+
+        Values of a rate knob are no variants: they are points of one curve.
+        """
+        default = _models(self.stored["results"], varied=False)
+        return self._part(lambda model, varied: not varied or model not in default)
+
+    @cached_property
+    def of_variants(self) -> Report | None:
+        """The methods with variants of options, on the datasets that have them; None without any."""
+        varied = _models(self.stored["results"], varied=True)
+        return self._part(lambda model, _: model in varied) if varied else None
+
+    def _part(self, chosen: Callable[[tuple[Any, ...], bool], bool]) -> Report:
+        """The rows whose dataset, preset and method, and whether they are of a variant, are chosen."""
+        tables = {
+            name: table[[chosen(*row) for row in _cells(table)]] if "base" in table else table
+            for name, table in self.stored.items()
+        }
+        part = Report(tables)
+        part.models = self.models  # a model has one look in all parts of the page
+        return part
 
     @cached_property
     def means(self) -> pd.DataFrame:

@@ -193,6 +193,22 @@ def _tradeoffs(report: Report) -> Section | None:
     return _by_dataset("tradeoffs", "Trade-offs", f"<p>{words}</p>", captions, charts)
 
 
+def variant_sections(report: Report) -> Iterator[Section]:
+    """PSNR over size of variants of options, beside their defaults; the other charts leave them out."""
+    if report.of_variants is None:
+        return
+    panels = data.tradeoff(report.of_variants.at_shared_seeds, "size_bytes")
+    chart = kinds.tradeoff(panels, "size_bytes", report.models)
+    words = (
+        "PSNR over size of methods with other options than their defaults, which all other charts leave out. "
+        "The paper's tables and the table of results list them."
+    )
+    if panels:
+        yield Section(
+            "variants", "Variants of options", f"<p>{words}</p>{cards(chart.panels)}", {"variants": chart}
+        )
+
+
 def _by_dataset(
     anchor: str, title: str, head: str, cards: dict[str, list[str]], charts: dict[str, Chart]
 ) -> Section | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from html import escape
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from reports.charts import files as chart_files
 from reports.charts import svg
 from reports.charts.elements import Section
 from reports.charts.report import Report
-from reports.charts.sections import chart_sections
+from reports.charts.sections import chart_sections, variant_sections
 from reports.files import write_files, write_text
 from reports.page import answers, datasets, editing, provenance, scenes
 from reports.page import results as results_table
@@ -60,7 +61,7 @@ def write_report(
     with chart_files.output(folder) as write_charts:
         if not results.empty:
             charts = []
-            for section in chart_sections(report):
+            for section in chain(chart_sections(report.of_defaults), variant_sections(report)):
                 write_charts(section.charts)
                 charts.append(section)
             parts = (
