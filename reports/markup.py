@@ -27,8 +27,8 @@ def method(row: Any, models: Sequence[Model]) -> str:
 def status(row: Any) -> str:
     """Tags with a row's status and, if it is stale, with that."""
     state = str(row["status"])
-    why = "" if absent(row["reason"]) else str(row["reason"])
-    tag = f'<span class="tag {"ok" if state == "ok" else "bad"}" title="{escape(why)}">{escape(state)}</span>'
+    why = "" if state == "ok" or absent(row["reason"]) else f' title="{escape(str(row["reason"]))}"'
+    tag = f'<span class="tag {"ok" if state == "ok" else "bad"}"{why}>{escape(state)}</span>'
     if not absent(row["stale"]) and row["stale"]:
         tag += ' <span class="tag stale" title="the method has a newer version">stale</span>'
     return tag

@@ -11,6 +11,8 @@ from reports.charts import svg
 from reports.charts.chart import Chart, Panel
 from reports.style import Look
 
+MOST_PANELS = 16
+"""Panels of a section on the page."""
 _LONG = 45  # characters of a cell that are not broken
 
 
@@ -32,8 +34,18 @@ class Section:
 
 
 def cards(panels: Iterable[Panel]) -> str:
-    """Panels with their titles, side by side."""
-    return f'<div class="charts">{"".join(card(panel, panel.title) for panel in panels)}</div>'
+    """Panels with their titles, side by side, as many as the page has room for."""
+    every = list(panels)
+    chosen = "".join(card(panel, panel.title) for panel in every[:MOST_PANELS])
+    return f'<div class="charts">{chosen}</div>{rest(len(every), MOST_PANELS, "panels")}'
+
+
+def rest(count: int, most: int, noun: str) -> str:
+    """A note on what the page has no room for; "" if it has all."""
+    if count <= most:
+        return ""
+    text = f"The first {most} of {count} {noun}; the files in <code>charts/</code> hold all."
+    return f'<p class="note">{text}</p>'
 
 
 def card(panel: Panel, caption: str) -> str:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from reports.charts import rate_distortion
 from reports.conclusions.answers import answers
 from reports.conclusions.contest import contests
@@ -75,7 +77,7 @@ class Report:
     def _part(self, chosen: Callable[[tuple[Any, ...], bool], bool]) -> Report:
         """The rows whose dataset, preset and method, and whether they are of a variant, are chosen."""
         tables = {
-            name: table[[chosen(*row) for row in _cells(table)]] if "base" in table else table
+            name: table[np.array([chosen(*row) for row in _cells(table)], bool)] if "base" in table else table
             for name, table in self.stored.items()
         }
         part = Report(tables)

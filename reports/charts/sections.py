@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from reports.charts import data, features, kinds, rate_distortion, stability_sections, training
 from reports.charts.chart import Chart, Panel
-from reports.charts.elements import Section, card, cards, legend, table
+from reports.charts.elements import Section, card, cards, legend, rest, table
 from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, mib, models, seconds
 from reports.tables import confidence
 from reports.tables.columns import records
@@ -42,6 +42,8 @@ _TRADEOFFS = (
 """Name of the file, caption, column."""
 _ANYTIME = "training time per scene [s]"
 _PSNR = "PSNR of a few held-out views [dB]"
+_MOST_DATASETS = 8
+"""Datasets of a section on the page."""
 _ESTIMATE = "estimated size per scene [MiB]"
 _CONVERGENCE = (
     ("seconds", "train_seconds", "training time of the fit [s]"),
@@ -215,9 +217,10 @@ def _by_dataset(
     """A section with the cards of each dataset below its name; None without any."""
     parts = [
         f'<h3>{escape(dataset)}</h3><div class="charts">{"".join(group)}</div>'
-        for dataset, group in cards.items()
+        for dataset, group in list(cards.items())[:_MOST_DATASETS]
     ]
-    return Section(anchor, title, "\n".join([head, *parts]), charts) if charts else None
+    note = rest(len(cards), _MOST_DATASETS, "datasets")
+    return Section(anchor, title, "\n".join([head, *parts, note]), charts) if charts else None
 
 
 def _anytime(report: Report) -> Section | None:

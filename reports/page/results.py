@@ -13,7 +13,7 @@ from reports.schema import COLUMNS, by_name
 from reports.style import MISSING, absent, label, mean_key, models
 from reports.tables.columns import axes, cell, numbers, records
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
-from reports.tables.results import omissions, processor_note, superseded_note
+from reports.tables.results import notes, omissions, superseded_note
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 def section(report: Report) -> str:
     """The table with its controls, the meaning of its columns, and the unfinished runs."""
     results, means = report.results, report.means
-    required = {"psnr", "size_bytes", *(name for _, row in _records(results) for name in _reasons(row))}
-    names = [name for name in numbers(results) if name in required or results[name].notna().any()]
+    names = [n for n in numbers(results) if n in ("psnr", "size_bytes") or results[n].notna().any()]
     writer = _Rows(report, names)
     columns = [by_name(name) for name in ("scene", "method", *writer.axes, "status", *names)]
     bodies = []
@@ -156,7 +155,7 @@ def _controls(results: pd.DataFrame) -> str:
     )
 
 
-def _notes(report: Report, numbers: list[str], marks: set[int]) -> str:
+def _notes(report: Report, names: list[str], marks: set[int]) -> str:
     results = report.results
     note = (
         "Rows “all”: quality and FPS are means over scenes, size and time are sums, memory is the maximum. "
@@ -175,15 +174,13 @@ def _notes(report: Report, numbers: list[str], marks: set[int]) -> str:
         note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
     if UNDECIDED in marks:
         note += f"{UNDECIDED_NOTE} "
-    if numbers[0] == "ssim" and "lpips_vgg" in numbers:
-        note += "LPIPS is missing (its cells give the reason), so SSIM and FLIP come first. "
-    for remark in (superseded_note(report.tables.get("superseded")), processor_note(results)):
+    for remark in (superseded_note(report.tables.get("superseded")), *notes(results)):
         note += f"<b>{escape(remark)}</b> " if remark else ""
     note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '
     note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
     meanings = "".join(
         f"<dt>{escape(by_name(name).header)}</dt><dd>{escape(by_name(name).doc)}</dd>"
-        for name in numbers
+        for name in names
         if by_name(name).doc
     )
     return (

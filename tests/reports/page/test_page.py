@@ -1,4 +1,5 @@
 import contextlib
+import html
 import json
 import re
 from collections import Counter
@@ -125,6 +126,9 @@ def test_variants_are_counted_where_several_were_measured(maker):
 
 def test_a_missing_metric_is_a_dash_with_its_reason(maker):
     maker.run()
+    assert "LPIPS" not in page(maker)[1].partition("One row per scene")[2].partition("tf0")[0], "no column"
+    assert NO_LPIPS in html.unescape(page(maker)[0]), "a note"
+    maker.run(scene="tf1", lpips=0.1)
     source, text = page(maker)
     assert f'<abbr title="{NO_LPIPS.partition(": ")[2]}">{MISSING}</abbr>' in source
     assert text.index("SSIM") < text.index("PSNR [dB]")
