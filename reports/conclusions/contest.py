@@ -17,10 +17,12 @@ if TYPE_CHECKING:
 Cells = dict[str, dict[str, dict[Any, float]]]
 """Dataset -> scene -> seed -> value, of one method."""
 
-BUSY = 1.25
+BUSY = 1.5
 """Time of the reference kernel / its quiet time, from which a machine counts as busy."""
 _QUIET = 0.05
 """Quantile of the reference kernel's times on one processor that is its quiet time."""
+_LEAST_TIMES = 5
+"""Times of the reference kernel from which the quiet one is known."""
 _LEAST_SHARE = 0.5
 """Share of the datasets that a method needs to be ranked."""
 _CLOCKS = {
@@ -56,13 +58,13 @@ class Contest:
         rows: finished and failed rows of basic scenes, one per dataset, scene, method and seed; a dataset's
             name includes its number of training views where there are several.
         main: datasets that count for all but robustness: of several numbers of training views the largest.
-        quiet: processor and threads -> quiet time of the reference kernel, in seconds.
+        quiet: column of the reference kernel's time, processor and threads -> its quiet time, in seconds.
     """
 
     preset: str
     rows: list[dict[str, Any]]
     main: frozenset[str]
-    quiet: Mapping[tuple[Any, Any], float] = field(default_factory=dict)
+    quiet: Mapping[tuple[Any, ...], float] = field(default_factory=dict)
 
     @cached_property
     def scenes(self) -> dict[str, set[str]]:
@@ -129,7 +131,7 @@ class Contest:
         return Values(common[best], len(rows) - len(quiet), left_out, text)
 
     def _busy(self, row: Mapping[str, Any], processor: str, reference: str) -> bool:
-        quiet = self.quiet.get(_place(row, processor))
+        quiet = self.quiet.get((reference, *_place(row, processor)))
         return quiet is not None and not absent(row[reference]) and float(row[reference]) > BUSY * quiet
 
     def _common(self, rows: Iterable[Mapping[str, Any]], column: str) -> dict[str, Cells]:
@@ -175,17 +177,19 @@ def _main(rows: pd.DataFrame) -> frozenset[str]:
     return frozenset(rows.loc[views == most, "dataset"])
 
 
-def _quiet_times(results: pd.DataFrame) -> dict[tuple[Any, Any], float]:
-    """Processor and threads -> time of the reference kernel on the quiet machine."""
-    times: dict[tuple[Any, Any], float] = {}
+def _quiet_times(results: pd.DataFrame) -> dict[tuple[Any, ...], float]:
+    """Column, processor and threads -> time of the reference kernel on the quiet machine.
+
+    Columns have times of their own: after a fit its library's threads still spin for a moment.
+    """
+    times: dict[tuple[Any, ...], float] = {}
     for processor, reference in _CLOCKS.values():
         if reference not in results or processor not in results:
             continue
-        for (name, threads), rows in results.dropna(subset=[processor, reference]).groupby(
-            [processor, "threads"]
-        ):
-            time = float(rows[reference].astype(float).quantile(_QUIET))
-            times[name, threads] = min(time, times.get((name, threads), time))
+        measured = results.dropna(subset=[processor, reference])
+        for (name, threads), rows in measured.groupby([processor, "threads"]):
+            if len(rows) >= _LEAST_TIMES:
+                times[reference, name, threads] = float(rows[reference].astype(float).quantile(_QUIET))
     return times
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Container
 from html import escape
 from typing import TYPE_CHECKING
@@ -53,7 +54,7 @@ def section(report: Report, anchors: Container[str]) -> Section | None:
 
 def _entry(answer: Answer, models: list[Model]) -> str:
     head = escape(answer.title)
-    text = escape(answer.sentence)
+    text = re.sub("`(.*?)`", r"<code>\1</code>", escape(answer.sentence))
     if answer.winner:
         name = escape(label(answer.winner))
         text = f"<b>{_dot(answer.winner, models)}{name}</b>{text.removeprefix(name)}"
