@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from reports.conclusions.clocks import CLOCKS, Clocks, place
 from reports.style import absent
 from reports.tables.columns import records
 from reports.tables.protocols import ORIGIN
@@ -17,19 +18,8 @@ if TYPE_CHECKING:
 Cells = dict[str, dict[str, dict[Any, float]]]
 """Dataset -> scene -> seed -> value, of one method."""
 
-BUSY = 1.5
-"""Time of the reference kernel / its quiet time, from which a machine counts as busy."""
-_QUIET = 0.05
-"""Quantile of the reference kernel's times on one processor that is its quiet time."""
-_LEAST_TIMES = 5
-"""Times of the reference kernel from which the quiet one is known."""
 _LEAST_SHARE = 0.5
 """Share of the datasets that a method needs to be ranked."""
-_CLOCKS = {
-    "train_seconds": ("fit_processor", "fit_reference_seconds"),
-    "fps": ("processor", "reference_seconds"),
-}
-"""Column of a speed -> columns of its processor and of the reference kernel's time beside it."""
 
 
 @dataclass(frozen=True)
@@ -58,13 +48,13 @@ class Contest:
         rows: finished and failed rows of basic scenes, one per dataset, scene, method and seed; a dataset's
             name includes its number of training views where there are several.
         main: datasets that count for all but robustness: of several numbers of training views the largest.
-        quiet: column of the reference kernel's time, processor and threads -> its quiet time, in seconds.
+        clocks: which speeds are of a busy machine.
     """
 
     preset: str
     rows: list[dict[str, Any]]
     main: frozenset[str]
-    quiet: Mapping[tuple[Any, ...], float] = field(default_factory=dict)
+    clocks: Clocks
 
     @cached_property
     def scenes(self) -> dict[str, set[str]]:
@@ -115,24 +105,19 @@ class Contest:
             and row["status"] == "ok"
             and not absent(row[column])
         ]
-        if column not in _CLOCKS:
+        if column not in CLOCKS:
             return Values(self._common(rows, column))
-        processor, reference = _CLOCKS[column]
-        quiet = [row for row in rows if not self._busy(row, processor, reference)]
+        quiet = [row for row in rows if not self.clocks.busy(row, column)]
         places: dict[tuple[Any, Any], list[dict[str, Any]]] = {}
         for row in quiet:
-            places.setdefault(_place(row, processor), []).append(row)
+            places.setdefault(place(row, column), []).append(row)
         if not places:
             return Values({}, busy=len(rows))
-        common = {place: self._common(here, column) for place, here in places.items()}
-        best = max(places, key=lambda place: (len(next(iter(common[place].values()))), len(places[place])))
+        common = {at: self._common(here, column) for at, here in places.items()}
+        best = max(places, key=lambda at: (len(next(iter(common[at].values()))), len(places[at])))
         text = f"{best[0]}, {best[1]} thread{'s' if best[1] != 1 else ''}"
         left_out = len(quiet) - len(places[best])
         return Values(common[best], len(rows) - len(quiet), left_out, text)
-
-    def _busy(self, row: Mapping[str, Any], processor: str, reference: str) -> bool:
-        quiet = self.quiet.get((reference, *_place(row, processor)))
-        return quiet is not None and not absent(row[reference]) and float(row[reference]) > BUSY * quiet
 
     def _common(self, rows: Iterable[Mapping[str, Any]], column: str) -> dict[str, Cells]:
         cells: dict[str, Cells] = {name: {} for name in self.methods}
@@ -157,13 +142,13 @@ def contests(results: pd.DataFrame) -> list[Contest]:
     if "scenes_together" in results:
         default &= results["scenes_together"].isna()
     rows = results[default]
-    quiet = _quiet_times(results)
+    clocks = Clocks(results)
     contests = []
     for preset, every in rows.groupby("preset", dropna=False, sort=False):
         # Datasets with one method compare nothing.
         several = every.groupby("dataset")["method"].transform("nunique") > 1
         compared = every[several]
-        contest = Contest(str(preset), records(compared), _main(compared), quiet)
+        contest = Contest(str(preset), records(compared), _main(compared), clocks)
         if len(contest.methods) > 1:
             contests.append(contest)
     return sorted(contests, key=lambda each: -sum(len(each.attempts[name]) for name in each.methods))
@@ -175,25 +160,3 @@ def _main(rows: pd.DataFrame) -> frozenset[str]:
     views = rows["requested_views"].fillna(0)
     most = views.groupby(whole).transform("max")
     return frozenset(rows.loc[views == most, "dataset"])
-
-
-def _quiet_times(results: pd.DataFrame) -> dict[tuple[Any, ...], float]:
-    """Column, processor and threads -> time of the reference kernel on the quiet machine.
-
-    Columns have times of their own: after a fit its library's threads still spin for a moment.
-    """
-    times: dict[tuple[Any, ...], float] = {}
-    for processor, reference in _CLOCKS.values():
-        if reference not in results or processor not in results:
-            continue
-        measured = results.dropna(subset=[processor, reference])
-        for (name, threads), rows in measured.groupby([processor, "threads"]):
-            if len(rows) >= _LEAST_TIMES:
-                times[reference, name, threads] = float(rows[reference].astype(float).quantile(_QUIET))
-    return times
-
-
-def _place(row: Mapping[str, Any], processor: str) -> tuple[Any, Any]:
-    return (None if absent(row[processor]) else row[processor]), (
-        None if absent(row["threads"]) else row["threads"]
-    )

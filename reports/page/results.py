@@ -8,6 +8,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from reports import markup
+from reports.conclusions.clocks import Clocks
 from reports.page.provenance import DETAILS, details
 from reports.schema import COLUMNS, by_name
 from reports.style import MISSING, absent, label, mean_key, models
@@ -70,6 +71,7 @@ class _Rows:
         self.numbers, self.axes = numbers, axes(report.results)
         self.scene_marks, self.mean_marks = report.ranks, ranks(report.means, report.views)
         self.details: list[list[str]] = []
+        self.clocks = Clocks(report.results)
 
     @property
     def marks(self) -> set[int]:
@@ -125,6 +127,11 @@ class _Rows:
             mark = marks.get((index, name), 0)
             if mark == UNDECIDED:
                 text += f" {markup.hint(UNDECIDED_SIGN, UNDECIDED_NOTE)}"
+            if self.clocks.busy(row, name):
+                slower = (
+                    f"the reference kernel took {self.clocks.slowdown(row, name):.1f} times its quiet time"
+                )
+                text += f" {markup.hint('busy', f'{slower}: the machine was busy')}"
             place = {1: " first", 2: " second"}.get(mark, "")
             cells.append(f'<td class="r{place}" data-v="{float(row[name]):.7g}">{text}</td>')
         return "".join(cells)

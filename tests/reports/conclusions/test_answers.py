@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from reports.conclusions.answers import CRITERIA, EDITABLE, ROBUST, answers, measured
-from reports.conclusions.contest import BUSY, contests
+from reports.conclusions.clocks import BUSY
+from reports.conclusions.contest import contests
 from reports.conclusions.effects import effect
 from reports.schema import frame
 from reports.tables.protocols import by_protocol
