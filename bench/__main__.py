@@ -71,6 +71,14 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"bench: {message}. See `{self.prog} --help`\n")
 
 
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from importlib.metadata import version
+
+        print(f"econgs-bench {version('econgs-bench')}")
+        parser.exit()
+
+
 def parser() -> _Parser:
     """The command line."""
     parser = _Parser(
@@ -78,6 +86,7 @@ def parser() -> _Parser:
         description="Benchmark of compressed scene representations of volume visualisation.",
         epilog="Exit codes: 0 done, 1 a job failed or is unfinished, 2 unusable input, 130 stopped (Ctrl-C).",
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     common = _Parser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show tracebacks of errors in the input")
     plugins = _Parser(add_help=False)

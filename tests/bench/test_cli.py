@@ -7,6 +7,7 @@ import io
 import re
 import subprocess
 import sys
+from importlib.metadata import version
 
 import numpy as np
 import pandas as pd
@@ -36,6 +37,13 @@ def test_lists_start_without_heavy_imports(bench, what: str) -> None:
     assert {"methods": "3dgs", "datasets": "vortices", "suites": "quick", "metrics": "psnr"}[
         what
     ] in done.stdout
+
+
+def test_the_version_is_that_of_the_installation(capsys) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out == f"econgs-bench {version('econgs-bench')}\n"
 
 
 @pytest.mark.parametrize(
