@@ -286,7 +286,8 @@ def saved_and_loaded(subject: Subject) -> str:
         "np.savez(folder + '/out.npz', rgb=rgb.cpu().numpy(), alpha=alpha.cpu().numpy())\n"
     )
     root = str(Path(__file__).resolve().parents[2])
-    arguments = [subject.spec.name, subject.device, str(subject.folder), *map(str, subject.plugins)]
+    plugins = (str(Path(folder).resolve()) for folder in subject.plugins)
+    arguments = [subject.spec.name, subject.device, str(subject.folder), *plugins]
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments], cwd=root, capture_output=True, text=True, check=False
     )

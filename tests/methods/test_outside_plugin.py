@@ -44,3 +44,13 @@ def test_it_keeps_the_contract(bench):
     outcomes = bench("check-plugin", "toy-blobs", "--iterations", "16").splitlines()
     assert len(outcomes) == len(CHECKS)
     assert all(line.startswith("passed") for line in outcomes)
+
+
+def test_it_keeps_the_contract_from_a_folder_that_is_named_relative_to_the_present_one(tmp_path):
+    (tmp_path / "plugins").symlink_to(TOY)
+    command = [sys.executable, "-m", "bench", "check-plugin", "toy-blobs", "--plugins", "plugins"]
+    done = subprocess.run(
+        [*command, "--iterations", "16"], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(TOY.parents[1])},
+        capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
