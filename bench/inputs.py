@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bench.edits import edit_of
 from bench.records import Request, hash_of
 from bench.suites import ViewPreset
-from datasets.catalogue import list_datasets
+from datasets.catalogue.entries import built_in, own_files
 from datasets.edits import edited
 from datasets.errors import DataError
 from datasets.ground_truth.model import MODEL_VERSION
@@ -29,9 +29,10 @@ _IMAGES = {".png", ".json", ".ply"}
 
 def absolute(name_or_path: str) -> str:
     """A catalogue name unchanged; a path (and its choices within the file) made absolute, for any process."""
+    if name_or_path in (own := own_files()):
+        return str(own[name_or_path])
     path, choices = split(name_or_path)
-    names = {info.name for info in list_datasets()}
-    if name_or_path.partition("@")[0] in names or not path.exists():
+    if name_or_path.partition("@")[0] in built_in() or not path.exists():
         return name_or_path
     return f"{path.resolve()}:{choices}" if choices else str(path.resolve())
 

@@ -26,16 +26,18 @@ def _methods(options: Namespace) -> Iterable[tuple[str, ...]]:
 def _datasets(options: Namespace) -> Iterable[tuple[str, ...]]:
     from datasets.catalogue import list_datasets
 
-    return [
-        (
+    for entry in list_datasets():
+        if entry.kind == "broken":
+            yield entry.name, "broken", "", entry.where, ""
+            continue
+        size = "\N{MULTIPLICATION SIGN}".join(map(str, entry.dims)) if entry.dims else ""
+        yield (
             entry.name,
-            "\N{MULTIPLICATION SIGN}".join(map(str, entry.dims)) if entry.dims else "views",
+            size or ("views" if entry.kind == "views" else ""),
             "1 scene" if len(entry.scenes) == 1 else f"{len(entry.scenes)} scenes",
             entry.title,
             "" if entry.available else "(no data: set BENCH_DATA)",
         )
-        for entry in list_datasets()
-    ]
 
 
 def _suites(options: Namespace) -> Iterable[tuple[str, ...]]:

@@ -10,7 +10,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from datasets.errors import DataError
+
 ENVIRONMENT = "BENCH_DATA"
+OWN_ENVIRONMENT = "BENCH_CATALOGUE"
+"""Folders with entries of the user's own; default: ``catalogue`` in the user's data folder."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,7 @@ class DatasetInfo:
     Attributes:
         name: identifier for ``--dataset``.
         title: one line for people.
-        kind: "procedural", "volume" or "views".
+        kind: "procedural", "volume" or "views"; "broken" for an entry of the user's that cannot be used.
         dims: samples along x, y, z; None for "views".
         variables: names of its volumes; empty for "views".
         scenes: names of its basic scenes.
@@ -41,20 +45,62 @@ class DatasetInfo:
 
 
 def names() -> list[str]:
-    """Names of all entries, procedural ones first."""
-    places = sorted(path.stem for path in Path(__file__).parent.glob("*.toml"))
-    return sorted(places, key=lambda name: entry(name)["kind"] != "procedural")
+    """Names of all entries: procedural ones, further built-in ones, the user's own."""
+    return [*built_in(), *own_files()]
 
 
 @cache
+def built_in() -> tuple[str, ...]:
+    """Names of the entries that come with the package, procedural ones first."""
+    places = sorted(path.stem for path in Path(__file__).parent.glob("*.toml"))
+    return tuple(sorted(places, key=lambda name: _built_in(name)["kind"] != "procedural"))
+
+
+def own_files() -> dict[str, Path]:
+    """Name -> file of the user's own entries. A name of the package's gets "-own" appended."""
+    parts = filter(None, os.environ.get(OWN_ENVIRONMENT, "").split(os.pathsep))
+    folders = [Path(part).expanduser() for part in parts] or [user_folder() / "catalogue"]
+    files: dict[str, Path] = {}
+    for folder in folders:
+        for path in sorted(folder.glob("*.toml")):
+            files.setdefault(own_name(path.stem), path.resolve())
+    return files
+
+
+def own_name(name: str) -> str:
+    """The name of a dataset from a file, which is never one of the package's."""
+    return f"{name}-own" if name in built_in() else name
+
+
 def entry(name: str) -> dict[str, Any]:
-    """The TOML of one entry."""
+    """The TOML of one entry.
+
+    Raises:
+        DataError: an entry of the user's cannot be used.
+    """
+    if name in built_in():
+        return _built_in(name)
+    from datasets.catalogue.own import read_entry
+
+    return read_entry(own_files()[name])
+
+
+@cache
+def _built_in(name: str) -> dict[str, Any]:
     return tomllib.loads((Path(__file__).parent / f"{name}.toml").read_text(encoding="utf-8"))
 
 
 def list_datasets(data_dirs: Sequence[Path | str] | None = None) -> list[DatasetInfo]:
     """Every entry of the catalogue, with the place or the source of its data."""
-    return [_info(name, data_folders(data_dirs)) for name in names()]
+    infos = []
+    own = own_files()
+    for name in names():
+        folders = data_folders(data_dirs)
+        try:
+            infos.append(_info(name, [own[name].parent, *folders] if name in own else folders))
+        except DataError as error:  # of the user's entries; others go on
+            infos.append(DatasetInfo(name, "", "broken", None, (), (), {}, False, str(error)))
+    return infos
 
 
 def data_folders(data_dirs: Sequence[Path | str] | None = None) -> list[Path]:
@@ -97,7 +143,7 @@ def remedy(table: dict[str, Any], folders: Sequence[Path]) -> str:
         if "url" in file:
             text += f"; public file: {file['url']} (sha512 {file['sha512']})"
     if not any("url" in file for file in table.get("files", [])):
-        text += f"; source: {table['acknowledgement']}"
+        text += f"; source: {table['acknowledgement']}" if table.get("acknowledgement") else ""
     return text
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 
 from datasets.auto_transfer import COLORS, automatic_scenes
+from datasets.catalogue.entries import own_name
 from datasets.errors import DataError
 from datasets.readers import list_variables, read_volume, suffix_of
 from datasets.readers.fields import choose, plain
@@ -70,7 +71,7 @@ def _name(request: FileName, variable: str | None) -> str:
     parts += [variable] if variable is not None else []
     parts += [f"step{request.step}"] if request.step is not None else []
     parts += [f"r{request.resolution}"] if request.resolution is not None else []
-    return "-".join(safe_name(part) for part in parts)
+    return own_name("-".join(safe_name(part) for part in parts))
 
 
 def _read(request: FileName, name: str | None) -> Volume:

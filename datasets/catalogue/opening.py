@@ -28,9 +28,9 @@ def open_dataset(
     """A dataset by its catalogue name, or from a volume file or a folder of pre-rendered views.
 
     Args:
-        name_or_path: "vis_male"; "vortices" or "vortices@128"; a volume file, which gets automatic transfer
-            functions ("PATH:variable=T,step=3,resolution=256" selects a part of it); or a folder with
-            ``transforms_train.json``, in itself or in one subfolder per scene.
+        name_or_path: "vis_male"; "vortices" or "vortices@128"; a TOML file with scenes of your own; a volume
+            file, which gets automatic transfer functions ("PATH:variable=T,step=3,resolution=256" selects a
+            part of it); or a folder with ``transforms_train.json``, in itself or in one subfolder per scene.
         data_dirs: folders to search instead of ``BENCH_DATA`` and the user's data folder.
         resolution: samples per axis of a procedural volume (default 64).
         download: fetch missing public files into the user's data folder (checked by sha512).
@@ -47,8 +47,15 @@ def open_dataset(
             return _procedural(base, table, _resolution(text, at) if at else resolution)
         if resolution is not None or "@" in text:
             raise DataError(text, "only procedural volumes have a choice of resolution", f"Ask for {base}")
-        return _from_catalogue(base, table, entries.data_folders(data_dirs), download)
+        folders = entries.data_folders(data_dirs)
+        own = entries.own_files().get(base)
+        return _from_catalogue(base, table, [own.parent, *folders] if own else folders, download)
     path = Path(text).expanduser()
+    if path.suffix == ".toml":
+        from datasets.catalogue.own import read_entry
+
+        folders = [path.resolve().parent, *entries.data_folders(data_dirs)]
+        return _from_catalogue(entries.own_name(path.stem), read_entry(path), folders, download)
     try:
         is_folder, exists = path.is_dir(), path.exists()
     except (OSError, ValueError):
@@ -194,4 +201,4 @@ def _views_folder(path: Path) -> Dataset:
         )
     scenes = tuple(BasicScene(safe_name(f.resolve().name), views_folder=f.resolve()) for f in folders)
     name = path.resolve().name
-    return Dataset(safe_name(name), f"pre-rendered views in {name}", "views", scenes)
+    return Dataset(entries.own_name(safe_name(name)), f"pre-rendered views in {name}", "views", scenes)

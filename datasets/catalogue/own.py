@@ -1,0 +1,146 @@
+"""Datasets that users write: one TOML file each, checked when it is read."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from datasets.errors import DataError
+
+REMEDY = "Mend it as docs/guide/data.md shows"
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=60)]
+Color = tuple[Share, Share, Share]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=False)
+
+
+class Bump(_Part):
+    """A trapezoid of opacity (:class:`datasets.transfer.Bump`)."""
+
+    name: Name
+    range: tuple[Share, Share, Share, Share]
+    color: Color
+    opacity: Annotated[float, Field(ge=0.0, lt=1.0)]
+
+    @model_validator(mode="after")
+    def _ascends(self) -> Bump:
+        if list(self.range) != sorted(self.range):
+            raise ValueError(f"range {list(self.range)} does not ascend: starts, full, full, ends")
+        return self
+
+
+class Surface(_Part):
+    """An isosurface (:class:`datasets.scene.Isosurface`)."""
+
+    name: Name
+    value: Annotated[float, Field(gt=0.0, lt=1.0)]
+    color: Color
+    opacity: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+
+
+class Light(_Part):
+    """Light and material (:class:`datasets.scene.Light`)."""
+
+    direction: tuple[float, float, float] | None = None
+    ambient: Annotated[float, Field(ge=0.0)] = 0.4
+    diffuse: Annotated[float, Field(ge=0.0)] = 0.7
+    specular: Annotated[float, Field(ge=0.0)] = 0.2
+    shininess: Positive = 20.0
+    model: Literal["blinn-phong", "phong"] = "blinn-phong"
+
+
+class Scene(_Part):
+    """A basic scene: bumps of a transfer function, or isosurfaces."""
+
+    name: Name
+    variable: str = "value"
+    bumps: list[Bump] = []
+    isosurfaces: list[Surface] = []
+    background: Color = (1.0, 1.0, 1.0)
+    reference_length: Positive = 0.01
+    depth_enhancement: Annotated[float, Field(ge=0.0)] = 0.0
+    light: Light = Light()
+
+    @model_validator(mode="after")
+    def _shows_something(self) -> Scene:
+        if not self.bumps and not self.isosurfaces:
+            raise ValueError(f"scene {self.name} has neither bumps nor isosurfaces")
+        return self
+
+
+class File(_Part):
+    """A volume file; its path is relative to the TOML file or to a folder of BENCH_DATA."""
+
+    path: Annotated[str, Field(min_length=1)]
+    variable: str = "value"
+    array: str | None = None
+    step: Annotated[int, Field(ge=0)] | None = None
+    resolution: Annotated[int, Field(ge=2)] | None = None
+
+
+class Entry(_Part):
+    """A dataset of volumes."""
+
+    title: str = ""
+    kind: Literal["volume"] = "volume"
+    dims: tuple[int, int, int] | None = None
+    spacing: tuple[Positive, Positive, Positive] | None = None
+    acknowledgement: str = ""
+    files: Annotated[list[File], Field(min_length=1)]
+    scenes: Annotated[list[Scene], Field(min_length=1)]
+    compositions: dict[Name, Annotated[list[str], Field(min_length=2)]] = {}
+
+    @model_validator(mode="after")
+    def _names_fit(self) -> Entry:
+        variables = [file.variable for file in self.files]
+        scenes = [scene.name for scene in self.scenes]
+        for kind, names in (("variable", variables), ("scene", [*scenes, *self.compositions, "all"])):
+            twice = [name for i, name in enumerate(names) if name in names[:i]]
+            if twice:
+                raise ValueError(f"the {kind} name {twice[0]} occurs twice")
+        for scene in self.scenes:
+            if scene.variable not in variables:
+                raise ValueError(f"scene {scene.name} is of variable {scene.variable}, which no file has")
+        for name, parts in self.compositions.items():
+            for part in parts:
+                if part not in scenes:
+                    raise ValueError(f"composition {name} names the scene {part}, which is not there")
+        return self
+
+
+def read_entry(path: Path) -> dict[str, Any]:
+    """A checked entry as a table; what is optional and not given is left out.
+
+    Raises:
+        DataError: the file cannot be read, is no TOML, or has an unusable key, which the reason names.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(path, f"cannot be read ({error.strerror})", "Name a readable file") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(path, f"is no TOML file ({error})", REMEDY) from error
+    try:
+        entry = Entry.model_validate(table)
+    except ValidationError as error:
+        first, *others = error.errors()
+        parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
+        key = "".join(parts).lstrip(".")
+        reason = first["msg"].removeprefix("Value error, ")
+        reason = f"{key}: {reason}" if key else reason
+        more = f" (and {len(others)} more)" if others else ""
+        raise DataError(path, reason + more, REMEDY) from error
+    whole = {"title": path.stem, "acknowledgement": ""} | entry.model_dump(exclude_unset=True)
+    whole["kind"] = entry.kind
+    for table, scene in zip(whole["scenes"], entry.scenes, strict=True):
+        table["variable"] = scene.variable
+    whole["files"] = [file.model_dump(exclude_none=True) for file in entry.files]
+    return whole

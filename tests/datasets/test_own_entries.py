@@ -1,0 +1,102 @@
+"""Datasets that users write: by path, from a folder of their own, and with mistakes."""
+
+import os
+
+import numpy as np
+import pytest
+
+from datasets.catalogue import list_datasets, open_dataset
+from datasets.catalogue.entries import OWN_ENVIRONMENT, built_in
+from datasets.errors import DataError
+
+ENTRY = """
+[[files]]
+path = "ramp.npy"
+
+[[scenes]]
+name = "middle"
+[[scenes.bumps]]
+name = "middle"
+range = [0.3, 0.4, 0.6, 0.7]
+color = [0.9, 0.6, 0.2]
+opacity = 0.5
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    np.save(tmp_path / "ramp.npy", np.linspace(0, 1, 512, dtype=np.float32).reshape(8, 8, 8))
+    (tmp_path / "engine.toml").write_text(ENTRY)
+    return tmp_path
+
+
+def test_an_entry_opens_by_its_path_with_files_beside_it(folder, monkeypatch):
+    dataset = open_dataset(str(folder / "engine.toml"))
+    assert (dataset.name, dataset.title) == ("engine", "engine")
+    (scene,) = dataset.scenes
+    assert scene.transfer.classify(np.array([0.5]))[0, :3] == pytest.approx([0.9, 0.6, 0.2])
+    assert dataset.volume("value").dims == (8, 8, 8)
+    monkeypatch.chdir(folder)
+    assert open_dataset("engine.toml").volume("value").dims == (8, 8, 8)
+
+
+def test_a_folder_of_entries_is_part_of_the_catalogue(folder, monkeypatch):
+    (folder / "fuel.toml").write_text(ENTRY)
+    monkeypatch.setenv(OWN_ENVIRONMENT, os.pathsep.join([str(folder), "nowhere"]))
+    names = [info.name for info in list_datasets()]
+    assert names[: len(built_in())] == list(built_in())
+    assert names[len(built_in()) :] == ["engine", "fuel-own"], "no entry takes a name of the catalogue"
+    assert open_dataset("engine").volume("value").dims == (8, 8, 8)
+    assert open_dataset("fuel-own").scenes[0].name == "middle"
+    assert all(info.available for info in list_datasets() if info.name in ("engine", "fuel-own"))
+
+
+def test_a_broken_entry_breaks_nothing_else(folder, monkeypatch):
+    (folder / "bad.toml").write_text(ENTRY.replace("opacity", "opaque"))
+    monkeypatch.setenv(OWN_ENVIRONMENT, str(folder))
+    bad, engine = (info for info in list_datasets() if info.name not in built_in())
+    assert (bad.kind, bad.available) == ("broken", False)
+    assert f"{folder / 'bad.toml'}: scenes[0].bumps[0].opac" in bad.where
+    assert engine.available
+    assert open_dataset("vortices").name == "vortices"
+    with pytest.raises(DataError, match=r"bad\.toml"):
+        open_dataset("bad")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (("opacity = 0.5", "opacity = 1.5"), "scenes[0].bumps[0].opacity: Input should be less than 1"),
+        (("[0.3, 0.4, 0.6, 0.7]", "[0.3, 0.4, 0.2, 0.7]"), "does not ascend"),
+        (("[0.3, 0.4, 0.6, 0.7]", "[0.3, 0.4]"), "scenes[0].bumps[0].range"),
+        (("[0.9, 0.6, 0.2]", "'orange'"), "scenes[0].bumps[0].color"),
+        (('path = "ramp.npy"', ""), "files[0].path: Field required"),
+        (('name = "middle"\n[[scenes.bumps', '[[scenes.bumps'), "scenes[0].name: Field required"),
+        (('name = "middle"\n[[scenes.bumps', 'name = "a/b"\n[[scenes.bumps'), "scenes[0].name"),
+        (('[[scenes]]\n', '[[scenes]]\nvariable = "T"\n'), "variable T, which no file has"),
+        (('[[files]]', 'compositions = { both = ["middle", "other"] }\n[[files]]'), "names the scene other"),
+        (('[[files]]', 'spacing = [1.0, 0.0, 1.0]\n[[files]]'), "spacing[1]: Input should be greater than 0"),
+        (("[[scenes.bumps]]", "[[scenes.bump]]"), "scenes[0]"),
+        (("[[files]]", "[[files"), "is no TOML file"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_named_with_its_file_and_key(folder, change, reason):
+    path = folder / "engine.toml"
+    path.write_text(ENTRY.replace(*change))
+    with pytest.raises(DataError) as error:
+        open_dataset(str(path))
+    assert str(error.value).startswith(f"{path}: ")
+    assert reason in str(error.value)
+
+
+def test_a_missing_entry_or_volume_is_named(folder):
+    with pytest.raises(DataError, match=r"nothing\.toml: cannot be read"):
+        open_dataset(str(folder / "nothing.toml"))
+    (folder / "ramp.npy").unlink()
+    with pytest.raises(DataError, match=r"ramp\.npy was not found"):
+        open_dataset(str(folder / "engine.toml"))
+
+
+def test_a_volume_file_never_takes_a_name_of_the_catalogue(folder):
+    (folder / "ramp.npy").rename(folder / "fuel.npy")
+    assert open_dataset(str(folder / "fuel.npy")).name == "fuel-own"
