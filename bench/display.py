@@ -9,6 +9,8 @@ from typing import Any
 from bench.records import Job, Record
 
 PLAIN_SECONDS = 10.0
+_CLOCK = 12
+"""Width of the live line's spinner and clock."""
 
 
 def make_display() -> Display:
@@ -50,31 +52,22 @@ class LiveDisplay(Display):
         self._live: Any = None
 
     def begin(self, job: Job, number: int, total: int) -> None:
-        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+        from rich.table import Column
 
         self._started = time.monotonic()
         self._number = f"{number}/{total}"
-        self._live = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.fields[number]} {task.description}"),
-            BarColumn(bar_width=20),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[state]}"),
-            console=self._console,
-            transient=True,
-        )
-        self._task = self._live.add_task(job.title, total=None, number=self._number, state="")
+        self._title = f"{self._number} {job.title}"
+        text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True))
+        columns = (SpinnerColumn(), TimeElapsedColumn(), text)
+        self._live = Progress(*columns, console=self._console, transient=True)
+        self._task = self._live.add_task(self._title, total=None)
         self._live.start()
 
     def state(self, state: dict[str, Any]) -> None:
         if self._live is not None:
-            counts = {k: state[k] for k in ("iteration", "iterations") if state.get(k) is not None}
-            self._live.update(
-                self._task,
-                completed=counts.get("iteration", 0),
-                total=counts.get("iterations"),
-                state=describe(state),
-            )
+            line = status_line(self._title, state, self._console.width - _CLOCK)
+            self._live.update(self._task, description=line)
 
     def end(self, job: Job, record: Record | None, note: str = "") -> None:
         self._live.stop()
@@ -86,6 +79,33 @@ class LiveDisplay(Display):
         self._console.print(
             f"{ending(record, note)}, {seconds:.1f} s", style=color, highlight=False, markup=False
         )
+
+
+def status_line(title: str, state: dict[str, Any], width: int) -> str:
+    """A job and its state in at most ``width`` characters: what has no room yields, losses first.
+
+    Most important first: title, share done, time left, PSNR, stage, primitives, loss and its parts.
+    """
+    parts = []
+    if state.get("iteration") is not None and state.get("iterations"):
+        parts.append(f"{100 * state['iteration'] // state['iterations']} %")
+    if state.get("left") is not None:
+        parts.append(f"{span(state['left'])} left")
+    if state.get("psnr") is not None:
+        parts.append(f"{state['psnr']:.2f} dB")
+    parts.append(str(state.get("stage", "")))
+    if state.get("primitives"):
+        parts.append(f"{state['primitives']} primitives")
+    if state.get("loss") is not None:
+        parts.append(f"loss {state['loss']:.4f}")
+        parts += [f"{name} {value:.3g}" for name, value in state.get("parts", {}).items() if value > 1e-6]
+    room = width - sum(len(part) + 2 for part in parts[:3])
+    line = title if len(title) <= room else f"{title[: max(0, room - 1)]}\N{HORIZONTAL ELLIPSIS}"
+    for part in filter(None, parts):
+        if len(line) + 2 + len(part) > width:
+            break
+        line += f", {part}"
+    return line
 
 
 def describe(state: dict[str, Any]) -> str:
