@@ -24,6 +24,10 @@ from methods.registry import Registry
 class Planner:
     """Turns a selection into jobs; data are read and hashed once.
 
+    Attributes:
+        registry: the methods.
+        renders: whether any dataset is a volume, whose views are rendered.
+
     Raises:
         UnknownName: a dataset, scene, method, option or preset that is not there.
         DataError: data that cannot be used.
@@ -42,6 +46,7 @@ class Planner:
         self._specs = self._methods()
         self._settings = list(self._variants())
         self._subsets = subsets(selection, self._preset)
+        self.renders = any(subset.kind == "volume" for subset in self._subsets)
 
     def jobs(self, store: Store | None) -> list[Job]:
         """All jobs that can be planned so far, in an order in which they can run."""

@@ -267,6 +267,9 @@ def _cameras(volume: Volume, request: ViewRequest) -> tuple[Camera, ...]:
     return training_cameras(request.train_views, radius, request.width, request.height)
 
 
+_SLOW = "ground truth comes from the slow reference marcher, as Mitsuba has no working backend here: %s. %s"
+
+
 def _backend(renderer: Renderer) -> probe.Backend:
     if renderer == "reference":
         return probe.Backend("none")
@@ -278,11 +281,13 @@ def _backend(renderer: Renderer) -> probe.Backend:
 
 @once
 def _notice(reason: str) -> None:
-    _log.warning(
-        "ground truth comes from the slow reference marcher, as Mitsuba has no working backend here: %s. %s",
-        reason,
-        probe.REMEDY,
-    )
+    _log.warning(_SLOW, reason, probe.REMEDY)
+
+
+def slow_notice() -> str:
+    """Why ground truth will be slow here, and the remedy; "" where Mitsuba works."""
+    backend = probe.find_backend()
+    return _SLOW % (backend.reason, probe.REMEDY) if backend.name == "none" else ""
 
 
 def _ingredients(layer: Layer) -> dict[str, Any]:

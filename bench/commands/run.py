@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from bench.records import Job, Record
 from bench.selection import Selection
 from bench.store import Store
 from bench.suites import load_suite
+from datasets.errors import DataError
 
 if TYPE_CHECKING:
     from bench.executor import Outcome
@@ -36,6 +38,7 @@ def run(options: Namespace) -> int:
         limits=Limits(options.time_limit, options.memory_limit),
         plugins=_plugins(options),
     )
+    _announce(planner, store)
     outcome = executor.run()
     tables = build_tables(store, versions)
     # The rows of this run alone; the store's tables may hold another version of a model.
@@ -56,6 +59,17 @@ def run(options: Namespace) -> int:
                 write_report(tables, store.root, page)
             print(f"report: {page}")
     return _verdict(outcome)
+
+
+def _announce(planner: Planner, store: Store) -> None:
+    """Print a warning if ground truth that is still to be rendered will take the slow marcher."""
+    pending = (job for job in planner.jobs(store) if job.kind == "views" and store.record(job.id) is None)
+    if planner.renders and any(pending):
+        from datasets.render_views import slow_notice
+
+        with suppress(DataError):  # the machine ended the trial: the views job tries again
+            if notice := slow_notice():
+                print(f"bench: {notice}", file=sys.stderr)
 
 
 def _verdict(outcome: Outcome) -> int:

@@ -8,15 +8,18 @@ import re
 import subprocess
 import sys
 from importlib.metadata import version
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from bench.__main__ import main
+from bench.commands.run import _announce
 from bench.records import hash_of
 from bench.store import Store
 from datasets.errors import DataError
+from datasets.ground_truth import probe
 from reports.tables.results import superseded_note
 
 LISTS = ("methods", "datasets", "suites", "metrics")
@@ -262,3 +265,15 @@ def test_doctor_names_what_is_missing(bench) -> None:
     lpips = next(i for i, line in enumerate(lines) if "LPIPS" in line)
     assert lines[lpips].startswith("lacks")
     assert "vgg16-397923af.pth" in lines[lpips + 1]
+
+
+@pytest.mark.parametrize(
+    ("renders", "record", "warned"), [(True, None, True), (False, None, False), (True, "done", False)]
+)
+def test_the_slow_marcher_announces_itself_before_it_renders(
+    monkeypatch, capsys, renders, record, warned
+) -> None:
+    monkeypatch.setattr(probe, "find_backend", lambda: probe.Backend("none", reason="no libLLVM was found"))
+    jobs = [SimpleNamespace(kind="views", id="views-1")]
+    _announce(SimpleNamespace(renders=renders, jobs=lambda _: jobs), SimpleNamespace(record=lambda _: record))
+    assert ("slow reference marcher" in capsys.readouterr().err) == warned
