@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from pathlib import Path
 
 import pytest
 
 from datasets.catalogue import entries, list_datasets
 from datasets.catalogue.opening import _scenes
+from datasets.catalogue.own import read_entry
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "guide" / "data.md").read_text(encoding="utf-8")
@@ -37,9 +37,13 @@ def test_rows_agree_with_the_catalogue(name: str) -> None:
     assert (samples, scenes) == (expected, len(info.scenes))
 
 
-def test_the_example_is_an_entry() -> None:
-    (block,) = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
-    bone, surface = _scenes(tomllib.loads(block))
+def test_the_examples_are_entries(tmp_path: Path) -> None:
+    blocks = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
+    for i, block in enumerate(blocks):
+        (tmp_path / f"{i}.toml").write_text(block, encoding="utf-8")
+    least, whole = (read_entry(tmp_path / f"{i}.toml") for i in range(len(blocks)))
+    assert [scene.name for scene in _scenes(least)] == ["metal"]
+    bone, surface = _scenes(whole)
     assert bone.transfer is not None
     assert bone.light is not None
     assert [level.value for level in surface.isosurfaces] == [0.15]
