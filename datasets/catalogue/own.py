@@ -138,7 +138,7 @@ def read_entry(path: Path) -> dict[str, Any]:
         reason = f"{key}: {reason}" if key else reason
         more = f" (and {len(others)} more)" if others else ""
         raise DataError(path, reason + more, REMEDY) from error
-    whole = {"title": path.stem, "acknowledgement": ""} | entry.model_dump(exclude_unset=True)
+    whole = {"title": f"scenes of {path.name}", "acknowledgement": ""} | entry.model_dump(exclude_unset=True)
     whole["kind"] = entry.kind
     for table, scene in zip(whole["scenes"], entry.scenes, strict=True):
         table["variable"] = scene.variable

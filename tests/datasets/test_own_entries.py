@@ -32,7 +32,7 @@ def folder(tmp_path):
 
 def test_an_entry_opens_by_its_path_with_files_beside_it(folder, monkeypatch):
     dataset = open_dataset(str(folder / "engine.toml"))
-    assert (dataset.name, dataset.title) == ("engine", "engine")
+    assert (dataset.name, dataset.title) == ("engine", "scenes of engine.toml")
     (scene,) = dataset.scenes
     assert scene.transfer.classify(np.array([0.5]))[0, :3] == pytest.approx([0.9, 0.6, 0.2])
     assert dataset.volume("value").dims == (8, 8, 8)
