@@ -15,7 +15,7 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
-from filelock import FileLock
+from filelock import FileLock, Timeout
 from pydantic import ValidationError
 
 from bench.migration import migrated
@@ -80,6 +80,16 @@ class Store:
     def lock(self, name: str) -> FileLock:
         """The lock of a job or of "tables"; the system frees it when its holder dies."""
         return FileLock(self.locks / f"{name}.lock")
+
+    def is_held(self, name: str) -> bool:
+        """Whether a process holds that lock now."""
+        try:
+            with self.lock(name).acquire(timeout=0):
+                return False
+        except Timeout:
+            return True
+        except OSError:  # a store that cannot be written is worked on by nobody
+            return False
 
     def record(self, job: str) -> Record | None:
         """The record of a finished job, or None.

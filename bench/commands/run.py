@@ -127,8 +127,9 @@ def _mib(count: int) -> str:
 def _state(job: Job, record: Record | None, estimate: Estimate | None, store: Store | None) -> str:
     if record is not None:
         return "done" if record.ok else record.status
-    started = store is not None and (store.partial / job.id).is_dir()
-    words = "interrupted" if started else "to do"
+    words = "to do"
+    if store is not None and (store.partial / job.id).is_dir():
+        words = "running" if store.is_held(job.id) else "interrupted"
     return f"{words}, about {span(estimate.seconds)}" if estimate is not None else words
 
 

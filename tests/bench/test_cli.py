@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from bench.__main__ import main
-from bench.commands.run import _announce
+from bench.commands.run import _announce, _state
 from bench.records import hash_of
 from bench.store import Store
 from datasets.errors import DataError
@@ -277,3 +277,13 @@ def test_the_slow_marcher_announces_itself_before_it_renders(
     jobs = [SimpleNamespace(kind="views", id="views-1")]
     _announce(SimpleNamespace(renders=renders, jobs=lambda _: jobs), SimpleNamespace(record=lambda _: record))
     assert ("slow reference marcher" in capsys.readouterr().err) == warned
+
+
+def test_a_plan_distinguishes_running_jobs_from_interrupted_ones(tmp_path) -> None:
+    store, job = Store(tmp_path / "s", create=True), SimpleNamespace(id="fit-1")
+    assert _state(job, None, None, store) == "to do"
+    (store.partial / job.id).mkdir()
+    assert _state(job, None, None, store) == "interrupted"
+    with store.lock(job.id):
+        assert _state(job, None, None, store) == "running"
+    assert _state(job, None, None, store) == "interrupted"
