@@ -14,6 +14,8 @@ from datasets.errors import DataError
 if TYPE_CHECKING:
     import pandas as pd
 
+    from reports.charts.report import Report
+
 
 def results(options: Namespace) -> int:
     """Print a table of a store."""
@@ -28,7 +30,6 @@ def results(options: Namespace) -> int:
 def report(options: Namespace) -> int:
     """Print those of the paper's tables that a store has rows of, and write its HTML report."""
     from reports.charts.report import Report
-    from reports.conclusions.answers import to_text
     from reports.page.document import write_report
     from reports.paper import claims, documents, verdicts
     from reports.paper.tables import paper_tables
@@ -44,10 +45,17 @@ def report(options: Namespace) -> int:
         print(verdicts.to_text(claims.check(paper, contents.views)))
     _print_superseded(tables, sys.stdout)
     write_report(tables, store.root, page, paper, contents)
-    if contents.contests:
-        print("\n".join(to_text(contents.contests[0], contents.answers)))
+    print_answers(contents)
     print(page)
     return 0
+
+
+def print_answers(contents: Report) -> None:
+    """Print which method is best at what; nothing where no two methods can be compared."""
+    from reports.conclusions.answers import to_text
+
+    if contents.contests:
+        print("\n".join(to_text(contents.contests[0], contents.answers)))
 
 
 def _print_superseded(tables: dict[str, pd.DataFrame], out: TextIO) -> None:

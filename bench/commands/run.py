@@ -44,7 +44,7 @@ def run(options: Namespace) -> int:
     # The rows of this run alone; the store's tables may hold another version of a model.
     frames = joined(stored_tables(outcome.records, versions))
     if len(frames["results"]) or len(frames["dvr"]):
-        from bench.commands.results import print_results, print_table
+        from bench.commands.results import print_answers, print_results, print_table
         from reports.paper.datasets import costs
 
         if len(frames["results"]):
@@ -54,9 +54,12 @@ def run(options: Namespace) -> int:
         page = store.root / "report.html"
         if not options.no_report:
             if outcome.ran or not page.is_file():
+                from reports.charts.report import Report
                 from reports.page.document import write_report
 
-                write_report(tables, store.root, page)
+                contents = Report(tables)
+                write_report(tables, store.root, page, report=contents)
+                print_answers(contents)
             print(f"report: {page}")
     return _verdict(outcome)
 
