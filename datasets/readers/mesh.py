@@ -105,13 +105,16 @@ def resampled(
         path: the file, for messages.
 
     Raises:
-        DataError: no cell has a volume, values are not finite, the mesh is flat, or no sample lies inside.
+        DataError: values are no finite numbers, no cell has a volume, the mesh is flat, or no sample lies
+            inside.
     """
     n = DEFAULT_RESOLUTION if resolution is None else resolution
     if not 2 <= n <= _MAX_RESOLUTION:
         raise DataError(
             path, f"resolution {n}", f"Choose 2 to {_MAX_RESOLUTION} samples along the longest side"
         )
+    if values.dtype.kind not in "biuf":
+        raise DataError(path, f"values of type {values.dtype} are no scalar field", _REMEDY)
     if len(values) != (len(mesh.ends) if of_cells else len(mesh.points)):
         raise DataError(path, f"has {len(values)} values for its points or cells", _REMEDY)
     solid = np.isin(mesh.types, list(CELL_NODES))

@@ -319,6 +319,7 @@ def test_clouds_of_meshes_are_their_vertices(tmp_path: Path) -> None:
         ({"nan": True}, "not finite"),
         ({"flat": True}, "flat"),
         ({"tangled": True}, "overlap many times"),
+        ({"values": "S1"}, "no scalar field"),
     ],
 )
 def test_meshes_that_vtk_must_not_see(change: dict, reason: str) -> None:
@@ -336,8 +337,9 @@ def test_meshes_that_vtk_must_not_see(change: dict, reason: str) -> None:
         connectivity = np.tile(np.array([0, 3, 12, 63]), 20_000)
         ends, types = 4 * np.arange(1, 20_001), np.full(20_000, 10, np.uint8)
     grid = meshes.Mesh(positions, connectivity, ends, types)
+    values = LINEAR.astype(change.get("values", LINEAR.dtype))
     with pytest.raises(DataError, match=reason):
-        meshes.resampled(meshes.Mesh.joined([grid], Path("m")), LINEAR, False, 33, Path("m"))
+        meshes.resampled(meshes.Mesh.joined([grid], Path("m")), values, False, 33, Path("m"))
 
 
 def test_resolutions(tmp_path: Path) -> None:
