@@ -104,6 +104,7 @@ class Contest:
             and row["method"] in self.methods
             and row["status"] == "ok"
             and not absent(row[column])
+            and (column == "psnr" or float(row[column]) > 0)  # all else is compared by ratio
         ]
         if column not in CLOCKS:
             return Values(self._common(rows, column))

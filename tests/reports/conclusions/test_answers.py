@@ -152,6 +152,13 @@ def test_speeds_are_of_one_processor_and_of_quiet_machines():
     assert "better on 3 of 3 datasets" in answer.sentence, "the dataset without a time of b is out"
 
 
+def test_a_time_of_zero_is_no_time():
+    """Tables of other tools may round to whole seconds."""
+    rows = [*pair([0.0] * 4)]
+    rows[0]["train_seconds"] = 0.0
+    assert "on 0 of 3 datasets" in measured(TRAINING, contest(*rows)).sentence
+
+
 def test_busy_machines_alone_decide_nothing():
     rows = [*pair([0.0, 0.0, 0.0])]
     quiet = [row("x", 1.0, f"q{i}", reference_seconds=0.5) for i in range(20)]
