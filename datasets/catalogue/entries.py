@@ -93,14 +93,18 @@ def _built_in(name: str) -> dict[str, Any]:
 def list_datasets(data_dirs: Sequence[Path | str] | None = None) -> list[DatasetInfo]:
     """Every entry of the catalogue, with the place or the source of its data."""
     infos = []
-    own = own_files()
     for name in names():
-        folders = data_folders(data_dirs)
         try:
-            infos.append(_info(name, [own[name].parent, *folders] if name in own else folders))
+            infos.append(_info(name, folders_of(name, data_dirs)))
         except DataError as error:  # of the user's entries; others go on
             infos.append(DatasetInfo(name, "", "broken", None, (), (), {}, False, str(error)))
     return infos
+
+
+def folders_of(name: str, data_dirs: Sequence[Path | str] | None = None) -> list[Path]:
+    """Folders to search for the files of an entry: first that of the user's own, if it is one."""
+    own = own_files().get(name)
+    return [*([own.parent] if own else []), *data_folders(data_dirs)]
 
 
 def data_folders(data_dirs: Sequence[Path | str] | None = None) -> list[Path]:

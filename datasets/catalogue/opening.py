@@ -47,9 +47,7 @@ def open_dataset(
             return _procedural(base, table, _resolution(text, at) if at else resolution)
         if resolution is not None or "@" in text:
             raise DataError(text, "only procedural volumes have a choice of resolution", f"Ask for {base}")
-        folders = entries.data_folders(data_dirs)
-        own = entries.own_files().get(base)
-        return _from_catalogue(base, table, [own.parent, *folders] if own else folders, download)
+        return _from_catalogue(base, table, entries.folders_of(base, data_dirs), download)
     path = Path(text).expanduser()
     if path.suffix == ".toml":
         from datasets.catalogue.own import read_entry
