@@ -1,8 +1,9 @@
-"""Volume files: one reader per format, chosen by the file's suffix.
+"""Volume files: one reader per format, chosen by the file's suffix, or by what a folder holds.
 
-``.raw`` and ``.raw.gz`` (:mod:`~datasets.readers.raw`), ``.npy``, NRRD and NIfTI hold one field. ``.npz``,
-HDF5, NetCDF, VTK's files and Exodus meshes hold variables by name, some with time steps. Every fault of a
-file becomes one :class:`~datasets.errors.DataError` that names file, reason and remedy.
+``.raw`` and ``.raw.gz`` (:mod:`~datasets.readers.raw`), ``.npy``, NRRD and NIfTI hold one field. All others
+hold variables by name, some with time steps. What VTK, SimpleITK, tifffile, h5py and zarr read, they read in
+a process of their own (:mod:`~datasets.readers.sandbox`). Every fault of a file becomes one
+:class:`~datasets.errors.DataError` that names file, reason and remedy.
 """
 
 from __future__ import annotations
@@ -33,22 +34,59 @@ _CONTAINERS = {
     ".npz": "npz",
     ".h5": "hdf5",
     ".hdf5": "hdf5",
+    ".hdf": "hdf",
     ".nc": "netcdf",
-    ".vti": "vtk_xml",
-    ".vtr": "vtk_xml",
-    ".vtu": "vtk_xml",
+    ".nc4": "netcdf",
+    ".zarr": "zarr",
+    ".zarr.zip": "zarr",
     ".vtk": "vtk_legacy",
     ".ex2": "exodus",
     ".exo": "exodus",
     ".e": "exodus",
+    ".mha": "itk",
+    ".mhd": "itk",
+    ".dcm": "itk",
+    ".tif": "slices",
+    ".tiff": "slices",
+    **dict.fromkeys((".vti", ".vtr", ".vts", ".vtu"), "vtk_data"),
+    **dict.fromkeys((".pvti", ".pvtr", ".pvts", ".pvtu", ".vtkhdf"), "vtk_data"),
+    **dict.fromkeys((".slc", ".case", ".xdmf", ".xmf", ".foam", ".xyz", ".q"), "vtk_data"),
 }
 _FORMATS = _SINGLE | _CONTAINERS
+_LOOK = 20
+"""Files of a folder that are looked into for DICOM."""
 
 
 def suffix_of(path: Path) -> str:
     """The suffix of a known volume format, else ""."""
     name = path.name.lower()
     return max((s for s in _FORMATS if name.endswith(s)), key=len, default="")
+
+
+def folder_kind(path: Path) -> str:
+    """How a folder holds a volume: "zarr", "slices" (pictures), "itk" (DICOM), or "" if it does not.
+
+    Raises:
+        OSError: the folder cannot be read.
+    """
+    files = sorted(path.iterdir())
+    names = {file.name for file in files}
+    if "transforms_train.json" in names:
+        return ""  # pre-rendered views
+    if names & {".zgroup", ".zarray", ".zmetadata", "zarr.json"} or suffix_of(path) == ".zarr":
+        return "zarr"
+    files = [file for file in files if file.is_file()]
+    if any(file.suffix.lower() in (".tif", ".tiff", ".png") for file in files):
+        return "slices"
+    if "DICOMDIR" in names or any(map(_is_dicom, files[:_LOOK])):
+        return "itk"
+    return ""
+
+
+def _is_dicom(file: Path) -> bool:
+    with file.open("rb") as stream:
+        stream.seek(128)
+        return file.suffix.lower() == ".dcm" or stream.read(4) == b"DICM"
 
 
 def list_variables(path: Path | str) -> tuple[Variable, ...]:
@@ -58,10 +96,9 @@ def list_variables(path: Path | str) -> tuple[Variable, ...]:
         DataError: the file is unusable.
     """
     path = Path(path)
-    if _suffix(path) in _SINGLE:
-        return ()
     try:
-        return _source(path).variables
+        kind = _kind(path)
+        return () if kind in _SINGLE.values() else _source(path, kind).variables
     except OSError as error:
         raise DataError(path, f"cannot be read ({error})", "Check the file and its permissions") from error
 
@@ -96,18 +133,18 @@ def read_volume(
             step, or is a grid, which takes no resolution.
     """
     path = Path(path)
-    suffix = _suffix(path)
 
     from datasets.readers import finish
     from datasets.readers.fields import Field, choose, plain
     from datasets.volume import Volume
 
     try:
-        if suffix in _SINGLE:
+        kind = _kind(path)
+        if kind in _SINGLE.values():
             _refuse_choice(path, array, step, resolution)
-            field, in_file = Field(*_read_single(path, _SINGLE[suffix])), "value"
+            field, in_file = Field(*_read_single(path, kind)), "value"
         else:
-            source = _source(path)
+            source = _source(path, kind)
             choice = choose(path, source.variables, array or variable, step, resolution)
             field, in_file = source.read(choice), plain(choice.name)
         spacing = spacing or field.spacing
@@ -122,12 +159,24 @@ def read_volume(
         raise DataError(path, f"cannot be read ({error})", "Check the file and its permissions") from error
 
 
-def _suffix(path: Path) -> str:
-    suffix = suffix_of(path)
+def _kind(path: Path) -> str:
+    """The reader of a file or folder."""
+    if path.is_dir():
+        kind = folder_kind(path)
+        if not kind:
+            reason = "is a folder, and holds no volume: no slices (.tif, .png), DICOM files or Zarr store"
+            raise DataError(path, reason, "Name a file in it")
+        return kind
     _check_file(path)
+    suffix = suffix_of(path)
     if not suffix:
-        raise DataError(path, "unknown volume format", f"Known suffixes: {', '.join(_FORMATS)}")
-    return suffix
+        reason = f"unknown volume format {path.suffix!r}" if path.suffix else "unknown volume format"
+        remedy = (
+            f"Known are {', '.join(_FORMATS)}, and folders of DICOM files or of TIFF or PNG slices. "
+            "Convert it with ParaView (.vti) or 3D Slicer (.nrrd), or name raw values NAME_64x64x32_uint8.raw"
+        )
+        raise DataError(path, reason, remedy)
+    return _FORMATS[suffix]
 
 
 def _refuse_choice(path: Path, array: str | None, step: int | None, resolution: int | None) -> None:
@@ -146,12 +195,7 @@ def _read_single(path: Path, kind: str) -> tuple[NDArray[np.generic], tuple[floa
     return readers[kind](path)
 
 
-def _source(path: Path) -> Source:
-    kind = _CONTAINERS[suffix_of(path)]
-    if kind == "vtk_xml":
-        from datasets.readers.vtk_xml import XmlFile
-
-        return XmlFile(path)
+def _source(path: Path, kind: str) -> Source:
     if kind == "vtk_legacy":
         from datasets.readers.vtk_legacy import LegacyFile
 
@@ -160,6 +204,10 @@ def _source(path: Path) -> Source:
         from datasets.readers.exodus import Exodus
 
         return Exodus(path, _netcdf(path))
+    from datasets.readers.sandbox import Foreign, Stored
+
+    if kind in ("vtk_data", "itk", "slices"):
+        return Foreign(path, kind)
     from datasets.readers.arrays import Arrays
 
     if kind == "npz":
@@ -168,9 +216,10 @@ def _source(path: Path) -> Source:
         return Arrays(path, Npz(path), missing=False)
     if kind == "netcdf":
         return Arrays(path, _netcdf(path), missing=True)
-    from datasets.readers.hdf5 import Hdf5
-
-    return Arrays(path, Hdf5(path), missing=True)
+    stored = Stored(path, "zarr_store" if kind == "zarr" else "hdf5")
+    if kind == "hdf" and any(name.startswith("VTKHDF/") for name in stored.arrays):
+        return Foreign(path, "vtk_data")
+    return Arrays(path, stored, missing=True)
 
 
 def _netcdf(path: Path) -> Container:
@@ -181,15 +230,13 @@ def _netcdf(path: Path) -> Container:
         from datasets.readers.netcdf3 import NetCdf3
 
         return NetCdf3(path)
-    from datasets.readers.hdf5 import Hdf5
+    from datasets.readers.sandbox import Stored
 
-    return Hdf5(path)
+    return Stored(path, "hdf5")
 
 
 def _check_file(path: Path) -> None:
     try:
-        if path.is_dir():
-            raise DataError(path, "is a folder, not a volume file", "Name a file in it")
         if not path.exists():
             raise DataError(path, "no such file", "Check the path (relative to the current folder)")
         if not path.is_file():
@@ -198,5 +245,5 @@ def _check_file(path: Path) -> None:
             empty = not file.read(1)
     except (OSError, ValueError) as error:
         raise DataError(path, f"cannot be read ({error})", "Check the path and its permissions") from error
-    if empty:
+    if empty and path.suffix.lower() != ".foam":  # stands for the folder that it lies in
         raise DataError(path, "is empty", "Copy or download it again")

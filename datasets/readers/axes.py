@@ -77,6 +77,9 @@ def place(
             spacing[i] = length / (n - 1)
             uniform = np.linspace(positions[0], positions[-1], n)
             uneven[2 - i] = np.interp(uniform, positions, np.arange(len(positions)))
+            if not np.isfinite(uneven[2 - i]).all():
+                remedy = "Write positions that double precision can distinguish"
+                raise DataError(path, f"positions along {name} lie too close to each other", remedy)
     size = (spacing[0], spacing[1], spacing[2])
     if bounds is None and uneven:
         bounds = value_range(values, path)  # refuses NaN before differences are formed

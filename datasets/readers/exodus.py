@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import DataError
 from datasets.readers.container import Container
-from datasets.readers.fields import Choice, Field, Variable, need
+from datasets.readers.fields import Choice, Field, Variable
 from datasets.readers.mesh import Mesh, resampled
 
 _REMEDY = "Copy it again, or write it again as an Exodus II file"
@@ -47,7 +47,6 @@ class Exodus:
 
     def read(self, choice: Choice) -> Field:
         """The values of one choice."""
-        need("vtk", self.path)
         of_cells, number = self._where[choice.variable.name]
         points = self._points()
         blocks = [self._block(name) for name in self._blocks()]

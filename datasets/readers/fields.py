@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Protocol
 
@@ -146,14 +145,3 @@ def scalar(values: NDArray[np.generic], choice: Choice) -> NDArray[np.generic]:
         part = values[start : start + step].astype(out.dtype)
         np.sqrt(np.einsum("...c,...c->...", part, part), out=out[start : start + step])
     return out
-
-
-def need(package: str, path: Path) -> None:
-    """Check that an optional package is installed.
-
-    Raises:
-        DataError: it is not; the remedy is its installation.
-    """
-    if find_spec(package) is None:
-        remedy = "Run: pip install 'econgs-bench[io]'"
-        raise DataError(path, f"the Python package {package} is needed to read it", remedy)

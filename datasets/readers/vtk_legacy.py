@@ -1,6 +1,6 @@
 """VTK's legacy files (``.vtk``), ASCII and binary: structured points, rectilinear and unstructured grids.
 
-This module parses them without VTK (see :mod:`datasets.readers.vtk_xml`); binary values are memory-mapped.
+This module parses them without VTK; binary values are memory-mapped.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from datasets.errors import DataError
 from datasets.readers import finish
 from datasets.readers.axes import place
-from datasets.readers.fields import Choice, Field, Variable, need, scalar
+from datasets.readers.fields import Choice, Field, Variable, scalar
 from datasets.readers.mesh import Mesh, resampled
 from datasets.readers.text import numbers_until
 
@@ -89,7 +89,6 @@ class LegacyFile:
         if components > 1:
             values = values.reshape(tuples, components)
         if self._kind == "UNSTRUCTURED_GRID":
-            need("vtk", self.path)
             return resampled(self._mesh(), scalar(values, choice), of_cells, choice.resolution, self.path)
         shape = tuple(reversed(self._sample_dims(of_cells)))
         values = values.reshape(*shape, *values.shape[1:])

@@ -6,7 +6,14 @@ import pytest
 
 from datasets.ground_truth.reference import ReferenceMarcher
 from datasets.view_cache import ViewCache
+from tests.datasets.forked import use_forks
 from tests.datasets.marching import mitsuba
+
+
+@pytest.fixture
+def forks(monkeypatch):
+    """Readers' children as forks of this process: for tests that read many files."""
+    use_forks(monkeypatch)
 
 
 @pytest.fixture(params=["reference", "mitsuba"])

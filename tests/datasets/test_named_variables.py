@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import signal
 import subprocess
@@ -19,7 +18,7 @@ from hypothesis import strategies as st
 from datasets.catalogue import open_dataset
 from datasets.catalogue.opening import _reader
 from datasets.errors import DataError, UnknownName
-from datasets.readers import hdf5, list_variables, read_volume
+from datasets.readers import list_variables, read_volume, sandbox
 from tests.datasets.damage import PROPERTY, check_damage, check_volumes
 from tests.datasets.damage import array as _array
 
@@ -238,28 +237,18 @@ def test_choices_that_are_not_there(tmp_path: Path) -> None:
         read_volume(tmp_path / "v.npy", array="v")
 
 
-def test_missing_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _write(tmp_path / "v.h5")
-    monkeypatch.setattr(
-        "datasets.readers.fields.find_spec",
-        lambda name: None if name == "h5py" else importlib.util.find_spec(name),
-    )
-    with pytest.raises(DataError, match=r"pip install 'econgs-bench\[io\]'"):
-        read_volume(tmp_path / "v.h5")
-
-
 def test_a_reader_that_dies_or_stands_still(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _write(tmp_path / "v.h5")
-    source = hdf5.Hdf5(tmp_path / "v.h5")
-    os.kill(source._child.pid, signal.SIGSEGV)
-    with pytest.raises(DataError, match=r"ended with code -11"):
+    source = sandbox.Stored(tmp_path / "v.h5", "hdf5")
+    os.kill(source._child._child.pid, signal.SIGSEGV)
+    with pytest.raises(DataError, match=r"crashed \(SIGSEGV\)"):
         source.read("v")
-    source = hdf5.Hdf5(tmp_path / "v.h5")
-    os.kill(source._child.pid, signal.SIGSTOP)
-    monkeypatch.setattr(hdf5, "_PATIENCE", 0.2)
+    source = sandbox.Stored(tmp_path / "v.h5", "hdf5")
+    monkeypatch.setattr(source._child, "_patience", 0.2)
+    os.kill(source._child._child.pid, signal.SIGSTOP)
     with pytest.raises(DataError, match="stood still"):
         source.read("v")
-    assert source._child.poll() is not None
+    assert source._child._child.poll() is not None
 
 
 def test_dataset_of_all_variables(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -326,7 +315,7 @@ def _write(path: Path) -> Path:
         *(pytest.param(name, 150, marks=pytest.mark.slow) for name in ("v.h5", "netcdf4.nc")),
     ],
 )
-def test_damaged_files(tmp_path: Path, name: str, many: int) -> None:
+def test_damaged_files(forks: None, tmp_path: Path, name: str, many: int) -> None:
     def check(path: Path) -> None:
         for variable in ("v", "w"):
             check_volumes(path, lambda variable=variable: [read_volume(path, variable)])
@@ -363,7 +352,7 @@ if sys.argv[2] == "volume":
     volume = read_volume(sys.argv[1], sys.argv[3] or None)
     assert float(volume.values[-1, -1, -1]) == 1.0
 else:
-    import datasets.readers.arrays, datasets.readers.hdf5, datasets.readers.npz, datasets.readers.vtk_xml
+    import datasets.readers.arrays, datasets.readers.sandbox, datasets.readers.npz
     import datasets.readers.netcdf3, datasets.volume
 print(peak_host_bytes())
 """
@@ -407,4 +396,4 @@ def test_never_more_than_two_copies_in_memory(tmp_path: Path, name: str) -> None
             path, {"v": big}, "NETCDF4" if "4" in name else "NETCDF3_64BIT_OFFSET", {}, attributes=entries
         )
     masks = 2 * big.size if "masked" in name else 0  # the result, and the one that grows while it is filled
-    assert peak_bytes(path) < 2.05 * big.nbytes + masks
+    assert peak_bytes(path) < 2.1 * big.nbytes + masks

@@ -151,7 +151,7 @@ BAD = {
     "text.npy": (b"hello, I am no array", "not a readable .npy"),
     "text.nrrd": (b"hello, I am no array", "no readable NRRD header"),
     "text.nii": (b"hello, I am no array", "not a readable NIfTI"),
-    "picture.tiff": (b"II*", "unknown volume format"),
+    "picture.jpeg": (b"II*", "unknown volume format '.jpeg'"),
 }
 
 

@@ -105,5 +105,5 @@ def test_named_on_a_command_line(data_folder: Path, monkeypatch: pytest.MonkeyPa
 def test_all_variables_of_a_mesh(data_folder: Path) -> None:
     dataset = open_dataset(data_folder / "mesh_fire_ug" / "fire_ug.vtu")
     assert list(dataset.volumes) == ["t", "uvw", "u", "v", "w", "mfrac"]
-    assert len(dataset.scenes) == 12
+    assert len(dataset.scenes) == 11  # a second one of mfrac would show much the same
     assert dataset.compositions["t"] == ("t_tf1", "t_tf2")

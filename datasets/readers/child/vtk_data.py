@@ -1,0 +1,274 @@
+"""Grids and meshes through VTK's readers; only the modules of one reader are imported."""
+
+from __future__ import annotations
+
+import math
+import mmap
+import re
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from vtkmodules.util.numpy_support import get_numpy_array_type, vtk_to_numpy
+from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline as Pipeline
+
+from datasets.errors import DataError
+
+READERS = {
+    ".vti": "vtkIOXML.vtkXMLImageDataReader",
+    ".vtr": "vtkIOXML.vtkXMLRectilinearGridReader",
+    ".vts": "vtkIOXML.vtkXMLStructuredGridReader",
+    ".vtu": "vtkIOXML.vtkXMLUnstructuredGridReader",
+    ".pvti": "vtkIOXML.vtkXMLPImageDataReader",
+    ".pvtr": "vtkIOXML.vtkXMLPRectilinearGridReader",
+    ".pvts": "vtkIOXML.vtkXMLPStructuredGridReader",
+    ".pvtu": "vtkIOXML.vtkXMLPUnstructuredGridReader",
+    ".vtkhdf": "vtkIOHDF.vtkHDFReader",
+    ".hdf": "vtkIOHDF.vtkHDFReader",
+    ".slc": "vtkIOImage.vtkSLCReader",
+    ".case": "vtkIOEnSight.vtkGenericEnSightReader",
+    ".xdmf": "vtkIOXdmf2.vtkXdmfReader",
+    ".xmf": "vtkIOXdmf2.vtkXdmfReader",
+    ".foam": "vtkIOGeometry.vtkOpenFOAMReader",
+    ".xyz": "vtkIOParallel.vtkMultiBlockPLOT3DReader",
+    ".q": "vtkIOParallel.vtkMultiBlockPLOT3DReader",
+}
+_IN_PIECES = (".vti", ".vtr", ".vts", ".pvti", ".pvtr", ".pvts")
+_DUPLICATE_CELL, _HIDDEN_POINT, _HIDDEN_CELL = 1, 2, 32
+_MASKS = ("vtkGhostType", "vtkValidPointMask")
+
+
+def open_source(path: str) -> VtkData:
+    """The data of a file."""
+    return VtkData(Path(path))
+
+
+class VtkData:
+    """What a reader makes of a file, step by step."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        if path.suffix.lower() in _IN_PIECES:
+            _check_pieces(path)
+        self._reader = _reader(path)
+        self._reader.UpdateInformation()
+        self._check_code()
+        information = self._reader.GetOutputInformation(0)
+        key = Pipeline.TIME_STEPS()
+        self._times = [information.Get(key, i) for i in range(information.Length(key))]
+        self._step = -1
+        self._update(0)
+
+    def contents(self) -> dict[str, Any]:
+        """Name, dims (None for meshes), steps and components of each variable."""
+        steps = max(1, len(self._times))
+        variables = []
+        for name, (of_cells, array) in self._arrays().items():
+            dims = None if self._mesh else _dims(self._data, of_cells)
+            entry = {
+                "name": name,
+                "dims": dims,
+                "components": array.GetNumberOfValues() // self._count(of_cells),
+            }
+            variables.append({**entry, "steps": steps})
+        return {"variables": variables}
+
+    def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """A variable at a step, with the positions of its samples or the mesh that it belongs to."""
+        self._update(step)
+        arrays = self._arrays()
+        if read not in arrays:
+            raise DataError(self._path, f"has no {read!r} at time step {step}", "Choose another step")
+        of_cells, array = arrays[read]
+        values = vtk_to_numpy(array).reshape(self._count(of_cells), -1)
+        values = values[:, 0] if values.shape[1] == 1 else values
+        parts = _mesh(self._data, of_cells, values) if self._mesh else _grid(self._data, of_cells, values)
+        return {"of_cells": of_cells}, parts
+
+    def _update(self, step: int) -> None:
+        if step == self._step:
+            return
+        if self._times:
+            self._reader.UpdateTimeStep(self._times[step])
+        else:
+            self._reader.Update()
+        self._check_code()
+        self._step = step
+        leaves = list(_leaves(self._reader.GetOutputDataObject(0)))
+        if not leaves:
+            raise DataError(self._path, "holds no grid and no mesh", "Check that all its files are there")
+        self._mesh = len(leaves) > 1 or not _is_grid(leaves[0])
+        self._data = _joined(leaves) if self._mesh else leaves[0]
+
+    def _check_code(self) -> None:
+        code = self._reader.GetErrorCode()
+        if code:
+            from vtkmodules.vtkCommonMisc import vtkErrorCode
+
+            reason = f"is damaged or unreadable: {vtkErrorCode.GetStringFromErrorCode(code)}"
+            raise DataError(self._path, reason, "Copy it again, or write it again with VTK or ParaView")
+
+    def _count(self, of_cells: bool) -> int:
+        return int(self._data.GetNumberOfCells() if of_cells else self._data.GetNumberOfPoints())
+
+    def _arrays(self) -> dict[str, tuple[bool, Any]]:
+        """Name -> whether it belongs to cells, and the array."""
+        arrays: dict[str, tuple[bool, Any]] = {}
+        for of_cells, data in ((False, self._data.GetPointData()), (True, self._data.GetCellData())):
+            for number in range(data.GetNumberOfArrays()):
+                array = data.GetArray(number)  # None for texts
+                name = data.GetArrayName(number)
+                if array is None or not name or name in _MASKS or not _numeric(array):
+                    continue
+                if array.GetNumberOfValues() and array.GetNumberOfValues() % self._count(of_cells) == 0:
+                    arrays[f"{name}_cells" if name in arrays else name] = of_cells, array
+        return arrays
+
+
+def _reader(path: Path) -> Any:
+    suffix = path.suffix.lower()
+    module, name = READERS[suffix].split(".")
+    reader = getattr(import_module(f"vtkmodules.{module}"), name)()
+    if suffix in (".xyz", ".q"):
+        reader.SetXYZFileName(str(_beside(path, ".xyz")))
+        reader.SetQFileName(str(_beside(path, ".q")))
+        reader.AutoDetectFormatOn()
+    elif suffix == ".case":
+        reader.SetCaseFileName(str(path))
+        reader.ReadAllVariablesOn()
+    else:
+        reader.SetFileName(str(path))
+    if suffix == ".foam":
+        reader.CreateCellToPointOff()
+    return reader
+
+
+def _check_pieces(path: Path) -> None:
+    """Refuse a grid whose pieces do not fill it: VTK leaves the rest as memory was."""
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        end = data.find(b"<AppendedData")
+        extents = [
+            (match[1], [int(n) for n in match[2].split()])
+            for match in re.finditer(rb"\b(WholeExtent|Extent)\s*=\s*[\"']([-+0-9 ]+)[\"']", data)
+            if end < 0 or match.start() < end
+        ]
+    cells = {b"WholeExtent": 0, b"Extent": 0}
+    for kind, extent in extents:
+        sides = [max(high - low, 1) for low, high in zip(extent[::2], extent[1::2], strict=False)]
+        cells[kind] += math.prod(sides)
+    if cells[b"Extent"] < cells[b"WholeExtent"]:
+        raise DataError(path, "its pieces do not fill its extent", "Write it again with VTK or ParaView")
+
+
+def _beside(path: Path, suffix: str) -> Path:
+    """The file of that name with another suffix, in the letters of either case."""
+    for other in (path.with_suffix(suffix), path.with_suffix(suffix.upper())):
+        if other.is_file():
+            return other
+    name = path.with_suffix(suffix).name
+    raise DataError(path, f"PLOT3D needs {name} beside it", "Keep both files together, with one name")
+
+
+def _leaves(data: Any) -> Iterator[Any]:
+    """The grids and meshes of a dataset, those of a collection one by one."""
+    if data is None:
+        return
+    if data.IsA("vtkCompositeDataSet"):
+        iterator = data.NewIterator()
+        iterator.InitTraversal()
+        while not iterator.IsDoneWithTraversal():
+            yield from _leaves(iterator.GetCurrentDataObject())
+            iterator.GoToNextItem()
+    elif data.IsA("vtkDataSet") and data.GetNumberOfCells():
+        yield data
+
+
+def _is_grid(data: Any) -> bool:
+    return bool(data.IsA("vtkImageData") or data.IsA("vtkRectilinearGrid"))
+
+
+def _joined(leaves: list[Any]) -> Any:
+    """All as one unstructured mesh, with the arrays that all have."""
+    if len(leaves) == 1 and leaves[0].IsA("vtkUnstructuredGrid"):
+        return leaves[0]
+    from vtkmodules.vtkFiltersCore import vtkAppendFilter
+
+    together = vtkAppendFilter()
+    for leaf in leaves:
+        together.AddInputData(leaf)
+    together.Update()
+    return together.GetOutput()
+
+
+def _dims(data: Any, of_cells: bool) -> list[int]:
+    return [max(n - of_cells, 1) for n in data.GetDimensions()]
+
+
+def _numeric(array: Any) -> bool:
+    try:
+        return np.dtype(get_numpy_array_type(array.GetDataType())).kind in "iuf"
+    except (KeyError, TypeError):
+        return False
+
+
+def _grid(data: Any, of_cells: bool, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Values (z, y, x) or (z, y, x, components), positions along the axes, and the mask of blanked ones."""
+    shape = tuple(reversed(_dims(data, of_cells)))
+    parts = {"values": values.reshape(*shape, *values.shape[1:])}
+    for axis, name in enumerate("xyz"):
+        if data.IsA("vtkImageData"):
+            positions = data.GetSpacing()[axis] * np.arange(data.GetDimensions()[axis], dtype=np.float64)
+        else:
+            positions = vtk_to_numpy(getattr(data, f"Get{name.upper()}Coordinates")())
+        parts[name] = 0.5 * (positions[1:] + positions[:-1]) if of_cells else positions
+    section = data.GetCellData() if of_cells else data.GetPointData()
+    valid = _valid(section, _HIDDEN_CELL if of_cells else _HIDDEN_POINT)
+    return parts if valid is None else parts | {"mask": valid.reshape(shape).view(np.uint8)}
+
+
+def _valid(section: Any, hidden: int) -> NDArray[np.bool_] | None:
+    """False where VTK blanked a point or cell, or its resampling found nothing; None: all are valid."""
+    valid: NDArray[np.bool_] | None = None
+    for name in _MASKS:
+        array = section.GetArray(name)
+        if array is not None:
+            flags = vtk_to_numpy(array).reshape(array.GetNumberOfTuples(), -1)[:, 0]
+            one = flags != 0 if name == "vtkValidPointMask" else (flags.astype(np.uint8) & hidden) == 0
+            valid = one if valid is None else valid & one
+    return valid
+
+
+def _mesh(data: Any, of_cells: bool, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Points, cells and values, without blanked cells and the copies of neighbouring pieces."""
+    cells = data.GetCells()
+    ends = _numbers(cells.GetOffsetsArray())[1:]
+    connectivity, types = _numbers(cells.GetConnectivityArray()), _numbers(data.GetCellTypes())
+    keep = _valid(data.GetCellData(), _HIDDEN_CELL | _DUPLICATE_CELL)
+    shown = _valid(data.GetPointData(), _HIDDEN_POINT)
+    if shown is not None and not shown.all():
+        hidden = np.bincount(np.repeat(np.arange(len(ends)), np.diff(ends, prepend=0)), ~shown[connectivity])
+        keep = (hidden == 0) if keep is None else keep & (hidden == 0)
+    if keep is not None and not keep.all():
+        counts = np.diff(ends, prepend=0)
+        connectivity = connectivity[np.repeat(keep, counts)]
+        ends, types = np.cumsum(counts[keep]), types[keep]
+        values = values[keep] if of_cells else values
+    return {
+        "points": vtk_to_numpy(data.GetPoints().GetData()),
+        "connectivity": connectivity,
+        "ends": ends,
+        "types": types.astype(np.uint8),
+        "values": values,
+    }
+
+
+def _numbers(array: Any) -> NDArray[np.int64]:
+    """Whole numbers of any VTK array, also one that computes them instead of holding them."""
+    from vtkmodules.vtkCommonCore import vtkTypeInt64Array
+
+    plain = vtkTypeInt64Array()
+    plain.DeepCopy(array)
+    return np.asarray(vtk_to_numpy(plain))

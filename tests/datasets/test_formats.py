@@ -1,0 +1,125 @@
+"""Every format: the right values in the right places, and what is damaged is refused."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from datasets.catalogue import open_dataset
+from datasets.errors import DataError
+from datasets.readers import list_variables, read_volume, sandbox
+from tests.datasets import samples
+from tests.datasets.forked import use_forks
+from tests.datasets.fuzz import fuzz
+
+REAL = ("v.h5", "v3.zarr", "v.vti", "v.mha", "v.tif")
+"""A format of each library, read by a process of its own as users read it; forks read the others."""
+PARSED = ("v3.nc", "v.vtk", "v.ex2", "v.nii", "v.nii.gz", "raw.nrrd", "v.nrrd")
+"""Formats without a child: their damage is tested with their readers."""
+
+
+@pytest.mark.parametrize("name", samples.FORMATS)
+def test_values_and_axes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    if name not in REAL:
+        use_forks(monkeypatch)
+    path = samples.write(tmp_path, name)
+    variables = {v.name: v for v in list_variables(path)}
+    field = {"v.xyz": "Density", "v.q": "Density", "v.case": "f_n"}.get(
+        name, "f" if "f" in variables else None
+    )
+    if field is not None and variables[field].dims is None:
+        volume = read_volume(path, field, resolution=17)
+        axes = [np.linspace(0, a[-1], n) for a, n in zip(samples.AXES, volume.dims, strict=True)]
+        assert volume.dims == (11, 17, 4)
+        assert volume.mask is None
+        inside = slice(None)
+        if name in samples.CELLS:
+            inner = [(a > 0.999 * b[1]) & (a < b[-2] + 1e-3) for a, b in zip(axes, samples.AXES, strict=True)]
+            inside = np.ix_(*inner[::-1])
+        np.testing.assert_allclose(volume.values[inside], samples.linear(*axes)[inside], atol=1e-3)
+        return
+    volume = read_volume(path, field)
+    expected = samples.FIELD.astype(np.uint8) if name in samples.BYTES else samples.FIELD
+    np.testing.assert_allclose(volume.values, expected)
+    assert volume.spacing == pytest.approx((1.0, 1.0, 1.0) if name in samples.UNIT else samples.SPACING)
+
+
+@pytest.mark.parametrize("name", [n for n in samples.FORMATS if n not in PARSED])
+def test_damage_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    outcome = fuzz(samples.write(tmp_path, name), 15, tmp_path, monkeypatch, seed=1)
+    assert not outcome.faults
+    assert outcome.counts["refused"] > 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", samples.FORMATS)
+def test_much_damage_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    assert not fuzz(samples.write(tmp_path, name), 300, tmp_path, monkeypatch).faults
+
+
+def test_slices_that_are_missing(forks: None, tmp_path: Path) -> None:
+    """A folder of slices says so when one is not there, whatever its format."""
+    for name, slice_name, reason in (
+        ("dicom", "image8.dcm", "missing slices detected"),
+        ("tiff", "slice9.tif", "a slice is missing after number 8"),
+        ("png", "slice10.png", "a slice is missing after number 9"),
+    ):
+        path = samples.write(tmp_path, name)
+        (path / slice_name).unlink()
+        with pytest.raises(DataError, match=reason):
+            read_volume(path)
+
+
+def test_a_chunk_that_is_absent_has_the_fill_value(
+    forks: None, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = samples.write(tmp_path, "v3.zarr")
+    (path / "f" / "c" / "1" / "0" / "1").unlink()
+    volume = read_volume(path)
+    assert volume.mask is not None  # xarray's fill value is NaN
+    np.testing.assert_array_equal(volume.mask[2:, :3, 3:], False)
+    np.testing.assert_array_equal(volume.values[volume.mask], samples.FIELD[volume.mask])
+    assert "1 of 8 chunks of 'f' are absent" in caplog.text
+
+
+def test_time_steps_and_channels_of_a_stack(forks: None, tmp_path: Path) -> None:
+    stack = np.stack([samples.FIELD, samples.FIELD[::-1]]).astype(np.uint16)
+    tifffile.imwrite(tmp_path / "t.tif", stack, imagej=True, metadata={"axes": "TZYX"})
+    assert list_variables(tmp_path / "t.tif")[0].steps == 2
+    np.testing.assert_array_equal(read_volume(tmp_path / "t.tif", step=1).values, samples.FIELD[::-1])
+    colors = np.stack([samples.FIELD, 2 * samples.FIELD, 0 * samples.FIELD], axis=-1).astype(np.float32)
+    tifffile.imwrite(tmp_path / "c.tif", colors, photometric="rgb")
+    np.testing.assert_array_equal(read_volume(tmp_path / "c.tif", array="value.y").values, 2 * samples.FIELD)
+
+
+def test_metaimage_shorter_than_its_header_says(forks: None, tmp_path: Path) -> None:
+    path = samples.write(tmp_path, "v.mha")
+    path.write_bytes(path.read_bytes().replace(b"DimSize = 6 5 4", b"DimSize = 60000 50000 40000"))
+    with pytest.raises(DataError, match="is truncated"):
+        read_volume(path)
+
+
+def test_dataset_of_a_folder(forks: None, tmp_path: Path) -> None:
+    path = samples.write(tmp_path, "dicom")
+    dataset = open_dataset(path)
+    assert (dataset.name, dataset.kind) == ("dicom", "volume")
+    volume = dataset.volume("value")
+    np.testing.assert_array_equal(volume.values, samples.FIELD)
+    (path / "transforms_train.json").write_text("{}")  # pre-rendered views
+    assert open_dataset(path).kind == "views"
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataError, match="without pre-rendered views or a volume"):
+        open_dataset(tmp_path / "empty")
+
+
+def test_the_limits_of_a_child(tmp_path: Path) -> None:
+    """A process of its own, with limits of memory and time."""
+    source = sandbox.Stored(samples.write(tmp_path, "v.h5"), "hdf5")
+    limits = Path(f"/proc/{source._child._child.pid}/limits").read_text()
+    memory = int(re.search(r"Max address space +(\d+)", limits)[1])
+    assert 4 << 30 <= memory < (4 << 30) + (2 << 30)
+    assert re.search(r"Max cpu time +3600", limits)
