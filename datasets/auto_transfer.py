@@ -1,10 +1,19 @@
-"""Automatic transfer functions for unknown data."""
+"""Automatic transfer functions for unknown data.
+
+Bumps on many parts of the value range are candidates, each with two opacities. Visible voxels
+(:mod:`datasets.visibility`) decide among them: the choice shows as many boundaries as possible, and no two of
+its scenes show the same place.
+"""
 
 from __future__ import annotations
 
+import logging
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from os import cpu_count
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +21,7 @@ from numpy.typing import NDArray
 from datasets.errors import DataError
 from datasets.scene import BasicScene
 from datasets.transfer import Bump, TransferFunction
+from datasets.visibility import Samples, ends, overlaps
 from datasets.volume import Volume
 
 COLORS = (
@@ -28,8 +38,27 @@ COLORS = (
 _BINS = 256
 _MAX_SAMPLES = 160  # per axis: enough for a histogram, and fast for any volume
 _REFERENCE_LENGTH = 0.01
-_LEAST_SHARE = 1e-3  # of the voxels: parts with fewer are hardly visible
 _SURFACE_DEPTH = 1.2  # optical depth of one crossing of a surface: 70 % opaque
+_PARTS = 7  # of the value range, by area: enough for what differs, and 36 windows
+_TAIL = 0.95  # one more cut: what is dense or bright is small
+_TRANSLUCENT = 0.3  # times the opacity of a surface: what is thick stays, thin shells vanish
+_SHARES = (0.008, 0.24)  # of the voxels, visible: within the 0.5 to 30 % that a scene is to show
+_GOOD_SHARE = 0.05  # times mean opacity: for the one scene of a volume in which nothing separates
+_LEAST_LABEL = 0.002
+_OVERLAP = 0.46  # of two scenes: a little under the half that is the aim at any resolution
+_COHERENCE = 0.3  # least share of a window's visible voxels that are no part of a sharp edge or of noise
+_ALPHA = 0.25  # least mean opacity of the pixels that a scene covers
+_COVER = 0.8  # greatest share of the rays through the box that a scene may stop
+_BEAM = 300  # sets of scenes that stay in the search
+_LEVELS = 16  # most distinct values of a volume of labels
+_LEAST_OPACITY = 0.04
+_BONUS = 0.25  # of each further scene
+_TREND = 0.9  # share of the variance that a profile along an axis or a linear ramp explains
+_FLAT = 0.01  # of the value range: residuals of a trend under it are nothing
+_NOISE = 0.75  # squared differences of neighbors over twice the variance: 1 for white noise
+_SHEETS = 24  # parts of a trending field
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +80,17 @@ class Statistics:
 
 
 def automatic_scenes(volume: Volume, count: int = 3) -> tuple[BasicScene, ...]:
-    """Basic scenes whose opacity bumps share the occupied value range without overlap.
+    """Basic scenes that show different places of a volume, their bumps on disjoint parts of its values.
 
-    The range outside the homogeneous background is cut where isosurface areas are equal and, nearby, where
-    gradients are weakest; each part becomes a bump with its plateau at the part's strongest boundary, and
-    an opacity that makes one crossing of that boundary mostly, not fully, opaque. A part that has background
-    in its middle (zero, of signed data) becomes a scene of two bumps, one on each side.
+    The range outside the homogeneous background is cut where isosurface areas are equal. Each run of parts is
+    a window: a bump with its plateau at the strongest boundary within, so opaque that one crossing of that
+    boundary hides most behind it, or a third of that. A window that has background in its middle (zero, of
+    signed data) has two bumps, one on each side. A scene's worth is the root of the share of all gradients
+    that its visible voxels hold; it is less for pale pictures, and for voxels over which values jump past
+    the window (sharp edges, noise). Of the sets of scenes of which no two have more than 46 % of their
+    visible voxels in common, the one that is worth most wins.
+
+    A warning of the log tells where nothing separates: noise, or values that merely follow a position.
 
     Args:
         volume: the volume to show.
@@ -68,14 +102,25 @@ def automatic_scenes(volume: Volume, count: int = 3) -> tuple[BasicScene, ...]:
     if count < 1:
         raise DataError(f"{count} automatic scenes", "there must be at least one", "Ask for 3, say")
     stats = statistics(volume)
-    cuts = _cuts(stats, count)
+    samples = Samples.of(volume)
+    structure = _structure(stats, samples)
+    if structure.obstacle:
+        _log.warning("%s: transfer functions of %s: %s", volume.source, volume.name, structure.obstacle)
+    candidates = _candidates(stats, samples, structure)
+    usable = [one for one in candidates if one.usable]
+    if usable and not structure.empty:
+        choice = _choice(usable, count)
+    elif candidates:
+        choice = [min(candidates, key=lambda one: abs(math.log(one.share * one.alpha / _GOOD_SHARE))).bumps]
+    else:
+        choice = [(_bump("", stats, *_two_valued(stats), COLORS[0]),)]
     scenes = []
-    for i, (low, high) in enumerate(pairwise(cuts)):
+    for i, bumps in enumerate(choice):
         name = f"tf{i + 1}"
-        pieces = _without_background(stats, low, high)
+        sides = ("",) if len(bumps) == 1 else ("_below", "_above")
         bumps = tuple(
-            _bump(name if len(pieces) == 1 else f"{name} {side}", stats, *piece, COLORS[i % len(COLORS)])
-            for piece, side in zip(pieces, ("below", "above"), strict=False)
+            replace(bump, name=name + side, color=COLORS[i % len(COLORS)])
+            for bump, side in zip(bumps, sides, strict=True)
         )
         scenes.append(BasicScene(name, volume.name, TransferFunction(name, bumps, _REFERENCE_LENGTH)))
     return tuple(scenes)
@@ -156,48 +201,213 @@ def _grow(number: NDArray[np.floating], start: int, step: int, share: float) -> 
     return at
 
 
-def _cuts(stats: Statistics, count: int) -> list[float]:
-    """Ends of the bumps, ascending in [0, 1]: each part holds at least one occupied bin."""
-    area = np.where(stats.background, 0.0, stats.area)
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A window of values, with what it shows.
+
+    Attributes:
+        low, high: first bin, and the one after the last.
+        bumps: one, or two beside the background.
+        visible: (voxels,) bool.
+        share: of the voxels, visible; positive.
+        alpha: mean opacity of the pixels that it covers; positive.
+        worth: of its picture, positive.
+        usable: whether the picture is good enough to stand among others.
+    """
+
+    low: int
+    high: int
+    bumps: tuple[Bump, ...]
+    visible: NDArray[np.bool_]
+    share: float
+    alpha: float
+    worth: float
+    usable: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Structure:
+    """Where a volume has something to show.
+
+    Attributes:
+        slope: gradient magnitude per unit of scene space at each sample.
+        weight: the same of what a trend leaves over; 0 outside the mask.
+        windows: first bin of each window of values, and the one after the last.
+        labels: whether the values are few and distinct.
+        obstacle: why nothing separates, for people; "" where that is not so.
+        empty: whether any one window is as good as the others.
+    """
+
+    slope: NDArray[np.float32]
+    weight: NDArray[np.float32]
+    windows: list[tuple[int, int]]
+    labels: bool = False
+    obstacle: str = ""
+    empty: bool = False
+
+
+def _structure(stats: Statistics, samples: Samples) -> _Structure:
+    values, valid = samples.values, samples.valid
+    inside = values[valid].astype(np.float64)
+    slope = samples.slope(values)
+    weight = slope * valid
+    levels = np.unique(inside)
+    variance = float(inside.var())
+    if len(levels) < 3 or variance <= 0.0:
+        return _Structure(slope, weight, [])
+    share = np.cumsum(stats.count) / stats.count.sum()
+    if _roughness(samples) > _NOISE * variance:
+        high = [(int(np.searchsorted(share, 0.75)), _BINS)]
+        obstacle = "nothing separates (noise); the scene shows the highest values"
+        return _Structure(slope, weight, high, False, obstacle, True)
+    if len(levels) <= _LEVELS:
+        return _Structure(slope, weight, _around(stats, levels), True)
+    trend, kind = _trend(samples)
+    residual = values - trend
+    explained = 1.0 - float(residual[valid].astype(np.float64).var()) / variance
+    if explained < _TREND:
+        return _Structure(slope, weight, _windows(stats, stats.area, _PARTS))
+    if float(np.quantile(np.abs(residual[valid]), 0.999)) < _FLAT:
+        middle = int(np.searchsorted(share, 0.5))
+        bands = [(max(middle - half, 0), min(middle + half, _BINS)) for half in (4, 8, 16)]
+        obstacle = f"nothing separates, values follow {kind} and nothing else; the scene shows their middle"
+        return _Structure(slope, weight, bands, False, obstacle, True)
+    weight = samples.slope(residual) * valid
+    area = np.bincount(_bin(values[valid]), weights=weight[valid], minlength=_BINS)
+    part = f"{100 * min(explained, 0.999):.1f} % of the variance"
+    obstacle = f"values mostly follow {kind} ({part}); scenes are sheets, bent where values deviate"
+    return _Structure(slope, weight, _windows(stats, area, _SHEETS, sheets=True), False, obstacle)
+
+
+def _roughness(samples: Samples) -> float:
+    """Half the mean squared difference of neighbors: the variance, for white noise."""
+    squares = []
+    for axis in range(3):
+        steps = np.diff(samples.values, axis=axis)[np.logical_and(*ends(samples.valid, axis))]
+        if len(steps):
+            squares.append(0.5 * float(np.mean(steps.astype(np.float64) ** 2)))
+    return float(np.mean(squares)) if squares else 0.0
+
+
+def _trend(samples: Samples) -> tuple[NDArray[np.float32], str]:
+    """The best of the mean profiles along each axis and a linear ramp, and its name."""
+    values, valid = samples.values, samples.valid
+    number = valid.sum()
+    fits: list[tuple[NDArray[np.float32], str]] = []
+    axes = []
+    for axis, name in enumerate("zyx"):
+        others = tuple(other for other in range(3) if other != axis)
+        total = np.where(valid, values, 0.0).sum(axis=others, keepdims=True, dtype=np.float64)
+        profile = total / np.maximum(valid.sum(axis=others, keepdims=True), 1)
+        fits.append((np.broadcast_to(profile, values.shape).astype(np.float32), f"the position along {name}"))
+        shape = [-1 if other == axis else 1 for other in range(3)]
+        axes.append(np.broadcast_to(np.linspace(-1.0, 1.0, values.shape[axis]).reshape(shape), values.shape))
+    places = np.stack([np.ones(values.shape), *axes], axis=-1)
+    some = np.flatnonzero(valid)[:: max(1, int(number) // 50_000)]
+    fit = np.linalg.lstsq(places.reshape(-1, 4)[some], values.ravel()[some].astype(np.float64), rcond=None)[0]
+    fits.append(((places @ fit).astype(np.float32), "a linear ramp"))
+    return min(fits, key=lambda one: float(((values - one[0])[valid].astype(np.float64) ** 2).sum()))
+
+
+def _windows(
+    stats: Statistics, area: NDArray[Any], parts: int, *, sheets: bool = False
+) -> list[tuple[int, int]]:
+    """Runs of parts of equal area outside the background; of ``sheets``, each part by itself."""
+    area = np.where(stats.background, 0.0, area)
     occupied = np.flatnonzero((stats.count > 0) & ~stats.background)
-    if not len(occupied) or area.sum() <= 0.0:
-        return _two_valued(stats)
+    if len(occupied) < 3 or area.sum() <= 0.0:
+        return []
     share = np.cumsum(area) / area.sum()
     first = max(int(np.searchsorted(share, 0.005)), int(occupied[0]))
     last = min(int(np.searchsorted(share, 0.998)), int(occupied[-1]))
-    if last - first < 4 or len(occupied) < 3:
-        return _two_valued(stats)
-    parts = min(count, (last - first + 1) // 4)
     level = share[first - 1] if first else 0.0
-    targets = level + (share[last] - level) * np.arange(1, parts) / parts
-    edges = [first, *(int(i) + 1 for i in np.searchsorted(share, targets)), last + 1]
-    for i in range(1, parts):
-        reach = max(min(edges[i] - edges[i - 1], edges[i + 1] - edges[i]) // 4, 0)
-        window = np.arange(edges[i] - reach, min(edges[i] + reach, _BINS - 1) + 1)
-        weak = np.where(stats.count[window] > 0, stats.gradient[window], np.inf)
-        if np.isfinite(weak).any():
-            edges[i] = int(window[weak.argmin()])
-    ends = [edges[0]]
-    for edge in edges[1:]:
-        if edge - ends[-1] >= 3 and stats.count[ends[-1] : edge].sum() > 0:
-            ends.append(edge)
-    ends[-1] = edges[-1]
-    ends = _merge(stats, ends)
-    return [e / _BINS for e in ends] if len(ends) > 1 else _two_valued(stats)
+    targets = level + (share[last] - level) * np.append(np.arange(1, parts) / parts, _TAIL)
+    edges = sorted({first, *(int(i) + 1 for i in np.searchsorted(share, targets)), last + 1})
+    if sheets:
+        return list(pairwise(edges))
+    return [(a, b) for i, a in enumerate(edges) for b in edges[i + 1 :] if b - a >= 3]
 
 
-def _merge(stats: Statistics, edges: list[int]) -> list[int]:
-    """Edges of the parts after each part with too few voxels has joined a neighbour."""
-    number = np.where(stats.background, 0, stats.count)
-    edges = list(edges)
-    while len(edges) > 2:
-        sizes = [number[low:high].sum() for low, high in pairwise(edges)]
-        least = int(np.argmin(sizes))
-        if sizes[least] >= _LEAST_SHARE * stats.count.sum():
+def _around(stats: Statistics, levels: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """A window around each label outside the background, a quarter of the way to the next.
+
+    The narrower it is, the thinner is its shell around labels of higher value, as interpolation passes all
+    values between.
+    """
+    windows = []
+    gaps = np.diff(levels)
+    for i, level in enumerate(levels):
+        at = min(int(level * _BINS), _BINS - 1)
+        if stats.background[at]:
+            continue
+        below = 0.25 * float(gaps[i - 1]) if i else 0.0
+        above = 0.25 * float(gaps[i]) if i < len(gaps) else 0.0
+        low = min(math.ceil((float(level) - below) * _BINS), at)
+        high = max(int((float(level) + above) * _BINS), at + 1)
+        windows.append((low, min(high, _BINS)))
+    return windows
+
+
+def _candidates(stats: Statistics, samples: Samples, structure: _Structure) -> list[_Candidate]:
+    """Every window that shows anything, in either opacity."""
+    steps = [d for d, n in zip(samples.distances, samples.values.shape, strict=True) if n > 1]
+    sharp = structure.slope * np.float32(min(steps))  # change of the value over a voxel
+
+    def candidate(choice: tuple[tuple[int, int], float]) -> _Candidate | None:
+        (low, high), factor = choice
+        pieces = _without_background(stats, low / _BINS, high / _BINS)
+        bumps = tuple(_bump("", stats, *piece, COLORS[0]) for piece in pieces)
+        bumps = tuple(replace(bump, opacity=max(_LEAST_OPACITY, bump.opacity * factor)) for bump in bumps)
+        look = samples.look(TransferFunction("", bumps, _REFERENCE_LENGTH))
+        visible, alpha = look.visible, look.alpha
+        within = visible & (samples.values >= low / _BINS) & (samples.values <= high / _BINS)
+        coherence = 1.0
+        if structure.labels:  # interpolation draws thin shells of all labels between two
+            visible = within
+        else:
+            coherence = float((sharp[within] <= (high - low) / _BINS).mean()) if within.any() else 0.0
+        share = float(visible.sum() / samples.valid.sum())
+        if share <= 0.0:
+            return None
+        held = float(structure.weight[visible].sum(dtype=np.float64) / total)
+        worth = math.sqrt(held * coherence * alpha) * (1.0 if factor == 1.0 else 0.95) + _BONUS
+        usable = (
+            least <= share <= _SHARES[1]
+            and alpha >= _ALPHA
+            and look.cover <= _COVER
+            and coherence >= _COHERENCE
+        )
+        return _Candidate(low, high, bumps, visible.ravel(), share, alpha, worth, usable)
+
+    least = _LEAST_LABEL if structure.labels else _SHARES[0]
+    total = max(float(structure.weight.sum(dtype=np.float64)), 1e-30)
+    choices = [(window, factor) for window in structure.windows for factor in (1.0, _TRANSLUCENT)]
+    with ThreadPoolExecutor(min(cpu_count() or 1, 4)) as pool:
+        return [one for one in pool.map(candidate, choices) if one is not None]
+
+
+def _choice(candidates: list[_Candidate], count: int) -> list[tuple[Bump, ...]]:
+    """The bumps of the set of at most ``count`` candidates that is worth most, by ascending value."""
+    if count == 1:
+        return [max(candidates, key=lambda one: one.worth).bumps]
+    low = np.array([one.low for one in candidates])
+    high = np.array([one.high for one in candidates])
+    worth = np.array([one.worth for one in candidates])
+    apart = (low[:, None] >= high[None]) | (high[:, None] <= low[None])
+    fits = apart & (overlaps([one.visible for one in candidates]) <= _OVERLAP)
+    sets: dict[tuple[int, ...], float] = {(i,): float(value) for i, value in enumerate(worth)}
+    best = max(sets, key=lambda one: sets[one])
+    for _ in range(count - 1):
+        kept = sorted(sets, key=lambda one: (-sets[one], one))[:_BEAM]
+        larger: dict[tuple[int, ...], float] = {}
+        for one in kept:
+            for other in np.flatnonzero(fits[list(one)].all(axis=0)):
+                larger[tuple(sorted((*one, int(other))))] = sets[one] + float(worth[other])
+        if not larger:
             break
-        above = least + 1 < len(sizes) and (least == 0 or sizes[least + 1] < sizes[least - 1])
-        del edges[least + 1 if above else least]
-    return edges
+        sets = larger
+        best = max(sorted(sets), key=lambda one: sets[one])
+    return [candidates[i].bumps for i in sorted(best, key=lambda i: candidates[i].low)]
 
 
 def _without_background(stats: Statistics, low: float, high: float) -> list[tuple[float, float]]:
@@ -215,7 +425,7 @@ def _without_background(stats: Statistics, low: float, high: float) -> list[tupl
     return occupied or [(low, high)]
 
 
-def _two_valued(stats: Statistics) -> list[float]:
+def _two_valued(stats: Statistics) -> tuple[float, float]:
     """One bump for a mask, a label or a field of few values; it begins halfway between them.
 
     Interpolation between two samples passes every value between theirs.
@@ -223,8 +433,8 @@ def _two_valued(stats: Statistics) -> list[float]:
     background = np.flatnonzero(stats.background & (stats.count > 0))
     if len(background):
         low, high = background[[0, -1]]
-        return [0.5 * (high + 1) / _BINS + 0.5, 1.0] if low < _BINS - 1 - high else [0.0, 0.5 * low / _BINS]
-    return [0.5, 1.0]
+        return (0.5 * (high + 1) / _BINS + 0.5, 1.0) if low < _BINS - 1 - high else (0.0, 0.5 * low / _BINS)
+    return 0.5, 1.0
 
 
 def _bump(name: str, stats: Statistics, low: float, high: float, color: tuple[float, float, float]) -> Bump:

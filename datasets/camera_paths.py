@@ -13,6 +13,8 @@ from datasets.errors import DataError
 FIELD_OF_VIEW = math.pi / 6
 """30 degrees, as in the views published with the paper."""
 
+Position = tuple[float, float, float]
+
 _MARGIN = 1.02
 _TURNS = 10.0
 # Phase of the spiral with the largest distance between the 181 test views and the training views of
@@ -25,22 +27,31 @@ def viewing_distance(bounding_radius: float, fov: float = FIELD_OF_VIEW) -> floa
     return _MARGIN * bounding_radius / math.sin(0.5 * fov)
 
 
-def training_cameras(n: int, bounding_radius: float, width: int, height: int) -> tuple[Camera, ...]:
-    """Cameras on the vertices of an icosphere, all looking at the origin.
+def training_cameras(
+    n: int, bounding_radius: float, width: int, height: int, centre: Position | None = None
+) -> tuple[Camera, ...]:
+    """Cameras on the vertices of an icosphere, all looking at one point.
 
     Args:
         n: 6 (octahedron) or 10 f^2 + 2 (an icosahedron whose edges are cut in f parts: 12, 42, 92, ...).
-        bounding_radius: radius of a sphere around the object, centred at the origin.
+        bounding_radius: radius of a sphere around the object.
         width: image width in pixels.
         height: image height in pixels; the sphere fits the shorter side.
+        centre: of the sphere, x, y, z; default: the origin.
 
     Raises:
         DataError: no icosphere has n vertices; the remedy names the nearest numbers.
     """
-    return _looking_inwards(icosphere(n), bounding_radius, width, height, "train")
+    return _looking_inwards(icosphere(n), bounding_radius, width, height, centre, "train")
 
 
-def test_cameras(n: int, bounding_radius: float, width: int, height: int) -> tuple[Camera, ...]:
+def test_cameras(
+    n: int,
+    bounding_radius: float,
+    width: int,
+    height: int,
+    centre: Position | None = None,  # noqa: PT028
+) -> tuple[Camera, ...]:
     """Cameras along a spiral from pole to pole that encloses the object (181 in the paper).
 
     The path has constant speed, so that frame times along it weigh all directions alike, and keeps
@@ -51,7 +62,7 @@ def test_cameras(n: int, bounding_radius: float, width: int, height: int) -> tup
     """
     if n < 1:
         raise DataError(f"{n} test views", "there must be at least one", "Ask for 16 or 181, say")
-    return _looking_inwards(spiral(n), bounding_radius, width, height, "test")
+    return _looking_inwards(spiral(n), bounding_radius, width, height, centre, "test")
 
 
 test_cameras.__test__ = False  # type: ignore[attr-defined]  # pytest: no test case
@@ -115,16 +126,24 @@ def look_at_origin(position: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _looking_inwards(
-    directions: NDArray[np.float64], bounding_radius: float, width: int, height: int, prefix: str
+    directions: NDArray[np.float64],
+    bounding_radius: float,
+    width: int,
+    height: int,
+    centre: Position | None,
+    prefix: str,
 ) -> tuple[Camera, ...]:
     """Cameras whose shorter image side spans :data:`FIELD_OF_VIEW`."""
     distance = viewing_distance(bounding_radius)
     focal = 0.5 * min(width, height) / math.tan(0.5 * FIELD_OF_VIEW)
     fov_x = 2.0 * math.atan(0.5 * width / focal)
-    return tuple(
-        Camera.with_fov(look_at_origin(distance * d), fov_x, width, height, f"{prefix}_{i:03d}")
-        for i, d in enumerate(directions)
-    )
+    cameras = []
+    for i, direction in enumerate(directions):
+        matrix = look_at_origin(distance * direction)
+        if centre is not None:
+            matrix[:3, 3] += centre
+        cameras.append(Camera.with_fov(matrix, fov_x, width, height, f"{prefix}_{i:03d}"))
+    return tuple(cameras)
 
 
 def _icosahedron() -> tuple[NDArray[np.float64], list[tuple[int, int, int]]]:

@@ -32,7 +32,7 @@ from datasets.ground_truth.model import (
 )
 from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
 from datasets.names import unknown
-from datasets.scene import RGB, BasicScene, Dataset
+from datasets.scene import RGB, BasicScene, Dataset, Frame
 from datasets.view_cache import CachedViews, ViewCache
 from datasets.views import ViewRequest, ViewSet, split_indices
 from datasets.volume import Volume
@@ -99,7 +99,7 @@ def cameras_of(dataset: Dataset, scene_name: str, request: ViewRequest) -> tuple
         from datasets.prerendered import view_cameras
 
         return view_cameras(parts[0], request)
-    cameras = _cameras(dataset.volume(parts[0].variable), request)
+    cameras = _cameras(dataset.volume(parts[0].variable), dataset.frame, request)
     return tuple(cameras[i] for i in split_indices(len(cameras), request.split))
 
 
@@ -179,7 +179,7 @@ class _Work:
                 "there must be at least one pixel",
                 "Ask for 128x128, say",
             )
-        self.cameras = _cameras(self.volumes[0], request)
+        self.cameras = _cameras(self.volumes[0], dataset.frame, request)
         self.places = split_indices(len(self.cameras), request.split)
         if not self.places:
             raise DataError(
@@ -259,12 +259,13 @@ def _edited(parts: tuple[BasicScene, ...], edit: Mapping[str, Edit] | None) -> t
     return tuple(edited(scene, edit[scene.name]) if edit and scene.name in edit else scene for scene in parts)
 
 
-def _cameras(volume: Volume, request: ViewRequest) -> tuple[Camera, ...]:
-    """All training or all test cameras around a volume."""
-    radius = 0.5 * float(np.linalg.norm(volume.extent))
+def _cameras(volume: Volume, frame: Frame | None, request: ViewRequest) -> tuple[Camera, ...]:
+    """All training or all test cameras around a frame, or around a volume."""
+    radius = request.distance * (frame.radius if frame else 0.5 * float(np.linalg.norm(volume.extent)))
+    centre = frame.centre if frame else None
     if request.split == "test":
-        return test_cameras(request.test_views, radius, request.width, request.height)
-    return training_cameras(request.train_views, radius, request.width, request.height)
+        return test_cameras(request.test_views, radius, request.width, request.height, centre)
+    return training_cameras(request.train_views, radius, request.width, request.height, centre)
 
 
 _SLOW = "ground truth comes from the slow reference marcher, as Mitsuba has no working backend here: %s. %s"

@@ -77,6 +77,19 @@ class BasicScene:
     depth_enhancement: float = 0.0
 
 
+@dataclass(frozen=True)
+class Frame:
+    """A sphere that views show: cameras look at its centre, and it just fits the shorter side of a picture.
+
+    Attributes:
+        centre: x, y, z in scene space.
+        radius: in scene space; positive.
+    """
+
+    centre: tuple[float, float, float]
+    radius: float
+
+
 @dataclass(frozen=True, eq=False)
 class Dataset:
     """Volumes (one per variable), or only views, with basic scenes and named compositions.
@@ -88,6 +101,7 @@ class Dataset:
         scenes: basic scenes by order of the catalogue.
         compositions: name -> names of basic scenes; empty for "views".
         volumes: variable -> function that reads it; empty for "views".
+        framing: function that finds the frame of all views; None: they show each volume's whole box.
     """
 
     name: str
@@ -96,7 +110,9 @@ class Dataset:
     scenes: tuple[BasicScene, ...]
     compositions: dict[str, tuple[str, ...]] = field(default_factory=dict)
     volumes: dict[str, Callable[[], Volume]] = field(default_factory=dict)
+    framing: Callable[[Dataset], Frame] | None = None
     _loaded: dict[str, Volume] = field(default_factory=dict, repr=False)
+    _frames: list[Frame] = field(default_factory=list, repr=False)
 
     def scene(self, name: str) -> BasicScene:
         """The basic scene of that name.
@@ -119,6 +135,19 @@ class Dataset:
         if name not in (*names, *self.compositions):
             raise unknown("scene", name, [*names, *self.compositions], of=self.name)
         return tuple(self.scene(part) for part in self.compositions.get(name, (name,)))
+
+    @property
+    def frame(self) -> Frame | None:
+        """The frame of all views, found once; None: they show each volume's whole box.
+
+        Raises:
+            DataError: a volume that it depends on is unusable.
+        """
+        if self.framing is None:
+            return None
+        if not self._frames:
+            self._frames.append(self.framing(self))
+        return self._frames[0]
 
     def volume(self, variable: str) -> Volume:
         """The volume of a variable, read once.

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.jobs.measure import premultiplied
-from bench.monitor import as_numpy
+from bench.plugins import plugin_folders
+from bench.saved import load, picture
 from bench.store import Store
 from datasets.errors import DataError
 from datasets.names import unknown
 
 if TYPE_CHECKING:
-    from datasets.camera import Camera
-    from datasets.edits import Edit
-    from datasets.scene import RGB
     from methods.interface import Model
 
 
@@ -74,7 +71,7 @@ def _render(options: Namespace, dataset_name: str) -> None:
             background = dataset.parts(name)[0].background
             psnr = []
             for index, camera in enumerate(cameras_of(dataset, name, request)):
-                rgb, alpha = _picture(model, camera, scenes, edit, background)
+                rgb, alpha = picture(model, camera, scenes, edit, background)
                 write_png(folder / f"{index:04d}.png", premultiplied(rgb, alpha, background))
                 if truth is not None:
                     values, _ = evaluate(truth.images[index], rgb, alpha, background, ["psnr"])
@@ -85,43 +82,14 @@ def _render(options: Namespace, dataset_name: str) -> None:
         print(folder)
 
 
-def _picture(model: Model, camera: Camera, scenes: list[str], edit: Mapping[str, Edit], background: RGB):  # type: ignore[no-untyped-def]
-    """RGB and alpha of one view as arrays."""
-    from methods.interface import Refused
-
-    try:
-        rgb, alpha = model.render(camera, scenes=scenes, edit=edit, background=background)
-    except Refused as error:
-        raise DataError("bench render", str(error), "Leave out what this method refuses") from error
-    return as_numpy(rgb), as_numpy(alpha)
-
-
-def _model(options: Namespace):  # type: ignore[no-untyped-def]
+def _model(options: Namespace) -> tuple[Model, tuple[str, ...]]:
     """The model of a finished encode or measure job, and the scenes or the composition of that job."""
-    from bench.jobs.measure import load_models
-    from bench.worker import prepare_device
-    from methods.interface import Refused
-    from methods.registry import Registry, load_method
-
     store = Store(Path(options.runs))
+    folders = plugin_folders(options.plugins, store.root)
+    _, scenes, _, model = load(store, options.model, folders, options.device)
     record = store.record(options.model)
-    needs = record.job.needs if record is not None and record.job.kind == "measure" else (options.model,)
-    encodes = [store.record(need) for need in needs if need.startswith("encode-")]
-    if record is None or not encodes or not all(encode is not None and encode.ok for encode in encodes):
-        raise DataError(
-            options.model,
-            f"is no finished encode or measure job of {store.root}",
-            "`bench results` names the jobs in its column `job`",
-        )
-    job = record.job
-    spec = Registry(options.plugins).spec(str(job.method))
-    try:
-        prepare_device(options.device, spec)
-        folders = [store.jobs / encode.job.id / "model" for encode in encodes if encode is not None]
-        model = load_models(load_method(spec), folders, options.device)
-    except Refused as error:
-        raise DataError(options.model, str(error), "Render another model, or on another device") from error
-    return model, (job.composition,) if job.composition else job.scenes
+    composition = record.job.composition if record is not None else ""
+    return model, (composition,) if composition else scenes
 
 
 def score(options: Namespace) -> int:

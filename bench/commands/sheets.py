@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,8 +22,6 @@ _ENTRIES = 2048  # of a drawn transfer function
 def contact_sheets(options: Namespace) -> int:
     """Write one sheet per dataset; without a name, of every dataset of the catalogue that is here."""
     from datasets.catalogue import list_datasets, open_dataset
-    from datasets.png import write_png
-    from reports.pictures.contact_sheet import contact_sheet
 
     if options.model:
         raise DataError("--contact-sheet", "shows ground truth only", "Leave --model out")
@@ -32,22 +31,49 @@ def contact_sheets(options: Namespace) -> int:
         dataset = open_dataset(name)
         if options.automatic:
             dataset = _with_automatic(dataset)
-        names = options.scene or [*(s.name for s in dataset.scenes), *dataset.compositions]
-        tiles = [_tile(dataset, scene, options) for scene in names]
         path = folder / f"{dataset.name}.png"
-        sheet = contact_sheet(f"{dataset.name}: {dataset.title}", tiles)
-        write_png(path, sheet.astype(np.float32) / np.float32(255.0))
+        draw_sheet(dataset, path, options.views or 3, options.size or (140, 140), options.scene)
         print(path)
     return 0
 
 
-def _tile(dataset: Dataset, name: str, options: Namespace) -> Tile:
+def draw_sheet(
+    dataset: Dataset,
+    path: Path,
+    views: int,
+    size: tuple[int, int],
+    scenes: Sequence[str] = (),
+    notes: Mapping[str, str] | None = None,
+) -> None:
+    """Write the contact sheet of a dataset.
+
+    Args:
+        dataset: any dataset.
+        path: PNG file to write.
+        views: number of views of each scene.
+        size: width and height of a view in pixels.
+        scenes: names of scenes and compositions; none: all.
+        notes: basic scene -> text beside its name, instead of its variable.
+
+    Raises:
+        UnknownName: no such scene.
+        DataError: the data cannot be read.
+    """
+    from datasets.png import write_png
+    from reports.pictures.contact_sheet import contact_sheet
+
+    names = scenes or [*(scene.name for scene in dataset.scenes), *dataset.compositions]
+    tiles = [_tile(dataset, name, views, size, notes or {}) for name in names]
+    sheet = contact_sheet(f"{dataset.name}: {dataset.title}", tiles)
+    write_png(path, sheet.astype(np.float32) / np.float32(255.0))
+
+
+def _tile(dataset: Dataset, name: str, count: int, size: tuple[int, int], notes: Mapping[str, str]) -> Tile:
     from bench.inputs import request, views
     from bench.suites import ViewPreset
     from reports.pictures.contact_sheet import Tile
 
-    count, (width, height) = options.views or 3, options.size or (140, 140)
-    preset = ViewPreset(12, count, width, height, prerendered_limit=max(width, height))
+    preset = ViewPreset(12, count, *size, prerendered_limit=max(size))
     parts = dataset.parts(name)
     truth = views(dataset, name, request(dataset, parts[0].name, preset), "test")
     pictures = tuple(truth.composited(index) for index in range(len(truth)))
@@ -57,7 +83,10 @@ def _tile(dataset: Dataset, name: str, options: Namespace) -> Tile:
     scene = parts[0]
     if dataset.kind == "views":
         return Tile(name, "rendered elsewhere", pictures, coverage)
-    return Tile(name, scene.variable, pictures, coverage, *_curves(dataset, scene))
+    scale = dataset.volume(scene.variable).value_range
+    note = notes.get(name, scene.variable)
+    histogram, transfer, levels = _curves(dataset, scene)
+    return Tile(name, note, pictures, coverage, histogram, transfer, levels, scale)
 
 
 def _curves(dataset: Dataset, scene: BasicScene):  # type: ignore[no-untyped-def]

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 _WIDTH = 1500  # pixels of a sheet, unless a single tile is wider
 _GAP = 14
 _LINE = 18
-_CURVE = 56  # height of a transfer function
+_CURVE = 72  # height of a transfer function
+_AXIS = 16  # and of the values below it
 _INK, _PALE, _BARS = (20, 20, 20), AXIS, (222, 222, 222)
 _LEAST = 420  # pixels; least width of a tile, for its texts
 
@@ -38,6 +39,7 @@ class Tile:
         histogram: (n,) counts of normalised values in equal bins; empty for none.
         transfer: (m, 4) color and opacity in [0, 1] at equidistant normalised values; empty for none.
         levels: normalised value and color of each isosurface.
+        scale: data values at the normalised values 0 and 1, written below the curve; None for none.
     """
 
     title: str
@@ -47,6 +49,7 @@ class Tile:
     histogram: NDArray[np.integer] | None = None
     transfer: NDArray[np.floating] | None = None
     levels: tuple[tuple[float, tuple[float, float, float]], ...] = ()
+    scale: tuple[float, float] | None = None
 
     @property
     def has_curve(self) -> bool:
@@ -90,17 +93,19 @@ def contact_sheet(title: str, tiles: Sequence[Tile]) -> NDArray[np.uint8]:
                 at += view.shape[1]
             if tile.has_curve:
                 curve = Image.fromarray(pixels(_curve(tile, wide)))
-                sheet.paste(curve, (left, top + _LINE + 4 + tall + 6))
+                below = top + _LINE + 4 + tall + 6
+                sheet.paste(curve, (left, below))
+                _values(draw, tile, left, below + _CURVE, wide)
         top += height
     return np.asarray(sheet)
 
 
 def _height(tile: Tile) -> int:
-    return _LINE + 4 + max(len(v) for v in tile.views) + (6 + _CURVE if tile.has_curve else 0)
+    return _LINE + 4 + max(len(v) for v in tile.views) + (6 + _CURVE + _AXIS if tile.has_curve else 0)
 
 
 def _head(draw: ImageDraw, tile: Tile, left: int, top: int, wide: int) -> None:
-    coverage = f"{100 * tile.coverage:.1f} %"
+    coverage = f"alpha {100 * tile.coverage:.1f} %"
     right = left + wide - draw.textlength(coverage, font=_font(13))
     draw.text((right, top), coverage, fill=_PALE, font=_font(13))
     name = _fitting(tile.title, 14, right - left - 10, bold=True)
@@ -109,6 +114,28 @@ def _head(draw: ImageDraw, tile: Tile, left: int, top: int, wide: int) -> None:
     if right - after > 40:
         note = _fitting(tile.note, 13, right - after - 10)
         draw.text((after, top), note, fill=_PALE, font=_font(13))
+
+
+def _values(draw: ImageDraw, tile: Tile, left: int, top: int, wide: int) -> None:
+    """Normalised values below a curve, with the data's own."""
+    font = _font(11)
+    for ticks in (5, 3, 2):
+        texts = [_value(tile, i / (ticks - 1)) for i in range(ticks)]
+        if max(draw.textlength(text, font=font) for text in texts) < 0.8 * wide / (ticks - 1):
+            break
+    for i, text in enumerate(texts):
+        share = i / (len(texts) - 1)
+        at = left + round(share * (wide - 1))
+        draw.line((at, top, at, top + 3), fill=_PALE)
+        start = at - share * draw.textlength(text, font=font)
+        draw.text((start, top + 3), text, fill=_PALE, font=font)
+
+
+def _value(tile: Tile, share: float) -> str:
+    if tile.scale is None:
+        return f"{share:g}"
+    value = tile.scale[0] + share * (tile.scale[1] - tile.scale[0])
+    return f"{share:g} = {float(f'{value:.4g}'):.10g}"  # four digits, and no exponent if it can be helped
 
 
 def _curve(tile: Tile, wide: int) -> NDArray[np.floating]:

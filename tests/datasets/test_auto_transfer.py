@@ -1,18 +1,24 @@
-"""Automatic transfer functions: apart from each other, over what occurs, without the background."""
+"""Automatic transfer functions: apart from each other in values and in what they show."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.ndimage import map_coordinates
 
 from datasets import procedural
 from datasets.auto_transfer import automatic_scenes, statistics
+from datasets.catalogue import open_dataset
 from datasets.errors import DataError
+from datasets.transfer import Bump, TransferFunction
+from datasets.visibility import LEAST_WEIGHT, Samples, overlaps
 from datasets.volume import Volume
 
 
@@ -144,3 +150,117 @@ def test_no_scenes_wanted() -> None:
 )
 def test_any_values(values: np.ndarray, count: int) -> None:
     _check(_volume(values), count)
+
+
+REAL = (
+    "vis_male", "stroke_mri", "boston_teapot", "csafe_heptane", "fuel",
+    "stent_ct", "isabel_wind",  # kept back until the rule was fixed
+)  # fmt: skip
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", REAL)
+def test_scenes_of_real_volumes_show_different_places(data_folder: Path, name: str) -> None:
+    """At another resolution than that of the choice."""
+    dataset = open_dataset(name, [data_folder])
+    for variable in dataset.volumes:
+        volume = dataset.volume(variable)
+        samples = Samples.of(volume, 128)
+        scenes = automatic_scenes(volume)
+        assert len(scenes) >= 2, variable
+        visible = [samples.look(scene.transfer).visible for scene in scenes]
+        shares = [float(one.sum() / samples.valid.sum()) for one in visible]
+        assert min(shares) >= 0.005, (variable, shares)
+        assert max(shares) <= 0.3, (variable, shares)
+        assert (overlaps(visible) - np.eye(len(visible))).max() <= 0.5, (variable, overlaps(visible))
+
+
+def test_visible_voxels_are_those_that_rays_with_many_samples_see() -> None:
+    """A ray of 40 samples per voxel, of interpolated values, along each row in both directions."""
+    volume = _volume(_balls(3.0)[4:24, 8:40, 10:36])
+    transfer = TransferFunction("t", (Bump("b", 0.3, 0.35, 0.5, 0.6, (1.0, 1.0, 1.0), 0.3),), 0.01)
+    samples = Samples.of(volume)
+    seen = samples.look(transfer).visible
+    fine, weights = 40, np.zeros(seen.shape)
+    for axis in range(3):
+        n = seen.shape[axis]
+        along = (np.arange((n - 1) * fine) + 0.5) / fine
+        index = np.meshgrid(
+            *[along if a == axis else np.arange(m) for a, m in enumerate(seen.shape)], indexing="ij"
+        )
+        values = map_coordinates(samples.values, index, order=1)
+        depth = transfer.classify(values)[..., 3] * samples.distances[axis] / fine
+        depth = np.moveaxis(depth, axis, 0).reshape(n - 1, fine, -1)
+        for turned in (False, True):
+            ordered = depth[::-1, ::-1] if turned else depth
+            flat = ordered.reshape((n - 1) * fine, -1)
+            weight = -np.expm1(-flat) * np.exp(flat - np.cumsum(flat, axis=0))
+            segment = weight.reshape(n - 1, fine, -1).sum(axis=1)
+            segment = segment[::-1] if turned else segment
+            shape = np.moveaxis(seen, axis, 0).shape
+            best = np.moveaxis(weights, axis, 0)
+            segment = segment.reshape(n - 1, *shape[1:])
+            np.maximum(best[:-1], segment, out=best[:-1])
+            np.maximum(best[1:], segment, out=best[1:])
+    clear = np.abs(weights - LEAST_WEIGHT) > 0.002
+    assert 0.1 < seen.mean() < 0.5
+    assert ((weights > LEAST_WEIGHT) & ~seen)[clear].sum() == 0
+    assert (seen & (weights < LEAST_WEIGHT))[clear].sum() == 0
+    hidden = (transfer.classify(samples.values)[..., 3] > 0) & ~seen
+    assert hidden.any(), "what is inside does not count"
+
+
+def _places() -> tuple[np.ndarray, ...]:
+    return tuple(np.meshgrid(*[np.linspace(0.0, 1.0, 40)] * 3, indexing="ij"))
+
+
+def _storm() -> np.ndarray:
+    """Pressure that falls with height, with a low at one place."""
+    z, y, x = _places()
+    low = np.exp(-((x - 0.5) ** 2 + (y - 0.4) ** 2) / 0.02 - z / 0.3)
+    return (1000.0 * np.exp(-z / 0.6) - 200.0 * low).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (_places()[2] + 0.5 * _places()[1], "a linear ramp and nothing else"),
+        (np.exp(-_places()[0]), "the position along z and nothing else"),
+        (np.random.default_rng(0).random((40, 40, 40)), "noise"),
+        (_storm(), "mostly follow the position along z"),
+    ],
+)
+def test_where_nothing_separates_a_message_tells_and_a_scene_is_there(values, words, caplog) -> None:
+    volume = _volume(values.astype(np.float32))
+    with caplog.at_level(logging.WARNING):
+        scenes = automatic_scenes(volume)
+    assert words in caplog.text
+    look = Samples.of(volume).look(scenes[0].transfer)
+    assert 0.01 < look.visible.mean() < 0.8
+    assert look.alpha > 0.15
+
+
+def test_the_low_of_a_storm_bends_the_sheet_that_shows_it() -> None:
+    volume = _volume(_storm())
+    visible = Samples.of(volume).look(automatic_scenes(volume)[-1].transfer).visible
+    height = np.where(visible.any(axis=0), visible.argmax(axis=0), -1)
+    assert height[16, 20] <= height[2, 2] - 2
+
+
+def test_each_large_label_has_a_scene() -> None:
+    """Labels 1 to 4 are balls apart from each other; interpolation alone passes the labels between."""
+    z, y, x = _places()
+    labels = np.zeros(x.shape, np.uint8)
+    for label, (at, radius) in enumerate([(0.2, 0.15), (0.5, 0.15), (0.8, 0.15), (0.5, 0.1)], 1):
+        labels[(x - at) ** 2 + (y - (0.8 if label == 4 else 0.4)) ** 2 + (z - 0.5) ** 2 < radius**2] = label
+    scenes = automatic_scenes(_volume(labels))
+    assert len(scenes) == 3
+    for scene in scenes:
+        opaque = scene.transfer.classify(_volume(labels).normalised())[..., 3] > 0
+        assert len(np.unique(labels[opaque])) == 1
+        assert labels[opaque].min() > 0
+
+
+def test_the_choice_does_not_depend_on_threads_or_chance() -> None:
+    volume = procedural.make_volume("vortices", 32)
+    assert automatic_scenes(volume) == automatic_scenes(volume)

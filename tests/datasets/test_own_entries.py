@@ -56,7 +56,7 @@ def test_a_broken_entry_breaks_nothing_else(folder, monkeypatch):
     monkeypatch.setenv(OWN_ENVIRONMENT, str(folder))
     bad, engine = (info for info in list_datasets() if info.name not in built_in())
     assert (bad.kind, bad.available) == ("broken", False)
-    assert f"{folder / 'bad.toml'}: scenes[0].bumps[0].opac" in bad.where
+    assert f"{folder / 'bad.toml'}: scenes[0].bumps[0].opaque: unknown key" in bad.where
     assert engine.available
     assert open_dataset("vortices").name == "vortices"
     with pytest.raises(DataError, match=r"bad\.toml"):
@@ -70,13 +70,17 @@ def test_a_broken_entry_breaks_nothing_else(folder, monkeypatch):
         (("[0.3, 0.4, 0.6, 0.7]", "[0.3, 0.4, 0.2, 0.7]"), "does not ascend"),
         (("[0.3, 0.4, 0.6, 0.7]", "[0.3, 0.4]"), "scenes[0].bumps[0].range"),
         (("[0.9, 0.6, 0.2]", "'orange'"), "scenes[0].bumps[0].color"),
+        (("opacity", "opacty"), "scenes[0].bumps[0].opacty: unknown key, perhaps opacity (and 1 more)"),
         (('path = "ramp.npy"', ""), "files[0].path: Field required"),
         (('name = "middle"\n[[scenes.bumps', '[[scenes.bumps'), "scenes[0].name: Field required"),
         (('name = "middle"\n[[scenes.bumps', 'name = "a/b"\n[[scenes.bumps'), "scenes[0].name"),
         (('[[scenes]]\n', '[[scenes]]\nvariable = "T"\n'), "variable T, which no file has"),
         (('[[files]]', 'compositions = { both = ["middle", "other"] }\n[[files]]'), "names the scene other"),
         (('[[files]]', 'spacing = [1.0, 0.0, 1.0]\n[[files]]'), "spacing[1]: Input should be greater than 0"),
-        (("[[scenes.bumps]]", "[[scenes.bump]]"), "scenes[0]"),
+        (("[[scenes.bumps]]", "[[scenes.bump]]"), "scenes[0].bump: unknown key, perhaps bumps"),
+        (('"ramp.npy"', '"ramp.npy"\nurl = "http://h/ramp.npy"'), "files[0]: a url needs the sha512"),
+        (('"ramp.npy"', f'"../r.npy"\nurl = "https://h/r"\nsha512 = "{"0" * 128}"'), "leaves the folder"),
+        (('"ramp.npy"', '"ramp.npy"\nurl = "file:///etc/passwd"'), "files[0].url"),
         (("[[files]]", "[[files"), "is no TOML file"),
     ],
 )  # fmt: skip

@@ -1,0 +1,134 @@
+"""``bench scenes``: transfer functions for a volume file, in a TOML file to edit, and their contact sheet."""
+
+from __future__ import annotations
+
+import shlex
+from argparse import Namespace
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from datasets.errors import DataError
+
+if TYPE_CHECKING:
+    from datasets.scene import Dataset
+
+EMPTY, SAME, BOX = 0.005, 0.5, 0.8
+"""Visible share of a nearly empty scene, overlap of two alike ones, and covered share of a solid box."""
+
+_SAMPLES = 128  # along an axis
+
+
+@dataclass(frozen=True)
+class Account:
+    """What one scene shows.
+
+    Attributes:
+        scene: its name.
+        share: visible share of the voxels.
+        overlap: largest share of visible voxels in common with another scene of the same grid, of the
+            one that shows less.
+        other: name of that scene; "" where there is none.
+        words: what is wrong with it; "" for nothing.
+    """
+
+    scene: str
+    share: float
+    overlap: float
+    other: str
+    words: str
+
+    def __str__(self) -> str:
+        text = f"{100 * self.share:.1f} % of the voxels visible"
+        if self.other:
+            text += f", at most {100 * self.overlap:.0f} % shared (with {self.other})"
+        return f"{self.words}: {text}" if self.words else text
+
+
+def scenes(options: Namespace) -> int:
+    """Write an entry for a volume file unless there is one, and draw its contact sheet."""
+    from bench.commands.sheets import draw_sheet
+    from datasets.catalogue import open_dataset
+    from datasets.catalogue.proposal import write_entry
+
+    entry = Path(options.file).expanduser()
+    if entry.suffix == ".toml":
+        if options.out:
+            raise DataError("--out", "is for a volume file", f"Leave it out: {entry} stays as it is")
+        dataset = open_dataset(str(entry))
+    else:
+        entry, dataset = _entry(options)
+        if not entry.exists():
+            write_entry(dataset, entry)
+            number = len(dataset.scenes)
+            print(f"{entry}: {number} scene{'s' if number > 1 else ''} proposed")
+        else:
+            print(f"{entry}: is there already and stays as it is")
+        dataset = open_dataset(str(entry))
+    accounts = account(dataset)
+    notes = {one.scene: str(one) for one in accounts}
+    sheet = entry.with_suffix(".png")
+    draw_sheet(dataset, sheet, options.views or 3, options.size or (200, 200), notes=notes)
+    print(f"{sheet}: the contact sheet")
+    width = max(len(one.scene) for one in accounts)
+    for one in accounts:
+        print(f"  {one.scene:<{width}}  {one}")
+    name = shlex.quote(str(entry))
+    print(f"Edit {name}, then look again:  bench scenes {name}")
+    print(f"Run an experiment on it:  bench run quick --dataset {name}")
+    return 0
+
+
+def _entry(options: Namespace) -> tuple[Path, Dataset]:
+    """The entry's file, and the dataset with automatic scenes that it is to hold."""
+    from datasets.catalogue import open_dataset
+    from datasets.catalogue.entries import names
+    from datasets.catalogue.files import FileField
+
+    if options.out and not options.out.endswith(".toml"):
+        raise DataError(options.out, "is no name of an entry", "Give it the suffix .toml")
+    if options.file.partition("@")[0] in names():
+        raise DataError(
+            options.file, "is a dataset of the catalogue",
+            f"Its sheet: bench render --contact-sheet {options.file}. For scenes of your own name a file",
+        )  # fmt: skip
+    dataset = open_dataset(options.file)
+    if not all(isinstance(field, FileField) for field in dataset.volumes.values()) or not dataset.volumes:
+        raise DataError(options.file, "is no volume file", "Name a volume file or an entry (.toml)")
+    return Path(options.out).expanduser() if options.out else Path(f"{dataset.name}.toml"), dataset
+
+
+def account(dataset: Dataset) -> list[Account]:
+    """What each scene of a dataset of volumes shows, by order of the scenes."""
+    from datasets.framing import visible_voxels
+    from datasets.visibility import Samples, overlaps
+
+    result: dict[str, Account] = {}
+    grids: dict[tuple[object, ...], list[tuple[str, np.ndarray, float, float]]] = {}
+    for variable in dict.fromkeys(scene.variable for scene in dataset.scenes):
+        samples = Samples.of(dataset.volume(variable), _SAMPLES)
+        key = (samples.values.shape, samples.distances)
+        for scene in dataset.scenes:
+            if scene.variable == variable:
+                visible = visible_voxels(samples, scene)
+                cover = samples.look(scene.transfer).cover if scene.transfer else 0.0
+                share = float(visible.sum() / samples.valid.sum())
+                grids.setdefault(key, []).append((scene.name, visible, share, cover))
+    for parts in grids.values():
+        common = overlaps([visible for _, visible, _, _ in parts])
+        np.fill_diagonal(common, -1.0)
+        for i, (name, _, share, cover) in enumerate(parts):
+            j = int(common[i].argmax())
+            other = parts[j][0] if len(parts) > 1 else ""
+            overlap = max(float(common[i, j]), 0.0)
+            words = []
+            if share < EMPTY:
+                words.append("nearly empty")
+            if cover > BOX:
+                words.append("a solid box")
+            if overlap > SAME:
+                words.append(f"shows much the same as {other}")
+            result[name] = Account(name, share, overlap, other, ", ".join(words))
+    return [result[scene.name] for scene in dataset.scenes]
