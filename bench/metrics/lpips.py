@@ -1,8 +1,8 @@
 """LPIPS by the official `lpips` package, without its downloads.
 
 The package ships its linear layers but fetches the backbones through torchvision. Here the backbone
-has to lie in the torch hub cache already, with the checksum that its name promises; otherwise there
-is a reason and no number.
+has to lie in the torch hub cache already (``bench fetch lpips`` puts it there), with the checksum that
+its name promises; otherwise there is a reason and no number.
 """
 
 from __future__ import annotations
@@ -32,6 +32,11 @@ class Backbone:
     file: str
     sha256: str
     least: int
+
+    @property
+    def url(self) -> str:
+        """Public address of the file."""
+        return f"https://download.pytorch.org/models/{self.file}"
 
 
 BACKBONES = {
@@ -74,20 +79,24 @@ def distance(
         return float(loaded(tensor(truth), tensor(render)).item())
 
 
+def is_sound(backbone: Backbone, folder: Path) -> bool:
+    """Whether the weights are there, with the hash that their name promises."""
+    path = folder / backbone.file
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest().startswith(backbone.sha256)
+
+
 @cache
 def load(network: str, folder: Path) -> Any:
     """The `lpips.LPIPS` module with weights from ``folder``, or a string that tells why not; kept."""
     backbone = BACKBONES[network]
     path = folder / backbone.file
     if not path.is_file():
-        return (
-            f"backbone weights missing: put https://download.pytorch.org/models/{backbone.file} "
-            f"into {_short(folder)} (or set TORCH_HOME)"
-        )
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    if not digest.startswith(backbone.sha256):
-        return f"backbone weights {_short(path)} are damaged (SHA-256 does not begin with {backbone.sha256})"
+        return f"no backbone weights in {_short(folder)}: run `bench fetch lpips`"
+    if not is_sound(backbone, folder):
+        return f"backbone weights {_short(path)} are damaged: run `bench fetch lpips`"
     declare_torchvision_operators()
     try:
         import lpips

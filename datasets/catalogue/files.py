@@ -5,22 +5,44 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from datasets.auto_transfer import COLORS, automatic_scenes
 from datasets.catalogue.entries import own_name
 from datasets.errors import DataError
+from datasets.framing import frame_of, places, visible_frame, visible_voxels
 from datasets.readers import list_variables, read_volume, suffix_of
 from datasets.readers.fields import choose, plain
 from datasets.readers.naming import FileName
 from datasets.scene import BasicScene, Dataset
+from datasets.visibility import Samples
 from datasets.volume import Volume
 
 MOST_SCENES = 12
 """Limit for a file of several variables: three scenes each, fewer with more than four variables."""
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class FileField:
+    """One field of a volume file; a call reads it.
+
+    Attributes:
+        request: the file and the choice in it.
+        name: name of the variable in the dataset.
+        volume: the field itself, where it is in memory already.
+    """
+
+    request: FileName
+    name: str
+    volume: Volume | None = None
+
+    def __call__(self) -> Volume:
+        return self.volume if self.volume is not None else _read(self.request, self.name)
 
 
 def file_dataset(name: str) -> Dataset:
@@ -55,7 +77,8 @@ def file_dataset(name: str) -> Dataset:
         "volume",
         scenes,
         {"all": names} if len(names) > 1 else {},
-        {volume.name: lambda: volume},
+        {volume.name: FileField(request, volume.name, volume)},
+        visible_frame,
     )
 
 
@@ -87,6 +110,7 @@ def _of_all(request: FileName, variables: list[str]) -> Dataset:
     volumes: dict[str, Callable[[], Volume]] = {}
     grids = set()
     omissions: list[str] = []
+    visible: list[NDArray[np.float64]] = []
     each = max(1, min(3, MOST_SCENES // len(variables)))
     for variable in variables:
         if len(scenes) + each > MOST_SCENES:
@@ -106,8 +130,10 @@ def _of_all(request: FileName, variables: list[str]) -> Dataset:
             _rename(scene, key, len(scenes) + i) for i, scene in enumerate(automatic_scenes(volume, each))
         ]
         scenes += new_scenes
+        samples = Samples.of(volume)
+        visible += [places(samples, visible_voxels(samples, scene)) for scene in new_scenes]
         # Read again on demand: all variables together may exceed the memory.
-        volumes[key] = partial(_read, one, key)
+        volumes[key] = FileField(one, key)
         grids.add((volume.dims, volume.spacing))
         if len(new_scenes) > 1:
             compositions[key] = tuple(scene.name for scene in new_scenes)
@@ -118,7 +144,10 @@ def _of_all(request: FileName, variables: list[str]) -> Dataset:
     if len(grids) == 1 and len(scenes) > 1:
         compositions = {"all": tuple(scene.name for scene in scenes), **compositions}
     title = f"{path.name}, {len(volumes)} variables, automatic transfer functions"
-    return Dataset(_name(request, None), title, "volume", tuple(scenes), compositions, volumes)
+    frame = frame_of(visible)
+    return Dataset(
+        _name(request, None), title, "volume", tuple(scenes), compositions, volumes, lambda _: frame
+    )
 
 
 def _rename(scene: BasicScene, variable: str, number: int) -> BasicScene:

@@ -70,7 +70,7 @@ def test_missing_weights_give_a_reason_and_no_download(home, monkeypatch):
     monkeypatch.setattr(torch.hub, "download_url_to_file", never)
     reason = distance("vgg", *pair())
     assert isinstance(reason, str)
-    assert "vgg16-397923af.pth" in reason
+    assert "`bench fetch lpips`" in reason
     assert str(home / "hub" / "checkpoints") in reason
 
 
