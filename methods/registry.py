@@ -142,6 +142,16 @@ def load_method(spec: MethodSpec) -> Method:
     return cast("Method", implementation() if isinstance(implementation, type) else implementation)
 
 
+def check_name(name: str, origin: str) -> None:
+    """Refuse what cannot be the name of a method.
+
+    Raises:
+        DataError: naming what is wrong with it.
+    """
+    if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name):
+        raise DataError(origin, f"method name {name!r}", "Use lower-case letters, digits, - and _")
+
+
 def check_spec(spec: Any, origin: str) -> None:
     """Refuse a spec that contradicts itself.
 
@@ -151,8 +161,7 @@ def check_spec(spec: Any, origin: str) -> None:
     wrong = partial(DataError, origin)
     if not isinstance(spec, MethodSpec):
         raise wrong(f"SPEC is a {type(spec).__name__}", "Make it a methods.interface.MethodSpec")
-    if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", spec.name):
-        raise wrong(f"method name {spec.name!r}", "Use lower-case letters, digits, - and _")
+    check_name(spec.name, origin)
     if not re.fullmatch(r"[\w.]+:\w+", spec.implementation):
         raise wrong(f"implementation {spec.implementation!r}", "Write it as module:attribute")
     missing = [preset for preset in (*PRESETS, *spec.presets) if preset not in spec.iterations]
@@ -227,7 +236,11 @@ def _in_folder(folder: Path) -> Iterator[_Candidate]:
         located = importlib.util.find_spec(top)
         origin = Path(located.origin) if located is not None and located.origin is not None else None
         if origin is None or not origin.resolve().is_relative_to(root):
-            raise DataError(path, f"another module {top!r} comes first ({origin})", "Rename the plugin")
+            raise DataError(
+                path,
+                f"another module {top!r} comes first ({origin})",
+                "Rename the plugin; if it is this one, installed, leave out --plugins or uninstall it",
+            )
         yield _Candidate(None, f"plugin folder: {path}", _spec_of(module))
 
 

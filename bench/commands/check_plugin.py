@@ -6,6 +6,17 @@ import sys
 import tempfile
 from argparse import Namespace
 from pathlib import Path
+from textwrap import indent
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from methods.contract.checks import Outcome
+
+FAULTS = {
+    "plugin": "the plugin's code",
+    "harness": "the harness: please report it, with the output of --debug",
+    "machine": "the machine: memory, disk or open files ran out, or the process was killed",
+}
 
 
 def check_plugin(options: Namespace) -> int:
@@ -28,6 +39,7 @@ def check_plugin(options: Namespace) -> int:
         print(f"bench: {error}", file=sys.stderr)
         return 2
     broken = 0
+    known: set[str] = set()
     with tempfile.TemporaryDirectory(prefix="bench-check-") as temporary:
         subject = Subject(
             spec, method, Path(temporary), options.iterations, overrides, folders, options.device
@@ -35,7 +47,22 @@ def check_plugin(options: Namespace) -> int:
         for outcome in run_checks(subject):
             name = outcome.name.replace("_", " ")
             print(f"{outcome.status:<7} {name:<17} {outcome.seconds:6.1f} s  {outcome.detail}", flush=True)
-            broken += outcome.status != "passed"
+            if outcome.status != "passed":
+                broken += 1
+                _explain(outcome, known)
+                if options.debug:
+                    print(outcome.traceback, file=sys.stderr)
     if broken:
         print(f"bench: {spec.name} breaks {broken} of its promises", file=sys.stderr)
     return 1 if broken else 0
+
+
+def _explain(outcome: Outcome, known: set[str]) -> None:
+    """Print the promise, whose fault it is, and the lines of the plugin that led there, unless known."""
+    assert outcome.failure is not None
+    trace = outcome.failure.trace
+    lines = [f"promise: {outcome.promise}", f"at fault: {FAULTS[outcome.failure.fault]}"]
+    lines += ["at the same lines as above"] if trace in known else trace.splitlines()
+    print(indent("\n".join(lines), " " * 8), flush=True)
+    if trace:
+        known.add(trace)

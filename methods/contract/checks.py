@@ -8,6 +8,7 @@ with what is wrong.
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from traceback import format_exc
 from typing import Any, Literal
 
 import numpy as np
@@ -24,6 +26,7 @@ from safetensors.torch import load, save
 from datasets.camera import Camera
 from datasets.errors import DataError
 from methods.contract.scene import away, cameras, tiny_scene
+from methods.failures import Failure, Fault, failure
 from methods.interface import (
     PRESETS,
     Budget,
@@ -50,7 +53,15 @@ EDITS: Mapping[str, tuple[Edit, ...]] = {
 
 
 class Broken(AssertionError):
-    """A promise of the contract is broken."""
+    """A promise of the contract is broken.
+
+    Attributes:
+        failure: what another process said about its cause.
+    """
+
+    def __init__(self, problem: str, failure: Failure | None = None) -> None:
+        super().__init__(problem)
+        self.failure = failure
 
 
 def expect(holds: object, problem: str) -> None:
@@ -272,32 +283,40 @@ def saved_and_loaded(subject: Subject) -> str:
     folder, ledger = subject.saved(model, "model")
     total = _check_ledger(ledger, folder, model)
     camera = subject.camera
-    np.save(subject.folder / "pose.npy", camera.camera_to_world)
-    code = (
-        "import sys, numpy as np\n"
-        "from pathlib import Path\n"
-        "from datasets.camera import Camera\n"
-        "from methods.registry import Registry, load_method\n"
-        "name, device, folder, *plugins = sys.argv[1:]\n"
-        "model = load_method(Registry(plugins).spec(name)).load(Path(folder, 'model'), device)\n"
-        f"camera = Camera.with_fov(np.load(folder + '/pose.npy'), {camera.fov_x!r}, {camera.width}, "
-        f"{camera.height})\n"
-        "rgb, alpha = model.render(camera)\n"
-        "np.savez(folder + '/out.npz', rgb=rgb.cpu().numpy(), alpha=alpha.cpu().numpy())\n"
+    np.savez(
+        subject.folder / "view.npz",
+        pose=camera.camera_to_world,
+        fov=camera.fov_x,
+        width=camera.width,
+        height=camera.height,
     )
-    root = str(Path(__file__).resolve().parents[2])
     plugins = (str(Path(folder).resolve()) for folder in subject.plugins)
     arguments = [subject.spec.name, subject.device, str(subject.folder), *plugins]
     done = subprocess.run(
-        [sys.executable, "-c", code, *arguments], cwd=root, capture_output=True, text=True, check=False
-    )
-    expect(done.returncode == 0, f"a new process cannot load and render it:\n{done.stderr[-2000:]}")
-    with np.load(subject.folder / "out.npz") as out:
+        [sys.executable, "-m", "methods.contract.fresh", *arguments],
+        cwd=Path(__file__).resolve().parents[2], capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if done.returncode != 0:
+        raise _elsewhere(done, subject.folder / "failure.json")
+    with np.load(subject.folder / "picture.npz") as out:
         pictures = torch.from_numpy(out["rgb"]), torch.from_numpy(out["alpha"])
     _same(pictures, _picture(model, camera), "a new process renders something else")
     again, _ = subject.saved(subject.method.load(folder, subject.device), "again")
     expect(files_of(again) == files_of(folder), "saving what was loaded gives other files")
     return f"{total} bytes"
+
+
+def _elsewhere(done: subprocess.CompletedProcess[str], file: Path) -> Broken:
+    """What went wrong in a process of its own that wrote ``file``, if it could."""
+    problem = "a new process cannot load and render it"
+    if file.is_file():
+        facts = json.loads(file.read_text(encoding="utf-8"))
+        return Broken(f"{problem}: {facts.pop('error')}", Failure(**facts))
+    if done.returncode < 0:
+        name = signal.Signals(-done.returncode).name
+        fault: Fault = "machine" if name == "SIGKILL" else "plugin"
+        return Broken(f"{problem}: it was ended by {name}", Failure(fault))
+    return Broken(f"{problem}:\n{done.stderr[-2000:]}", Failure("harness"))
 
 
 def edits(subject: Subject) -> str:
@@ -553,15 +572,21 @@ class Outcome:
 
     Attributes:
         name: the check's name.
-        status: "passed", "failed" (the promise is broken) or "error" (the plugin raised something else).
+        status: "passed", "failed" (the promise is broken) or "error" (something else was raised).
         detail: the findings, or what is wrong.
         seconds: it took.
+        promise: what was checked.
+        failure: whose fault it is, if it did not pass.
+        traceback: all of it, if it did not pass.
     """
 
     name: str
     status: Literal["passed", "failed", "error"]
     detail: str
     seconds: float
+    promise: str
+    failure: Failure | None = None
+    traceback: str = ""
 
 
 def run_checks(subject: Subject) -> Iterator[Outcome]:
@@ -569,10 +594,17 @@ def run_checks(subject: Subject) -> Iterator[Outcome]:
     for check in CHECKS:
         start = time.perf_counter()
         status: Literal["passed", "failed", "error"] = "passed"
+        fault: Failure | None = None
+        whole = ""
         try:
             detail = check(subject)
         except Broken as error:
-            status, detail = "failed", str(error)
+            status, detail, whole = "failed", str(error), format_exc()
+            fault = error.failure or failure(error, subject.spec)
+            if fault.fault == "harness" and error.failure is None:  # a broken promise without an exception
+                fault = Failure("plugin")
         except Exception as error:
-            status, detail = "error", f"{type(error).__name__}: {error}"
-        yield Outcome(check.__name__, status, detail, time.perf_counter() - start)
+            status, detail, whole = "error", f"{type(error).__name__}: {error}", format_exc()
+            fault = failure(error, subject.spec)
+        seconds = time.perf_counter() - start
+        yield Outcome(check.__name__, status, detail, seconds, check.__doc__ or "", fault, whole)

@@ -1,0 +1,60 @@
+"""``bench new-method``: the files of a method to begin with."""
+
+from __future__ import annotations
+
+import importlib.util
+import keyword
+import os
+import shutil
+import sys
+import uuid
+from argparse import Namespace
+from pathlib import Path
+
+from datasets.errors import DataError
+
+
+def new_method(options: Namespace) -> int:
+    """Write the folder of a new method and print what to do with it."""
+    from methods.skeleton import files
+
+    name, package = options.name, options.name.replace("-", "_")
+    folder = Path(options.out).expanduser().resolve() / package
+    if folder.exists():
+        raise DataError(folder, "exists already", "Choose another name, or another folder (--out)")
+    _check(name, package)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    aside = folder.with_name(f".{package}.{uuid.uuid4().hex}")
+    try:
+        for path, text in files(name, package).items():
+            (aside / path).parent.mkdir(parents=True, exist_ok=True)
+            (aside / path).write_text(text, encoding="utf-8")
+        os.rename(aside, folder)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    place = os.path.relpath(folder)
+    place = str(folder) if place.startswith(os.pardir) else place
+    print(f"{folder}: a method that trains. Its own code goes into {package}/method.py; then")
+    print(f"  bench check-plugin {name} --plugins {place}")
+    print(f"  bench run quick --method {name} --method 3dgs --plugins {place}")
+    return 0
+
+
+def _check(name: str, package: str) -> None:
+    """Refuse names that are no names, and those that something else has.
+
+    Raises:
+        DataError: the reason.
+    """
+    from methods.registry import Registry, check_name
+
+    check_name(name, "bench new-method")
+    if not package.isidentifier() or keyword.iskeyword(package):
+        remedy = "Begin with a letter; - becomes _"
+        raise DataError(f"method name {name!r}", f"{package!r} is no name of a Python package", remedy)
+    registry = Registry()
+    if name in registry.names() or name in registry.broken:
+        raise DataError(f"method name {name!r}", "is the name of an installed method", "Choose another name")
+    if package in sys.modules or importlib.util.find_spec(package) is not None:
+        reason = f"Python has a module {package!r} already"
+        raise DataError(f"method name {name!r}", reason, "Choose another name")

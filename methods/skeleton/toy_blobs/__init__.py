@@ -1,0 +1,1 @@
+"""The method toy-blobs of econgs-bench. The harness reads ``spec.py``; nothing is imported here."""
