@@ -19,14 +19,20 @@ import socket
 import subprocess
 import sys
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO
+
+import psutil
 
 MODULES = ("torch", "scipy.spatial", "bench.worker", "bench.provenance")
 """What every job with torch imports, so that a fork takes no more memory than an interpreter of its own."""
 SERVER = "bench.processes"
 _POLL_SECONDS = 0.02
+_LAST_SECONDS = 0.5
+_SWEEPS = 20
+"""A leftover may have forked while it was killed."""
+_SET_CHILD_SUBREAPER, _GET_CHILD_SUBREAPER = 36, 37  # linux/prctl.h
 
 
 class Fork:
@@ -85,6 +91,7 @@ class Processes:
         self._environment = dict(environment)
         self.server: subprocess.Popen[bytes] | None = None
         self._connection: socket.socket | None = None
+        self._before: set[int] = set()
 
     def start(self, folder: Path, log: IO[bytes]) -> Process:
         """A worker in an interpreter of its own, which writes to ``log``."""
@@ -124,6 +131,43 @@ class Processes:
             env=self._environment,
         )
 
+    @contextlib.contextmanager
+    def adopting(self) -> Iterator[None]:
+        """For as long as this lasts, orphans of workers become children of this process (on Linux)."""
+        self._before = {child.pid for child in psutil.Process().children(recursive=True)}
+        previous = _adopt_orphans(1)
+        try:
+            yield
+        finally:
+            _adopt_orphans(previous)
+
+    def end_leftovers(self) -> list[str]:
+        """Kill what a worker that has ended left running: names and process ids, for people.
+
+        A worker leads a session of its own, which its descendants can leave for new ones only. So leftovers
+        are the descendants of this process in other sessions, without those that were there before.
+        """
+        names: list[str] = []
+        if not (left := self._leftovers()):
+            return names
+        psutil.wait_procs(left, _LAST_SECONDS)  # helpers that end with their parent clean up
+        for _ in range(_SWEEPS):
+            if not (left := self._leftovers()):
+                break
+            for process in left:
+                with contextlib.suppress(psutil.Error):
+                    if process.status() != psutil.STATUS_ZOMBIE:
+                        names.append(f"{process.name()} ({process.pid})")
+                        process.kill()
+            psutil.wait_procs(left, _LAST_SECONDS)
+        return names
+
+    def _leftovers(self) -> list[psutil.Process]:
+        spared = self._before | ({self.server.pid} if self.server is not None else set())
+        here = os.getsid(0)
+        descendants = psutil.Process().children(recursive=True)
+        return [p for p in descendants if p.pid not in spared and _session(p.pid) not in (None, here)]
+
     def close(self) -> None:
         """End the server."""
         if self.server is not None and self._connection is not None:
@@ -131,6 +175,23 @@ class Processes:
             self.server.kill()
             self.server.wait()
             self.server = self._connection = None
+
+
+def _adopt_orphans(value: int) -> int:
+    """Set whether orphans of descendants become children of this process; returns what was set before."""
+    if sys.platform != "linux":
+        return 0
+    library, previous = ctypes.CDLL(None), ctypes.c_int()
+    library.prctl(_GET_CHILD_SUBREAPER, ctypes.byref(previous), 0, 0, 0)
+    library.prctl(_SET_CHILD_SUBREAPER, value, 0, 0, 0)
+    return previous.value
+
+
+def _session(pid: int) -> int | None:
+    try:
+        return os.getsid(pid)
+    except OSError:
+        return None
 
 
 def end_session(pid: int) -> None:

@@ -22,6 +22,7 @@ MEASURE_SECONDS = 1.0
 MEASURE_FRAMES = 500
 STABLE = 0.05
 _WINDOW = 5
+_LAPS = 3
 
 
 def machine_lock() -> FileLock:
@@ -40,7 +41,23 @@ def synchronise(device: str) -> None:
         sys.modules["torch"].cuda.synchronize(device)
 
 
+def available_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def reference_seconds() -> float | None:
+    """Best of three laps of the reference kernel; None without the native core.
+
+    An interruption lengthens a lap and never shortens one.
+    """
+    laps = [lap_seconds() for _ in range(_LAPS)]
+    return min((lap for lap in laps if lap is not None), default=None)
+
+
+def lap_seconds() -> float | None:
     """Seconds of the fixed reference kernel on this machine; None without the native core.
 
     The function calls the kernel directly: the layer above it would import torch into every process.
@@ -49,7 +66,7 @@ def reference_seconds() -> float | None:
         import econgs._native as native
     except ImportError:
         return None
-    native.set_threads(int(os.environ.get("ECONGS_THREADS") or os.cpu_count() or 1))
+    native.set_threads(int(os.environ.get("ECONGS_THREADS") or available_cores()))
     return float(native.reference_kernel())
 
 
@@ -84,8 +101,8 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
         while not stable and (time.perf_counter() - begin < WARMUP_SECONDS or len(warm) < 2 * _WINDOW):
             warm.append(seconds_of(cameras[len(warm) % len(cameras)]))
             if len(warm) >= 2 * _WINDOW and len(warm) % _WINDOW == 0:
-                before, now = np.median(warm[-2 * _WINDOW : -_WINDOW]), np.median(warm[-_WINDOW:])
-                stable = bool(abs(now - before) < STABLE * before)
+                earlier, last = np.median(warm[-2 * _WINDOW : -_WINDOW]), np.median(warm[-_WINDOW:])
+                stable = bool(abs(last - earlier) < STABLE * earlier)
         times: list[float] = []
         begin = time.perf_counter()
         while not times or (time.perf_counter() - begin < MEASURE_SECONDS and len(times) < MEASURE_FRAMES):

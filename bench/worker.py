@@ -11,6 +11,7 @@ import ctypes
 import json
 import os
 import shutil
+import signal
 import sys
 import threading
 import time
@@ -29,6 +30,7 @@ from bench.store import Store
 from bench.timing import machine_lock, peak_device_bytes
 from datasets.errors import DataError
 from datasets.memory import peak_host_bytes
+from methods.failures import failure, is_memory_error
 from methods.interface import Diverged, Refused
 
 if TYPE_CHECKING:
@@ -102,6 +104,8 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         traceback.print_exc()
         status = "oom" if is_memory_error(error) else "failed"
         reason = f"{type(error).__name__}: {error}".strip().splitlines()[0]
+        if spec is not None and (place := failure(error, spec).place):
+            reason = f"{reason} ({place})"
     stop.deferred = True  # the job is finished: its record must be written
     from bench.provenance import provenance
 
@@ -117,13 +121,6 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         provenance=provenance(task.threads, spec, job.device),
         **(fields if status == "ok" else traces(folder)),  # type: ignore[arg-type]
     )
-
-
-def is_memory_error(error: BaseException) -> bool:
-    """Whether an exception reports lack of memory, on the host or on a device."""
-    if isinstance(error, MemoryError) or type(error).__name__ in ("OutOfMemoryError", "_ArrayMemoryError"):
-        return True
-    return isinstance(error, RuntimeError) and "not enough memory" in str(error)
 
 
 def log_tail(folder: Path) -> str | None:
@@ -194,6 +191,8 @@ def _follow_parent(stop: Stop) -> None:
         if stop.deferred:
             stop.requested.set()
         else:
+            if os.getpgrp() == os.getpid():
+                os.killpg(0, signal.SIGKILL)  # with all that the method started
             os._exit(STOPPED)
 
     threading.Thread(target=watch, daemon=True).start()

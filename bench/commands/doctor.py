@@ -17,7 +17,8 @@ class Finding:
     """One line of the report.
 
     Attributes:
-        verdict: "ok"; "lacks" (something optional is missing); "broken" (runs will fail).
+        verdict: "ok"; "lacks" (something optional is missing); "busy" (speeds would not count); "broken"
+            (runs will fail).
     """
 
     name: str
@@ -27,7 +28,7 @@ class Finding:
 
 
 def doctor(options: Namespace) -> int:
-    """Print the findings; exit code 1 if something is broken."""
+    """Print the findings as they come; exit code 1 if something is broken."""
     broken = False
     for check in CHECKS:
         try:
@@ -37,7 +38,7 @@ def doctor(options: Namespace) -> int:
                 check.__name__.strip("_"), "broken", f"{type(error).__name__}: {error}", "Install again"
             )
         broken |= finding.verdict == "broken"
-        print(f"{finding.verdict:<7} {finding.name:<14} {finding.detail}")
+        print(f"{finding.verdict:<7} {finding.name:<14} {finding.detail}", flush=True)
         if finding.remedy:
             print(f"{'':<23}→ {finding.remedy}")
     return int(broken)
@@ -57,14 +58,11 @@ def _python() -> Finding:
 def _torch() -> Finding:
     import torch
 
-    from bench.executor import available_cores
-
-    return Finding("torch", "ok", f"{torch.__version__}, {available_cores()} cores")
+    return Finding("torch", "ok", str(torch.__version__))
 
 
 def _native() -> Finding:
     from bench.provenance import native_isa
-    from bench.timing import reference_seconds
 
     try:
         import econgs._native  # noqa: F401
@@ -75,8 +73,53 @@ def _native() -> Finding:
             f"not built ({error}); the slow torch backend is used",
             "Install a C++17 compiler and install the project again: pip install .",
         )
-    seconds = reference_seconds() or 0.0
-    return Finding("native core", "ok", f"{native_isa()}, reference kernel {seconds * 1e3:.1f} ms")
+    return Finding("native core", "ok", str(native_isa()))
+
+
+def _cores() -> Finding:
+    from bench.machine import clock_cap, cpu_quota
+    from bench.timing import available_cores
+
+    cores, quota, cap = available_cores(), cpu_quota(), clock_cap()
+    detail = f"{cores} of {os.cpu_count()} usable"
+    if cap is not None:
+        detail += f", clock capped at {cap[0] / 1e9:.1f} of {cap[1] / 1e9:.1f} GHz"
+    if quota is None or quota >= cores:
+        return Finding("cores", "ok", f"{detail}, no quota below that")
+    return Finding(
+        "cores",
+        "lacks",
+        f"{detail}, but the control group grants {quota:.2g} (cpu.max): all threads pause when it is spent",
+        "Raise the quota, or bind the run to as many cores (taskset): speeds are uneven otherwise",
+    )
+
+
+def _machine() -> Finding:
+    from bench.machine import BUSY, measure_load, user_text
+
+    load = measure_load()
+    parts = [f"others use {load.foreign:.1f} of {load.cores} cores"]
+    if load.users:
+        parts[0] += f" ({user_text(load.users)})"
+    if load.average is not None:
+        parts.append(f"load {load.average:.1f}")
+    if load.laps:
+        low, middle, high = (1e3 * seconds for seconds in load.quantiles)
+        laps = f"{middle:.0f} ms ({low:.0f} to {high:.0f} in {len(load.laps)} laps)"
+        parts.insert(0, f"reference kernel {laps}")
+    detail = ", ".join(parts)
+    if load.locked:
+        remedy = "A timed job of a run is under way: the next one waits for it. Ask again afterwards"
+        return Finding("machine", "busy", detail, remedy)
+    if not load.busy:
+        return Finding("machine", "ok", f"quiet: {detail}; training times and FPS measured now count")
+    return Finding(
+        "machine",
+        "busy",
+        f"busy, up to {load.slowdown:.1f} times slower than quiet (limit {BUSY}): {detail}",
+        "Training times and FPS measured now would be marked and take no part in the report's answers; "
+        "sizes and quality do. End what else runs",
+    )
 
 
 def _ground_truth() -> Finding:
@@ -110,28 +153,25 @@ def _gpu() -> Finding:
 def _lpips() -> Finding:
     from bench.metrics.lpips import BACKBONES, checkpoints
 
-    path = checkpoints() / BACKBONES["vgg"].file
-    if path.is_file():
-        return Finding("LPIPS weights", "ok", str(path))
-    remedy = f"Put https://download.pytorch.org/models/{path.name} into that folder (or set TORCH_HOME)"
-    return Finding(
-        "LPIPS weights", "lacks", f"no {path.name} in {path.parent}; lpips_vgg stays empty", remedy
-    )
+    folder = checkpoints()
+    missing = [backbone.file for backbone in BACKBONES.values() if not (folder / backbone.file).is_file()]
+    if not missing:
+        return Finding("LPIPS weights", "ok", str(folder))
+    detail = f"no {' or '.join(missing)} in {folder}; those metrics stay empty"
+    return Finding("LPIPS weights", "lacks", detail, "Run `bench fetch lpips` (TORCH_HOME moves the folder)")
 
 
 def _data() -> Finding:
-    from datasets.catalogue import list_datasets
+    from datasets.catalogue import data_folders, list_datasets
 
-    count = len(list_datasets())
-    folder = os.environ.get("BENCH_DATA")
-    if not folder:
-        return Finding(
-            "data", "lacks", f"BENCH_DATA is not set; {count} datasets known", "Set it to a folder of volumes"
-        )
-    missing = [part for part in folder.split(os.pathsep) if not Path(part).expanduser().is_dir()]
-    if missing:
+    named = filter(None, os.environ.get("BENCH_DATA", "").split(os.pathsep))
+    if missing := [part for part in named if not Path(part).expanduser().is_dir()]:
         return Finding("data", "lacks", f"BENCH_DATA names no folder: {', '.join(missing)}", "Correct it")
-    return Finding("data", "ok", f"{folder}; {count} datasets known")
+    sets = [info for info in list_datasets() if info.kind in ("volume", "views")]
+    here = sum(info.available for info in sets)
+    detail = f"{here} of {len(sets)} sets with files are in {', '.join(map(str, data_folders()))}"
+    remedy = "" if here else "`bench fetch` gets sets of `bench list datasets`; or set BENCH_DATA"
+    return Finding("data", "ok" if here else "lacks", detail, remedy)
 
 
 def _cache() -> Finding:
@@ -156,5 +196,5 @@ def _disk() -> Finding:
 
 
 CHECKS: tuple[Callable[[], Finding], ...] = (
-    _python, _torch, _native, _ground_truth, _gpu, _lpips, _data, _cache, _disk,
+    _python, _torch, _native, _ground_truth, _gpu, _lpips, _data, _cache, _disk, _cores, _machine,
 )  # fmt: skip

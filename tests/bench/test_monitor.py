@@ -169,8 +169,10 @@ def test_a_checkpoint_of_an_earlier_version_is_refused(tmp_path, version) -> Non
         _monitor(tmp_path).resume()
 
 
-def test_frame_times_cover_the_whole_path_alike() -> None:
+def test_frame_times_cover_the_whole_path_alike(monkeypatch) -> None:
     calls: list[int] = []
+    kernel = iter([7.0, 9.0])
+    monkeypatch.setattr("bench.timing.reference_seconds", lambda: next(kernel))
 
     def render(camera: int) -> None:
         calls.append(camera)
@@ -182,6 +184,7 @@ def test_frame_times_cover_the_whole_path_alike() -> None:
     assert [timed.count(c) for c in (0, 1, 2)] == [times.frames // 3] * 3
     assert 0.001 <= times.frame_seconds < times.frame_seconds_p95
     assert times.frame_seconds_p95 >= 0.004
+    assert times.reference_seconds == 8.0
 
 
 class _Picture(_Model):

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.executor import THREAD_VARIABLES, available_cores
+from bench.executor import THREAD_VARIABLES
 from bench.processes import Fork, Processes
 from bench.provenance import imports_torch
 from bench.store import Store
+from bench.timing import available_cores
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux only")
 

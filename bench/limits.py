@@ -1,0 +1,161 @@
+"""How long a job may take and how much memory it may hold before it is ended.
+
+The defaults end what hangs or fills the machine, never what is slow.
+
+Time: :data:`TIMES` the median of jobs like it that finished here, at least :data:`LEAST_SECONDS`. Of the
+committed records none takes 7 times what jobs like it take (tests hold that), and a busy machine took 8 times
+as long as a quiet one. Without such jobs: a cap by preset, at least 50 times its longest committed record.
+
+Memory: :data:`SHARE` of the machine or control group, against what a job holds and the system cannot drop.
+"""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import psutil
+
+from bench.display import span
+from bench.estimates import Past, work
+from bench.records import Job, Record
+from bench.store import Store
+from methods.interface import MethodSpec
+
+TIMES = 60.0
+LEAST_SECONDS = 1800.0
+HOUR = 3600.0
+CAPS = {"quick": 8 * HOUR, "standard": 48 * HOUR}
+LONGEST_CAP = 192 * HOUR
+"""Of the preset paper, and of a suite's own presets."""
+CAP_PIXELS = 256 * 256
+SHARE = 0.95
+OFF = math.inf
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit of one job, in seconds or bytes, and where it comes from, for people."""
+
+    amount: float
+    origin: str
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the command line says: None for the defaults, :data:`OFF` for no limit.
+
+    Attributes:
+        seconds: of a job, without waiting for the machine.
+        memory: bytes of a job with all its processes.
+    """
+
+    seconds: float | None = None
+    memory: float | None = None
+
+    def time(self, job: Job, past: Past, spec: MethodSpec | None) -> Limit:
+        """The limit of a job's time."""
+        if self.seconds is not None:
+            return Limit(self.seconds, "--time-limit")
+        # Views that the cache holds take no time: they say nothing about those that must be rendered.
+        estimate = past.estimate(job, close=True) if job.kind != "views" else None
+        if estimate is not None:
+            seconds = TIMES * estimate.seconds * max(1.0, work(job) / estimate.work)
+            if seconds < LEAST_SECONDS:
+                return Limit(LEAST_SECONDS, "the least default; --time-limit none lifts it")
+            origin = f"{TIMES:g} times what jobs like it took here; --time-limit none lifts it"
+            return Limit(seconds, origin)
+        usual = spec.iterations.get(job.preset) if spec is not None else None
+        longer = (job.iterations or 0) / usual if usual else 1.0
+        larger = job.request.width * job.request.height / CAP_PIXELS
+        cap = CAPS.get(job.preset, LONGEST_CAP) * len(job.scenes) * max(1.0, longer) * max(1.0, larger)
+        return Limit(cap, f"the default of preset {job.preset}; --time-limit none lifts it")
+
+    def bytes(self) -> Limit:
+        """The limit of any job's memory."""
+        if self.memory is not None:
+            return Limit(self.memory, "--memory-limit")
+        origin = f"{SHARE:.0%} of this machine's memory; --memory-limit none lifts it"
+        return Limit(SHARE * available_memory(), origin)
+
+
+def finished_here(store: Store) -> Past:
+    """The finished jobs of a store that ran on this machine."""
+
+    def here(record: Record) -> bool:
+        return record.provenance is not None and record.provenance.machine == (platform.node() or "unknown")
+
+    return Past([store], here)
+
+
+def time_reason(limit: Limit) -> str:
+    """Why a job was ended for its time."""
+    return f"killed after its time limit of {span(limit.amount)} ({limit.origin})"
+
+
+def memory_reason(limit: Limit, used: int) -> str:
+    """Why a job was ended for its memory."""
+    mib = 2**20
+    return (
+        f"killed over its memory limit: {used / mib:.0f} MiB of {limit.amount / mib:.0f} MiB ({limit.origin})"
+    )
+
+
+def used_memory(pid: int, limit: float) -> int:
+    """Memory of a process and its descendants, in bytes; 0 once it is gone.
+
+    Exact over ``limit`` only: there, shared pages count once, swapped pages count, and pages of files, which
+    the system can drop, do not.
+    """
+    try:
+        process = psutil.Process(pid)
+        processes = [process, *process.children(recursive=True)]
+        resident = sum(one.memory_info().rss for one in processes)
+    except psutil.Error:
+        return 0
+    if resident <= limit:
+        return resident
+    exact = [_held(one.pid) for one in processes]
+    return resident if None in exact else sum(filter(None, exact))
+
+
+def _held(pid: int) -> int | None:
+    """Bytes of a process that are neither another's nor a file's; None where the system does not say."""
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines()[1:]
+    except OSError:
+        return None
+    sizes = {name: int(rest.split()[0]) * 1024 for name, _, rest in (line.partition(":") for line in lines)}
+    names = ("Pss_Anon", "Pss_Shmem", "SwapPss")
+    return sum(sizes[name] for name in names) if all(name in sizes for name in names) else None
+
+
+def available_memory() -> int:
+    """Memory and swap of this machine, or what its control groups leave of them, in bytes."""
+    memory, swap = psutil.virtual_memory().total, psutil.swap_memory().total
+    return min([memory + swap, *(group + swap for group in _groups())])
+
+
+def _groups() -> Iterator[int]:
+    """Limits of the memory of this process's control groups and of those around them."""
+    try:
+        lines = Path("/proc/self/cgroup").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if controllers == "":
+            root, name = Path("/sys/fs/cgroup"), "memory.max"
+        elif "memory" in controllers.split(","):
+            root, name = Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes"
+        else:
+            continue
+        inside = PurePosixPath(path.lstrip("/"))
+        for group in (inside, *inside.parents):
+            try:
+                yield int((root / group / name).read_text(encoding="ascii"))
+            except (OSError, ValueError):  # "max", or a group that is not seen from here
+                continue

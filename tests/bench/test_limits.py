@@ -1,0 +1,104 @@
+"""Default limits: no job that was ever recorded comes near them, and each says how to lift it."""
+
+from __future__ import annotations
+
+import math
+import mmap
+import sys
+import zipfile
+from collections import defaultdict
+from pathlib import Path
+
+import psutil
+import pytest
+
+from bench.estimates import Past
+from bench.limits import LEAST_SECONDS, OFF, SHARE, TIMES, Limits, available_memory, time_reason, used_memory
+from bench.migration import migrated
+from bench.records import Record
+from methods.registry import Registry
+
+from .conftest import plan
+
+BUNDLES = sorted((Path(__file__).parents[2] / "reports" / "measured").glob("*.zip"))
+BUSY = 8.0
+"""How much longer a fit took on a busy machine than on the same machine at rest."""
+
+
+def _records(bundle: Path) -> list[Record]:
+    with zipfile.ZipFile(bundle) as archive:
+        names = [name for name in archive.namelist() if name.endswith("record.json")]
+        return [migrated(Record.model_validate_json(archive.read(name))) for name in names]
+
+
+class Shelf:
+    """Stands for a store whose jobs have no files."""
+
+    jobs = Path("nowhere")
+
+
+@pytest.mark.parametrize("bundle", BUNDLES, ids=lambda path: path.stem)
+def test_no_recorded_job_would_have_been_ended_even_on_a_busy_machine(bundle) -> None:
+    registry, alike = Registry(), defaultdict(list)
+    for record in _records(bundle):
+        if record.ok:
+            alike[record.job.kind, record.job.method, record.job.preset].append(record)
+    assert alike
+    for (_, method, _), records in alike.items():
+        spec = registry.spec(method) if method else None
+        for record in records:
+            others = Past([])
+            for other in records:
+                if other is not record:
+                    others.add(Shelf(), other)
+            limit = Limits().time(record.job, others, spec)
+            assert record.wall_seconds * BUSY < limit.amount, (record.job.title, limit)
+            assert (record.peak_host_bytes or 0) < SHARE * record.provenance.memory_bytes
+
+
+def _record(job, seconds: float) -> Record:
+    return Record(job=job, status="ok", started="", finished="", wall_seconds=seconds)
+
+
+def test_a_limit_says_where_it_comes_from_and_how_to_lift_it(suite) -> None:
+    fit = next(job for job in plan(suite()) if job.kind == "fit")
+    spec, past = Registry([Path(__file__).parent / "plugins"]).spec("fake"), Past([])
+    first = Limits().time(fit, past, spec)
+    assert first.amount == 8 * 3600
+    longer = fit.model_copy(update={"iterations": 3 * fit.iterations})
+    assert Limits().time(longer, past, spec).amount == 3 * first.amount
+    past.add(Shelf(), _record(fit, 1.0))
+    assert Limits().time(fit, past, spec).amount == LEAST_SECONDS
+    past.add(Shelf(), _record(fit, 999.0))
+    assert Limits().time(fit, past, spec).amount == TIMES * 500
+    assert Limits().time(longer, past, spec).amount == 3 * TIMES * 500
+    reason = time_reason(Limits().time(fit, past, spec))
+    assert reason.startswith("killed after its time limit of 8:20 h")
+    assert "--time-limit none" in reason
+    assert Limits(OFF, OFF).time(fit, past, spec).amount == Limits(OFF, OFF).bytes().amount == math.inf
+    assert "--memory-limit none" in Limits().bytes().origin
+
+
+def test_views_from_the_cache_say_nothing_of_views_that_must_be_rendered(suite) -> None:
+    views = next(job for job in plan(suite()) if job.kind == "views")
+    past = Past([])
+    past.add(Shelf(), _record(views, 0.01))
+    assert Limits().time(views, past, None).amount >= 8 * 3600
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no fork here")
+def test_pages_of_files_are_no_memory_of_a_job(tmp_path) -> None:
+    """Against the system's own count of anonymous pages, with a file of 64 MiB in memory."""
+    file = tmp_path / "volume.raw"
+    file.write_bytes(b"x" * 2**26)
+    with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, prot=mmap.PROT_READ) as pages:
+        assert pages[:: mmap.PAGESIZE].count(b"x") == 2**26 // mmap.PAGESIZE
+        process = psutil.Process()
+        resident = process.memory_info().rss
+        assert used_memory(process.pid, OFF) == pytest.approx(resident, rel=0.1)
+        held = used_memory(process.pid, 0)
+        assert held <= resident - 2**26
+        lines = Path("/proc/self/status").read_text().splitlines()
+        counts = [int(line.split()[1]) for line in lines if line.startswith(("RssAnon", "RssShmem"))]
+        assert held == pytest.approx(1024 * sum(counts), rel=0.05)
+    assert 0 < available_memory() <= psutil.virtual_memory().total + psutil.swap_memory().total
