@@ -1,0 +1,86 @@
+"""Which measurements are rungs of which ladders, and the ladders that a run store remembers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from bench.ladders import Ladder, ladder_of
+from bench.records import Job
+from bench.store import Store, write_text
+from datasets.errors import DataError
+from methods.options import label
+
+FILE = "ladders.json"
+"""File of a run store with the ladders of the suites that were run into it."""
+
+
+def remember(store: Store, ladders: Iterable[Ladder]) -> None:
+    """Keep the ladders of a suite for the tables of a store; a ladder replaces an older one of its name."""
+    if new := {ladder.name: ladder for ladder in ladders}:
+        with store.lock("tables"):
+            every = {ladder.name: ladder for ladder in ladders_of(store.root)} | new
+            text = json.dumps([asdict(ladder) for ladder in every.values()], indent=1)
+            write_text(store.root / FILE, text + "\n")
+
+
+def ladders_of(root: Path) -> list[Ladder]:
+    """The ladders of the suites that were run into a store.
+
+    Raises:
+        DataError: the file cannot be read.
+    """
+    path = root / FILE
+    if not path.is_file():
+        return []
+    try:
+        return [ladder_of(table, str(path)) for table in json.loads(path.read_text(encoding="utf-8"))]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DataError(path, f"holds no ladders ({error})", "Delete it, and run the suite again") from error
+
+
+def rungs_of(job: Job, ladders: Iterable[Ladder]) -> Iterator[dict[str, Any]]:
+    """Ladder, place and rung of a measurement on each ladder: columns of the table `rungs`.
+
+    Compositions, edited scenes and saved rates are on none.
+    """
+    if job.kind != "measure" or job.composition or job.edit or job.rate is not None:
+        return
+    for ladder in ladders:
+        place = place_of(ladder, job)
+        if place is not None:
+            yield {
+                "ladder": ladder.name,
+                "place": place,
+                "rungs": len(ladder.rungs),
+                "rung": ladder.rungs[place].title(job.method or ""),
+                "subject": "" if ladder.of_scenes else f"{job.dataset_name}/{job.subject}",
+                "variant": _base(ladder, job),
+                "same_truth": ladder.rungs[place].same_truth,
+            }
+
+
+def place_of(ladder: Ladder, job: Job) -> int | None:
+    """The rung of a measurement, from 0; None if it is on no rung."""
+    method = job.method or ""
+    if not ladder.is_for(method):
+        return None
+    names = ladder.options(method)
+    chosen = {name: value for name, value in job.overrides.items() if name in names}
+    for place, rung in enumerate(ladder.rungs):
+        if (
+            rung.stress == job.stress
+            and rung.scene in ("", f"{job.dataset_name}/{job.subject}")
+            and dict(rung.options.get(method, {})) == chosen
+        ):
+            return place
+    return None
+
+
+def _base(ladder: Ladder, job: Job) -> str:
+    """Label of a measurement's options without those of the rungs."""
+    names = ladder.options(job.method or "")
+    return label({name: value for name, value in job.overrides.items() if name not in names})
