@@ -224,6 +224,31 @@ def test_twin_agrees_with_the_integer_model(trained: tuple[ContextModel, torch.T
     assert low_bits(56 * 16 - 1) == 0
 
 
+def test_each_attribute_is_rounded_to_multiples_of_its_own_step() -> None:
+    _, values = scene(200)
+    model = model_for(values)
+    random = torch.Generator().manual_seed(4)
+    steps = (0.1 + torch.rand((200, 4), generator=random)) * torch.tensor(CONFIG.steps)
+    rounded, each = model.round(values, steps).flat, model.element_steps(steps)
+    whole = rounded / each
+    torch.testing.assert_close(whole, whole.round(), rtol=0, atol=1e-3)
+    assert ((rounded - values.flat).abs() <= 0.501 * each).all()
+    assert (rounded != values.flat).any(0).all()
+
+
+def test_a_second_stage_begins_with_the_statistics_of_the_attributes() -> None:
+    """What the head learns is the difference that the position makes."""
+    _, values = scene(3000)
+    model = ContextModel(model_for(values).config, torch.Generator().manual_seed(1))
+    before = model.distribution(torch.zeros(1, model.config.hidden))
+    model.calibrate(values)
+    mean, sigma = (one[0] for one in model.distribution(torch.zeros(1, model.config.hidden)))
+    flat = values.flat
+    torch.testing.assert_close(mean, flat.mean(0), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(sigma, flat.std(0, correction=0), rtol=1e-3, atol=0)
+    assert not torch.allclose(before[1][0], sigma, rtol=0.1)
+
+
 def test_refinement_reaches_small_steps() -> None:
     """The literal Q = 1 of features must be able to become 0.001 of it."""
     model = ContextModel(CONFIG)

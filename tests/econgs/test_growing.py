@@ -59,6 +59,20 @@ def test_strong_gradients_reach_the_fine_levels():
     assert torch.equal(grown.log_scalings, grown.log_scalings[:, :1].expand(-1, 6))
 
 
+@pytest.mark.parametrize(
+    ("gradient", "cells"),
+    [(0.99, set()), (1.01, {16}), (1.99, {16}), (2.01, {16, 4}), (3.99, {16, 4}), (4.01, {16, 4, 1})],
+)
+def test_each_level_asks_for_twice_the_gradient(gradient, cells):
+    *state, statistics = setting([[1.013, 0.0, 0.0]], [gradient])
+    met = set()
+    for seed in range(40):  # thinning leaves levels out
+        copied = AnchorStatistics(*(v.clone() for v in vars(statistics).values()))
+        grown = grow(*state, copied, RULES, generator(seed))
+        met |= set(grown.log_scalings[:, 0].exp().mul(100).round().int().tolist())
+    assert met == cells
+
+
 def test_features_are_the_maximum_over_those_who_asked():
     anchors = torch.tensor([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
     features = torch.tensor([[1.0, 5.0], [3.0, 2.0]])

@@ -137,6 +137,41 @@ def test_the_schedule_is_the_published_one_at_its_budget():
     assert sum(Schedule(600, coding=True).grows(i) for i in range(601)) >= 10
 
 
+def test_hac_pays_for_the_share_of_anchors_that_are_there(scene):
+    """Anchors without an offset are not coded: their bits must not weigh in the loss."""
+
+    def rate(gone):
+        trainer = HacTrainer(scene, KINDS["hac"].fit.options(rate_weight=1.0), 100, 0, "cpu")
+        masks = trainer.optimiser[trainer.anchors.name("masks")]
+        with torch.no_grad():
+            masks[:gone] = -20.0
+        trainer.iteration = trainer.schedule.context_start + 1
+        rows = torch.arange(gone, len(masks))  # the visible ones are the same in both
+        values = trainer.attributes(trainer.anchors)
+        trainer.begin_coding()
+        trainer.generator.manual_seed(0)
+        whole = trainer.prepare(values.of(rows), rows).losses["rate"]
+        trainer.generator.manual_seed(0)
+        bits = trainer.coding.apply(
+            trainer.anchors, values.of(rows), rows, len(masks), trainer.iteration, torch.ones(len(rows), 4)
+        )[1]
+        return float((whole - bits.grid).detach()), float(bits.attributes.detach()), len(masks)
+
+    whole, bits, count = rate(0)
+    assert whole == pytest.approx(bits, rel=1e-4)
+    whole, bits, count = rate(count // 2)
+    assert whole == pytest.approx(bits * (count - count // 2) / count, rel=1e-4)
+
+
+def test_the_context_model_begins_with_the_attributes_of_its_anchors(scene):
+    trainer = HacTrainer(scene, KINDS["hac"].fit.options(), 100, 0, "cpu")
+    values = trainer.attributes(trainer.anchors)
+    for trainer.iteration in range(1, 60):
+        trainer.begin_coding()
+    mean, _ = trainer.coding.model.distribution(torch.zeros(1, 24))
+    torch.testing.assert_close(mean[0], values.flat.mean(0), rtol=1e-4, atol=1e-5)
+
+
 def test_hac_pays_for_bits_and_masks(tiny, scene):
     """A larger lambda makes smaller streams; a larger weight of masks pushes them down."""
     kind = KINDS["hac"]

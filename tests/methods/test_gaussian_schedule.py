@@ -25,6 +25,12 @@ def test_the_published_schedule_at_the_published_budget():
     assert schedule.decayed(30_000, 1.6e-4, 1.6e-6) == pytest.approx(1.6e-6)
 
 
+def test_rates_decay_over_the_fits_own_budget():
+    schedule = Schedule(300)
+    rates = [schedule.decayed(i, 1.0, 0.01) for i in (0, 150, 300, 400)]
+    assert rates == pytest.approx([1.0, 0.1, 0.01, 0.01])
+
+
 @settings(deadline=None, max_examples=20)
 @given(st.integers(100, 40_000))
 def test_growth_happens_at_least_ten_times_in_its_own_half(iterations):

@@ -1,0 +1,77 @@
+"""``bench baseline`` and ``bench gate``."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from argparse import Namespace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from bench.store import Store, write_text
+from datasets.errors import DataError
+
+ERROR = 3
+"""Exit code of a baseline or store that cannot be read."""
+
+
+def baseline(options: Namespace) -> int:
+    """Write the results of a store as a baseline, or update one."""
+    from bench.gate import baseline as files
+    from bench.gate.cells import cells_of
+    from bench.provenance import commit_here
+    from bench.tables import build_tables
+
+    path = Path(options.out)
+    earlier = files.read(path).changes if path.exists() else []
+    store = Store(Path(options.store))
+    cells = cells_of(store, build_tables(store, write=False))
+    if not cells:
+        raise DataError(
+            store.root, "holds no results", "Run a suite first: bench run gate --seed 0 --seed 1 --seed 2"
+        )
+    change = files.Change(
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        reason=options.reason,
+        version=version("econgs-bench"),
+        commit=commit_here(),
+    )
+    content = files.Baseline(
+        format=files.FORMAT,
+        changes=[*earlier, change],
+        environment={"python": platform.python_version(), **_versions(store)},
+        cells=files.sorted_cells(files.cell_of(cell) for cell in cells.values()),
+    )
+    files.write(path, content)
+    print(f"{path}: {len(content.cells)} results, {path.stat().st_size / 2**10:.0f} KiB")
+    return 0
+
+
+def gate(options: Namespace) -> int:
+    """Compare a store with a baseline; the exit code says pass, worse, not measured or error."""
+    from bench.gate import text
+    from bench.gate.judgement import judged
+
+    try:
+        verdict, content = judged(
+            Path(options.baseline), Path(options.store), times=not options.without_times
+        )
+    except DataError as error:
+        print(f"bench: {error}", file=sys.stderr)
+        return ERROR
+    for line in text.lines(verdict):
+        print(line)
+    if options.markdown:
+        write_text(Path(options.markdown), text.markdown(verdict, content))
+    if options.junit:
+        text.write_junit(Path(options.junit), verdict)
+    return verdict.code
+
+
+def _versions(store: Store) -> dict[str, str]:
+    """Software of the store's jobs that decides results."""
+    for record in store.records():
+        if record.provenance is not None and record.fit is not None:
+            return {name: record.provenance.versions[name] for name in sorted(record.provenance.versions)}
+    return {}

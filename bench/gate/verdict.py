@@ -1,0 +1,345 @@
+"""The gate's verdict: which results are worse than the baseline by more than repetitions differ.
+
+Each quantity of each cell, each method's mean over scenes, and each view are tested by Student's t. The
+variance of a seed is that of the cell's own seeds, moderated by all cells (:mod:`bench.gate.spread`). Holm's
+correction keeps the probability of any false alarm under :data:`LEVEL`. Where the files of a model are those
+of the baseline, nothing random is left: its results must be equal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from bench.gate.baseline import Baseline, BaselineCell
+from bench.gate.cells import VIEW_METRIC, Cell, Key
+from bench.gate.quantities import QUANTITIES, Quantity
+from bench.gate.spread import Prior, prior, quantile, tail
+from reports.conclusions.clocks import BUSY
+
+LEVEL = 0.01
+"""Probability of any false alarm in a comparison, in either direction."""
+_EQUAL = 1e-3
+"""Difference of scores within which equal files of a model measure alike: 0.001 dB, or 0.1 %."""
+_ALL = "all scenes"
+_LEAST_VIEWS = 3
+
+Kind = Literal["worse", "better", "not measured", "note"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A line of the verdict.
+
+    Attributes:
+        cell: title of the cell.
+        text: what differs, for people.
+    """
+
+    kind: Kind
+    cell: str
+    text: str
+
+
+@dataclass
+class Verdict:
+    """The outcome.
+
+    Attributes:
+        findings: the worst first.
+        cells: titles of all cells of the baseline.
+        tests: number of comparisons.
+        same: number of models whose files equal the baseline's.
+        differ: number of models whose files do not.
+    """
+
+    findings: list[Finding] = field(default_factory=list)
+    cells: list[str] = field(default_factory=list)
+    tests: int = 0
+    same: int = 0
+    differ: int = 0
+
+    def add(self, findings: Iterable[Finding]) -> None:
+        """Add findings and put the worst first."""
+        order = ("worse", "not measured", "better", "note")
+        self.findings = sorted([*self.findings, *findings], key=lambda finding: order.index(finding.kind))
+
+    def of(self, *kinds: Kind) -> list[Finding]:
+        return [finding for finding in self.findings if finding.kind in kinds]
+
+    @property
+    def word(self) -> str:
+        """The worst of "worse", "not measured" and "pass"."""
+        return next((kind for kind in ("worse", "not measured") if self.of(kind)), "pass")  # type: ignore[arg-type]
+
+    @property
+    def code(self) -> int:
+        """Exit code: 0 pass, 1 worse, 2 not measured."""
+        return {"pass": 0, "worse": 1, "not measured": 2}[self.word]
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """A quantity of a cell, or of a method over its scenes, before and after.
+
+    Attributes:
+        before, after: scores of each seed; ``after`` is empty if nothing is to be compared.
+        values: the means before and after, for people.
+    """
+
+    cell: str
+    title: str
+    quantity: Quantity
+    before: list[float]
+    after: list[float]
+    values: tuple[float, float]
+
+    @property
+    def variance(self) -> float:
+        return float(np.var(self.before, ddof=1))
+
+    @property
+    def freedom(self) -> int:
+        return len(self.before) - 1
+
+    def test(self, base: Prior) -> _Test:
+        variance, freedom = base.moderated(self.variance, self.freedom)
+        error = math.sqrt(variance * (1.0 / len(self.before) + 1.0 / len(self.after)))
+        difference = _mean(self.after) - _mean(self.before)
+        return _Test(self.cell, self.title, self.quantity, *self.values, difference, error, freedom)
+
+
+@dataclass(frozen=True)
+class _Test:
+    """One comparison; a positive ``difference`` of scores is better."""
+
+    cell: str
+    title: str
+    quantity: Quantity
+    before: float
+    after: float
+    difference: float
+    error: float
+    freedom: float
+
+    @property
+    def statistic(self) -> float:
+        if self.error > 0.0:
+            return self.difference / self.error
+        return math.copysign(math.inf, self.difference) if abs(self.difference) > _EQUAL else 0.0
+
+    def finding(self, kind: Kind, critical: float) -> Finding:
+        q = self.quantity
+        tolerance = q.change(critical * self.error).lstrip("+-") if self.error > 0.0 else "nothing"
+        unit = " dB" if q.scale == "linear" else ""
+        text = (
+            f"{self.title} {q.text(self.before)} → {q.text(self.after)} ({q.change(self.difference)}{unit}; "
+            f"seeds explain {tolerance}{unit})"
+        )
+        return Finding(kind, self.cell, text)
+
+
+def compare(baseline: Baseline, cells: Mapping[Key, Cell], *, times: bool = True) -> Verdict:
+    """Compare a run with a baseline.
+
+    Args:
+        baseline: the file.
+        cells: of the run.
+        times: whether times are asked for.
+    """
+    verdict = Verdict()
+    pairs = [
+        _Pair(old, cells.get(old.key) or Cell(old.key, old.version, ""), times) for old in baseline.cells
+    ]
+    for pair in pairs:
+        verdict.cells.append(pair.title)
+        verdict.add(pair.findings())
+        verdict.same += len(pair.equal)
+        verdict.differ += pair.differ
+    tests = [
+        *_tests([sample for pair in pairs for sample in pair.samples()]),
+        *_tests(list(_of_methods(pairs))),
+        *_of_views(pairs),
+    ]
+    verdict.tests = len(tests)
+    verdict.add(_significant(tests))
+    return verdict
+
+
+class _Pair:
+    """A cell before and after.
+
+    Attributes:
+        equal: seeds whose models have the files of the baseline.
+        free: seeds of the run whose results have a chance to differ.
+    """
+
+    def __init__(self, old: BaselineCell, new: Cell, times: bool) -> None:
+        self.old, self.new, self.title = old, new, old.key.title
+        digests = dict(zip(old.seeds, old.models, strict=True))
+        known = {seed for seed in new.values if digests.get(seed) and new.models.get(seed)}
+        self.equal = {seed for seed in known if new.models[seed] == digests[seed]}
+        self.differ = len(known - self.equal)
+        self.free = set(new.values) - self.equal
+        self._times = times and old.kernel is not None
+        self._pace = _pace(old, new) if self._times and new.values else ""
+
+    def findings(self) -> Iterator[Finding]:
+        """What needs no statistics."""
+        for seed, reason in self.new.failures.items():
+            yield Finding("worse", self.title, f"seed {seed} {reason}")
+        if not self.new.values:
+            if not self.new.failures:
+                yield Finding("not measured", self.title, "the run has no such result")
+            return
+        if self.new.version != self.old.version:
+            yield Finding("note", self.title, f"method version {self.old.version} → {self.new.version}")
+        if self._pace:
+            yield Finding("not measured", self.title, f"times: {self._pace}")
+        for name, quantity in QUANTITIES.items():
+            rows = self.new.values if self._compares(quantity) else {}
+            if rows and self.old.values.get(name) and not any(name in row for row in rows.values()):
+                yield Finding("not measured", self.title, f"{quantity.title}: no value in the run")
+        lacking = [
+            view for view in self.old.views if any(view not in path for path in self.new.views.values())
+        ]
+        if lacking:
+            text = f"{len(lacking)} of {len(self.old.views)} views were not measured ({lacking[0]}, ...)"
+            yield Finding("worse", self.title, text)
+        yield from self._of_equal()
+
+    def _compares(self, quantity: Quantity) -> bool:
+        return quantity.kind != "time" or (self._times and not self._pace)
+
+    def _of_equal(self) -> Iterator[Finding]:
+        """Equal files must measure alike: a gain, too, is one of measurement."""
+        for seed in sorted(self.equal):
+            for name, quantity in QUANTITIES.items():
+                before, after = self.before(name).get(seed), self.new.values[seed].get(name)
+                if quantity.kind == "time" or before is None or after is None:
+                    continue
+                difference = quantity.score(after) - quantity.score(before)
+                if abs(difference) > _EQUAL:
+                    text = (
+                        f"{quantity.title} {quantity.text(before)} → {quantity.text(after)} from the same "
+                        f"files of the model (seed {seed}): rendering or metric has changed"
+                    )
+                    yield Finding("worse", self.title, text)
+
+    def before(self, name: str) -> dict[int, float]:
+        """Seed -> value of the baseline."""
+        values = zip(self.old.seeds, self.old.values.get(name, []), strict=False)
+        return {seed: value for seed, value in values if value is not None}
+
+    def after(self, name: str) -> dict[int, float]:
+        """Seed -> value of the run, where chance has a part in it."""
+        quantity = QUANTITIES[name]
+        seeds = self.new.values if quantity.kind == "time" else self.free
+        rows = {seed: self.new.values[seed] for seed in seeds} if self._compares(quantity) else {}
+        return {seed: row[name] for seed, row in rows.items() if name in row}
+
+    def samples(self) -> Iterator[_Sample]:
+        """All quantities, also those that only tell how much seeds spread."""
+        for name, quantity in QUANTITIES.items():
+            before, after = list(self.before(name).values()), list(self.after(name).values())
+            if len(before) > 1:
+                scores = (
+                    [quantity.score(value) for value in before],
+                    [quantity.score(value) for value in after],
+                )
+                yield _Sample(self.title, quantity.title, quantity, *scores, (_mean(before), _mean(after)))
+
+
+def _pace(old: BaselineCell, new: Cell) -> str:
+    """Why the times of a run do not compare; "" if they do."""
+    if new.processor != old.processor:
+        return f"the baseline's are of {old.processor}, these of {new.processor}"
+    slow = bool(new.kernels and old.kernel) and float(np.median(new.kernels)) > BUSY * (old.kernel or 0.0)
+    return "the machine was busy, as the reference kernel beside them shows" if new.busy or slow else ""
+
+
+def _tests(samples: Sequence[_Sample]) -> Iterator[_Test]:
+    """A test of each sample that has results; the spread of a quantity is learned from all samples."""
+    for quantity in QUANTITIES.values():
+        own = [sample for sample in samples if sample.quantity is quantity]
+        base = prior([sample.variance for sample in own], [sample.freedom for sample in own])
+        yield from (sample.test(base) for sample in own if sample.after)
+
+
+def _of_methods(pairs: Sequence[_Pair]) -> Iterator[_Sample]:
+    """Means of each method over its scenes: what is small in each scene may be sure in all."""
+    groups: dict[Key, list[_Pair]] = defaultdict(list)
+    for pair in pairs:
+        groups[pair.old.key._replace(dataset="", scene=_ALL)].append(pair)
+    for key, group in groups.items():
+        for name, quantity in QUANTITIES.items():
+            before, after = (
+                [side(name) for side in sides]
+                for sides in zip(*((p.before, p.after) for p in group), strict=True)
+            )
+            scores = _over_scenes(quantity, before), _over_scenes(quantity, after)
+            if len(group) > 1 and len(scores[0]) > 1 and quantity.kind != "time":
+                values = tuple(_mean(_mean(scene.values()) for scene in scenes) for scenes in (before, after))
+                title = f"{quantity.title} over {len(group)} scenes"
+                yield _Sample(key.title.lstrip("/"), title, quantity, *scores, values)  # type: ignore[arg-type]
+
+
+def _over_scenes(quantity: Quantity, scenes: Sequence[Mapping[int, float]]) -> list[float]:
+    """Mean score of each seed that all scenes have."""
+    seeds = sorted(set.intersection(*(set(scene) for scene in scenes)))
+    return [_mean(quantity.score(scene[seed]) for scene in scenes) for seed in seeds]
+
+
+def _of_views(pairs: Sequence[_Pair]) -> Iterator[_Test]:
+    """Views that lose or gain more than their scene does."""
+    quantity = QUANTITIES[VIEW_METRIC]
+    known = [pair.old for pair in pairs if pair.old.views]
+    base = prior([old.view_spread**2 for old in known], [_view_freedom(old) for old in known])
+    for pair in pairs:
+        old = pair.old
+        paths = [pair.new.views[seed] for seed in sorted(pair.free) if pair.new.views.get(seed)]
+        if (
+            len(old.views) < _LEAST_VIEWS
+            or not paths
+            or any(not set(old.views) <= set(path) for path in paths)
+        ):
+            continue
+        before = np.array(list(old.views.values()))
+        after = np.mean([[path[view] for view in old.views] for path in paths], axis=0)
+        variance, freedom = base.moderated(old.view_spread**2, _view_freedom(old))
+        error = math.sqrt(variance * (1.0 / len(old.seeds) + 1.0 / len(paths)))
+        excess = (after - before) - float(np.mean(after - before))
+        before, after = before - before.mean(), after - after.mean()
+        for view, one, other, more in zip(old.views, before, after, excess, strict=True):
+            title = f"{quantity.title} of view {view} above the mean"
+            yield _Test(pair.title, title, quantity, one, other, float(more), error, freedom)
+
+
+def _view_freedom(cell: BaselineCell) -> int:
+    return (len(cell.seeds) - 1) * (len(cell.views) - 1)
+
+
+def _mean(values: Iterable[float]) -> float:
+    numbers = list(values)
+    return float(np.mean(numbers)) if numbers else math.nan
+
+
+# --------------------------------------------------------------------------- correction
+
+
+def _significant(tests: Sequence[_Test]) -> Iterator[Finding]:
+    """Holm's step-down correction, for losses and for gains."""
+    for kind, sign in (("worse", -1.0), ("better", 1.0)):
+        chances = [tail(sign * test.statistic, test.freedom) for test in tests]
+        ranked = sorted(range(len(tests)), key=chances.__getitem__)
+        for position, place in enumerate(ranked):
+            level = LEVEL / (len(tests) - position)
+            if chances[place] > level:
+                break
+            test = tests[place]
+            yield test.finding(kind, quantile(level, test.freedom))  # type: ignore[arg-type]

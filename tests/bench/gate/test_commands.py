@@ -1,0 +1,143 @@
+"""``bench baseline``, ``bench gate`` and the pytest plugin on runs of the method fake."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+from bench.gate.audit import audit
+from bench.gate.baseline import read
+from datasets.errors import DataError
+from tests.bench.conftest import PATIENCE, Bench
+
+SEEDS = ("--seed", 0, "--seed", 1, "--seed", 2)
+
+
+@pytest.fixture(scope="module")
+def first(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a store of three seeds and its baseline; seed 7 is in a store of its own."""
+    bench = Bench(tmp_path_factory.mktemp("gate"), dataset)
+    bench.run(*SEEDS, scenes=("a", "b"))
+    folder = bench.store.parent
+    bench("baseline", bench.store, "--out", folder / "base.json", "--reason", "first")
+    bench.store = folder / "other"
+    bench.run("--seed", 7, scenes=("a", "b"))
+    return folder
+
+
+@pytest.fixture
+def gate(first: Path, bench: Bench, tmp_path: Path) -> Bench:
+    """The command on copies."""
+    for name in ("runs", "other"):
+        shutil.copytree(first / name, tmp_path / name, dirs_exist_ok=True)
+    shutil.copy(first / "base.json", tmp_path)
+    return bench
+
+
+def change(store: Path, kind: str, edit) -> None:
+    """Edit the records of a kind."""
+    for path in (store / "jobs").glob(f"{kind}-*/record.json"):
+        record = json.loads(path.read_text())
+        edit(record)
+        path.write_text(json.dumps(record))
+
+
+def test_a_baseline_is_small_readable_and_the_same_every_time(gate: Bench, tmp_path: Path) -> None:
+    text = (tmp_path / "base.json").read_text()
+    assert max(map(len, text.splitlines())) < 300
+    baseline = read(tmp_path / "base.json")
+    assert [(cell.scene, cell.seeds) for cell in baseline.cells] == [("a", [0, 1, 2]), ("b", [0, 1, 2])]
+    gate("baseline", "runs", "--out", tmp_path / "base.json", "--reason", "a better method")
+    again = read(tmp_path / "base.json")
+    assert [change.reason for change in again.changes] == ["first", "a better method"]
+    assert again.cells == baseline.cells
+
+
+def test_the_same_run_passes_and_its_models_are_equal(gate: Bench) -> None:
+    done = gate("gate", "--baseline", "base.json", "--without-times", code=0)
+    assert "all 6 models equal" in done.stdout
+    assert done.stdout.splitlines()[-1].startswith("pass: 2 results; nothing differs")
+
+
+def test_a_loss_is_found_and_reported_in_three_forms(gate: Bench, tmp_path: Path) -> None:
+    def darker(record) -> None:
+        for view in record["measure"]["views"]:
+            view["metrics"]["psnr"] -= 3.0
+        record["measure"]["metrics"]["psnr"] -= 3.0
+
+    change(tmp_path / "runs", "measure", darker)
+    done = gate(
+        "gate", "--baseline", "base.json", "--without-times", "--junit", "j.xml", "--markdown", "m.md", code=1
+    )
+    assert all("PSNR" in line for line in done.stdout.splitlines() if line.startswith("worse  "))
+    cases = ElementTree.parse(tmp_path / "j.xml").findall("testcase")
+    assert len(cases) == 2
+    assert all(case.find("failure") is not None for case in cases)
+    assert "**Worse (6)**" in (tmp_path / "m.md").read_text()
+
+
+def test_means_and_shares_must_follow_from_their_parts(gate: Bench, tmp_path: Path) -> None:
+    tables = gate.tables()
+    assert list(audit(tables)) == []
+    change(tmp_path / "runs", "measure", lambda record: record["measure"]["metrics"].update(psnr=99.0))
+    findings = [finding.text for finding in audit(gate.tables())]
+    assert findings
+    assert all(text.startswith("psnr is 99") for text in findings)
+    tables["results"].loc[0, "size_bytes"] += 5
+    assert [finding.text.split()[0] for finding in audit(tables)] == ["size_bytes"]
+
+
+def test_what_cannot_be_compared_has_codes_of_its_own(gate: Bench, tmp_path: Path) -> None:
+    assert "no run store" in gate("gate", "empty", "--baseline", "base.json", code=3).stderr
+    gate("gate", "runs", "--baseline", "nothing.json", code=3)
+    (tmp_path / "bad.json").write_text('{"format": 1, "changes": []}')
+    assert "environment" in gate("gate", "runs", "--baseline", "bad.json", code=3).stderr
+    baseline = json.loads((tmp_path / "base.json").read_text())
+    baseline["cells"][0]["scene"] = "another"
+    (tmp_path / "base.json").write_text(json.dumps(baseline))
+    assert (
+        "not measured  tiny/another"
+        in gate("gate", "--baseline", "base.json", "--without-times", code=2).stdout
+    )
+    baseline["cells"][0]["models"].pop()
+    (tmp_path / "base.json").write_text(json.dumps(baseline))
+    with pytest.raises(DataError, match=r"tiny/another.*differ in length"):
+        read(tmp_path / "base.json")
+
+
+def test_a_baseline_needs_seeds_and_finished_runs(gate: Bench, tmp_path: Path) -> None:
+    done = gate("baseline", "other", "--out", "new.json", "--reason", "r", code=2)
+    assert "1 seeds show no spread" in done.stderr
+    assert not (tmp_path / "new.json").exists()
+    gate("baseline", "runs", "--out", "new.json", code=2)
+
+
+def test_pytest_has_a_test_per_result(gate: Bench, tmp_path: Path) -> None:
+    (tmp_path / "test_own.py").write_text("def test_own(): pass\n")
+
+    def run(*more: str) -> subprocess.CompletedProcess[str]:
+        installed = "bench-gate" in {entry.name for entry in entry_points(group="pytest11")}
+        plugin = [] if installed else ["-p", "bench.gate.pytest_plugin"]
+        command = [sys.executable, "-m", "pytest", *plugin, "-p", "no:cacheprovider"]
+        command += ["--rootdir", str(tmp_path), "test_own.py", "--bench-gate", "base.json", *more]
+        return subprocess.run(
+            command, cwd=tmp_path, env=gate.environment, capture_output=True, text=True, timeout=PATIENCE,
+            check=False,
+        )  # fmt: skip
+
+    done = run()
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "3 passed" in done.stdout
+    change(tmp_path / "runs", "measure", lambda record: record["measure"]["metrics"].update(psnr=9.0))
+    done = run("-k", "tiny/a")
+    assert done.returncode == 1
+    assert "1 failed, 2 deselected" in done.stdout
+    assert "psnr is 9" in done.stdout
+    assert run("--bench-store", "nowhere").returncode == 4
