@@ -1,0 +1,395 @@
+"""The harness from Python; :mod:`bench` has all of these names, docs/guide/python.ipynb shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from datasets.catalogue import DatasetInfo, list_datasets
+from datasets.catalogue import open_dataset as _open
+from datasets.edits import Edit
+from datasets.errors import DataError
+from datasets.names import unknown
+from datasets.scene import RGB, Dataset
+from datasets.views import Split, ViewRequest, ViewSet
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pandas as pd
+    from numpy.typing import NDArray
+
+    from datasets.camera import Camera
+    from methods.interface import Model
+    from reports.charts.chart import Chart
+    from reports.charts.report import Report
+
+__all__ = [
+    "DataError", "Dataset", "DatasetInfo", "Drawing", "Edit", "Runs", "SavedModel", "ViewSet",
+    "list_datasets", "open_dataset", "render_views", "run", "score_views",
+]  # fmt: skip
+
+_Path = str | PathLike[str]
+
+
+def open_dataset(name: _Path) -> Dataset:
+    """Open a dataset.
+
+    Args:
+        name: of the catalogue (``"vortices@64"``), or path of a volume, of a TOML file with scenes, or of a
+            folder with pre-rendered views; ``PATH:variable=T,step=3`` chooses within a file.
+
+    Raises:
+        DataError: the data are missing or unusable; the message has the remedy.
+    """
+    return _open(str(name))
+
+
+def render_views(
+    dataset: Dataset,
+    scene: str,
+    *,
+    count: int = 8,
+    size: tuple[int, int] = (256, 256),
+    split: Split = "test",
+    edit: Mapping[str, Edit] | None = None,
+) -> ViewSet:
+    """Ground truth of a scene or composition, rendered or read; rendered views are cached.
+
+    Args:
+        dataset: as :func:`open_dataset` returns it.
+        scene: name of a basic scene or a composition.
+        count: number of views: on the test path, or of training cameras.
+        size: width and height in pixels; pre-rendered views need a whole fraction of their own.
+        split: "test", "train", "val" or "trainval".
+        edit: basic scene -> change, whose ground truth this is.
+
+    Returns:
+        Cameras, and images (count, height, width, 4), float32 RGBA in [0, 1], premultiplied by alpha.
+
+    Raises:
+        DataError: no such scene, or the data cannot be read or rendered.
+    """
+    from datasets.render_views import views_of
+
+    return views_of(dataset, scene, ViewRequest(split, count, count, *size), edit=edit)
+
+
+def score_views(truth: ViewSet, views: ViewSet) -> pd.DataFrame:
+    """All metrics of rendered views, a row per view; a metric that cannot be computed has no column.
+
+    Args:
+        truth: the ground truth.
+        views: the same cameras, as :meth:`SavedModel.render_views` returns them.
+
+    Raises:
+        ValueError: the sets have other numbers or sizes of views.
+    """
+    import pandas as pd
+
+    from bench.metrics import evaluate
+
+    back = truth.background
+    rows = [
+        {"view": camera.name}
+        | evaluate(image, views.composited(i, back), views.images[i, ..., 3], back).values
+        for i, (camera, image) in enumerate(zip(views.cameras, truth.images, strict=True))
+    ]
+    return pd.DataFrame(rows).set_index("view").dropna(axis=1, how="all")
+
+
+def run(
+    suite: _Path = "quick",
+    *,
+    out: _Path = "runs",
+    datasets: Sequence[_Path] = (),
+    scenes: Sequence[str] = (),
+    composed: bool = False,
+    methods: Sequence[str] = (),
+    seeds: Sequence[int] = (),
+    preset: Literal["", "quick", "standard", "paper"] = "",
+    split: Literal["test", "val"] = "test",
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    device: str = "cpu",
+    plugins: Sequence[_Path] = (),
+    retry: bool = False,
+    quiet: bool = False,
+) -> Runs:
+    """Run the jobs of a suite that are not finished yet, as ``bench run`` does, and return the run store.
+
+    A job that fails is a row of the results, with its reason.
+
+    Args:
+        suite: name or TOML file.
+        out: folder of the run store.
+        datasets: names or paths instead of the suite's.
+        scenes: names of the only scenes, or of compositions with their scenes.
+        composed: measure the compositions of the scenes too.
+        methods: names instead of the suite's.
+        seeds: seeds instead of the suite's.
+        preset: instead of the suite's.
+        split: "val" leaves every tenth training view out of the fit and measures on those.
+        options: method -> option -> value, differing from the preset.
+        device: "cpu", "cuda" or "cuda:N".
+        plugins: folders with methods of your own; default: those of earlier runs of this store.
+        retry: run failed jobs again.
+        quiet: no progress on standard error.
+
+    Raises:
+        DataError: the request or its input cannot be used.
+        KeyboardInterrupt: Ctrl-C ended the run; the same call resumes it.
+    """
+    from bench.display import Silence, make_display
+    from bench.executor import LocalExecutor
+    from bench.plan import Planner
+    from bench.plugins import plugin_folders, remember, resolved
+    from bench.selection import Selection
+    from bench.store import Store
+    from bench.suites import load_suite
+
+    given = resolved(map(str, plugins))
+    folders = plugin_folders(given, Path(out))
+    selection = Selection(
+        suite=load_suite(str(suite)),
+        datasets=tuple(map(str, datasets)),
+        scenes=tuple(scenes),
+        composed=composed,
+        methods=tuple(methods),
+        seeds=tuple(seeds),
+        preset=preset,
+        split=split,
+        overrides=options or {},
+        device=device,
+        plugins=folders,
+    )
+    store = Store(Path(out), create=True)
+    remember(store, given)
+    display = Silence() if quiet else make_display()
+    executor = LocalExecutor(store, Planner(selection), display, retry=retry, plugins=folders)
+    if executor.run().stopped:
+        raise KeyboardInterrupt("the run was stopped; the same call resumes it")
+    return Runs(store.root, plugins=folders)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A chart of a report; a notebook shows it.
+
+    Attributes:
+        name: of its file in a report's folder ``charts``.
+    """
+
+    name: str
+    _chart: Chart = field(repr=False)
+
+    @property
+    def svg(self) -> str:
+        """The SVG document."""
+        from reports.charts import svg
+
+        return svg.file(self._chart)
+
+    def _repr_svg_(self) -> str:
+        return self.svg
+
+    def save(self, path: _Path) -> None:
+        """Write the chart.
+
+        Args:
+            path: a file that ends in .svg, .pdf or .png.
+
+        Raises:
+            DataError: another ending.
+        """
+        import vl_convert
+
+        from reports.charts.files import pdf
+
+        path = Path(path)
+        writers: dict[str, Callable[[str], bytes]] = {
+            ".svg": str.encode, ".pdf": pdf, ".png": lambda text: bytes(vl_convert.svg_to_png(text, scale=2)),
+        }  # fmt: skip
+        if path.suffix not in writers:
+            raise DataError(path, "charts are SVG, PDF or PNG", "Name a file that ends in .svg, .pdf or .png")
+        path.write_bytes(writers[path.suffix](self.svg))
+
+
+class Runs:
+    """A run store: what was measured, as tables, answers, charts and models.
+
+    Tables are read once; open the store anew to see later jobs.
+
+    Args:
+        path: the folder that ``bench run --out`` or :func:`run` wrote.
+        plugins: folders with methods of your own; default: those of its runs.
+
+    Attributes:
+        path: the folder.
+
+    Raises:
+        DataError: the folder is no run store.
+    """
+
+    def __init__(self, path: _Path = "runs", *, plugins: Sequence[_Path] = ()) -> None:
+        from bench.plugins import plugin_folders
+        from bench.store import Store
+
+        self._store = Store(Path(path))
+        self._plugins = plugin_folders(map(str, plugins), self._store.root)
+        self.path = self._store.root
+
+    def __repr__(self) -> str:
+        return f"Runs({str(self.path)!r})"
+
+    @cached_property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """All tables of docs/reference/tables.md by name."""
+        from bench.tables import build_tables
+        from methods.registry import Registry
+
+        versions = {spec.name: spec.version for spec in Registry(self._plugins)}
+        return build_tables(self._store, versions, write=False)
+
+    @property
+    def results(self) -> pd.DataFrame:
+        """A row per method, scene, seed and rate: quality, size, times, memory, and the job."""
+        return self.tables["results"]
+
+    @property
+    def answers(self) -> dict[str, str]:
+        """Criterion ("Smallest", "Best picture", ...) -> which method, by how much, and how sure.
+
+        It is empty where no two methods can be compared.
+        """
+        return {answer.title: answer.sentence for answer in self._report.answers}
+
+    @cached_property
+    def _report(self) -> Report:
+        from reports.charts.report import Report
+
+        return Report(self.tables)
+
+    @cached_property
+    def charts(self) -> dict[str, Drawing]:
+        """The charts of the report by name: "psnr-size", "rate-distortion", "anytime-psnr" and more."""
+        from reports.charts.sections import charts
+
+        return {name: Drawing(name, chart) for name, chart in charts(self._report)}
+
+    def report(self, page: _Path | None = None) -> Path:
+        """Write the HTML report and its files, as ``bench report`` does.
+
+        Args:
+            page: the HTML file; default: ``report.html`` in the run store.
+
+        Returns:
+            The page.
+        """
+        from reports.page.document import write_report
+
+        path = self.path / "report.html" if page is None else Path(page)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return write_report(self.tables, self.path, path, report=self._report)
+
+    def model(self, job: str, device: str = "cpu") -> SavedModel:
+        """The model of a job, loaded from its files.
+
+        Args:
+            job: as in the column ``job`` of :attr:`results`.
+            device: "cpu", "cuda" or "cuda:N".
+
+        Raises:
+            DataError: there is no finished job of that name with a model, or it cannot be rendered here.
+        """
+        from bench.saved import load
+
+        return SavedModel(*load(self._store, job, self._plugins, device))
+
+
+@dataclass(frozen=True)
+class SavedModel:
+    """A model from its files.
+
+    Attributes:
+        method: name of the method.
+        scenes: basic scenes of its job, which are rendered together by default.
+        size_bytes: of its files, which may hold further scenes.
+    """
+
+    method: str
+    scenes: tuple[str, ...]
+    size_bytes: int
+    _model: Model = field(repr=False)
+
+    @property
+    def all_scenes(self) -> tuple[str, ...]:
+        """Basic scenes that the files hold."""
+        return tuple(self._model.scenes)
+
+    def primitives(self, scene: str | None = None) -> int:
+        """Number of primitives of a scene, or of all."""
+        return self._model.primitives(scene)
+
+    def render(
+        self,
+        camera: Camera,
+        scenes: Sequence[str] | None = None,
+        *,
+        edit: Mapping[str, Edit] | None = None,
+        background: RGB | None = None,
+    ) -> NDArray[np.float32]:
+        """One picture.
+
+        Args:
+            camera: the view, for example of a :class:`ViewSet`.
+            scenes: names; default: :attr:`scenes`.
+            edit: scene -> change of palette, opacity or light.
+            background: RGB in [0, 1]; default: that of the first scene.
+
+        Returns:
+            (height, width, 3) RGB in [0, 1] as displayed.
+
+        Raises:
+            DataError: the model lacks a scene, or its method cannot make the edit or composition.
+        """
+        return self._render(camera, scenes, edit, background)[0]
+
+    def render_views(
+        self,
+        truth: ViewSet,
+        scenes: Sequence[str] | None = None,
+        *,
+        edit: Mapping[str, Edit] | None = None,
+    ) -> ViewSet:
+        """The model in the views of a ground truth, on its background; arguments as :meth:`render`.
+
+        Returns:
+            The same cameras with images (count, height, width, 4) of the model, premultiplied by alpha.
+        """
+        import numpy as np
+
+        from bench.jobs.measure import premultiplied
+
+        back = truth.background
+        pictures = [
+            premultiplied(*self._render(camera, scenes, edit, back), back) for camera in truth.cameras
+        ]
+        return ViewSet(truth.cameras, np.stack(pictures), back, f"{self.method} {truth.key}")
+
+    def _render(
+        self,
+        camera: Camera,
+        scenes: Sequence[str] | None,
+        edit: Mapping[str, Edit] | None,
+        background: RGB | None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        from bench.saved import picture
+
+        names = list(self.scenes if scenes is None else scenes)
+        for name in names:
+            if name not in self._model.scenes:
+                raise unknown("scene", name, self._model.scenes, of=f"this model of {self.method}")
+        return picture(self._model, camera, names, edit or {}, background)

@@ -1,0 +1,73 @@
+"""Models of a run store, loaded from their files and rendered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from bench.store import Store
+from datasets.errors import DataError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from datasets.camera import Camera
+    from datasets.edits import Edit
+    from datasets.scene import RGB
+    from methods.interface import Model
+
+
+def load(
+    store: Store, job_id: str, plugins: Sequence[str] = (), device: str = "cpu"
+) -> tuple[str, tuple[str, ...], int, Model]:
+    """Method, basic scenes, bytes and model of a finished encode or measure job.
+
+    Raises:
+        DataError: there is no such job, or its method refuses to compose its groups or the device.
+    """
+    from bench.jobs.measure import load_models
+    from bench.worker import prepare_device
+    from methods.interface import Refused
+    from methods.registry import Registry, load_method
+
+    record = store.record(job_id)
+    needs = record.job.needs if record is not None and record.job.kind == "measure" else (job_id,)
+    encodes = [store.record(need) for need in needs if need.startswith("encode-")]
+    if record is None or not encodes or not all(encode is not None and encode.ok for encode in encodes):
+        raise DataError(
+            job_id,
+            f"is no finished encode or measure job of {store.root}",
+            "`bench results` names the jobs in its column `job`",
+        )
+    registry, name = Registry(plugins), str(record.job.method)
+    if name not in registry.names() and name not in registry.broken:
+        reason = f"is a model of the method {name}, which is not there"
+        raise DataError(job_id, reason, "Give the folder of its plugin (--plugins DIR)")
+    spec = registry.spec(name)
+    folders = [store.jobs / encode.job.id / "model" for encode in encodes if encode is not None]
+    try:
+        prepare_device(device, spec)
+        model = load_models(load_method(spec), folders, device)
+    except Refused as error:
+        raise DataError(job_id, str(error), "Render another model, or on another device") from error
+    count = sum(file.stat().st_size for folder in folders for file in folder.rglob("*") if file.is_file())
+    return spec.name, record.job.scenes, count, model
+
+
+def picture(
+    model: Model, camera: Camera, scenes: list[str], edit: Mapping[str, Edit], background: RGB | None
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """RGB (height, width, 3) and alpha (height, width) of one view.
+
+    Raises:
+        DataError: the method refuses the edit or the composition.
+    """
+    from bench.monitor import as_numpy
+    from methods.interface import Refused
+
+    try:
+        rgb, alpha = model.render(camera, scenes=scenes, edit=edit, background=background)
+    except Refused as error:
+        raise DataError("this picture", str(error), "Leave out what this method refuses") from error
+    return as_numpy(rgb), as_numpy(alpha)
