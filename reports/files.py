@@ -26,7 +26,8 @@ def write_files(report: Report, folder: Path, paper: Sequence[PaperTable]) -> No
 
     Always: ``results.*`` (CSV, Parquet, Markdown, LaTeX), ``paper/`` (the paper's
     tables), ``curves/`` (JSON, one file per method and dataset). ``intervals.csv`` and ``comparisons.csv``
-    need views, ``bd-rate.csv`` needs several rates, and ``datasets.*`` needs costs of rendering.
+    need views, ``bd-rate.csv`` needs several rates, ``ladders.csv`` needs ladders, and
+    ``datasets.*`` needs costs of rendering.
 
     Args:
         report: the tables.
@@ -48,6 +49,8 @@ def write_files(report: Report, folder: Path, paper: Sequence[PaperTable]) -> No
             if not statistics.empty:
                 write_text(folder / f"{name}.csv", to_csv(statistics))
         _write_rates(report, folder)
+        if not report.ladders.empty:
+            write_text(folder / "ladders.csv", to_csv(report.ladders))
     if not dvr.empty:
         costs = datasets.costs(dvr)
         write_text(folder / "datasets.csv", to_csv(dvr))

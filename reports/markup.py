@@ -15,6 +15,9 @@ _LONG = 30
 """Rows from which a table scrolls on its own on a screen, with fixed heads; print has all rows."""
 
 
+STALE = '<span class="tag stale" title="the method has a newer version">stale</span>'
+
+
 def method(row: Any, models: Sequence[Model]) -> str:
     """A row's method with variant and rate, after a dot in its color in the charts."""
     shade = look(model(row["method"], row["variant"]), models).color
@@ -30,7 +33,7 @@ def status(row: Any) -> str:
     why = "" if state == "ok" or absent(row["reason"]) else f' title="{escape(str(row["reason"]))}"'
     tag = f'<span class="tag {"ok" if state == "ok" else "bad"}"{why}>{escape(state)}</span>'
     if not absent(row["stale"]) and row["stale"]:
-        tag += ' <span class="tag stale" title="the method has a newer version">stale</span>'
+        tag += f" {STALE}"
     return tag
 
 

@@ -139,12 +139,15 @@ _B: DType = "boolean"
 COLUMNS: dict[str, Column] = _declare(
     # Axes: what a job is about.
     Column("dataset", _T, "name of the dataset", "Dataset", write=str, default=""),
+    Column("procedural", _B, "the dataset's volume is made by a formula", default=False),
     Column("scene", _T, "scene, or composition; an edited scene is its name and the edit; of a group, its "
            "first", "Scene", write=str, default=""),
     Column("kind", _T, "`basic`: a scene; `edited`: a basic scene after a change, against the ground truth "
            "of the changed scene; `composed`: scenes of a composition rendered together, from the models of "
            "all groups that hold them. Kinds are never summed or averaged together", default="basic"),
     Column("edit", _T, "the change of an edited scene, as `opacity=0.5 light=1,0,0`; else empty", default=""),
+    Column("stress", _T, "harder conditions of the run, as `noise=8`; else empty", "Stress", write=str,
+           default=""),
     Column("members", _T, "JSON: basic scenes that the job is about"),
     Column("group", _T, "label of the scenes that were fitted together; of a composition, of its groups"),
     Column("fitted_scenes", _T, "JSON: scenes of the fits that the job builds on"),
@@ -275,6 +278,24 @@ COLUMNS: dict[str, Column] = _declare(
     Column("renderer", _T, "renderer of the volume", "Renderer", write=str),
     Column("version", _T, "version of the renderer"),
     Column("backend", _T, "backend of the renderer"),
+    # Ladders.
+    Column("ladder", _T, "name of the ladder", "Ladder", write=str),
+    Column("place", _W, "place of the rung, 0 for the first", "Place", write=str),
+    Column("rungs", _W, "rungs of the ladder", "Rungs", write=str),
+    Column("rung", _T, "stress, scene or options of the rung", "Rung", write=str),
+    Column("subject", _T, "scene on which the ladder is climbed, as `vortices/cores`; empty where the rungs "
+           "are scenes", "Scene", write=str),
+    Column("same_truth", _B, "the test pictures are those of the first rung"),
+    Column("failed_step", _T, "step that failed: `partition`, `fit`, `encode`, `measure` or `views`"),
+    Column("failure", _T, "kind of break; empty where the rung holds. A failed step: `diverged`, `memory`, "
+           "`time`, `refusal`, `decode error` (encode or load) or `failure`. A result, against that of the "
+           "first rung, means over seeds, the first that fits: `collapse` (missing above 0.5 and 0.2 more), "
+           "`explosion` (same truth and more than 5 times the primitives), `vanishing parts` (missing 0.2 "
+           "more), `floaters` (excess 0.2 more), `quality` (change of -3 dB or less)", "Break", write=str),
+    Column("change", _F, "same test pictures: PSNR less that of the first rung. Other test pictures: the "
+           "same of the distance to the best method on the rung, so that a rung that is hard for all methods "
+           "is no break by this. PSNR above 48.13 dB, where errors are below one 8-bit step, counts as 48.13",
+           "Change", "dB", 0, _fixed(2)),
     # Columns of tables for people alone.
     Column("scenes", _T, "scenes with a result", "Scenes", write=str),
     Column("seeds", _W, "seeds with a result", "Seeds", write=str),
@@ -300,13 +321,13 @@ _MEASURED = (*_SAVED, "scene", "split")
 _RESULT = (
     *_MEASURED, "kind", "edit", "group", "fitted_scenes", "method_version", "options", "knob", "iterations",
     "train_views", "width", "height", "device", "machine", "threads", "commit", "source", "processor",
-    "fit_processor",
+    "fit_processor", "procedural",
 )  # fmt: skip
 TABLES: dict[str, Table] = {
     "jobs": Table(
         "A finished job, and what decides it.",
         (),
-        ("job", "step", "members", *(name for name in COLUMNS if name in _RESULT)),
+        ("job", "step", "members", "stress", *(name for name in COLUMNS if name in _RESULT)),
     ),
     "results": Table(
         "A model of a scene or composition. `size_bytes`, `train_seconds` and `cpu_seconds` are shares of "
@@ -363,6 +384,14 @@ TABLES: dict[str, Table] = {
         ("job", "status", "reason", "nx", "ny", "nz", "variables", "dtype", "volume_bytes", "ms_per_view",
          "ms_p05", "ms_p95", "fps", "load_seconds", "setup_seconds", "peak_host_bytes", "peak_device_bytes",
          "renderer", "version", "backend", "reference_seconds"),
+    ),
+    "rungs": Table(
+        "A measurement that is a rung of a ladder; the first rung is the usual run. Runs under stress are in "
+        "no table but this one.",
+        ("dataset", "scene", "method", "preset", "split", "requested_views", "seed", "stress"),
+        ("job", "ladder", "place", "rungs", "rung", "subject", "variant", "same_truth", "status",
+         "failed_step", "reason", "stage", "stale", "psnr", "psnr_fg", "missing", "excess", "primitives",
+         "size_bytes", "train_seconds"),
     ),
     "superseded": Table(
         "A result that the other tables leave out, because a newer one takes its place.",

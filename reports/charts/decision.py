@@ -16,6 +16,15 @@ COSTS = {"size_bytes": "Size", "train_seconds": "Training time", "fps": "Frames 
 _WIDTH, _HEIGHT = 520.0, 380.0
 
 
+def decisions(contest: Contest, models: list[Model]) -> dict[str, Chart]:
+    """Name of the file -> :func:`decision`, for each cost that can be compared."""
+    return {
+        f"decision-{column.partition('_')[0]}": chart
+        for column in COSTS
+        if (chart := decision(contest, column, models)) is not None
+    }
+
+
 def decision(contest: Contest, column: str, models: list[Model]) -> Chart | None:
     """One mark per method with its 95 % interval in both directions, and the Pareto front.
 

@@ -5,6 +5,7 @@ Run as a program, it reads paths of SVG files, a line each, and writes the PDF o
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import subprocess
 import sys
@@ -16,12 +17,18 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from reports.charts.chart import Chart
 
+_MOST_PANELS = 12
+"""Panels of one file: three in a row, in the proportions of a page."""
+_WIDE = 600.0
+"""Width from which a panel has a file to itself, in points."""
+
 
 @contextmanager
 def output(folder: Path) -> Iterator[Callable[[Mapping[str, Chart]], None]]:
     """Yield a function that writes charts (name -> chart) as NAME.svg and NAME.pdf, fonts embedded.
 
-    Another process makes the PDF files meanwhile; all are there when the context ends.
+    A chart that no page of paper holds becomes NAME-1.svg, NAME-2.svg and so on. Another process makes the
+    PDF files meanwhile; all are there when the context ends.
 
     Args:
         folder: folder of the files; it is created if it does not exist and there is a chart.
@@ -37,7 +44,7 @@ def output(folder: Path) -> Iterator[Callable[[Mapping[str, Chart]], None]]:
         processes: list[subprocess.Popen[str]] = []
 
         def write(charts: Mapping[str, Chart]) -> None:
-            for name, chart in charts.items():
+            for name, chart in _pages(charts, folder):
                 if not processes:
                     folder.mkdir(parents=True, exist_ok=True)
                     child = subprocess.Popen(
@@ -59,6 +66,20 @@ def output(folder: Path) -> Iterator[Callable[[Mapping[str, Chart]], None]]:
             _, message = process.communicate()
             if process.returncode:
                 raise RuntimeError(f"the charts in {folder} cannot be converted to PDF: {message.strip()}")
+
+
+def _pages(charts: Mapping[str, Chart], folder: Path) -> Iterator[tuple[str, Chart]]:
+    """The charts in parts of at most :data:`_MOST_PANELS`, or one wide panel; earlier files are removed."""
+    for name, chart in charts.items():
+        earlier = re.compile(rf"{re.escape(name)}(-\d+)?\.(svg|pdf)")
+        for path in folder.glob(f"{name}*"):
+            if earlier.fullmatch(path.name):
+                path.unlink()
+        most = 1 if any(panel.width > _WIDE for panel in chart.panels) else _MOST_PANELS
+        starts = range(0, max(1, len(chart.panels)), most)
+        for number, start in enumerate(starts, 1):
+            part = dataclasses.replace(chart, panels=chart.panels[start : start + most])
+            yield (name if len(starts) == 1 else f"{name}-{number}"), part
 
 
 def pdf(document: str) -> bytes:

@@ -30,6 +30,8 @@ Panels = Mapping[str, Sequence[training.Curve]]
 _QUALITY = "PSNR [dB]"
 _BARS = 540.0
 """Width of stacked bars with their totals in pixels."""
+_MOST_BARS = 36
+"""Stacked bars of a panel: as many as a page of paper holds."""
 
 
 def tradeoff(panels: Sequence[data.Panel], column: str, models: list[Model]) -> Chart:
@@ -168,24 +170,28 @@ def losses(panels: list[training.Losses]) -> Chart:
 
 
 def _stacked(bars: list[data.Bar], families: list[str], title: str, amount: Callable[[float], str]) -> Chart:
-    """Shares of wholes by part, a bar per dataset and method with its total."""
-    boxes = []
+    """Shares of wholes by part, a bar per dataset and method with its total; panels of :data:`_MOST_BARS`."""
     shades = colors(families)
-    for row, bar in enumerate(bars):
-        start = 0.0
-        for family in families:
-            if share := bar.percent(family):
-                about = "\n".join([bar.title, f"{family}: {_amounts(bar, family, amount)}"])
-                boxes.append(Bar(row, start, start + share, shades[family], about))
-                start += share
     room = (max((text_width(bar.total_text) for bar in bars), default=0.0) + 12.0) / _BARS
     ticks = tuple((value, str(value)) for value in range(0, 101, 20))
     x = Axis(title, 0.0, 100.0 / (1.0 - room), ticks=ticks)
-    y = Axis("", len(bars) - 0.5, -0.5, ticks=tuple((i, bar.title) for i, bar in enumerate(bars)), grid=False)
-    totals = [Text(100.0, row, bar.total_text, INK) for row, bar in enumerate(bars)]
     width = _BARS + 20.0 + max((text_width(bar.title) for bar in bars), default=0.0)
-    panel = Panel("", x, y, labels=totals, bars=boxes, width=width, height=52.0 + 26.0 * len(bars))
-    return Chart([panel], {family: Look(shade, "square", "") for family, shade in shades.items()})
+    panels = []
+    for first in range(0, max(1, len(bars)), _MOST_BARS):
+        part, boxes = bars[first : first + _MOST_BARS], []
+        for row, bar in enumerate(part):
+            start = 0.0
+            for family in families:
+                if share := bar.percent(family):
+                    about = "\n".join([bar.title, f"{family}: {_amounts(bar, family, amount)}"])
+                    boxes.append(Bar(row, start, start + share, shades[family], about))
+                    start += share
+        names = tuple((row, bar.title) for row, bar in enumerate(part))
+        y = Axis("", len(part) - 0.5, -0.5, ticks=names, grid=False)
+        totals = [Text(100.0, row, bar.total_text, INK) for row, bar in enumerate(part)]
+        height = 52.0 + 26.0 * len(part)
+        panels.append(Panel("", x, y, labels=totals, bars=boxes, width=width, height=height))
+    return Chart(panels, {family: Look(shade, "square", "") for family, shade in shades.items()})
 
 
 def ledger(bars: list[data.Bar], families: list[str]) -> Chart:

@@ -11,9 +11,11 @@ import numpy as np
 from reports.charts import rate_distortion
 from reports.conclusions.answers import answers
 from reports.conclusions.contest import contests
+from reports.schema import frame
 from reports.statistics import Views
 from reports.style import Model, absent, models
 from reports.tables import confidence
+from reports.tables.ladders import ladders
 from reports.tables.means import summary
 from reports.tables.protocols import by_protocol
 from reports.tables.ranks import ranks
@@ -87,6 +89,11 @@ class Report:
     @cached_property
     def means(self) -> pd.DataFrame:
         return summary(self.results)
+
+    @cached_property
+    def ladders(self) -> pd.DataFrame:
+        """Rungs with their breaks."""
+        return ladders(self.stored["rungs"] if "rungs" in self.stored else frame("rungs"))
 
     @cached_property
     def ranks(self) -> dict[tuple[Any, str], int]:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from html import escape
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from reports.charts import data, features, kinds, rate_distortion, stability_sections, training
 from reports.charts.chart import Chart, Panel
+from reports.charts.decision import decisions
 from reports.charts.elements import Section, card, cards, legend, rest, table
+from reports.charts.ladders import ladders_section
 from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, mib, models, seconds
 from reports.tables import confidence
 from reports.tables.columns import records
@@ -52,12 +55,21 @@ _CONVERGENCE = (
 """Name of the file, column, title of the axis."""
 
 
+def charts(report: Report) -> Iterator[tuple[str, Chart]]:
+    """The charts of the page with the names of their files."""
+    if report.contests:
+        yield from decisions(report.contests[0], report.models).items()
+    for section in chain(chart_sections(report.of_defaults), variant_sections(report)):
+        yield from section.charts.items()
+
+
 def chart_sections(report: Report) -> Iterator[Section]:
     """The sections for which there are data, in the order of the page, each when it is asked for."""
     makers: tuple[Callable[[Report], Section | None], ...] = (
         _confidence,
         _rate_distortion,
         _tradeoffs,
+        ladders_section,
         stability_sections.stability_section,
         stability_sections.complexity_section,
         _anytime,
@@ -182,7 +194,9 @@ def _tradeoffs(report: Report) -> Section | None:
     charts: dict[str, Chart] = {}
     captions: dict[str, list[str]] = {}
     for name, caption, column in _TRADEOFFS:
-        if panels := data.tradeoff(report.at_shared_seeds, column):
+        panels = data.tradeoff(report.at_shared_seeds, column)
+        # One setting of one method trades nothing.
+        if panels := [panel for panel in panels if len(panel.lines) > 1 or len(panel.lines[0].means) > 1]:
             charts[f"psnr-{name}"] = chart = kinds.tradeoff(panels, column, report.models)
             for panel in chart.panels:
                 captions.setdefault(panel.title, []).append(card(panel, caption))
@@ -357,5 +371,5 @@ def _wholes(name: str, title: str, words: str, chart: Chart) -> Section | None:
     """The section of a chart of stacked bars; None without any."""
     if not chart.legend:
         return None
-    (panel,) = chart.panels
-    return Section(name, title, f"<p>{words}</p>{legend(chart.legend)}{card(panel, '')}", {name: chart})
+    parts = "".join(card(panel, "") for panel in chart.panels)
+    return Section(name, title, f"<p>{words}</p>{legend(chart.legend)}{parts}", {name: chart})

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reports.conclusions.contest import Cells, Contest, Values
-from reports.conclusions.effects import Effect, effect
+from reports.conclusions.effects import LEAST_DATASETS, Effect, effect
 from reports.schema import COLUMNS
 from reports.style import absent, label
 from reports.tables.confidence import signed
@@ -22,6 +22,12 @@ ROBUST = "Most robust"
 EDITABLE = "Can be edited"
 _MOST_NAMES = 3
 """Methods that share a first place and are named."""
+
+
+_WIDE = 5.0
+"""Half width of an interval in dB from which it says nothing."""
+_WIDE_RATIO = math.log(10.0)
+"""The same of a ratio, as its logarithm."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,9 @@ class Criterion:
         """The 95 % interval of the same."""
         if difference.ends is None:
             return "no interval: nothing is repeated"
+        if not difference.sure and (difference.half or 0.0) > (_WIDE_RATIO if self.ratio else _WIDE):
+            few = difference.datasets < LEAST_DATASETS
+            return f"{_count(difference.scenes, 'scene')} decide nothing" if few else "the datasets disagree"
         return "95 %: " + " to ".join(
             _factor(end) if self.ratio else signed(end, 2, False) for end in difference.ends
         )
@@ -126,7 +135,7 @@ def scope(contest: Contest) -> str:
         "95 % interval of its lead, over datasets (scenes of fewer than three) and seeds, excludes zero."
     )
     for name, count in contest.others.items():
-        text += f" {label(name)} was measured on {count} of them and is not ranked."
+        text += f" {label(name)} was measured on {count or 'too few scenes'} of them and is not ranked."
     return text
 
 
@@ -181,16 +190,22 @@ def robustness(contest: Contest) -> Answer:
 
     def text(name: str) -> str:
         distance, scene = worst[name]
-        place = f" ({scene})" if distance > 0 else ""
+        behind = f"behind the best method of a scene by at most {distance:.1f} dB ({scene})"
         failures = contest.failures[name]
-        return f"{distance:.1f} dB{place}" + (f" and {_count(failures, 'failed fit')}" if failures else "")
+        return (behind if distance > 0 else "never behind another method") + (
+            f" and {_count(failures, 'failed fit')}" if failures else ""
+        )
 
-    places = tuple(Place(name, worst[name][0], f"\N{MINUS SIGN}{worst[name][0]:.1f} dB") for name in order)
+    places = tuple(
+        Place(name, worst[name][0], f"{-worst[name][0]:z.1f} dB".replace("-", "\N{MINUS SIGN}"))
+        for name in order
+    )
     first, second = order[:2]
     scenes = len(set().union(*shortfalls.values()))
+    few = len({row["requested_views"] for row in contest.rows if not absent(row["requested_views"])}) > 1
     sentence = (
-        f"{label(first)}: behind the best method of a scene by at most {text(first)}; {label(second)} by "
-        f"{text(second)}. The worst of {_count(scenes, 'scene')}, few training views included."
+        f"{label(first)}: {text(first)}; {label(second)}: {text(second)}. "
+        f"The worst of {_count(scenes, 'scene')}{', few training views included' if few else ''}."
     )
     return Answer(ROBUST, places, first if ranks[first] < ranks[second] else "", sentence)
 
@@ -274,7 +289,8 @@ def _caution(values: Values) -> str:
 
 def _gap(values: Values) -> str:
     if values.busy:
-        return f"{_count(values.busy, 'value')} from a busy machine, the others not of all methods"
+        rows = _count(values.busy, "row")
+        return f"without {rows} from a busy machine no dataset has all scenes of all methods"
     return "not measured of two methods on one dataset"
 
 

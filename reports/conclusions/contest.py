@@ -19,7 +19,7 @@ Cells = dict[str, dict[str, dict[Any, float]]]
 """Dataset -> scene -> seed -> value, of one method."""
 
 _LEAST_SHARE = 0.5
-"""Share of the datasets that a method needs to be ranked."""
+"""Share of the datasets, and of the scenes of each, that a method needs to be ranked."""
 
 
 @dataclass(frozen=True)
@@ -58,19 +58,32 @@ class Contest:
 
     @cached_property
     def scenes(self) -> dict[str, set[str]]:
-        """Dataset -> scenes."""
+        """Dataset -> the scenes of which all ranked methods that tried it have rows, finished or not."""
         scenes: dict[str, set[str]] = {}
+        for method in self.methods:
+            for dataset, own in self._tried[method].items():
+                scenes[dataset] = scenes.get(dataset, own) & own
+        return {dataset: common for dataset, common in scenes.items() if common}
+
+    @cached_property
+    def _tried(self) -> dict[str, dict[str, set[str]]]:
+        """Method -> dataset -> scenes that it has rows of, finished or not."""
+        tried: dict[str, dict[str, set[str]]] = {}
         for row in self.rows:
-            scenes.setdefault(row["dataset"], set()).add(row["scene"])
-        return scenes
+            tried.setdefault(row["method"], {}).setdefault(row["dataset"], set()).add(row["scene"])
+        return tried
 
     @cached_property
     def attempts(self) -> dict[str, set[str]]:
-        """Method -> datasets that it has rows of, finished or not."""
-        attempts: dict[str, set[str]] = {}
-        for row in self.rows:
-            attempts.setdefault(row["method"], set()).add(row["dataset"])
-        return attempts
+        """Method -> datasets of which it has rows, finished or not, of at least half of the scenes."""
+        most: dict[str, int] = {}
+        for own in self._tried.values():
+            for dataset, scenes in own.items():
+                most[dataset] = max(most.get(dataset, 0), len(scenes))
+        return {
+            name: {dataset for dataset, scenes in own.items() if len(scenes) >= _LEAST_SHARE * most[dataset]}
+            for name, own in self._tried.items()
+        }
 
     @cached_property
     def methods(self) -> list[str]:
@@ -93,7 +106,7 @@ class Contest:
         return failures
 
     def values(self, column: str) -> Values:
-        """The values of a column on the datasets where all ranked methods have all scenes.
+        """The values of a column on the datasets where all ranked methods have the scenes that all tried.
 
         Speeds are of quiet machines, and of the processor and number of threads with the most datasets.
         """
@@ -128,9 +141,15 @@ class Contest:
         whole = [
             dataset
             for dataset, scenes in self.scenes.items()
-            if dataset in self.main and all(set(own.get(dataset, ())) == scenes for own in cells.values())
+            if dataset in self.main and all(scenes <= set(own.get(dataset, ())) for own in cells.values())
         ]
-        return {name: {dataset: own[dataset] for dataset in whole} for name, own in cells.items()}
+        return {
+            name: {
+                dataset: {scene: own[dataset][scene] for scene in sorted(self.scenes[dataset])}
+                for dataset in whole
+            }
+            for name, own in cells.items()
+        }
 
 
 def contests(results: pd.DataFrame) -> list[Contest]:

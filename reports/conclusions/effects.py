@@ -12,7 +12,7 @@ import numpy as np
 from reports.conclusions.contest import Cells
 from reports.statistics import t_quantile
 
-_LEAST_DATASETS = 3
+LEAST_DATASETS = 3
 """Datasets from which their differences are the sample; with fewer it is the scenes."""
 
 
@@ -75,7 +75,7 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | No
     of_datasets = [_mean(values) for values in of_scenes]
     mean = _mean(of_datasets)
     terms = [
-        _sampling([of_datasets]) if len(of_datasets) >= _LEAST_DATASETS else _sampling(of_scenes),
+        _sampling([of_datasets]) if len(of_datasets) >= LEAST_DATASETS else _sampling(of_scenes),
         _sampling([_of_seeds(differences)]),
     ]
     counts = [len(seeds) for scenes in differences.values() for seeds in scenes.values()]

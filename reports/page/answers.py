@@ -8,7 +8,7 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from reports.charts import svg
-from reports.charts.decision import COSTS, decision
+from reports.charts.decision import decisions
 from reports.charts.elements import Section
 from reports.conclusions.answers import scope
 from reports.style import Model, label, look
@@ -38,11 +38,7 @@ def section(report: Report, anchors: Container[str]) -> Section | None:
     if not report.contests:
         return None
     contest = report.contests[0]
-    charts = {
-        f"decision-{column.partition('_')[0]}": chart
-        for column in COSTS
-        if (chart := decision(contest, column, report.models)) is not None
-    }
+    charts = decisions(contest, report.models)
     entries = "".join(_entry(answer, report.models) for answer in report.answers)
     html = (
         f"<p>{escape(scope(contest))}</p>"

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from reports.paper.values import PaperTable
 
 _WEB = Path(__file__).parent / "web"
-_OPEN = ("answers", "scenes")
-"""Sections that are unfolded; all are in a report without answers."""
 _LONG = 50  # characters from which a fact has a wide box
 
 
@@ -65,9 +63,9 @@ def write_report(
                 write_charts(section.charts)
                 charts.append(section)
             parts = (
+                ("scenes", "Pictures", scenes.section(report, root, folder)),
                 ("results", "Results", results_table.section(report)),
                 ("paper", "The paper's tables", verdicts.section(paper, report.views)),
-                ("scenes", "Scenes", scenes.section(report, root, folder)),
                 ("editing", "Editing", editing.section(report, root, folder)),
             )
             sections = [*(Section(*part) for part in parts if part[2]), *charts]
@@ -89,7 +87,7 @@ def _document(name: str, head: str, sections: list[Section]) -> str:
     body = "\n".join(
         f'<section aria-labelledby="{part.anchor}"><h2 id="{part.anchor}">{escape(part.title)}</h2>\n'
         f"{part.html}</section>"
-        if part.anchor in _OPEN or sections[0].anchor != "answers"
+        if _is_open(part, sections)
         else f'<details class="part"><summary><h2 id="{part.anchor}">{escape(part.title)}</h2></summary>\n'
         f"{part.html}</details>"
         for part in sections
@@ -110,6 +108,15 @@ def _document(name: str, head: str, sections: list[Section]) -> str:
         f'<a class="skip" href="#main">Skip to the content</a>\n<div class="page">\n<header>{head}</header>\n'
         f'<main id="main">\n{body}\n</main>\n</div>\n'
         f"<script>{code}</script>\n</body>\n</html>\n"
+    )
+
+
+def _is_open(part: Section, sections: list[Section]) -> bool:
+    """Whether a section is unfolded: the answers, and pictures; all of them in a report without answers."""
+    return (
+        part.anchor == "answers"
+        or (part.anchor == "scenes" and scenes.INLINE in part.html)
+        or sections[0].anchor != "answers"
     )
 
 

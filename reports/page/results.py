@@ -27,7 +27,7 @@ def section(report: Report) -> str:
     results, means = report.results, report.means
     names = [n for n in numbers(results) if n in ("psnr", "size_bytes") or results[n].notna().any()]
     writer = _Rows(report, names)
-    columns = [by_name(name) for name in ("scene", "method", *writer.axes, "status", *names)]
+    columns = [by_name(name) for name in ("scene", "method", *names)]
     bodies = []
     for dataset, rows in results.groupby("dataset", sort=False):
         span, name = len(columns), escape(str(dataset))
@@ -81,30 +81,34 @@ class _Rows:
     def scene(self, index: Any, row: Any) -> str:
         cells = self._cells(row, self.scene_marks, index, _reasons(row))
         kind = "scene" if row["kind"] == "basic" else str(row["kind"])
-        return self._line(row, kind, str(row["scene"]), str(row["status"]), markup.status(row), cells)
+        tag = "" if row["status"] == "ok" and not row["stale"] else f" {markup.status(row)}"
+        return self._line(row, kind, escape(str(row["scene"])), str(row["status"]), tag, cells)
 
     def mean(self, index: Any, row: Any) -> str:
-        state = "mean, sum" if row["complete"] else markup.hint("no average", row["note"])
-        if row["stale"]:
-            state += ' <span class="tag stale">stale</span>'
         missing = dict.fromkeys(self.numbers, row["note"] or "missing in some scene")
         cells = self._cells(row, self.mean_marks, index, missing, spread=row["psnr_std"])
         seeds = f", {row['seeds']} seeds" if row["seeds"] > 1 else ""
-        name = f"{'all' if row['complete'] else 'incomplete'} ({row['scenes']} scenes{seeds})"
-        return self._line(row, "mean", name, "mean", state, cells)
+        name = "all" if row["complete"] else markup.hint("incomplete", row["note"])
+        tag = f" {markup.STALE}" if row["stale"] else ""
+        return self._line(row, "mean", f"{name} ({row['scenes']} scenes{seeds})", "mean", tag, cells)
 
-    def _line(self, row: Any, kind: str, name: str, status: str, state: str, cells: str) -> str:
+    def _line(self, row: Any, kind: str, name: str, status: str, tag: str, cells: str) -> str:
+        """A row; ``name``, ``tag`` and ``cells`` are HTML, ``status`` the filter's."""
         self.details.append(details(row))
         dataset = escape(str(row["dataset"]))
         key = mean_key(row) if kind == "mean" else str(row["job"])
-        cells_of_axes = "".join(f"<td>{escape(cell(axis, row.get(axis)))}</td>" for axis in self.axes)
+        settings = [
+            f"seed {row[axis]}" if axis == "seed" else cell(axis, row[axis])
+            for axis in self.axes
+            if not absent(row.get(axis))
+        ]
+        about = f' <span class="soft">{escape(", ".join(settings))}</span>' if settings else ""
         return (
             f'<tr class="row {kind}" data-dataset="{dataset}" data-status="{escape(status)}" '
             f'data-method="{escape(label(row["method"], row["variant"]))}" data-key="{escape(key)}">'
             f'<th scope="row"><button type="button" aria-expanded="false">'
             f'<span class="ds">{dataset} / </span>'
-            f"{escape(name)}</button></th><td>{markup.method(row, self.models)}</td>{cells_of_axes}"
-            f"<td>{state}</td>{cells}</tr>"
+            f"{name}</button>{about}</th><td>{markup.method(row, self.models)}{tag}</td>{cells}</tr>"
         )
 
     def _cells(
@@ -144,13 +148,16 @@ def _controls(results: pd.DataFrame) -> str:
     methods = [each.title for each in models(results)]
 
     def select(name: str, text: str, options: list[tuple[str, str]]) -> str:
-        items = "".join(f'<option value="{escape(v)}">{escape(label)}</option>' for v, label in options)
+        items = "".join(
+            f'<option value="{escape(v)}"{" selected" if i == 0 else ""}>{escape(label)}</option>'
+            for i, (v, label) in enumerate(options)
+        )
         return f'<label>{text} <select data-filter="{name}">{items}</select></label>'
 
     def values(name: str, text: str, options: list[str]) -> str:
         return select(name, text, [("", "all"), *((option, option) for option in options)])
 
-    kinds = [("", "scenes and means"), ("scene", "scenes only"), ("mean", "means only")]
+    kinds = [("mean", "means of scenes"), ("scene", "single scenes"), ("", "both")]
     return (
         '<div class="controls" role="search" aria-label="Filter the results" hidden>'
         '<label>Filter <input type="search" data-filter="text" placeholder="words, all must occur"></label>'

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 PICTURE_BYTES = 4_300_000
 """Most bytes of pictures on the page."""
 TRUTH = "Ground truth"
+_MOST_OPEN = 4
+"""Scenes whose panels are unfolded; of more, each dataset's are folded."""
 
 
 def section(report: Report, root: Path, charts: Path) -> str:
@@ -41,7 +43,7 @@ def section(report: Report, root: Path, charts: Path) -> str:
     tables = report.tables
     results = report.results[report.results["kind"] != "edited"]
     keys = ["dataset", "scene", "preset", "split"]
-    blocks: list[tuple[str, dict[str, str]]] = []
+    blocks: list[tuple[str, str, dict[str, str]]] = []
     without = 0
     views_of = dict(list(tables["views"].groupby(keys, dropna=False, sort=False)))
     for scene, rows in results.groupby(keys, dropna=False, sort=False):
@@ -59,11 +61,20 @@ def section(report: Report, root: Path, charts: Path) -> str:
             continue
         remark = "composed" if first["kind"] == "composed" else ""
         figures = {panel.which: figure(panel, name, report.models) for panel in informative}
-        blocks.append((heading(informative, name, name, charts, remark), figures))
-    selection, omitted = _within(PICTURE_BYTES, [figures for _, figures in blocks])
-    parts = [_legend()] if blocks else []
-    for (head, _), figures_of_scene in zip(blocks, selection, strict=True):
-        parts.append(block(head, figures_of_scene))
+        head = heading(informative, name, name, charts, remark)
+        blocks.append((str(first["dataset"]), head, figures))
+    selection, omitted = _within(PICTURE_BYTES, [figures for _, _, figures in blocks])
+    parts = [INLINE, _legend()] if blocks else []
+    of_datasets: dict[str, list[str]] = {}
+    for (dataset, head, _), figures_of_scene in zip(blocks, selection, strict=True):
+        of_datasets.setdefault(dataset, []).append(block(head, figures_of_scene))
+    for dataset, scenes in of_datasets.items():
+        html = "\n".join(scenes)
+        if len(blocks) > _MOST_OPEN:
+            count = "1 scene" if len(scenes) == 1 else f"{len(scenes)} scenes"
+            title = f"All pictures of {escape(dataset)} ({count})"
+            html = f'<details class="pictures"><summary>{title}</summary>{html}</details>'
+        parts.append(html)
     if omitted:
         parts.append(
             f'<p class="note">This page omits {omitted} panels to stay small; '
@@ -188,9 +199,7 @@ def _legend() -> str:
     )
 
 
-COMPARE = """<dialog id="compare" aria-labelledby="compare-title">
-<div class="bar"><h2 id="compare-title">Compare</h2><button type="button" data-do="close">Close</button></div>
-<div class="controls">
+_CONTROLS = """<div class="controls">
 <label>Left <select data-side="a"></select></label><label>Right <select data-side="b"></select></label>
 <label>As <select data-mode><option value="slider">slider</option><option value="flip">flip</option>
 <option value="beside">side by side</option></select></label>
@@ -202,6 +211,13 @@ COMPARE = """<dialog id="compare" aria-labelledby="compare-title">
 </div>
 <div class="stage"><img data-side="a" alt="Left picture"><img data-side="b" alt="Right picture">
 <span class="divider"></span></div>
-<p role="status"></p>
+<p role="status"></p>"""
+INLINE = f"""<div class="comparison" hidden><h3></h3>
+{_CONTROLS}
+</div>"""
+"""Two pictures of a view on each other; the page's script fills and shows it."""
+COMPARE = f"""<dialog id="compare" class="comparison" aria-labelledby="compare-title">
+<div class="bar"><h3 id="compare-title">Compare</h3><button type="button" data-do="close">Close</button></div>
+{_CONTROLS}
 </dialog>"""
-"""The dialog for comparison; the page's script fills and opens it."""
+"""The same as a dialog, which a panel opens."""

@@ -35,8 +35,25 @@ def shared_by_all(seeds: Iterable[Iterable[Any]]) -> set[Any]:
 
 
 def by_protocol(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
-    """Tables with a dataset for each choice of scenes and number of training views, for charts and people."""
+    """Tables with a dataset for each choice of scenes and number of training views, for charts and people.
+
+    Volumes that were measured or simulated precede those made by a formula.
+    """
+    tables = _procedural_last(tables)
     return by_training_views({name: by_scene_choice(table) for name, table in tables.items()})
+
+
+def _procedural_last(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
+    results = tables["results"]
+    if "procedural" not in results:  # a table made from results, as that of a comparison
+        return tables
+    made = set(results.loc[results["procedural"].fillna(False).astype(bool), "dataset"])
+    return {
+        name: table.sort_values(
+            "dataset", key=lambda names: names.isin(made), kind="stable", ignore_index=True
+        )
+        for name, table in tables.items()
+    }
 
 
 def by_scene_choice(table: pd.DataFrame) -> pd.DataFrame:

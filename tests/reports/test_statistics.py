@@ -55,6 +55,16 @@ def test_blocks_are_a_sixth_of_the_path():
     assert [block_length(n) for n in (4, 16, 91, 181)] == [1, 3, 16, 31]
 
 
+def test_the_half_width_is_students_t_of_independent_block_means():
+    """Of as many blocks as make up the path: t with one degree less, and their unbiased variance."""
+    values = np.random.default_rng(5).normal(size=24)
+    blocks = [np.mean(np.roll(values, -start)[:4]) for start in range(24)]
+    expected = stats.t.ppf(0.975, 6 - 1) * np.sqrt(np.var(blocks) / 6 * 6 / (6 - 1))
+    result = interval([values])
+    assert result.high - result.mean == pytest.approx(expected, rel=0.03)
+    assert result.mean - result.low == pytest.approx(result.high - result.mean)
+
+
 def test_too_few_views_have_no_interval():
     result = interval([np.array([1.0, 2.0, 3.0])])
     assert (result.mean, result.low, result.high, result.views) == (2.0, None, None, 3)
@@ -112,6 +122,13 @@ def test_only_shared_views_are_paired_and_only_equal_scenes_compared():
     assert a.minus(b)[::3] == (1.0, 6)
     assert a.minus(c) is None
     assert views.sample(["missing"], "psnr") is None
+
+
+def test_views_are_paired_by_name_whatever_their_order():
+    rows = table(a=("x", 0, np.arange(9.0) + 0.5), b=("x", 0, np.arange(9.0)))
+    turned = pd.concat([rows[rows["job"] == "a"], rows[rows["job"] == "b"][::-1]])
+    difference = Views(turned).difference(["a"], ["b"], "psnr")
+    assert difference == pytest.approx((0.5, 0.5, 0.5, 9))
 
 
 def rivals(maker, **noise):

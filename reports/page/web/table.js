@@ -126,10 +126,15 @@
     // A selection of text opens no row.
     if (row && !event.target.closest("a") && getSelection().isCollapsed) toggle(row);
   });
-  filters.forEach((input) => input.addEventListener("input", show));
+  filters.forEach((input) => input.addEventListener("input", () => {
+    // Words and statuses are of single scenes: what fits must not stay hidden.
+    if (["text", "status"].includes(input.dataset.filter) && input.value) $("[data-filter=kind]").value = "";
+    show();
+  }));
   $("#flat").addEventListener("change", place);
+  const initial = (input) => (input.options ? input.options[0].value : "");
   $("#reset").addEventListener("click", () => {
-    filters.forEach((input) => { input.value = ""; });
+    filters.forEach((input) => { input.value = initial(input); });
     $("#flat").checked = false;
     rows.filter((row) => row.open).forEach((row) => toggle(row, false));
     sorted = { column: -1, direction: 0 };

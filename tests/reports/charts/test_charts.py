@@ -436,7 +436,7 @@ def test_sections_of_a_normal_store(maker):
     """One rate, no parts of the loss, no times of parts, one seed and number of views."""
     fill(maker, "normal")
     assert list(sections(maker.tables())) == [
-        "confidence", "tradeoffs", "anytime", "convergence", "ledger"
+        "confidence", "anytime", "convergence", "ledger"
     ]  # fmt: skip
 
 

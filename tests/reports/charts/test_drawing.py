@@ -108,6 +108,24 @@ def test_the_page_has_the_same_drawing_with_values_and_keys(maker):
     assert points["y"]["text"] == "{} dB"
 
 
+def test_what_no_page_holds_is_in_several_files(tmp_path):
+    axis = linear_axis([0.0, 1.0], "x")
+    small = [Panel(f"set {i}", axis, axis) for i in range(13)]
+    wide = [Panel(f"bars {i}", axis, axis, width=800.0) for i in range(2)]
+    with files.output(tmp_path) as write:
+        write({"many": Chart(small), "many-bars": Chart(wide[:1])})
+    with files.output(tmp_path) as write:
+        write({"many": Chart(small[:2]), "many-bars": Chart(wide)})
+    names = ["many-bars-1", "many-bars-2", "many"]
+    assert {path.name for path in tmp_path.iterdir()} == {f"{n}.{s}" for n in names for s in ("svg", "pdf")}
+    with files.output(tmp_path) as write:
+        write({"many": Chart(small)})
+    assert "set 12" in (tmp_path / "many-2.svg").read_text()
+    assert "set 11" in (tmp_path / "many-1.svg").read_text()
+    for document in map(parse, (path.read_text() for path in tmp_path.glob("*.svg"))):
+        assert float(document.get("height")) < 1.5 * float(document.get("width"))
+
+
 def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path, monkeypatch):
     # A folder of the working directory is not taken for the package.
     (tmp_path / "reports" / "charts").mkdir(parents=True)
@@ -131,7 +149,7 @@ def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path, mon
 def test_a_chart_that_cannot_be_converted_is_an_error(maker, tmp_path, monkeypatch):
     monkeypatch.setattr("reports.charts.svg.file", lambda chart: "<svg")
     with pytest.raises(RuntimeError, match="PDF"), files.output(tmp_path) as write:
-        write({"broken": None})
+        write({"broken": Chart([])})
 
 
 def test_charts_of_any_number_of_bars_and_panels(maker):

@@ -78,6 +78,14 @@ def test_one_scene_with_one_seed_decides_nothing():
     assert "no interval" in answer.sentence
 
 
+def test_an_interval_that_says_nothing_is_not_printed():
+    values = (("s", 30.0, 38.0), ("t", 31.0, 30.0))
+    rows = [row(name, psnr, scene=s) for s, a, b in values for name, psnr in (("x", a), ("y", b))]
+    sentence = measured(PICTURE, contest(*rows)).sentence
+    assert "2 scenes decide nothing" in sentence
+    assert "95 %" not in sentence
+
+
 def test_scenes_of_one_dataset_and_seeds_are_both_counted():
     """Variance of the scenes' means and of the seeds' means, each over its number (two-way layout)."""
     noise = np.array([[0.9, 1.3, 1.1], [1.6, 1.4, 1.9]])  # scene, seed
@@ -128,7 +136,14 @@ def test_robust_is_who_is_least_behind_in_the_worst_scene():
     answered = answers(contest(*pair([3.0, 3.0, -1.0])), table(*pair([3.0, 3.0, -1.0])))
     robust = of(answered, ROBUST)
     assert robust.winner == "a"
-    assert "at most 1.0 dB (d2 / s); b by 3.0 dB (d0 / s)" in robust.sentence
+    assert "by at most 1.0 dB (d2 / s); b: behind the best method of a scene" in robust.sentence
+    assert robust.sentence.endswith("by at most 3.0 dB (d0 / s). The worst of 3 scenes.")
+
+
+def test_who_leads_everywhere_is_behind_nobody():
+    robust = of(answers(contest(*pair([3.0, 2.0])), table(*pair([3.0, 2.0]))), ROBUST)
+    assert robust.sentence.startswith("a: never behind another method; b: behind the best")
+    assert [place.text for place in robust.places] == ["0.0 dB", "\N{MINUS SIGN}3.0 dB"]
 
 
 def test_few_training_views_count_for_robustness_alone():
@@ -136,6 +151,7 @@ def test_few_training_views_count_for_robustness_alone():
     answered = answers(contest(*rows), table(*rows))
     assert of(answered, "Best picture").winner == "a"
     assert of(answered, ROBUST).winner == "b"
+    assert of(answered, ROBUST).sentence.endswith("few training views included.")
 
 
 def test_speeds_are_of_one_processor_and_of_quiet_machines():
@@ -150,6 +166,26 @@ def test_speeds_are_of_one_processor_and_of_quiet_machines():
     assert "1 row from a busy machine" in answer.sentence
     assert "1 row from other processors" in answer.sentence
     assert "better on 3 of 3 datasets" in answer.sentence, "the dataset without a time of b is out"
+
+
+def test_a_method_on_fewer_scenes_leaves_the_others_their_answer():
+    whole = [
+        row(name, 30.0 + gain, scene=f"s{i}") for i in range(3) for name, gain in (("a", 1 + i / 9), ("b", 0))
+    ]
+    alone = measured(PICTURE, contest(*whole))
+    one_of_three = contest(*whole, row("c", 50.0, scene="s0"))
+    assert one_of_three.others == {"c": 0}
+    assert measured(PICTURE, one_of_three) == alone
+    two_of_three = contest(*whole, row("c", 50.0, scene="s0"), row("c", 50.1, scene="s1"))
+    places = {place.method: place.value for place in measured(PICTURE, two_of_three).places}
+    assert places == pytest.approx({"c": 50.05, "a": 31 + 1 / 18, "b": 30.0}), "the means of s0 and s1"
+
+
+def test_a_speed_without_quiet_rows_of_all_methods_is_not_decided():
+    rows = [row(name, 30.0, scene=f"s{i}") for i in range(4) for name in "ab"]
+    rows[0] |= {"fit_reference_seconds": 1.01 * BUSY}
+    expected = "Not decided: without 1 row from a busy machine no dataset has all scenes of all methods."
+    assert measured(TRAINING, contest(*rows)).sentence == expected
 
 
 def test_a_time_of_zero_is_no_time():
