@@ -22,9 +22,11 @@ COMMANDS = {
     "run": "bench.commands.run:run",
     "plan": "bench.commands.run:plan",
     "list": "bench.commands.lists:list_names",
+    "fetch": "bench.commands.fetch:fetch",
     "doctor": "bench.commands.doctor:doctor",
     "results": "bench.commands.results:results",
     "report": "bench.commands.results:report",
+    "scenes": "bench.commands.scenes:scenes",
     "render": "bench.commands.pictures:render",
     "score": "bench.commands.pictures:score",
     "merge": "bench.commands.stores:merge",
@@ -32,12 +34,19 @@ COMMANDS = {
     "cache": "bench.commands.stores:cache",
     "bundle": "bench.commands.stores:bundle",
     "verify": "bench.commands.stores:verify",
+    "baseline": "bench.commands.gate:baseline",
+    "gate": "bench.commands.gate:gate",
     "check-plugin": "bench.commands.check_plugin:check_plugin",
+    "new-method": "bench.commands.new_method:new_method",
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments:
+        parser().print_help()
+        return 2
     options = parser().parse_args(arguments)
     from datasets.errors import DataError
 
@@ -91,6 +100,9 @@ def parser() -> _Parser:
     common.add_argument("--debug", action="store_true", help="show tracebacks of errors in the input")
     plugins = _Parser(add_help=False)
     _repeatable(plugins, "--plugins", metavar="DIR", help="folder with methods of your own")
+    stored = _Parser(add_help=False)
+    what = "folder with methods of your own; default: those that were given for this run store before"
+    _repeatable(stored, "--plugins", metavar="DIR", help=what)
     runs = _Parser(add_help=False)
     runs.add_argument("--runs", default="runs", metavar="DIR", help="the run store (default: runs)")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -98,18 +110,28 @@ def parser() -> _Parser:
     def command(name: str, help: str, *parents: _Parser) -> _Parser:
         return commands.add_parser(name, help=help, description=help, parents=[common, *parents])
 
-    run = command("run", "run a suite and report; what is finished is not run again", plugins)
+    run = command("run", "run a suite and report; what is finished is not run again", stored)
     _add_selection(run)
     run.add_argument("--retry", action="store_true", help="run failed jobs again")
     run.add_argument("--no-report", action="store_true", help="leave the page to a later `bench report`")
-    run.add_argument("--time-limit", type=_seconds, metavar="TIME", help="per job: 90, 90s, 30m, 2h")
-    run.add_argument("--memory-limit", type=_bytes, metavar="SIZE", help="per job: 8G, 500M")
-    plan = command("plan", "show the jobs of a suite, which are done, and an estimate", plugins)
+    run.add_argument(
+        "--time-limit", type=_time_limit, metavar="TIME",
+        help="per job: 90, 90s, 30m, 2h or none; default: 60 times what jobs like it took here, half an hour "
+        "at least; of the first ones 8 hours (quick), 2 days (standard) or 8 days (paper)",
+    )  # fmt: skip
+    run.add_argument(
+        "--memory-limit", type=_memory_limit, metavar="SIZE",
+        help="per job: 8G, 500M, or none; default: 95 %% of the machine's memory",
+    )  # fmt: skip
+    plan = command("plan", "show the jobs of a suite, which are done, and an estimate", stored)
     _add_selection(plan)
     _repeatable(plan, "--like", metavar="STORE", help="estimate from the finished jobs of this run store too")
 
     lists = command("list", "list methods, datasets, suites or metrics", plugins)
     lists.add_argument("what", choices=("methods", "datasets", "suites", "metrics"))
+    fetch = command("fetch", "download public volumes of the catalogue, or the weights of LPIPS")
+    fetch.add_argument("names", nargs="+", metavar="NAME", help="a dataset, a TOML file of yours, or lpips")
+    fetch.add_argument("--out", metavar="DIR", help="default: the user's data folder, which is searched")
     check = command("check-plugin", "check that a method keeps what its contract promises", plugins)
     check.add_argument("method", metavar="METHOD")
     check.add_argument(
@@ -117,13 +139,21 @@ def parser() -> _Parser:
     )
     _repeatable(check, "--set", metavar="OPTION=VALUE", help="differing from the preset quick")
     _add_device(check)
-    command("doctor", "what this machine has and lacks, with remedies", plugins)
+    new = command("new-method", "write the files of a new method: one that trains, to begin with")
+    new.add_argument("name", metavar="NAME", help="its name: lower-case letters, digits, -")
+    new.add_argument(
+        "--out", default=".", metavar="DIR", help="where its folder goes (default: the present folder)"
+    )
+    command("doctor", "what this machine has and lacks, with remedies, and how busy it is", plugins)
 
-    results = command("results", "every measurement of a run store", plugins, runs)
+    results = command("results", "every measurement of a run store", stored, runs)
     results.add_argument("--table", choices=TABLES, default="results", help="default: results")
-    results.add_argument("--format", choices=("csv", "md", "tex", "json"), default="csv")
+    results.add_argument(
+        "--format", choices=("csv", "md", "tex", "json"),
+        help="default: csv; on a terminal, of the results, a short table with their jobs",
+    )  # fmt: skip
     purpose = "print the paper's tables as measured, and write the HTML report of a run store"
-    report = command("report", purpose, plugins, runs)
+    report = command("report", purpose, stored, runs)
     report.add_argument(
         "--out",
         metavar="DIR",
@@ -135,7 +165,16 @@ def parser() -> _Parser:
         help="list the paper's claims: hold, do not, not decided, not measured",
     )
 
-    render = command("render", "write pictures: ground truth, or those of a finished model", plugins, runs)
+    scenes = command(
+        "scenes", "propose transfer functions for a volume file, to edit, and draw what they show"
+    )
+    scenes.add_argument("file", metavar="FILE", help="a volume file, or the TOML file of an earlier call")
+    scenes.add_argument(
+        "--out", metavar="NAME.toml", help="file to write, which is never overwritten (default: here)"
+    )
+    scenes.add_argument("--views", type=_count, help="number of views of each scene (default: 3)")
+    scenes.add_argument("--size", type=_size, metavar="WxH", help="pixels of a view (default: 200)")
+    render = command("render", "write pictures: ground truth, or those of a finished model", stored, runs)
     render.add_argument(
         "dataset", nargs="*",
         help="name in the catalogue, or a path; contact sheets: default all that are here",
@@ -170,12 +209,24 @@ def parser() -> _Parser:
     score.add_argument("truth", metavar="TRUTH")
     score.add_argument("--format", choices=("csv", "md", "tex", "json"), default="csv")
 
-    merge = command("merge", "join run stores and bundles, of several machines", plugins)
+    merge = command("merge", "join run stores and bundles, of several machines", stored)
     merge.add_argument("stores", nargs="+", metavar="STORE|BUNDLE")
     merge.add_argument("--out", required=True, metavar="DIR", help="a new run store, or one to add to")
     compare = command("compare", "pair two run stores view by view")
     compare.add_argument("stores", nargs=2, metavar="RUN")
     compare.add_argument("--format", choices=("csv", "md", "tex", "json"), help="default: a table for people")
+    baseline = command("baseline", "write a run store's results as a baseline for `bench gate`")
+    baseline.add_argument("store", nargs="?", default="runs", metavar="STORE", help="default: runs")
+    baseline.add_argument("--out", required=True, metavar="FILE", help="the baseline, new or to update")
+    baseline.add_argument("--reason", required=True, help="why its results are what is expected from now on")
+    gate = command("gate", "compare a run store with a baseline: 0 pass, 1 worse, 2 not measured, 3 error")
+    gate.add_argument("store", nargs="?", default="runs", metavar="STORE", help="default: runs")
+    gate.add_argument("--baseline", required=True, metavar="FILE", help="that `bench baseline` wrote")
+    gate.add_argument(
+        "--without-times", action="store_true", help="ask for no times: quality and sizes alone"
+    )
+    gate.add_argument("--markdown", metavar="FILE", help="write a summary for a comment on a change")
+    gate.add_argument("--junit", metavar="FILE", help="write the summary as JUnit's XML")
     bundle = command("bundle", "pack a run store's records, tables and environments to hand in", runs)
     bundle.add_argument("--out", required=True, metavar="FILE", help="the zip file")
     bundle.add_argument("--models", action="store_true", help="with the encoded models")
@@ -234,6 +285,14 @@ def _seed(text: str) -> int:
 
 def _seconds(text: str) -> float:
     return _positive(text, {"": 1.0, "S": 1.0, "M": 60.0, "H": 3600.0}, "a time such as 90, 30m or 2h")
+
+
+def _time_limit(text: str) -> float:
+    return float("inf") if text == "none" else _seconds(text)
+
+
+def _memory_limit(text: str) -> float:
+    return float("inf") if text == "none" else _bytes(text)
 
 
 def _bytes(text: str) -> int:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.records import SCHEMA, Record, hash_of
+from bench.rungs import FILE, ladders_of
 from bench.store import Store, read_record
 from bench.tables import stored_tables
 from datasets.errors import DataError
@@ -85,7 +86,10 @@ def _contents(store: Store, records: list[Record], models: bool) -> Iterator[tup
             for path in sorted((folder / "model").rglob("*")):
                 if path.is_file():
                     yield f"jobs/{record.job.id}/{path.relative_to(folder).as_posix()}", path.read_bytes()
-    for name, table in stored_tables(records).items():
+    ladders = ladders_of(store.root)
+    if ladders:
+        yield FILE, (store.root / FILE).read_bytes()
+    for name, table in stored_tables(records, ladders=ladders).items():
         if name not in _LONG and len(table):
             yield f"tables/{name}.csv", to_csv(table).encode()
 
@@ -199,7 +203,12 @@ def _check_store(root: Path, files: set[str], schema: int) -> list[str]:
     if problems:
         return problems
     # Bundles of schema 2 repeat the axes in every table instead of a table of jobs.
-    tables = {name: table for name, table in joined(stored_tables(records)).items() if len(table)}
+    try:
+        ladders = ladders_of(root)
+    except DataError as error:
+        return [f"{FILE}: {error.reason}"]
+    every = joined(stored_tables(records, ladders=ladders))
+    tables = {name: table for name, table in every.items() if len(table)}
     if schema < SCHEMA:
         tables.pop("jobs", None)
     csv = {Path(name).stem: root / name for name in files if name.startswith("tables/")}

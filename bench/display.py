@@ -42,6 +42,13 @@ class Display:
         print(line, file=sys.stderr, flush=True)
 
 
+class Silence(Display):
+    """No progress at all."""
+
+    def _print(self, line: str) -> None:
+        pass
+
+
 class LiveDisplay(Display):
     """One live line per running job (rich), a line that stays for each finished one."""
 

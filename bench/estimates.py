@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import islice
 from statistics import median
@@ -22,11 +22,13 @@ class Estimate:
 
     Attributes:
         disk: None if all similar jobs came from bundles, which hold records without the jobs' files.
+        work: median of their :func:`work`.
     """
 
     seconds: float
     memory: int
     disk: int | None
+    work: float
 
 
 class Past:
@@ -34,29 +36,46 @@ class Past:
 
     Args:
         stores: run stores to read; more of them give better estimates.
+        keep: which of their records count, beside that they are a success.
     """
 
-    def __init__(self, stores: Iterable[Store]) -> None:
+    def __init__(self, stores: Iterable[Store], keep: Callable[[Record], bool] | None = None) -> None:
         self._alike: dict[tuple[Any, ...], list[tuple[Store, Record]]] = defaultdict(list)
         self._estimates: dict[tuple[Any, ...], Estimate] = {}
         for store in stores:
             for record in store.records():
-                if record.ok:
-                    for likeness in _likenesses(record.job):
-                        self._alike[likeness].append((store, record))
+                if keep is None or keep(record):
+                    self.add(store, record)
 
-    def estimate(self, job: Job) -> Estimate | None:
+    def add(self, store: Store, record: Record) -> None:
+        """Take a further finished job into account."""
+        if record.ok:
+            for likeness in _likenesses(record.job):
+                self._alike[likeness].append((store, record))
+                self._estimates.pop(likeness, None)
+
+    def estimate(self, job: Job, *, close: bool = False) -> Estimate | None:
         """Medians over jobs of the same kind, method, preset and (if there are any) dataset.
+
+        Args:
+            job: the job.
+            close: leave out jobs with other numbers or sizes of views.
 
         Returns:
             None if no similar job is finished.
         """
-        for likeness in _likenesses(job):
+        likenesses = _likenesses(job)
+        for likeness in likenesses[:-1] if close else likenesses:
             if likeness in self._alike:
                 if likeness not in self._estimates:
                     self._estimates[likeness] = _median(self._alike[likeness])
                 return self._estimates[likeness]
         return None
+
+
+def work(job: Job) -> float:
+    """Iterations times scenes: what the time of a job grows with, if all else stays."""
+    return float(len(job.scenes) * (job.iterations or 1))
 
 
 def _likenesses(job: Job) -> list[tuple[Any, ...]]:
@@ -67,6 +86,11 @@ def _likenesses(job: Job) -> list[tuple[Any, ...]]:
     return [(*sized, job.dataset_name, len(job.scenes)), (*sized, job.dataset_name), sized, loose]
 
 
+def _seconds(record: Record) -> float:
+    """Seconds of a job; of a fit that was interrupted, its earlier attempts too."""
+    return max(record.wall_seconds, record.fit.seconds if record.fit is not None else 0.0)
+
+
 def _median(jobs: list[tuple[Store, Record]]) -> Estimate:
     folders = (store.jobs / record.job.id for store, record in reversed(jobs))
     whole = (folder for folder in folders if (folder / "log.txt").is_file())  # no bundle holds a log
@@ -74,7 +98,8 @@ def _median(jobs: list[tuple[Store, Record]]) -> Estimate:
         sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) for folder in islice(whole, _MEASURED)
     ]
     return Estimate(
-        seconds=median(record.wall_seconds for _, record in jobs),
+        seconds=median(_seconds(record) for _, record in jobs),
         memory=int(median(record.peak_host_bytes or 0 for _, record in jobs)),
         disk=int(median(sizes)) if sizes else None,
+        work=median(work(record.job) for _, record in jobs),
     )

@@ -14,28 +14,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import psutil
 from filelock import Timeout
 
 from bench.display import Display
+from bench.limits import Limits, finished_here, memory_reason, time_reason, used_memory
 from bench.plan import Planner
 from bench.processes import Process, Processes, end_session
 from bench.provenance import imports_torch
 from bench.records import Job, Record, Status, Task
 from bench.store import Store, write_text
+from bench.timing import available_cores
 from bench.worker import BUSY, STOPPED, log_tail, now, read_progress, traces
 
 POLL_SECONDS = 0.1
 GRACE_SECONDS = 60.0
+EXIT_SECONDS = 5.0
+"""How long a worker may take to exit once its record is written."""
+LOOK_PAUSE = 50.0
+"""Looks at memory take this part of the time: they must not slow down what is timed."""
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "ECONGS_THREADS")
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of one job: ``seconds`` without waiting for the machine, and ``memory`` in bytes."""
-
-    seconds: float | None = None
-    memory: int | None = None
 
 
 @dataclass
@@ -66,6 +63,7 @@ class LocalExecutor:
 
     Args:
         retry: run failed jobs again.
+        limits: of each job; default: those of :mod:`bench.limits`.
         plugins: plugin folders for the workers.
     """
 
@@ -84,6 +82,8 @@ class LocalExecutor:
         self._display = display
         self._retry = retry
         self._limits = limits or Limits()
+        self._memory = self._limits.bytes()
+        self._past = finished_here(store)
         self._plugins = plugins
         self._threads = available_cores()
         self._processes = Processes(self._environment())
@@ -96,8 +96,9 @@ class LocalExecutor:
         before = {s: signal.signal(s, self._on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
         try:
             self._store.sweep()
-            while self._pass(outcome) and not self._signals:
-                pass
+            with self._processes.adopting():
+                while self._pass(outcome) and not self._signals:
+                    pass
         finally:
             self._processes.close()
             for number, handler in before.items():
@@ -138,11 +139,15 @@ class LocalExecutor:
                     self._processes.prepare()  # views are not timed: its imports may run beside
                 self._display.begin(job, number, len(jobs))
                 record, note = self._run_job(job)
+                if record is not None:
+                    self._past.add(self._store, record)
                 self._display.end(job, record, note)
                 outcome.ran.append(job.id)
             if record is not None and job.kind == "partition":
                 return True
-        return False
+        # A rung on which a method broke is repeated with further seeds.
+        known = {job.id for job in jobs}
+        return any(job.id not in known for job in self._planner.jobs(self._store))
 
     def _without_files(self, needs: Iterable[Record | None], number: int, total: int) -> str:
         """Why a job cannot run: records that it needs came without their files. Views are rendered again."""
@@ -242,10 +247,13 @@ class LocalExecutor:
             start = self._processes.fork if self._forks(job) else self._processes.start
             process = start(folder, log)
         try:
-            return self._watch(process, folder)
+            return self._watch(process, job)
         finally:
             if process.poll() is None:
                 _kill(process)
+            # Before the next job: what is left may hold its locks and take its time.
+            if names := self._processes.end_leftovers():
+                self._log(job, f"ended what the job left behind: {', '.join(names)}")
 
     def _forks(self, job: Job) -> bool:
         """Whether a job is forked from the server: its method uses torch, on the CPU."""
@@ -253,10 +261,15 @@ class LocalExecutor:
             return False
         return imports_torch(*self._planner.registry.spec(job.method).source)
 
-    def _watch(self, process: Process, folder: Path) -> tuple[int, tuple[Status, str] | None]:
+    def _watch(self, process: Process, job: Job) -> tuple[int, tuple[Status, str] | None]:
+        folder = self._store.partial / job.id
+        spec = self._planner.registry.spec(job.method) if job.method is not None else None
+        limit = self._limits.time(job, self._past, spec)
         offset = 0
         start: float | None = None
         stop_time: float | None = None
+        end_time: float | None = None
+        look_time = 0.0
         while (code := process.poll()) is None:
             states, offset = read_progress(folder, offset)
             for state in states:
@@ -273,26 +286,35 @@ class LocalExecutor:
                 elif self._signals > 1 or time.monotonic() - stop_time > GRACE_SECONDS:
                     _kill(process)
                     return STOPPED, None
-            elif (verdict := self._over_limit(process, start)) is not None:
+            elif not folder.exists():  # the record is written, and its folder renamed
+                end_time = end_time or time.monotonic()
+                if time.monotonic() - end_time > EXIT_SECONDS:
+                    _kill(process)
+                    self._log(job, f"ended {EXIT_SECONDS:g} s after its record was written: it did not exit")
+                    return 0, None
+            elif start is not None and time.monotonic() - start > limit.amount:
                 _kill(process)
-                return process.wait(), verdict
+                return process.wait(), ("timeout", time_reason(limit))
+            elif time.monotonic() >= look_time:
+                look = time.monotonic()
+                used = used_memory(process.pid, self._memory.amount)
+                look_time = time.monotonic() + LOOK_PAUSE * (time.monotonic() - look)
+                if used > self._memory.amount:
+                    _kill(process)
+                    return process.wait(), ("oom", memory_reason(self._memory, used))
             try:
                 process.wait(POLL_SECONDS)
             except subprocess.TimeoutExpired:
                 continue
         return code, None
 
-    def _over_limit(self, process: Process, since: float | None) -> tuple[Status, str] | None:
-        limits = self._limits
-        if limits.seconds is not None and since is not None and time.monotonic() - since > limits.seconds:
-            return "timeout", f"killed after its time limit of {limits.seconds:g} s"
-        if limits.memory is not None:
-            used = resident_bytes(process.pid)
-            if used > limits.memory:
-                return "oom", (
-                    f"killed over its memory limit: {used / 2**20:.0f} MiB of {limits.memory / 2**20:.0f} MiB"
-                )
-        return None
+    def _log(self, job: Job, text: str) -> None:
+        """Add a line to a job's log, wherever that is by now."""
+        for folder in (self._store.jobs / job.id, self._store.partial / job.id):
+            if folder.is_dir():
+                with (folder / "log.txt").open("a", encoding="utf-8") as log:
+                    log.write(f"bench: {text}\n")
+                return
 
     def _post_mortem(self, job: Job, code: int, verdict: tuple[Status, str] | None) -> Record:
         """A record for a job whose process died without writing one."""
@@ -337,22 +359,6 @@ class LocalExecutor:
         if root not in site.getsitepackages():
             environment["PYTHONPATH"] = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
         return environment
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def resident_bytes(pid: int) -> int:
-    """Resident memory of a process and its children; 0 once it is gone."""
-    try:
-        process = psutil.Process(pid)
-        return sum(p.memory_info().rss for p in [process, *process.children(recursive=True)])
-    except psutil.Error:
-        return 0
 
 
 def _kill(process: Process) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bench.edits import edit_of
 from bench.records import Request, hash_of
+from bench.stress import part_of, stress_of
 from bench.suites import ViewPreset
 from datasets.catalogue.entries import built_in, own_files
 from datasets.edits import edited
@@ -20,6 +21,7 @@ from datasets.ground_truth.model import MODEL_VERSION
 from datasets.readers.naming import split
 from datasets.render_views import views_of, volume_digest
 from datasets.scene import Dataset
+from datasets.stress import narrowed
 from datasets.transfer import TransferFunction
 from datasets.views import Split, ViewRequest, ViewSet
 
@@ -52,6 +54,8 @@ def fingerprint(dataset: Dataset, scene_name: str) -> str:
     else:
         identity["volume"] = volume_digest(dataset.volume(scene.variable))
         identity["optical model"] = MODEL_VERSION
+        if dataset.frame is not None:  # of the catalogue's datasets no view, and so no hash, depends on one
+            identity["frame"] = asdict(dataset.frame)
     return hash_of(identity)
 
 
@@ -87,9 +91,29 @@ def view_size(preset: ViewPreset, native: tuple[int, int] | None) -> tuple[int, 
     )
 
 
-def views(dataset: Dataset, scene: str, request: Request, split: Split, edit: str = "") -> ViewSet:
+def views(
+    dataset: Dataset, scene: str, request: Request, split: Split, edit: str = "", stress: str = ""
+) -> ViewSet:
     """Ground-truth views of a basic scene (edited or not) or of a composition; cached if possible."""
-    return views_of(dataset, scene, view_request(request, split), edit=edit_of(scene, edit))
+    return views_of(dataset, scene, view_request(request, split, stress), edit=edit_of(scene, edit))
+
+
+def stressed(dataset: Dataset, scene_name: str, stress: str) -> Dataset:
+    """The dataset with the definition of a scene under stress; its cameras stay where they were.
+
+    Raises:
+        DataError: the scene does not allow that stress.
+    """
+    values = stress_of(part_of(stress, "truth"))
+    if not values:
+        return dataset
+    frame, width = dataset.frame, values.pop("width", None)
+    edits = edit_of(scene_name, " ".join(f"{name}={value}" for name, value in values.items()))
+    scene = dataset.scene(scene_name)
+    scene = edited(scene, edits[scene_name]) if edits else scene
+    scene = scene if width is None else narrowed(scene, width)
+    scenes = tuple(scene if one.name == scene_name else one for one in dataset.scenes)
+    return replace(dataset, scenes=scenes, framing=None if frame is None else lambda _: frame)
 
 
 def transfer_table(transfer: TransferFunction, entries: int) -> NDArray[np.float64]:
@@ -120,9 +144,14 @@ def transfer_summary(dataset: Dataset, scene: str, edit: str = "") -> dict[str, 
     return summary
 
 
-def view_request(request: Request, split: Split) -> ViewRequest:
+def view_request(request: Request, split: Split, stress: str = "") -> ViewRequest:
     """A job's request, for one split."""
-    return ViewRequest(split, request.train_views, request.test_views, request.width, request.height)
+    values = stress_of(stress)
+    width, height = (
+        max(1, round(values.get("zoom", 1.0) * size)) for size in (request.width, request.height)
+    )
+    distance = values.get("distance", 1.0)
+    return ViewRequest(split, request.train_views, request.test_views, width, height, distance)
 
 
 def _native_size(folder: Path) -> tuple[int, int]:

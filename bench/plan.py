@@ -6,26 +6,35 @@ partitions. The groups of a joint method follow from its partition job, so the e
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 from typing import Any
 
+from bench.metrics import METRICS
 from bench.records import Job, hash_of
-from bench.selection import Selection, Subset, subsets
+from bench.selection import Selection, Subset, subset_of_scene, subsets, usual_sources
 from bench.store import Store
+from bench.stress import part_of, stress_of
 from bench.suites import SAMPLED
 from datasets.names import unknown
 from methods.interface import MethodSpec
 from methods.options import Settings, resolve
 from methods.registry import Registry
+from reports import schema
 
 
 class Planner:
     """Turns a selection into jobs; data are read and hashed once.
 
+    Args:
+        selection: what to run.
+        metrics: name -> version; default: those of the tables.
+
     Attributes:
         registry: the methods.
+        ladders: those of the suite.
         renders: whether any dataset is a volume, whose views are rendered.
 
     Raises:
@@ -33,26 +42,34 @@ class Planner:
         DataError: data that cannot be used.
     """
 
-    def __init__(self, selection: Selection, metrics: Mapping[str, str]) -> None:
+    def __init__(self, selection: Selection, metrics: Mapping[str, str] | None = None) -> None:
         suite = selection.suite
         self._selection = selection
+        if metrics is None:
+            metrics = {name: METRICS[name].version for name in schema.METRICS}
         self._metrics = dict(metrics)
         self.registry = Registry(selection.plugins)
         preset = selection.preset or suite.preset
         if preset not in suite.presets:
             raise unknown("preset", preset, suite.presets, of=f"suite {suite.name}")
         self._preset_name, self._preset = preset, suite.presets[preset]
+        self.ladders = suite.ladders
         self._seeds = selection.seeds or suite.seeds
         self._specs = self._methods()
         self._settings = list(self._variants())
         self._subsets = subsets(selection, self._preset)
-        self.renders = any(subset.kind == "volume" for subset in self._subsets)
+        self._cases = list(self._rungs())
+        every = [*self._subsets, *(case.subset for case in self._cases)]
+        self.renders = any(subset.kind == "volume" for subset in every)
 
     def jobs(self, store: Store | None) -> list[Job]:
         """All jobs that can be planned so far, in an order in which they can run."""
         jobs: dict[str, Job] = {}
         for job in self._all(store):
             jobs.setdefault(job.id, job)
+        if store is not None and self._selection.suite.repeats:
+            for job in list(self._repeats(list(jobs.values()), store)):
+                jobs.setdefault(job.id, job)
         return list(jobs.values())
 
     # ------------------------------------------------------------------ choices
@@ -95,6 +112,61 @@ class Planner:
             if knob.refit:
                 yield resolve(spec, self._preset_name, {**overrides, knob.name: value}), [None]
 
+    # ------------------------------------------------------------------ ladders
+
+    def _rungs(self) -> Iterator[_Case]:
+        """The runs of all rungs, those of the first ones too; equal jobs are made once by :meth:`jobs`."""
+        usual = [(spec, settings) for spec, settings, _ in self._settings if not settings.knob]
+        alone: list[float | None] = [None]
+        opened: dict[str, Subset | None] = {}
+        for ladder in self._selection.suite.ladders:
+            sources = usual_sources(self._selection, ladder.datasets)
+            for rung in ladder.rungs:
+                if rung.scene:
+                    if rung.scene not in opened:
+                        opened[rung.scene] = subset_of_scene(self._selection, self._preset, rung.scene)
+                    chosen = [opened[rung.scene]]
+                else:
+                    chosen = [one for one in self._subsets if not ladder.datasets or one.source in sources]
+                for subset in chosen:
+                    # Truth that was rendered elsewhere is there as it is.
+                    if subset is None or (subset.kind == "views" and part_of(rung.stress, "truth", "test")):
+                        continue
+                    choices = [
+                        (spec, self._with(spec, settings, rung.options), alone)
+                        for spec, settings in usual
+                        if ladder.is_for(spec.name)
+                    ]
+                    if choices:
+                        yield _Case(subset, rung.stress, choices)
+
+    def _with(
+        self, spec: MethodSpec, settings: Settings, options: Mapping[str, Mapping[str, Any]]
+    ) -> Settings:
+        """Settings with the options of a rung."""
+        more = options.get(spec.name)
+        return resolve(spec, self._preset_name, {**settings.overrides, **more}) if more else settings
+
+    def _repeats(self, jobs: list[Job], store: Store) -> Iterator[Job]:
+        """Rungs on which a method breaks, and the first rungs beside them, with further seeds."""
+        from bench.tables import rungs_table
+        from reports.tables.ladders import ladders
+
+        records = [store.record(job.id) for job in jobs if job.kind == "measure"]
+        done = [record for record in records if record is not None]
+        by_id = {record.job.id: record.job for record in done}
+        table = ladders(rungs_table(done, self._selection.suite.ladders))
+        broken = table[table["failure"].notna() & (table["failure"] != "refusal")]
+        again = [by_id[name] for column in ("job", "first_job") for name in broken[column].dropna()]
+        for case in self._cases:
+            choices = [
+                (spec, settings, rates)
+                for spec, settings, rates in case.choices
+                if any(case.has(job, spec, settings) for job in again)
+            ]
+            if choices:
+                yield from self._of_case(replace(case, choices=choices), self._selection.suite.repeats, store)
+
     # ------------------------------------------------------------------ graph
 
     def _all(self, store: Store | None) -> Iterator[Job]:
@@ -102,31 +174,45 @@ class Planner:
             if self._selection.suite.dvr and subset.kind == "volume":
                 for name in (*subset.hashes, *subset.compositions):
                     yield self._of_scene("dvr", subset, name)
-            if not self._settings:
-                continue
-            views = {
-                name: self._of_scene("views", subset, name) for name in (*subset.hashes, *subset.compositions)
-            }
-            edited = self._edited_views(subset)
-            yield from (*views.values(), *edited.values())
-            for spec, settings, rates in self._settings:
-                for seed in self._seeds:
-                    training = partial(self._training, subset, spec, settings, seed, views)
-                    groups, partition = [[scene] for scene in subset.hashes], None
-                    if spec.joint:
-                        partition = training("partition", list(subset.hashes))
-                        yield partition
-                        groups = _groups(partition, store)
-                    # A group's share of partition time is that of this very partition.
-                    after = {"partition": partition.key if partition else None}
-                    needs = (partition.id,) if partition else ()
-                    fits = [training("fit", group, needs, after) for group in groups]
-                    yield from self._of_fits(fits, subset, views, edited, rates)
+            if self._settings:
+                yield from self._of_case(_Case(subset, "", self._settings), self._seeds, store)
+        for case in self._cases:
+            yield from self._of_case(case, self._seeds, store)
+
+    def _of_case(self, case: _Case, seeds: Iterable[int], store: Store | None) -> Iterator[Job]:
+        """Views, fits and measurements of a subset under some stress; under any, of basic scenes alone."""
+        subset = case.subset
+        if case.stress:
+            subset = replace(subset, compositions={})
+        before, shown = (part_of(case.stress, *parts) for parts in (("truth",), ("truth", "test")))
+        views = {
+            name: self._of_scene("views", subset, name, stress=before)
+            for name in (*subset.hashes, *subset.compositions)
+        }
+        edited = {} if case.stress else self._edited_views(subset)
+        yield from (*views.values(), *edited.values())
+        tested = views
+        if shown != before:
+            tested = {name: self._of_scene("views", subset, name, stress=shown) for name in subset.hashes}
+            yield from tested.values()
+        for spec, settings, rates in case.choices:
+            for seed in seeds:
+                training = partial(self._training, case, spec, settings, seed, views)
+                groups, partition = [[scene] for scene in subset.hashes], None
+                if spec.joint:
+                    partition = training("partition", list(subset.hashes))
+                    yield partition
+                    groups = _groups(partition, store)
+                # A group's share of partition time is that of this very partition.
+                after = {"partition": partition.key if partition else None}
+                needs = (partition.id,) if partition else ()
+                fits = [training("fit", group, needs, after) for group in groups]
+                yield from self._of_fits(fits, replace(case, subset=subset), tested, edited, rates)
 
     def _of_fits(
         self,
         fits: list[Job],
-        subset: Subset,
+        case: _Case,
         views: dict[str, Job],
         edited: dict[tuple[str, str], Job],
         rates: list[float | None],
@@ -141,17 +227,23 @@ class Planner:
                 yield encode
                 for scene in fit.scenes:
                     encodes[scene, rate] = encode
-                    yield self._measure([encode], (scene,), views[scene])
+                    yield self._measure([encode], (scene,), views[scene], stress=case.stress)
                     for edit in self._selection.suite.edits if rate is None else ():
                         if (scene, edit) in edited:
                             yield self._measure([encode], (scene,), edited[scene, edit], edit=edit)
-        for name, parts in subset.compositions.items() if fits else ():
+        for name, parts in case.subset.compositions.items() if fits else ():
             for rate in rates:
                 models = list({encodes[part, rate].id: encodes[part, rate] for part in parts}.values())
                 yield self._measure(models, parts, views[name], name)
 
     def _measure(
-        self, encodes: list[Job], scenes: tuple[str, ...], views: Job, composition: str = "", edit: str = ""
+        self,
+        encodes: list[Job],
+        scenes: tuple[str, ...],
+        views: Job,
+        composition: str = "",
+        edit: str = "",
+        stress: str = "",
     ) -> Job:
         """The measurement of a basic scene, edited or not, or of the scenes of a composition together."""
         identity: dict[str, Any] = {
@@ -175,6 +267,7 @@ class Planner:
             scenes=scenes,
             composition=composition,
             edit=edit,
+            stress=stress,
             group=",".join(encode.group for encode in encodes),
             metrics=dict(self._metrics),
             sampled=sampled,
@@ -189,11 +282,13 @@ class Planner:
             for edit in edits
         }
 
-    def _of_scene(self, kind: str, subset: Subset, name: str, edit: str = "") -> Job:
+    def _of_scene(self, kind: str, subset: Subset, name: str, edit: str = "", stress: str = "") -> Job:
         """A job about a scene or composition without a method: its views, or the cost of rendering it."""
         identity = {"kind": kind, "scene": subset.content(name), "request": subset.request.model_dump()}
         if edit:
             identity["edit"] = edit
+        if stress:
+            identity["stress"] = stress
         if kind == "views":
             identity["split"] = self._selection.split
         return self._job(
@@ -202,11 +297,12 @@ class Planner:
             scenes=subset.compositions.get(name, (name,)),
             composition=name if name in subset.compositions else "",
             edit=edit,
+            stress=stress,
         )
 
     def _training(
         self,
-        subset: Subset,
+        case: _Case,
         spec: MethodSpec,
         settings: Settings,
         seed: int,
@@ -218,16 +314,19 @@ class Planner:
     ) -> Job:
         """A partition of scenes, or the fit of a group.
 
-        Its identity: content of the scenes, method, options, budget, seed, class of device, training views.
+        Its identity: content of the scenes, method, options, budget, seed, class of device, training views,
+        and the stress that decides it.
         """
+        subset, stress = case.subset, part_of(case.stress, "truth", "input", "fit")
         request, device = subset.request, self._selection.device
+        iterations = max(1, round(stress_of(stress).get("budget", 1.0) * settings.iterations))
         identity = {
             "kind": kind,
             "dataset": subset.name,
             "scenes": [[name, subset.hashes[name]] for name in scenes],
             "method": [spec.name, spec.version],
             "options": settings.values,
-            "iterations": settings.iterations,
+            "iterations": iterations,
             "seed": seed,
             "device": device.split(":")[0],
             "views": [request.train_views, request.width, request.height],
@@ -235,6 +334,8 @@ class Planner:
             "cloud_points": self._preset.cloud_points,
             **more,
         }
+        if stress:
+            identity["stress"] = stress
         return self._job(
             subset,
             identity,
@@ -247,7 +348,8 @@ class Planner:
             options=settings.values,
             overrides=settings.overrides,
             knob=settings.knob,
-            iterations=settings.iterations,
+            iterations=iterations,
+            stress=stress,
             device=device,
             cloud_points=self._preset.cloud_points,
         )
@@ -263,6 +365,28 @@ class Planner:
             split=self._selection.split,  # type: ignore[arg-type]
             preset=self._preset_name,
             **fields,
+        )
+
+
+@dataclass(frozen=True)
+class _Case:
+    """Runs of a subset of scenes under one stress.
+
+    Attributes:
+        choices: methods with their settings and rates.
+    """
+
+    subset: Subset
+    stress: str
+    choices: list[tuple[MethodSpec, Settings, list[float | None]]]
+
+    def has(self, job: Job, spec: MethodSpec, settings: Settings) -> bool:
+        """Whether a measurement is of one of its runs, with these settings."""
+        return (
+            job.dataset == self.subset.source
+            and job.request == self.subset.request
+            and job.scenes[0] in self.subset.hashes
+            and (job.stress, job.method, job.variant) == (self.stress, spec.name, settings.variant)
         )
 
 

@@ -38,7 +38,7 @@ def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance
         python=platform.python_version(),
         versions=_versions(),
         isa=native_isa(),
-        commit=_commit(),
+        commit=commit_here(),
         source=source_hash(spec) if spec else None,
     )
 
@@ -111,7 +111,7 @@ def _versions() -> dict[str, str]:
     return versions
 
 
-def _commit() -> str | None:
+def commit_here() -> str | None:
     """Commit of the clone that the package runs from or was built in ("+" if it had changes), if any."""
     here = Path(__file__).resolve()
     root, built = here.parent.parent, here.with_name("commit.txt")  # see CMakeLists.txt

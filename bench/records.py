@@ -44,6 +44,8 @@ class Job(_Model):
             for fit and encode, all of the dataset for partition.
         composition: name of the composition that the scenes make up, "" for a basic scene.
         edit: change of a basic scene before rendering (views, measure), as "opacity=0.5".
+        stress: harder conditions that decide the job (:mod:`bench.stress`), as "noise=8"; of measure, all
+            that decide the jobs before it as well.
         group: label of the scenes that were fitted together; labels of several groups (measure of a
             composition) are joined by commas.
         needs: ids of the jobs that must be finished before this one.
@@ -64,6 +66,7 @@ class Job(_Model):
     scenes: tuple[str, ...]
     composition: str = ""
     edit: str = ""
+    stress: str = ""
     group: str = ""
     request: Request
     split: Literal["test", "val"] = "test"
@@ -97,6 +100,8 @@ class Job(_Model):
         parts = [self.kind, f"{self.dataset_name}/{about}"]
         if self.edit:
             parts.append(self.edit)
+        if self.stress:
+            parts.append(self.stress)
         if self.method:
             parts.append(self.method + (f"[{self.variant}]" if self.variant else ""))
         if self.rate is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -75,7 +75,9 @@ def subsets(selection: Selection, preset: ViewPreset) -> list[Subset]:
     sources = selection.datasets or tuple(present)
     if not sources:
         raise DataError(
-            f"suite {suite.name}", "none of its datasets has data here", "Set BENCH_DATA, or name a --dataset"
+            f"suite {suite.name}",
+            "none of its datasets has data here",
+            "`bench fetch NAME` gets one of `bench list datasets`; or set BENCH_DATA",
         )
     compositions: Literal["all"] | tuple[str, ...] = "all" if selection.composed else suite.compositions
     result, problems = [], []
@@ -108,6 +110,29 @@ def subsets(selection: Selection, preset: ViewPreset) -> list[Subset]:
         if name not in all_compositions:
             raise unknown("composition", name, all_compositions, of=f"suite {suite.name}")
     return result
+
+
+def usual_sources(selection: Selection, names: Collection[str]) -> set[str]:
+    """Sources (:attr:`Subset.source`) of some of a suite's datasets, or of what stands in for them."""
+    suite = selection.suite
+    available = _available(suite)
+    present = (name if name in available else suite.stand_ins.get(name, name) for name in names)
+    return {inputs.absolute(name) for name in present if name}
+
+
+def subset_of_scene(selection: Selection, preset: ViewPreset, place: str) -> Subset | None:
+    """The subset of the one scene "dataset/scene"; None if the command line leaves it out.
+
+    Raises:
+        UnknownName, DataError: as :func:`subsets`.
+    """
+    name, _, scene = place.rpartition("/")
+    if selection.datasets and name not in selection.datasets:
+        return None
+    if selection.scenes and scene not in selection.scenes:
+        return None
+    source = inputs.absolute(name)
+    return _subset(source, open_dataset(source), (scene,), (), preset)
 
 
 def _available(suite: Suite) -> set[str]:

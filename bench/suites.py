@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bench.edits import edit_of
+from bench.ladders import Ladder, ladder_of
 from datasets.errors import DataError
 from datasets.names import unknown
 
@@ -63,6 +64,8 @@ class Suite:
         edits: changes of each basic scene, as "opacity=0.5 light=1,0,0". Models are edited and measured
             against the ground truth of the changed scene; scenes of pre-rendered views have none.
         sampled: primitives of each scene whose attributes are recorded.
+        ladders: runs under more and more stress, beside the usual ones.
+        repeats: further seeds of a rung on which a method breaks, and of the first rung beside it.
     """
 
     name: str
@@ -81,6 +84,8 @@ class Suite:
     train_views: tuple[int, ...] = ()
     edits: tuple[str, ...] = ()
     sampled: int = SAMPLED
+    ladders: tuple[Ladder, ...] = ()
+    repeats: tuple[int, ...] = ()
 
     def present(self, available: Collection[str]) -> dict[str, tuple[tuple[str, ...], ...]]:
         """The datasets to run where those ``available`` have data: stand-ins take the places of others."""
@@ -151,6 +156,8 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
             train_views=tuple(int(count) for count in data.get("train_views", ())),
             edits=tuple(str(edit) for edit in data.get("edits", ())),
             sampled=int(data.get("sampled", SAMPLED)),
+            ladders=tuple(ladder_of(table, str(path)) for table in data.get("ladders", ())),
+            repeats=tuple(int(seed) for seed in data.get("repeats", ())),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
@@ -168,6 +175,12 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
     for edit in suite.edits:
         if not edit_of("scene", edit):
             raise DataError(path, "an edit that changes nothing", 'Write edits = ["opacity=0.5"]')
+    for ladder in suite.ladders:
+        for name in ladder.datasets:
+            if name not in suite.datasets:
+                raise unknown("dataset", name, suite.datasets, of=f"{path} (ladder {ladder.name})")
+    if len({ladder.name for ladder in suite.ladders}) < len(suite.ladders):
+        raise DataError(path, "two ladders have one name", "Give each a name of its own")
     if not suite.datasets or not suite.seeds:
         raise DataError(path, "no datasets or seeds in it", "Name at least one of each")
     if not suite.methods and not suite.dvr:

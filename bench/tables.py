@@ -10,10 +10,13 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from bench.ladders import Ladder
 from bench.lineage import Lineage, Model
 from bench.records import EncodeResult, FitResult, Job, MeasureResult, Record
+from bench.rungs import ladders_of, rungs_of
 from bench.store import Store
 from bench.versions import elected, is_stale, scene_choices
+from datasets.catalogue.entries import is_procedural
 from methods.options import label
 from reports.schema import COVERAGE, METRICS, TABLES, frame, joined
 
@@ -44,7 +47,8 @@ def build_tables(
     lineage = Lineage(store.records())
     choices = scene_choices(lineage)
     newest = elected(lineage, versions or {}, choices)
-    tables = _stored(lineage, versions or {}, choices, {record.job.id for record in newest})
+    names = {record.job.id for record in newest}
+    tables = _stored(lineage, versions or {}, choices, names, ladders_of(store.root))
     if write:
         with store.lock("tables"):
             for name, table in tables.items():
@@ -56,20 +60,37 @@ def build_tables(
 
 
 def stored_tables(
-    records: Iterable[Record], versions: Mapping[str, str] | None = None
+    records: Iterable[Record],
+    versions: Mapping[str, str] | None = None,
+    ladders: Iterable[Ladder] = (),
 ) -> dict[str, pd.DataFrame]:
     """All tables of all records as they are on disk: axes in `jobs` alone.
 
     Args:
         records: of one store, or of several joined.
         versions: method -> its current version.
+        ladders: of the suites that were run.
     """
     lineage = Lineage(records)
-    return _stored(lineage, versions or {}, scene_choices(lineage), lineage.by_id.keys())
+    return _stored(lineage, versions or {}, scene_choices(lineage), lineage.by_id.keys(), list(ladders))
+
+
+def rungs_table(records: Iterable[Record], ladders: Iterable[Ladder]) -> pd.DataFrame:
+    """The table `rungs` of measurements, as readers get it.
+
+    Args:
+        records: of measurements.
+        ladders: of a suite.
+    """
+    return joined(stored_tables(records, ladders=ladders))["rungs"]
 
 
 def _stored(
-    lineage: Lineage, versions: Mapping[str, str], choices: Mapping[str, int], newest: Collection[str]
+    lineage: Lineage,
+    versions: Mapping[str, str],
+    choices: Mapping[str, int],
+    newest: Collection[str],
+    ladders: Collection[Ladder],
 ) -> dict[str, pd.DataFrame]:
     tables: dict[str, list[Row]] = {name: [] for name in TABLES}
     axes = {}
@@ -80,9 +101,11 @@ def _stored(
         if name in mended:
             continue
         if name in newest:
-            for table, facts in _facts(record, lineage, versions).items():
-                tables[table] += ({"job": name, **row} for row in facts)
-        elif record.job.kind == "measure":
+            if not record.job.stress:
+                for table, facts in _facts(record, lineage, versions).items():
+                    tables[table] += ({"job": name, **row} for row in facts)
+            tables["rungs"] += ({"job": name, **row} for row in _rungs(record, lineage, versions, ladders))
+        elif record.job.kind == "measure" and not record.job.stress:
             tables["superseded"].append({"job": name, **_result(record, lineage, versions)})
     for table, rows in tables.items():
         keys = [key for key in _ORDER if key not in ("kind", "split") or key in TABLES[table].columns]
@@ -109,9 +132,11 @@ def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
     return {
         "step": job.kind,
         "dataset": job.dataset_name,
+        "procedural": is_procedural(job.dataset),
         "scene": f"{job.subject} {job.edit}".strip(),
         "kind": "composed" if job.composition else "edited" if job.edit else "basic",
         "edit": job.edit,
+        "stress": job.stress,
         "members": json.dumps(job.scenes),
         "group": job.group,
         "fitted_scenes": json.dumps(fitted) if fitted else None,
@@ -214,6 +239,17 @@ def _features(record: Record) -> Iterator[Row]:
 def _scenes(record: Record) -> Iterator[Row]:
     if record.views is not None and record.views.transfer:
         yield {"transfer": json.dumps(record.views.transfer, separators=(",", ":"))}
+
+
+def _rungs(
+    record: Record, lineage: Lineage, versions: Mapping[str, str], ladders: Iterable[Ladder]
+) -> Iterator[Row]:
+    """A row per ladder of which the measurement is a rung."""
+    rungs = list(rungs_of(record.job, ladders))
+    facts = _result(record, lineage, versions) if rungs else {}
+    failed = None if record.ok else (record.cause or record.job.id).partition("-")[0]
+    for rung in rungs:
+        yield facts | rung | {"failed_step": failed}
 
 
 def _result(record: Record, lineage: Lineage, versions: Mapping[str, str]) -> Row:

@@ -84,7 +84,7 @@ def _protocol(job: Job) -> tuple[Any, ...]:
 
 def _cell(job: Job) -> tuple[Any, ...]:
     """What the rows of all scenes of a method on a dataset have in common."""
-    return (*_protocol(job), job.method, job.variant, job.seed)
+    return (*_protocol(job), job.method, job.variant, job.seed, job.stress)
 
 
 def _newest_rows(records: list[Record], choices: Mapping[str, int]) -> list[Record]:

@@ -27,6 +27,7 @@ class ViewRequest:
         test_views: number of cameras on the test path (181 in the paper).
         width, height: image size in pixels. It must divide the size of pre-rendered views, which are
             averaged over areas.
+        distance: factor on the usual distance of the cameras (of rendered views).
     """
 
     split: Split
@@ -34,6 +35,7 @@ class ViewRequest:
     test_views: int
     width: int
     height: int
+    distance: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,8 @@ import sys
 from argparse import Namespace
 from collections.abc import Iterable
 
+WIDTH = 120
+
 
 def list_names(options: Namespace) -> int:
     """Print what there is of one kind."""
@@ -26,17 +28,30 @@ def _methods(options: Namespace) -> Iterable[tuple[str, ...]]:
 def _datasets(options: Namespace) -> Iterable[tuple[str, ...]]:
     from datasets.catalogue import list_datasets
 
+    missing = False
     for entry in list_datasets():
         if entry.kind == "broken":
-            yield entry.name, "broken", "", entry.where, ""
+            print(f"bench: {entry.where}", file=sys.stderr)
+            yield entry.name, "broken", "", "", "", ""
             continue
-        size = "\N{MULTIPLICATION SIGN}".join(map(str, entry.dims)) if entry.dims else ""
+        dims = "\N{MULTIPLICATION SIGN}".join(map(str, entry.dims)) if entry.dims else ""
+        if entry.kind == "procedural":
+            place = "built in"
+        else:
+            place = "here" if entry.available else entry.host or "missing"
+        missing |= not entry.available
         yield (
             entry.name,
-            size or ("views" if entry.kind == "views" else ""),
+            dims or ("views" if entry.kind == "views" else ""),
             "1 scene" if len(entry.scenes) == 1 else f"{len(entry.scenes)} scenes",
+            size_text(entry.size) if entry.size is not None else "",
+            place,
             entry.title,
-            "" if entry.available else "(no data: set BENCH_DATA)",
+        )
+    if missing:
+        print(
+            "bench: `bench fetch NAME` downloads sets with a host, and names the source of missing ones",
+            file=sys.stderr,
         )
 
 
@@ -61,8 +76,18 @@ def _metrics(options: Namespace) -> Iterable[tuple[str, ...]]:
 
 
 def _print(rows: Iterable[tuple[str, ...]]) -> None:
-    """Columns as wide as their widest cell."""
+    """Columns as wide as their widest cell; a line ends after 120 characters."""
     cells = [[str(cell) for cell in row] for row in rows]
     widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))] if cells else []
     for row in cells:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        print(line if len(line) <= WIDTH else f"{line[: WIDTH - 1]}\N{HORIZONTAL ELLIPSIS}")
+
+
+def size_text(count: int) -> str:
+    """Bytes for people: 67 KiB, 1.2 GiB."""
+    value, units = float(count), ["B", "KiB", "MiB", "GiB", "TiB"]
+    while value >= 1000.0 and len(units) > 1:
+        value /= 1024.0
+        del units[0]
+    return f"{value:.1f} {units[0]}" if units[0] != "B" and value < 10.0 else f"{value:.0f} {units[0]}"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from bench.plugins import plugin_folders
 from bench.store import Store
 from bench.tables import build_tables
 from datasets.errors import DataError
@@ -20,8 +22,11 @@ if TYPE_CHECKING:
 def results(options: Namespace) -> int:
     """Print a table of a store."""
     store = Store(Path(options.runs))
-    tables = build_tables(store, current(options), write=False)
-    print_as(tables[options.table], options.format)
+    tables = build_tables(store, current(options.plugins, store.root), write=False)
+    if options.format is None and options.table == "results" and sys.stdout.isatty():
+        print_results(tables["results"], jobs=True)
+    else:
+        print_as(tables[options.table], options.format or "csv")
     if options.table != "superseded":
         _print_superseded(tables, sys.stderr)
     return 0
@@ -36,7 +41,7 @@ def report(options: Namespace) -> int:
 
     store = Store(Path(options.runs))
     page = _page(Path(options.out)) if options.out else store.root / "report.html"
-    tables = build_tables(store, current(options))
+    tables = build_tables(store, current(options.plugins, store.root))
     contents = Report(tables)
     paper = paper_tables(tables, contents.views)
     for table in paper:
@@ -92,13 +97,16 @@ def print_as(table: pd.DataFrame, form: str) -> None:
         print(writer(by_protocol({"results": table})["results"]))
 
 
-def print_results(table: pd.DataFrame) -> None:
-    """The rows of a run, for people."""
+def print_results(table: pd.DataFrame, *, jobs: bool = False) -> None:
+    """The rows of a run, for people; with their jobs, which ``bench render --model`` takes."""
     from reports.tables.protocols import by_protocol
     from reports.tables.results import terminal_rows
 
     width = _console().width
-    header, *lines = terminal_rows(by_protocol({"results": table})["results"], width)
+    rows = by_protocol({"results": table})["results"]
+    names = ["Job", *rows["job"]] if jobs else []
+    lines = terminal_rows(rows, width - max(map(len, names), default=-2) - 2)
+    header, *lines = [[*line, name] for line, name in zip(lines, names, strict=True)] if jobs else lines
     _print(header, lines)
 
 
@@ -136,8 +144,8 @@ def _print(header: list[str], lines: list[list[str]]) -> None:
     console.print(grid, markup=False, highlight=False)
 
 
-def current(options: Namespace) -> dict[str, str]:
+def current(plugins: Iterable[str], *stores: Path) -> dict[str, str]:
     """Method -> its current version, plugins included: rows of other versions are stale."""
     from methods.registry import Registry
 
-    return {spec.name: spec.version for spec in Registry(options.plugins)}
+    return {spec.name: spec.version for spec in Registry(plugin_folders(plugins, *stores))}

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 from bench.display import make_display, span
 from bench.estimates import Estimate, Past
 from bench.plan import Planner
+from bench.plugins import plugin_folders, remember, resolved
 from bench.records import Job, Record
+from bench.rungs import remember as remember_ladders
 from bench.selection import Selection
 from bench.store import Store
 from bench.suites import load_suite
@@ -23,12 +25,16 @@ if TYPE_CHECKING:
 
 def run(options: Namespace) -> int:
     """Run the jobs of a suite and its selectors, then print the results and write the report."""
-    from bench.executor import Limits, LocalExecutor
+    from bench.executor import LocalExecutor
+    from bench.limits import Limits
     from bench.tables import build_tables, stored_tables
     from reports.schema import joined
 
-    planner = _planner(options)
+    plugins = plugin_folders(options.plugins, Path(options.out))
+    planner = _planner(options, plugins)
     store = Store(Path(options.out), create=True)
+    remember(store, resolved(options.plugins))
+    remember_ladders(store, planner.ladders)
     versions = {spec.name: spec.version for spec in planner.registry}
     executor = LocalExecutor(
         store,
@@ -36,14 +42,14 @@ def run(options: Namespace) -> int:
         make_display(),
         retry=options.retry,
         limits=Limits(options.time_limit, options.memory_limit),
-        plugins=_plugins(options),
+        plugins=plugins,
     )
     _announce(planner, store)
     outcome = executor.run()
     tables = build_tables(store, versions)
     # The rows of this run alone; the store's tables may hold another version of a model.
-    frames = joined(stored_tables(outcome.records, versions))
-    if len(frames["results"]) or len(frames["dvr"]):
+    frames = joined(stored_tables(outcome.records, versions, planner.ladders))
+    if len(frames["results"]) or len(frames["rungs"]) or len(frames["dvr"]):
         from bench.commands.results import print_answers, print_results, print_table
         from reports.paper.datasets import costs
 
@@ -61,7 +67,7 @@ def run(options: Namespace) -> int:
                 write_report(tables, store.root, page, report=contents)
                 print_answers(contents)
             print(f"report: {page}")
-    return _verdict(outcome)
+    return _verdict(outcome, store)
 
 
 def _announce(planner: Planner, store: Store) -> None:
@@ -75,12 +81,15 @@ def _announce(planner: Planner, store: Store) -> None:
                 print(f"bench: {notice}", file=sys.stderr)
 
 
-def _verdict(outcome: Outcome) -> int:
+def _verdict(outcome: Outcome, store: Store) -> int:
     if not outcome.ran and not outcome.unfinished:
         print(f"bench: nothing to run, all {len(outcome.records)} jobs are finished", file=sys.stderr)
     for record in outcome.failed:
         if record.cause is None:
             print(f"bench: {record.job.title}: {record.status}: {record.reason}", file=sys.stderr)
+            log = store.jobs / record.job.id / "log.txt"
+            if record.status not in ("refused", "diverged") and log.is_file():
+                print(f"bench:   log: {log}", file=sys.stderr)
     # A method that cannot compose is a finding, not a failure.
     failed = [r for r in outcome.failed if not (r.status == "refused" and r.job.composition and not r.cause)]
     if failed:
@@ -93,8 +102,8 @@ def _verdict(outcome: Outcome) -> int:
 
 def plan(options: Namespace) -> int:
     """Print the jobs, their states, and the time, memory and disk that the rest may take."""
-    planner = _planner(options)
     root = Path(options.out)
+    planner = _planner(options, plugin_folders(options.plugins, root))
     store = Store(root) if (root / "store.json").is_file() else None
     jobs = planner.jobs(store)
     records = {record.job.id: record for record in store.records()} if store else {}
@@ -136,10 +145,8 @@ def _state(job: Job, record: Record | None, estimate: Estimate | None, store: St
     return f"{words}, about {span(estimate.seconds)}" if estimate is not None else words
 
 
-def _planner(options: Namespace) -> Planner:
-    from bench.metrics import METRICS as VERSIONS
+def _planner(options: Namespace, plugins: tuple[str, ...]) -> Planner:
     from methods.options import parse_assignments
-    from reports.schema import METRICS
 
     selection = Selection(
         suite=load_suite(options.suite),
@@ -152,10 +159,6 @@ def _planner(options: Namespace) -> Planner:
         split=options.split,
         overrides=parse_assignments(options.set),
         device=options.device,
-        plugins=_plugins(options),
+        plugins=plugins,
     )
-    return Planner(selection, {name: VERSIONS[name].version for name in METRICS})
-
-
-def _plugins(options: Namespace) -> tuple[str, ...]:
-    return tuple(str(Path(folder).expanduser().resolve()) for folder in options.plugins)
+    return Planner(selection)

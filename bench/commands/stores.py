@@ -11,6 +11,9 @@ from pathlib import Path
 
 from bench.commands.results import current
 from bench.comparison import compared
+from bench.plugins import remember, resolved
+from bench.rungs import ladders_of
+from bench.rungs import remember as remember_ladders
 from bench.store import Store
 from bench.tables import build_tables
 from datasets.errors import DataError
@@ -46,7 +49,11 @@ def _merge(sources: list[Store], options: Namespace) -> int:
                 finally:
                     shutil.rmtree(aside, ignore_errors=True)
                 taken += 1
-    build_tables(target, current(options))
+    for source in sources:
+        remember_ladders(target, ladders_of(source.root))
+    remember(target, resolved(options.plugins))
+    folders = [Path(name) for name in options.stores if Path(name).is_dir()]
+    build_tables(target, current(options.plugins, target.root, *folders))
     print(f"{target.root}: {taken} jobs taken, {kept} there already")
     return 0
 

@@ -14,8 +14,10 @@ from bench.edits import edit_of
 from bench.jobs.context import Context
 from bench.monitor import as_numpy
 from bench.records import MeasureResult, ViewResult
+from bench.stress import stress_of
 from bench.timing import median_timings, synchronise, time_frames
 from datasets.memory import peak_host_bytes
+from datasets.stress import camera_in_units
 from methods.interface import HasAttributes, Method, Model, Refused
 from reports.schema import COVERAGE
 
@@ -39,7 +41,8 @@ def run(context: Context) -> MeasureResult:
     views_job = context.input("views")
     assert views_job.views is not None
     truth = context.truth(job.subject)
-    cameras = truth.cameras(job.split)
+    units = stress_of(job.stress).get("units", 1.0)
+    cameras = [camera_in_units(camera, units) for camera in truth.cameras(job.split)]
     edit = edit_of(job.subject, job.edit)
     background = views_job.views.background
     method = context.method()

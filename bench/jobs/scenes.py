@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 
 from bench.jobs.context import Context
 from bench.records import derived_seed
+from bench.stress import stress_of
 from datasets.camera import Camera
 from datasets.catalogue import open_dataset
+from datasets.cloud import PointCloud
 from datasets.scene import Dataset
+from datasets.stress import (
+    camera_in_units,
+    noisy,
+    one_sided,
+    scattered_cloud,
+    scene_in_units,
+    spread_out,
+    turned,
+    with_outliers,
+)
 from datasets.views import ViewSet
 from datasets.volume import Volume
-from methods.interface import SceneInput
+from methods.interface import Refused, SceneInput
 
 
 def scene_inputs(context: Context) -> list[SceneInput]:
@@ -23,9 +37,17 @@ def scene_inputs(context: Context) -> list[SceneInput]:
     With ``--split val`` the validation views (every tenth training view) are left out of the fit and
     given to the method for its choices. With ``--split test`` the fit uses every training view and
     the method gets no validation views. The dataset is opened when a method reads the volume itself.
+    Stress on the training input (:mod:`bench.stress`) changes training views and cloud, nothing else.
+
+    Raises:
+        Refused: a method that reads the volume itself is to work in other scene units.
     """
     job = context.job
     dataset = cache(partial(open_dataset, job.dataset))
+    stress = stress_of(job.stress)
+    units = stress.get("units", 1.0)
+    if units != 1.0 and context.spec is not None and context.spec.needs_volume:
+        raise Refused(f"{job.method} reads the volume itself, which has no other scene units")
     inputs = []
     for name in job.scenes:
         truth = context.truth(name)
@@ -36,17 +58,53 @@ def scene_inputs(context: Context) -> list[SceneInput]:
         else:
             validation = ViewSet((), train.images[:0], train.background, train.key)
         seed = derived_seed("cloud", job.dataset_name, name, job.seed)
+        points = stress.get("points", job.cloud_points)
+        if (start := stress.get("start")) == "random":
+            cloud = scattered_cloud(train.cameras, points, seed)
+        else:
+            cloud = truth.cloud(points, seed)
+            if start == "outliers":
+                cloud = with_outliers(cloud, train.cameras, seed)
+        train = _stressed(train, stress, derived_seed("stress", job.dataset_name, name, job.seed))
+        if units != 1.0:
+            scene = scene_in_units(scene, units)
+            train, validation = (in_units(views, units) for views in (train, validation))
+            cloud = PointCloud(cloud.points * np.float32(units), cloud.colors)
         inputs.append(
             SceneInput(
                 scene=scene,
                 train=train,
                 validation=validation,
-                cloud=truth.cloud(job.cloud_points, seed),
+                cloud=cloud,
                 extent=camera_extent(train.cameras),
                 volume=partial(_volume, dataset, scene.variable) if scene.views_folder is None else None,
             )
         )
     return inputs
+
+
+def in_units(views: ViewSet, units: float) -> ViewSet:
+    """Views of a scene whose coordinates are multiplied by ``units``."""
+    return replace(views, cameras=tuple(camera_in_units(camera, units) for camera in views.cameras))
+
+
+def _stressed(train: ViewSet, stress: Mapping[str, Any], seed: int) -> ViewSet:
+    """Fewer training views, with noise and false directions."""
+    if "cameras" in stress:
+        train = _some(train, one_sided(train.cameras, stress["cameras"]))
+    if "views" in stress:
+        train = _some(train, spread_out(train.cameras, stress["views"]))
+    generator = np.random.default_rng(seed)
+    if "noise" in stress:
+        train = replace(train, images=noisy(train.images, stress["noise"], generator))
+    if "poses" in stress:
+        cameras = tuple(turned(camera, stress["poses"], generator) for camera in train.cameras)
+        train = replace(train, cameras=cameras)
+    return train
+
+
+def _some(views: ViewSet, which: list[int]) -> ViewSet:
+    return replace(views, cameras=tuple(views.cameras[i] for i in which), images=views.images[which])
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 
-from bench.inputs import transfer_summary, views
+from bench.inputs import stressed, transfer_summary, views
 from bench.jobs.context import Context
 from bench.jobs.truth import write_truth
 from bench.records import ViewsResult
+from bench.stress import part_of
 from datasets.catalogue import open_dataset
 from datasets.cloud import cloud_source
 from datasets.errors import DataError
@@ -16,20 +17,21 @@ from datasets.views import Split, ViewSet
 
 
 def run(context: Context) -> ViewsResult:
-    """Store the views of a scene, of compositions and edited scenes only those that are measured on.
+    """Store the views of a scene; of compositions, edits and other test views only those measured on.
 
     Raises:
         DataError: the dataset cannot be used, or the split is empty.
     """
     job = context.job
-    dataset = open_dataset(job.dataset)
+    dataset = stressed(open_dataset(job.dataset), job.subject, job.stress)
     splits: tuple[Split, ...] = ("train", "val") if job.split == "val" else ("trainval", "test")
-    basic = not (job.composition or job.edit)
+    stress = part_of(job.stress, "test")
+    basic = not (job.composition or job.edit or stress)
     start = time.perf_counter()
     sets: dict[Split, ViewSet] = {}
     for split in splits if basic else (job.split,):
         context.report(stage=f"views: {split}")
-        sets[split] = views(dataset, job.subject, job.request, split, job.edit)
+        sets[split] = views(dataset, job.subject, job.request, split, job.edit, stress)
     seconds = time.perf_counter() - start
     measured = sets[job.split]
     if len(measured) == 0:

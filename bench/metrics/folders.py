@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,8 @@ def score(renders: Path, truth: Path, background: Sequence[float] = (1.0, 1.0, 1
 
     Returns:
         One row per image and a last row "mean" (missing if any image's value is), with columns
-        ``file``, the metrics, ``identical`` and ``reason``.
+        ``file``, the metrics, ``identical`` and ``reason``. Reasons that all images share are in the
+        last row alone.
 
     Raises:
         DataError: a folder without images, a file without partner, sizes that differ, an unreadable file.
@@ -49,22 +50,32 @@ def score(renders: Path, truth: Path, background: Sequence[float] = (1.0, 1.0, 1
                 "Give the images of both folders the same names",
             )
     rows: list[dict[str, Any]] = []
-    every: dict[str, None] = {}
+    omissions = []
     for name, path in ours.items():
         pair = _pair(path, theirs[name], background)
         values, missing = scores(pair, METRICS)
-        reasons = [f"{metric}: {why}" for metric, why in missing.items()]
-        every |= dict.fromkeys(reasons)
-        rows.append({"file": path.name, **values, "identical": pair.identical, "reason": "; ".join(reasons)})
+        omissions.append(missing)
+        rows.append({"file": path.name, **values, "identical": pair.identical})
+    common = set.intersection(*(set(missing.items()) for missing in omissions))
+    for row, missing in zip(rows, omissions, strict=True):
+        row["reason"] = _reasons(missing.items() - common)
     table = pd.DataFrame(rows)
     table[list(METRICS)] = table[list(METRICS)].astype("Float64")
     total: dict[str, Any] = {
         "file": "mean",
         **{metric: table[metric].mean(skipna=False) for metric in METRICS},
         "identical": bool(table["identical"].all()),
-        "reason": "; ".join(every),
+        "reason": _reasons(dict.fromkeys(item for missing in omissions for item in missing.items())),
     }
     return pd.concat([table, pd.DataFrame([total]).astype(table.dtypes)], ignore_index=True)
+
+
+def _reasons(missing: Iterable[tuple[str, str]]) -> str:
+    """Each reason once, after the metrics that it concerns, in their order."""
+    metrics: dict[str, list[str]] = {}
+    for metric, why in sorted(missing, key=lambda item: list(METRICS).index(item[0])):
+        metrics.setdefault(why, []).append(metric)
+    return "; ".join(f"{', '.join(names)}: {why}" for why, names in metrics.items())
 
 
 def _images(folder: Path) -> dict[str, Path]:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
+import shlex
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from datasets.errors import DataError
 
@@ -30,6 +34,8 @@ class DatasetInfo:
         scenes: names of its basic scenes.
         compositions: name -> basic scenes rendered together.
         available: whether its files exist (always, for procedural ones).
+        host: server of the missing files; "" where they are here or not public.
+        size: bytes of its files; None where not known.
         where: the folder or "built in"; for an unavailable one, the missing files and their source.
     """
 
@@ -41,6 +47,8 @@ class DatasetInfo:
     scenes: tuple[str, ...]
     compositions: dict[str, tuple[str, ...]]
     available: bool
+    host: str
+    size: int | None
     where: str
 
 
@@ -54,6 +62,12 @@ def built_in() -> tuple[str, ...]:
     """Names of the entries that come with the package, procedural ones first."""
     places = sorted(path.stem for path in Path(__file__).parent.glob("*.toml"))
     return tuple(sorted(places, key=lambda name: _built_in(name)["kind"] != "procedural"))
+
+
+def is_procedural(name: str) -> bool:
+    """Whether ``NAME`` or ``NAME@RESOLUTION`` is a built-in volume that a formula makes."""
+    base = name.partition("@")[0]
+    return base in built_in() and _built_in(base)["kind"] == "procedural"
 
 
 def own_files() -> dict[str, Path]:
@@ -97,7 +111,7 @@ def list_datasets(data_dirs: Sequence[Path | str] | None = None) -> list[Dataset
         try:
             infos.append(_info(name, folders_of(name, data_dirs)))
         except DataError as error:  # of the user's entries; others go on
-            infos.append(DatasetInfo(name, "", "broken", None, (), (), {}, False, str(error)))
+            infos.append(DatasetInfo(name, "", "broken", None, (), (), {}, False, "", None, str(error)))
     return infos
 
 
@@ -138,17 +152,36 @@ def paths_of(table: dict[str, Any]) -> list[str]:
     return list(dict.fromkeys(file["path"] for file in table.get("files", [])))
 
 
-def remedy(table: dict[str, Any], folders: Sequence[Path]) -> str:
-    """How to get the files of an entry."""
+def size_of(table: dict[str, Any], path: str) -> int | None:
+    """Bytes of a raw file of an entry by its name, or by the entry's dims and the type in its name."""
+    kind = re.search(r"(?:u?int|float)(8|16|32|64)(?![0-9])", path)
+    if not path.endswith(".raw") or kind is None:
+        return None
+    dims = re.search(r"(?<![0-9])([0-9]+)x([0-9]+)x([0-9]+)(?![0-9])", path)
+    counts = [int(count) for count in (dims.groups() if dims else table.get("dims", ()))]
+    return math.prod(counts) * int(kind[1]) // 8 if counts else None
+
+
+def public_files(table: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Path in an entry -> table of that file with ``url`` and ``sha512``, for files at a fixed address."""
+    return {file["path"]: file for file in reversed(table.get("files", [])) if "url" in file}
+
+
+def remedy(request: str, table: dict[str, Any], folders: Sequence[Path]) -> str:
+    """How to get the files of an entry that a command line names ``request``."""
     searched = ", ".join(str(folder) for folder in folders) or "none"
     files = ", ".join(paths_of(table)[:4])
-    text = f"Set {ENVIRONMENT} to the folder that holds {files} (searched: {searched})"
-    for file in table.get("files", []):
-        if "url" in file:
-            text += f"; public file: {file['url']} (sha512 {file['sha512']})"
-    if not any("url" in file for file in table.get("files", [])):
-        text += f"; source: {table['acknowledgement']}" if table.get("acknowledgement") else ""
-    return text
+    text = f"et {ENVIRONMENT} to the folder that holds {files} (searched: {searched})"
+    if host := host_of(table, paths_of(table)):
+        return f"Run `bench fetch {shlex.quote(request)}` (from {host}), or s{text}"
+    return f"S{text}" + (f"; source: {table['acknowledgement']}" if table.get("acknowledgement") else "")
+
+
+def host_of(table: dict[str, Any], paths: Sequence[str]) -> str:
+    """Server of these files of an entry; "" unless all are public."""
+    files = public_files(table)
+    hosts = [urlsplit(files[path]["url"]).hostname if path in files else None for path in paths]
+    return ", ".join(dict.fromkeys(filter(None, hosts))) if all(hosts) else ""
 
 
 def compositions_of(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
@@ -162,8 +195,9 @@ def compositions_of(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
 
 def _info(name: str, folders: Sequence[Path]) -> DatasetInfo:
     table = entry(name)
-    places = [(path, locate(path, folders)) for path in paths_of(table)]
-    missing = [path for path, at in places if at is None]
+    places = {path: locate(path, folders) for path in paths_of(table)}
+    missing = [path for path, at in places.items() if at is None]
+    size = None
     if table["kind"] == "procedural":
         nx, ny, nz = table.get("dims", (64, 64, 64))
         dims: tuple[int, int, int] | None = (nx, ny, nz)
@@ -172,9 +206,22 @@ def _info(name: str, folders: Sequence[Path]) -> DatasetInfo:
     else:
         dims = (table["dims"][0], table["dims"][1], table["dims"][2]) if "dims" in table else None
         variables = tuple(file["variable"] for file in table.get("files", []))
-        where = f"missing {', '.join(missing)}. {remedy(table, folders)}" if missing else str(places[0][1])
-    scenes = tuple(scene["name"] for scene in table["scenes"])
-    compositions = compositions_of(table)
+        where = str(next(iter(places.values())))
+        if missing:
+            where = f"missing {', '.join(missing)}. {remedy(name, table, folders)}"
+        if table["kind"] == "volume":
+            sizes = [at.stat().st_size if at else size_of(table, path) for path, at in places.items()]
+            size = None if None in sizes else sum(size or 0 for size in sizes)
     return DatasetInfo(
-        name, table["title"], table["kind"], dims, variables, scenes, compositions, not missing, where
+        name,
+        table["title"],
+        table["kind"],
+        dims,
+        variables,
+        tuple(scene["name"] for scene in table["scenes"]),
+        compositions_of(table),
+        not missing,
+        host_of(table, missing) if missing else "",
+        size,
+        where,
     )

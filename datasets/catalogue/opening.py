@@ -13,7 +13,7 @@ from datasets.errors import DataError
 from datasets.names import unknown
 
 if TYPE_CHECKING:
-    from datasets.scene import BasicScene, Dataset
+    from datasets.scene import BasicScene, Dataset, Frame
     from datasets.transfer import Bump
     from datasets.volume import Volume
 
@@ -22,18 +22,16 @@ def open_dataset(
     name_or_path: str | Path,
     data_dirs: Sequence[Path | str] | None = None,
     resolution: int | None = None,
-    *,
-    download: bool = False,
 ) -> Dataset:
     """A dataset by its catalogue name, or from a volume file or a folder of pre-rendered views.
 
     Args:
         name_or_path: "vis_male"; "vortices" or "vortices@128"; a TOML file with scenes of your own; a volume
             file, which gets automatic transfer functions ("PATH:variable=T,step=3,resolution=256" selects a
-            part of it); or a folder with ``transforms_train.json``, in itself or in one subfolder per scene.
+            part of it); a folder of slices or DICOM files, or a Zarr store; or a folder with
+            ``transforms_train.json``, in itself or in one subfolder per scene.
         data_dirs: folders to search instead of ``BENCH_DATA`` and the user's data folder.
         resolution: samples per axis of a procedural volume (default 64).
-        download: fetch missing public files into the user's data folder (checked by sha512).
 
     Raises:
         UnknownName: neither a name nor a path; the remedy lists near matches.
@@ -47,24 +45,24 @@ def open_dataset(
             return _procedural(base, table, _resolution(text, at) if at else resolution)
         if resolution is not None or "@" in text:
             raise DataError(text, "only procedural volumes have a choice of resolution", f"Ask for {base}")
-        return _from_catalogue(base, table, entries.folders_of(base, data_dirs), download)
+        return _from_catalogue(base, table, entries.folders_of(base, data_dirs), base)
     path = Path(text).expanduser()
     if path.suffix == ".toml":
         from datasets.catalogue.own import read_entry
 
         folders = [path.resolve().parent, *entries.data_folders(data_dirs)]
-        return _from_catalogue(entries.own_name(path.stem), read_entry(path), folders, download)
+        return _from_catalogue(entries.own_name(path.stem), read_entry(path), folders, text)
     try:
         is_folder, exists = path.is_dir(), path.exists()
     except (OSError, ValueError):
         is_folder = exists = False
-    if is_folder:
-        return _views_folder(path)
     from datasets.catalogue.files import file_dataset
-    from datasets.readers import suffix_of
+    from datasets.readers import folder_kind, suffix_of
     from datasets.readers.naming import split
 
-    if exists or "/" in text or suffix_of(split(text)[0]):
+    if is_folder and not folder_kind(path):
+        return _views_folder(path)
+    if exists or "/" in text or suffix_of(split(text)[0]) or path.suffix:
         return file_dataset(text)
     raise unknown("dataset", text, entries.names())
 
@@ -97,16 +95,16 @@ def _one(volumes: Callable[[], dict[str, Volume]], variable: str) -> Volume:
     return volumes()[variable]
 
 
-def _from_catalogue(name: str, table: dict[str, Any], folders: Sequence[Path], download: bool) -> Dataset:
+def _from_catalogue(name: str, table: dict[str, Any], folders: Sequence[Path], request: str) -> Dataset:
     from datasets.scene import BasicScene, Dataset
 
     paths: dict[str, Path] = {}
     for path in entries.paths_of(table):
         at = entries.locate(path, folders)
-        if at is None and download:
-            at = _fetch(name, next((f for f in table.get("files", []) if f["path"] == path), {}))
         if at is None:
-            raise DataError(f"dataset {name}", f"{path} was not found", entries.remedy(table, folders))
+            raise DataError(
+                f"dataset {name}", f"{path} was not found", entries.remedy(request, table, folders)
+            )
         paths[path] = at
     if table["kind"] == "views":
         scenes = tuple(
@@ -115,7 +113,17 @@ def _from_catalogue(name: str, table: dict[str, Any], folders: Sequence[Path], d
         return Dataset(name, table["title"], "views", scenes)
     spacing = tuple(table["spacing"]) if "spacing" in table else None
     volumes = {f["variable"]: _reader(paths[f["path"]], f, spacing) for f in table["files"]}
-    return Dataset(name, table["title"], "volume", _scenes(table), entries.compositions_of(table), volumes)
+    framing = None if name in entries.built_in() else partial(_framing, table.get("frame"))
+    compositions = entries.compositions_of(table)
+    return Dataset(name, table["title"], "volume", _scenes(table), compositions, volumes, framing)
+
+
+def _framing(table: dict[str, Any] | None, dataset: Dataset) -> Frame:
+    """The frame of an entry, else that of what its scenes show."""
+    from datasets.framing import visible_frame
+    from datasets.scene import Frame
+
+    return Frame(tuple(table["centre"]), table["radius"]) if table else visible_frame(dataset)
 
 
 def _reader(path: Path, file: dict[str, Any], spacing: Any) -> Callable[[], Volume]:
@@ -127,22 +135,6 @@ def _reader(path: Path, file: dict[str, Any], spacing: Any) -> Callable[[], Volu
         return read_volume(path, file["variable"], spacing=spacing, **choice)
 
     return read
-
-
-def _fetch(name: str, file: dict[str, Any]) -> Path | None:
-    """Download a public file into the user's data folder; None for a file without a fixed URL."""
-    if "url" not in file:
-        return None
-    import pooch
-
-    target: Path = entries.user_folder() / file["path"]
-    try:
-        pooch.retrieve(file["url"], f"sha512:{file['sha512']}", fname=target.name, path=target.parent)
-    except Exception as error:  # network errors of several libraries, or a wrong checksum
-        raise DataError(
-            f"dataset {name}", f"{file['url']} could not be fetched ({error})", "Try later"
-        ) from error
-    return target
 
 
 def _scenes(table: dict[str, Any]) -> tuple[BasicScene, ...]:
@@ -194,8 +186,8 @@ def _views_folder(path: Path) -> Dataset:
     if not folders:
         raise DataError(
             path,
-            "is a folder without pre-rendered views",
-            "It needs a transforms_train.json, in itself or in each subfolder; or name a volume file",
+            "is a folder without pre-rendered views or a volume",
+            "It needs a transforms_train.json, in itself or in each subfolder, or slices (.tif, .png)",
         )
     scenes = tuple(BasicScene(safe_name(f.resolve().name), views_folder=f.resolve()) for f in folders)
     name = path.resolve().name

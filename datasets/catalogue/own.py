@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from pathlib import Path
+from difflib import get_close_matches
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -15,6 +16,7 @@ REMEDY = "Mend it as docs/guide/data.md shows"
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=60)]
 Color = tuple[Share, Share, Share]
+Coordinate = Annotated[float, Field(ge=-1.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
@@ -84,6 +86,26 @@ class File(_Part):
     array: str | None = None
     step: Annotated[int, Field(ge=0)] | None = None
     resolution: Annotated[int, Field(ge=2)] | None = None
+    url: Annotated[str, Field(pattern=r"^https?://[^/\s]+/\S+$")] | None = None
+    sha512: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")] | None = None
+
+    @model_validator(mode="after")
+    def _can_be_fetched(self) -> File:
+        path = PurePosixPath(self.path)
+        if self.url and not self.sha512:
+            raise ValueError("a url needs the sha512 of its file")
+        if self.url and (path.is_absolute() or ".." in path.parts):
+            raise ValueError(
+                f"path {self.path} leaves the folder of data, into which its url would be fetched"
+            )
+        return self
+
+
+class Frame(_Part):
+    """What views show (:class:`datasets.scene.Frame`)."""
+
+    centre: tuple[Coordinate, Coordinate, Coordinate]
+    radius: Annotated[float, Field(ge=0.05, le=2.0)]
 
 
 class Entry(_Part):
@@ -96,6 +118,7 @@ class Entry(_Part):
     acknowledgement: str = ""
     files: Annotated[list[File], Field(min_length=1)]
     scenes: Annotated[list[Scene], Field(min_length=1)]
+    frame: Frame | None = None
     compositions: dict[Name, Annotated[list[str], Field(min_length=2)]] = {}
 
     @model_validator(mode="after")
@@ -116,6 +139,9 @@ class Entry(_Part):
         return self
 
 
+KEYS = sorted({key for part in _Part.__subclasses__() for key in part.model_fields})
+
+
 def read_entry(path: Path) -> dict[str, Any]:
     """A checked entry as a table; what is optional and not given is left out.
 
@@ -131,10 +157,14 @@ def read_entry(path: Path) -> dict[str, Any]:
     try:
         entry = Entry.model_validate(table)
     except ValidationError as error:
-        first, *others = error.errors()
+        # An unknown key first: what a misspelt key leaves missing would mislead.
+        first, *others = sorted(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
         parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
         key = "".join(parts).lstrip(".")
         reason = first["msg"].removeprefix("Value error, ")
+        if first["type"] == "extra_forbidden":
+            near = get_close_matches(str(first["loc"][-1]), KEYS, n=1)
+            reason = "unknown key" + "".join(f", perhaps {name}" for name in near)
         reason = f"{key}: {reason}" if key else reason
         more = f" (and {len(others)} more)" if others else ""
         raise DataError(path, reason + more, REMEDY) from error

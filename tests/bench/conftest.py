@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import shutil
 import subprocess
@@ -20,7 +21,8 @@ from bench.suites import load_suite
 from bench.tables import build_tables
 from datasets.camera import Camera
 
-ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = Path(inspect.getfile(Planner)).resolve().parents[1]
+"""Folder of the package that these tests import: the installed one, with its native core, or a checkout."""
 PLUGINS = Path(__file__).parent / "plugins"
 SIZE = 8
 PATIENCE = 300.0
@@ -79,10 +81,10 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
             folder = root / scene / split
             folder.mkdir(parents=True)
             cameras = [_camera(i, count, f"r_{i:04d}") for i in range(count)]
-            for camera in cameras:
+            for index, camera in enumerate(cameras):
                 image = np.ones((SIZE, SIZE, 4), dtype=np.float32)
                 image[..., :3] = color
-                image[0, 0] = 0.0  # a transparent pixel
+                image[0, : index % 4 + 1] = 0.0  # transparent pixels: no two neighbours have equal errors
                 write_png(folder / f"{camera.name}.png", image)
             write_transforms(root / scene / f"transforms_{split}.json", cameras)
         write_ply(root / scene / "points3d.ply", random_cloud(20, 0.5))
@@ -108,11 +110,12 @@ class Bench:
         self.plugins = PLUGINS
         self.environment = {
             **os.environ,
-            "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])),
+            "PYTHONPATH": os.pathsep.join(filter(None, [str(PACKAGES), os.environ.get("PYTHONPATH")])),
             "PYTHONSAFEPATH": "1",
             "BENCH_LOCKS": str(folder / "locks"),
             "BENCH_CACHE": str(folder / "cache"),
             "TORCH_HOME": str(folder / "torch"),
+            "XDG_STATE_HOME": str(folder / "state"),
         }
         self.environment.pop("BENCH_DATA", None)
 

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bench.__main__ import main
+from bench.__main__ import COMMANDS, main
 from bench.commands.run import _announce, _state
 from bench.records import hash_of
 from bench.store import Store
@@ -40,6 +40,15 @@ def test_lists_start_without_heavy_imports(bench, what: str) -> None:
     assert {"methods": "3dgs", "datasets": "vortices", "suites": "quick", "metrics": "psnr"}[
         what
     ] in done.stdout
+
+
+def test_no_command_prints_the_help(monkeypatch, capsys) -> None:
+    monkeypatch.setattr("sys.argv", ["bench"])
+    assert main() == 2
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert printed.out.startswith("usage: bench")
+    assert all(f"\n    {command}" in printed.out for command in COMMANDS)
 
 
 def test_the_version_is_that_of_the_installation(capsys) -> None:
@@ -77,6 +86,7 @@ def test_the_version_is_that_of_the_installation(capsys) -> None:
         (["plan", "quick", "--dataset", "gone_8x8x8_uint8.raw"], "no such file. Check the path"),
         (["resutls"], "invalid choice: 'resutls'"),
         (["run"], "required: suite. See `bench run --help`"),
+        (["plan", "quick", "--dataset", "my.tml"], "my.tml: no such file. Check the path"),
         (["plan", "quick", "--preset", "ultra"], "invalid choice: 'ultra'"),
         (["plan", "quick", "--seed=-1"], "'-1' is not a whole number of at least 0"),
         (["plan", "quick", "--seed", "x"], "'x' is not a whole number of at least 0"),
@@ -138,7 +148,7 @@ BAD_FILES = {
     "text.npy": (b"hello", "is not a readable .npy file"),
     "cut.nrrd": (b"NRRD0004\ntype: foo\n", "has no readable NRRD header"),
     "cut.nii.gz": (b"\1" * 300, "is not a readable NIfTI image"),
-    "other.xyz": (b"1", "unknown volume format. Known suffixes: .raw"),
+    "other.obj": (b"1", "unknown volume format '.obj'. Known are .raw"),
     "folder/notes.txt": (b"1", "is a folder without pre-rendered views"),
     "views/transforms_train.json": (b'{"frames": 3', "is not readable JSON"),
 }
@@ -264,7 +274,8 @@ def test_doctor_names_what_is_missing(bench) -> None:
     lines = done.stdout.splitlines()
     lpips = next(i for i, line in enumerate(lines) if "LPIPS" in line)
     assert lines[lpips].startswith("lacks")
-    assert "vgg16-397923af.pth" in lines[lpips + 1]
+    assert "vgg16-397923af.pth" in lines[lpips]
+    assert "`bench fetch lpips`" in lines[lpips + 1]
 
 
 @pytest.mark.parametrize(

@@ -12,13 +12,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="the tests are not in a clone")
 def test_the_commit_is_known_where_the_package_was_installed_from_a_clone():
-    assert re.fullmatch(r"[0-9a-f]{12}\+?", provenance._commit() or "")
+    assert re.fullmatch(r"[0-9a-f]{12}\+?", provenance.commit_here() or "")
 
 
 def test_an_installed_package_tells_the_commit_that_it_was_built_from(tmp_path, monkeypatch):
     bench = tmp_path / "bench"
     bench.mkdir()
     monkeypatch.setattr(provenance, "__file__", str(bench / "provenance.py"))
-    assert provenance._commit() is None
+    assert provenance.commit_here() is None
     (bench / "commit.txt").write_text("0123456789ab\n")
-    assert provenance._commit() == "0123456789ab"
+    assert provenance.commit_here() == "0123456789ab"

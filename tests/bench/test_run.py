@@ -80,6 +80,21 @@ def test_measuring_more_primitives_fits_nothing_again_and_stands_for_the_row(fin
     assert [len(values) for values in features["values"]] == [2 * width for width in features["width"]]
 
 
+def test_quality_is_the_mean_over_all_views_of_unequal_error(finished) -> None:
+    (measure,) = finished.of_kind("measure")
+    for name in ("psnr", "delta_e_uv", "missing", "excess"):  # the pictures are too small for SSIM
+        values = [view.metrics[name] for view in measure.measure.views]
+        assert len(values) == 4
+        assert measure.measure.metrics[name] == pytest.approx(sum(values) / 4, rel=1e-12)
+    assert len({view.metrics["psnr"] for view in measure.measure.views}) == 4
+
+
+def test_times_have_their_reference_kernel_beside_them(finished) -> None:
+    (row,) = finished.tables()["results"].to_dict("records")
+    assert row["reference_seconds"] > 0
+    assert row["fit_reference_seconds"] > 0
+
+
 def test_every_tenth_view_is_left_out_with_split_val(bench) -> None:
     bench.run("--split", "val")
     (row,) = bench.tables()["results"].to_dict("records")
@@ -110,7 +125,7 @@ def test_failures_are_rows_and_the_rest_goes_on(bench, method) -> None:
         ("refuse", (), "refused", "not to its taste"),
         ("diverge", (), "diverged", "the color went away"),
         ("nan", (), "diverged", "not finite at iteration 10"),
-        ("raise", (), "failed", "ValueError: a bug in the method"),
+        ("raise", (), "failed", "ValueError: a bug in the method (fake.py:"),
         ("exit", (), "failed", "exit code 3"),
         ("no-checkpoint", (), "failed", "without a checkpoint"),
         ("sleep", ("--time-limit", "3"), "timeout", "time limit of 3 s"),
@@ -125,6 +140,9 @@ def test_how_a_fit_can_end(bench, behaviour: str, limits: tuple[str, ...], statu
     assert (measure.status, measure.cause) == (status, fit.job.id)
     assert measure.reason == f"fit: {fit.reason}"
     assert "Traceback" not in done.stderr
+    log = bench.store / "jobs" / fit.job.id / "log.txt"
+    assert (f"log: {log}" in done.stderr) is (status not in ("refused", "diverged"))
+    assert log.is_file()
 
 
 def test_a_ledger_that_does_not_sum_is_a_failure(bench) -> None:

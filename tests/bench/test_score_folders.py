@@ -4,6 +4,7 @@ from PIL import Image
 
 from bench.metrics import METRICS, evaluate
 from bench.metrics.folders import score
+from bench.metrics.lpips import load
 from datasets.errors import DataError
 
 
@@ -46,6 +47,22 @@ def test_last_row_is_the_mean_and_tells_reasons(folders):
     assert list(table["file"]) == ["0.png", "1.png", "2.png", "mean"]
     assert table["psnr"][3] == pytest.approx(table["psnr"][:3].astype(float).mean())
     assert not table["identical"].any()
+
+
+def test_a_reason_that_all_images_share_is_there_once(folders, monkeypatch):
+    monkeypatch.setenv("TORCH_HOME", str(folders[0]))
+    load.cache_clear()
+    renders, truth = folders
+    for folder in folders:
+        save(folder / "a.png", 0, "RGBA", (40, 36))
+        save(folder / "b.png", 0, "RGB", (40, 36))
+    alone, *_, last = score(renders, truth)["reason"][[1, 0, 2]]
+    assert alone.startswith("psnr_fg: the images have no alpha")
+    assert "lpips" not in alone
+    assert last.count("bench fetch lpips") == 1
+    assert "lpips_vgg, lpips_vgg01, lpips_alex: no backbone weights" in last
+    assert "psnr_fg: the images have no alpha" in last
+    load.cache_clear()
 
 
 def test_background_shows_through_alpha(folders):

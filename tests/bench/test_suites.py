@@ -16,13 +16,13 @@ BUILT_IN = {info.name for info in list_datasets() if info.kind == "procedural"}
 @pytest.mark.parametrize("name", names())
 def test_every_dataset_of_a_suite_is_known_and_what_is_missing_has_a_stand_in_or_is_left_out(name):
     suite = load_suite(name)
-    assert set(suite.datasets) <= {info.name for info in list_datasets()}
-    without = suite.present(BUILT_IN)
+    assert {name.partition("@")[0] for name in suite.datasets} <= {info.name for info in list_datasets()}
+    without = {source.partition("@")[0] for source in suite.present(BUILT_IN)}
     if name not in ("real-volumes", "unstructured"):
         assert without, "nothing to run without data"
-        assert set(without) <= BUILT_IN
+        assert without <= BUILT_IN
     assert suite.preset == "quick" or name == "datasets"
-    assert set(suite.presets) == set(VIEWS)
+    assert set(suite.presets) == ({"quick"} if name == "gate" else set(VIEWS))
 
 
 @pytest.mark.parametrize("name", ["design", "storage", "hyperparameters", "threshold", "init-points"])

@@ -61,7 +61,8 @@ def test_a_fit_reads_what_was_rendered_bit_for_bit_and_opens_no_dataset(
     np.testing.assert_array_equal(measured.images, other.images)
     for camera, rendered in zip(measured.cameras, other.cameras, strict=True):
         np.testing.assert_array_equal(camera.camera_to_world, rendered.camera_to_world)
-        assert (camera.fx, camera.cy, camera.name) == (rendered.fx, rendered.cy, rendered.name)
+        for field in ("fx", "fy", "cx", "cy", "width", "height", "name"):
+            assert getattr(camera, field) == getattr(rendered, field)
     assert measured.background == other.background
     with pytest.raises(FileNotFoundError):
         scene.volume()  # what a method asks for that reads the volume itself

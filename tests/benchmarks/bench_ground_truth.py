@@ -22,8 +22,8 @@ import torch
 from scipy.ndimage import gaussian_filter
 from turns import Time, heading, interleaved, row
 
-from bench.executor import available_cores
 from bench.provenance import cpu
+from bench.timing import available_cores
 from datasets.camera import Camera
 from datasets.ground_truth import probe
 from datasets.ground_truth.model import Draw, Layer, MarchSettings

@@ -1,4 +1,5 @@
-"""The harness itself: wall and processor time of ``bench run quick`` by part, of ``bench list``, of a report.
+"""The harness itself: wall and processor time of ``bench run quick`` by part, of ``bench list``, of a report;
+first paint of the page.
 
 python tests/benchmarks/bench_house.py [--package FOLDER] [--store STORE]
 
@@ -112,6 +113,25 @@ def _add(row: list[float], wall: float, cpu: float) -> None:
     row[2] += cpu
 
 
+def print_page(page: Path, folder: Path) -> None:
+    """Size of the page, its height before anything is unfolded, and its first paint, best of five."""
+    sys.path.insert(0, str(ROOT))
+    from tests.reports.page.browser import Browser, executable
+
+    if executable() is None:
+        return
+    paint = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime"
+    with Browser(folder / "profile") as browser:
+        browser.emulate(1300, 900)
+        times = []
+        for _ in range(5):
+            browser.open(page)
+            times.append(browser.until(paint))
+        height = browser.run("document.documentElement.scrollHeight")
+    size = page.stat().st_size / 1e6
+    print(f"page {'':25} {min(times):5.0f} ms to first paint, {size:.1f} MB, {height} px")
+
+
 def main() -> None:
     """Print all of it."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -141,6 +161,7 @@ def main() -> None:
             shutil.copytree(options.store, store)
         wall, cpu, _ = run([*bench, "report", "--runs", str(store)], environment, folder)
         print(f"bench report {'':17} {wall:7.2f} s wall {cpu:7.2f} s CPU", flush=True)
+        print_page(store / "report.html", folder)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

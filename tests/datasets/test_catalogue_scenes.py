@@ -25,7 +25,9 @@ NAMES = (
 )  # fmt: skip
 
 
-PROCEDURAL = [name for name in entries.names() if entries.entry(name)["kind"] == "procedural"]
+PROCEDURAL = [
+    name for name in entries.names() if entries.entry(name)["kind"] == "procedural" and name != "extremes"
+]
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +82,16 @@ def test_tuned_scenes(data_folder: Path, cache: ViewCache, name: str) -> None:
 @pytest.mark.parametrize("name", PROCEDURAL)
 def test_procedural_scenes(cache: ViewCache, name: str) -> None:
     _check_all(open_dataset(name, []), cache)
+
+
+def test_extreme_scenes(cache: ViewCache) -> None:
+    dataset = open_dataset("extremes", [])
+    alphas = {s.name: views_of(dataset, s.name, REQUEST, cache=cache).images[..., 3] for s in dataset.scenes}
+    assert not alphas["nothing"].any()
+    assert 1e-4 < alphas["point"].mean() < 0.005
+    assert 0.005 < alphas["hairs"].mean() < 0.2
+    assert alphas["full"].mean() > 0.25
+    assert (alphas["full"] > 0.95).mean() > 0.8 * (alphas["full"] > 0.05).mean()
 
 
 @pytest.mark.data

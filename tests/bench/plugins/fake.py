@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import copy
 import json
 import os
+import signal
+import sys
+import threading
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +21,7 @@ from methods.interface import Checkpoint, Diverged, MethodSpec, RateKnob, Refuse
 
 Behaviour = Literal[
     "good", "refuse", "diverge", "nan", "raise", "abort", "exit", "hog", "sleep", "ledger", "no-checkpoint",
-    "hold", "apart",
+    "hold", "apart", "child", "child-abort", "thread", "hang",
 ]  # fmt: skip
 
 
@@ -181,4 +185,29 @@ def _misbehave(behaviour: str, loss: float) -> float:
             time.sleep(0.01)
     if behaviour == "sleep":
         time.sleep(600)
+    if behaviour.startswith("child"):
+        _leave_children()
+    if behaviour == "child-abort":
+        os.abort()
+    if behaviour == "thread":
+        threading.Thread(target=time.sleep, args=[600], daemon=False).start()
+        atexit.register(time.sleep, 600)
+    if behaviour == "hang":
+        sys.stdout.flush = lambda: time.sleep(600)
     return loss
+
+
+def _leave_children() -> None:
+    """A child, one in a session of its own, and one whose parent is gone; they hold every lock of the job."""
+    for leaves, orphan in ((False, False), (True, False), (True, True)):
+        if os.fork():
+            continue
+        if leaves:
+            os.setsid()
+        if orphan and os.fork():
+            os._exit(0)
+        print("left behind:", os.getpid(), flush=True)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        time.sleep(600)
+        os._exit(0)
+    time.sleep(0.5)  # all of them print
