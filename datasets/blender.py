@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
+from datasets.camera import Camera, with_near_planes
 from datasets.errors import DataError
 from datasets.png import open_picture
 
@@ -37,7 +37,9 @@ def read_transforms(path: Path | str) -> list[tuple[Camera, Path]]:
     frames = fields.get("frames")
     if not (isinstance(frames, list) and frames and all(isinstance(f, dict) for f in frames)):
         raise DataError(path, "has no frames", _REMEDY)
-    return [_frame(path, i, {**fields, **frame}) for i, frame in enumerate(frames)]
+    views = [_frame(path, i, {**fields, **frame}) for i, frame in enumerate(frames)]
+    cameras = with_near_planes([camera for camera, _ in views])
+    return [(camera, image) for camera, (_, image) in zip(cameras, views, strict=True)]
 
 
 def _read_json(path: Path) -> dict[str, Any]:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+NEAR = 0.05
+"""Near plane / distance of the camera: 0.2 at the 4 units of NeRF's Blender scenes, as 3DGS has it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +25,7 @@ class Camera:
         cx, cy: principal point in pixels, measured from the top-left image corner.
         width, height: image size in pixels.
         name: identifier of the view within its set (file stem for views on disk).
+        near: least depth at which Gaussians are drawn, in scene units.
     """
 
     camera_to_world: NDArray[np.float64]
@@ -31,6 +36,7 @@ class Camera:
     width: int
     height: int
     name: str = ""
+    near: float = 0.2
 
     @classmethod
     def with_fov(
@@ -90,3 +96,15 @@ class Camera:
         directions = grid @ self.camera_to_world[:3, :3].T
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return self.position, directions
+
+
+def with_near_planes(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
+    """Cameras around an object, their near planes at :data:`NEAR` of their mean distance from the middle.
+
+    Cameras that all stand in one place keep theirs.
+    """
+    places = np.stack([camera.position for camera in cameras])
+    distance = float(np.linalg.norm(places - places.mean(axis=0), axis=1).mean())
+    if distance == 0.0:
+        return tuple(cameras)
+    return tuple(replace(camera, near=NEAR * distance) for camera in cameras)

@@ -1,4 +1,4 @@
-"""Harder conditions for methods: fewer and worse training views, worse initial clouds, other scene units."""
+"""Harder conditions for methods: fewer and worse training views, worse initial clouds."""
 
 from __future__ import annotations
 
@@ -144,18 +144,3 @@ def with_outliers(cloud: PointCloud, cameras: Sequence[Camera], seed: int) -> Po
     points[moved] = far.points + centre
     colors[moved] = far.colors
     return PointCloud(points, colors)
-
-
-def camera_in_units(camera: Camera, units: float) -> Camera:
-    """The same view of a scene whose coordinates are multiplied by ``units``."""
-    matrix = camera.camera_to_world.copy()
-    matrix[:3, 3] *= units
-    return replace(camera, camera_to_world=matrix)
-
-
-def scene_in_units(scene: BasicScene, units: float) -> BasicScene:
-    """The definition of a scene whose coordinates are multiplied by ``units``."""
-    if scene.transfer is None:
-        return scene
-    length = units * scene.transfer.reference_length
-    return replace(scene, transfer=replace(scene.transfer, reference_length=length))

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bench.jobs.context import Context
-from bench.jobs.scenes import in_units, scene_inputs
+from bench.jobs.scenes import scene_inputs
 from bench.monitor import FitMonitor
 from bench.records import FitResult, derived_seed
 from bench.stress import stress_of
 from bench.timing import mean_of, reference_seconds, synchronise
+from datasets.units import views_in_units
 from datasets.views import ViewSet, evenly_spaced
 from methods.interface import Budget, MethodSpec, Refused, SceneInput
 
@@ -63,7 +64,7 @@ def _curve_views(context: Context, scene: str) -> ViewSet:
     """A few of the views that are measured on, evenly spaced."""
     truth, split = context.truth(scene), context.job.split
     views = truth.views(split, evenly_spaced(len(truth.cameras(split)), CURVE_VIEWS))
-    return in_units(views, stress_of(context.job.stress).get("units", 1.0))
+    return views_in_units(views, stress_of(context.job.stress).get("units", 1.0))
 
 
 def refuse_without_volume(spec: MethodSpec | None, scenes: Sequence[SceneInput]) -> None:

@@ -14,18 +14,16 @@ from bench.records import derived_seed
 from bench.stress import stress_of
 from datasets.camera import Camera
 from datasets.catalogue import open_dataset
-from datasets.cloud import PointCloud
 from datasets.scene import Dataset
 from datasets.stress import (
-    camera_in_units,
     noisy,
     one_sided,
     scattered_cloud,
-    scene_in_units,
     spread_out,
     turned,
     with_outliers,
 )
+from datasets.units import cloud_in_units, scene_in_units, views_in_units
 from datasets.views import ViewSet
 from datasets.volume import Volume
 from methods.interface import Refused, SceneInput
@@ -68,8 +66,8 @@ def scene_inputs(context: Context) -> list[SceneInput]:
         train = _stressed(train, stress, derived_seed("stress", job.dataset_name, name, job.seed))
         if units != 1.0:
             scene = scene_in_units(scene, units)
-            train, validation = (in_units(views, units) for views in (train, validation))
-            cloud = PointCloud(cloud.points * np.float32(units), cloud.colors)
+            train, validation = (views_in_units(views, units) for views in (train, validation))
+            cloud = cloud_in_units(cloud, units)
         inputs.append(
             SceneInput(
                 scene=scene,
@@ -81,11 +79,6 @@ def scene_inputs(context: Context) -> list[SceneInput]:
             )
         )
     return inputs
-
-
-def in_units(views: ViewSet, units: float) -> ViewSet:
-    """Views of a scene whose coordinates are multiplied by ``units``."""
-    return replace(views, cameras=tuple(camera_in_units(camera, units) for camera in views.cameras))
 
 
 def _stressed(train: ViewSet, stress: Mapping[str, Any], seed: int) -> ViewSet:

@@ -118,6 +118,7 @@ def _camera_to_json(camera: Camera) -> dict[str, Any]:
         "height": camera.height,
         "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
         "camera_to_world": camera.camera_to_world.tolist(),
+        "near": camera.near,
     }
 
 
@@ -125,7 +126,8 @@ def _camera_from_json(data: dict[str, Any]) -> Camera:
     """Inverse of :func:`_camera_to_json`."""
     fx, fy, cx, cy = data["intrinsics"]
     matrix = np.asarray(data["camera_to_world"], dtype=np.float64)
-    return Camera(matrix, fx, fy, cx, cy, data["width"], data["height"], data["name"])
+    near = data.get("near", 0.2)  # of stores of version 0.2 and before
+    return Camera(matrix, fx, fy, cx, cy, data["width"], data["height"], data["name"], near)
 
 
 @cache

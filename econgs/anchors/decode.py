@@ -172,24 +172,23 @@ def rotation(quats: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def visible_anchors(camera: Camera, anchors: Tensor, scalings: Tensor, *, near: float = 0.2) -> Tensor:
+def visible_anchors(camera: Camera, anchors: Tensor, scalings: Tensor) -> Tensor:
     """(N,) mask of the anchors that may be visible in a view (filter of Scaffold-GS, without its rotation).
 
-    An anchor passes if it lies deeper than ``near`` and the circle round its projected centre, three times
-    its largest offset scaling, meets the image.
+    An anchor passes if it lies deeper than the camera's near plane and the circle round its projected
+    centre, three times its largest offset scaling, meets the image.
 
     Args:
         camera: the view.
         anchors: (N, 3).
         scalings: (N, 6) activated; the first three count.
-        near: least depth, scene units.
     """
     pose = torch.as_tensor(camera.world_to_camera, dtype=anchors.dtype, device=anchors.device)
     local = torch.addmm(pose[:3, 3:], pose[:3, :3], anchors.T)
     depth = local[2]
     reach = 3.0 * scalings[:, :3].amax(1)
     # At the anchor's depth: its distance from the image's middle, and the largest distance that passes.
-    inside = depth > near
+    inside = depth > camera.near
     middle = ((camera.cx, camera.width, camera.fx), (camera.cy, camera.height, camera.fy))
     for place, (center, pixels, focal) in zip(local, middle, strict=False):
         apart = torch.add(place, depth, alpha=(center - 0.5 * pixels) / focal).abs()

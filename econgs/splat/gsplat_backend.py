@@ -25,7 +25,7 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Features H×W×C, alpha H×W, depth H×W and radii N."""
     import gsplat
 
-    means, quats, scales, opacities, features, camera, near, screen_offset = splats
+    means, quats, scales, opacities, features, camera, screen_offset = splats
     width, height = camera.width, camera.height
     if len(means) == 0:
         # Zeros with a gradient path to the inputs, for a backward pass.
@@ -35,8 +35,9 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     pose = torch.as_tensor(camera.world_to_camera, dtype=means.dtype, device=means.device)
     intrinsics = means.new_tensor([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
     radii, centres, depths, conics, _ = gsplat.fully_fused_projection(
-        means, None, quats, scales, pose[None], intrinsics[None], width, height, eps2d=BLUR, near_plane=near
-    )
+        means, None, quats, scales, pose[None], intrinsics[None], width, height,
+        eps2d=BLUR, near_plane=camera.near,
+    )  # fmt: skip
     if screen_offset is not None:
         centres = centres + screen_offset[None]
 

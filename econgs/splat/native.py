@@ -145,12 +145,12 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     Raises:
         ValueError: NaN or infinity, a zero quaternion, a negative scale or an opacity outside [0, 1].
     """
-    means, quats, scales, opacities, features, camera, near, screen_offset = splats
+    means, quats, scales, opacities, features, camera, screen_offset = splats
     pose = camera.world_to_camera[:3, :4].ravel()
     view = np.array([*pose.tolist(), camera.fx, camera.fy, camera.cx, camera.cy])
     size = (camera.width, camera.height)
     images: tuple[Tensor, Tensor, Tensor, Tensor] = _Rasterise.apply(
-        means, quats, scales, opacities, features, screen_offset, view, size, near
+        means, quats, scales, opacities, features, screen_offset, view, size, camera.near
     )
     return images
 

@@ -46,7 +46,6 @@ def rasterise(
     features: Tensor,
     camera: Camera,
     *,
-    near: float = 0.2,
     screen_offset: Tensor | None = None,
     backend: str | None = None,
 ) -> SplatImages:
@@ -54,7 +53,7 @@ def rasterise(
 
     All tensors share one floating dtype and device. Outputs but ``radii`` are differentiable with respect to
     every tensor. Gradients treat skipped contributions (alpha under 1/255, pixels that ended, Gaussians
-    nearer than ``near``) and an alpha clamped at 0.99 as constants.
+    nearer than the camera's near plane) and an alpha clamped at 0.99 as constants.
 
     Args:
         means: (N, 3) centres in scene space.
@@ -62,8 +61,7 @@ def rasterise(
         scales: (N, 3) standard deviations along the rotated axes, ≥ 0.
         opacities: (N,) in [0, 1].
         features: (N, C), C ≥ 1: colors, normals, anything that blends.
-        camera: the view.
-        near: Gaussians of at most this camera depth are culled.
+        camera: the view; Gaussians of at most the depth of its near plane are culled.
         screen_offset: (N, 2) added to the projected centres, in pixels; its gradient is the screen-space
             gradient that densification reads.
         backend: "native" (CPU, float32), "gsplat" (CUDA, float32) or "torch"; by default the environment
@@ -84,7 +82,7 @@ def rasterise(
         _check_values(tensors)
     try:
         images = _module(name).rasterise(
-            Splats(means, quats, scales, opacities, features, camera, near, screen_offset)
+            Splats(means, quats, scales, opacities, features, camera, screen_offset)
         )
     except ValueError:
         _find_bad(tensors)  # the same message for every backend
@@ -163,9 +161,10 @@ def _check_shapes(tensors: dict[str, Tensor]) -> None:
 def _check_camera(camera: Camera) -> None:
     if camera.width < 1 or camera.height < 1:
         raise ValueError(f"camera: image of {camera.width} x {camera.height} pixels")
-    numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.camera_to_world.ravel().tolist()]
+    intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy, camera.near]
+    numbers = [*intrinsics, *camera.camera_to_world.ravel().tolist()]
     if not all(math.isfinite(number) for number in numbers) or camera.fx <= 0 or camera.fy <= 0:
-        raise ValueError("camera: pose and intrinsics must be finite and focal lengths positive")
+        raise ValueError("camera: pose, intrinsics and near plane must be finite and focal lengths positive")
 
 
 def _check_values(tensors: dict[str, Tensor]) -> None:

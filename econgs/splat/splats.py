@@ -18,5 +18,4 @@ class Splats(NamedTuple):
     opacities: Tensor
     features: Tensor
     camera: Camera
-    near: float = 0.2
     screen_offset: Tensor | None = None

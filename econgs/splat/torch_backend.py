@@ -38,10 +38,10 @@ class Projected(NamedTuple):
 
 def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Features H×W×C, alpha H×W, depth H×W and radii N."""
-    means, quats, scales, opacities, features, camera, near, screen_offset = splats
+    means, quats, scales, opacities, features, camera, screen_offset = splats
     with torch.no_grad():
         seen, radii, boxes = _visible(
-            _project(means, quats, scales, camera, screen_offset), opacities, camera, near
+            _project(means, quats, scales, camera, screen_offset), opacities, camera
         )
     # Everything differentiable is computed from the visible rows only: what is culled gets exact zeros
     # as gradients, whatever infinities its projection holds.
@@ -115,9 +115,7 @@ def _rotations(quats: Tensor) -> Tensor:
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-def _visible(
-    splats: Projected, opacities: Tensor, camera: Camera, near: float
-) -> tuple[Tensor, Tensor, Tensor]:
+def _visible(splats: Projected, opacities: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
     """Indices of the visible Gaussians from near to far, the radii of all, and pixel boxes of the visible.
 
     The support is the ellipse on which alpha reaches 1/255; a Gaussian is visible if the ellipse's box holds
@@ -130,7 +128,7 @@ def _visible(
     last = torch.tensor([camera.width - 1, camera.height - 1], dtype=lower.dtype, device=lower.device)
     lower, upper = lower.ceil().clamp(min=0), torch.minimum(upper.floor(), last)
     # What overflows (an absurd scale) fails one of these comparisons and is culled.
-    visible = (lower <= upper).all(-1) & (splats.depth > near) & (opacities >= MIN_ALPHA)
+    visible = (lower <= upper).all(-1) & (splats.depth > camera.near) & (opacities >= MIN_ALPHA)
     visible &= torch.isfinite(splats.det)
 
     middle = 0.5 * (splats.a + splats.c)

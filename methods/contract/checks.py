@@ -289,6 +289,7 @@ def saved_and_loaded(subject: Subject) -> str:
         fov=camera.fov_x,
         width=camera.width,
         height=camera.height,
+        near=camera.near,
     )
     plugins = (str(Path(folder).resolve()) for folder in subject.plugins)
     arguments = [subject.spec.name, subject.device, str(subject.folder), *plugins]

@@ -11,6 +11,7 @@ from methods.econgs.spec import EcongsOptions
 from methods.econgs.training import Trainer
 from methods.interface import Refused, SceneInput
 from methods.shared.method import TrainerMethod
+from methods.shared.units import units_of
 
 
 class Econgs(TrainerMethod):
@@ -31,5 +32,5 @@ class Econgs(TrainerMethod):
         if empty:
             raise Refused(f"no initial cloud to compare scene {empty[0]!r} by; set joint=false")
         distances = chamfer_distances([scene.cloud.points for scene in scenes], direction=options.chamfer)
-        groups = cluster(distances, options.threshold, options.linkage)
+        groups = cluster(distances, units_of(scenes) * options.threshold, options.linkage)
         return fit_to_memory([[scenes[i] for i in group] for group in groups], options)

@@ -216,7 +216,7 @@ class IvrModel(SceneModel[ShadedGaussians]):
         )
         return Gaussians(scene.means, scene.quats, scene.scales, opacities, colors)
 
-    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
+    def write_size(self, folder: Path, rate: float | None) -> Mapping[str, Mapping[str, int]]:
         """Write ``<scene>.safetensors`` per scene.
 
         Args:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
 from methods.shared.model import SceneModel
 from methods.shared.training import TrainingLoop, TrainingState
+from methods.shared.units import in_units_of_fit, read_units, units_of
 
 
 class TrainerMethod:
@@ -41,27 +42,39 @@ class TrainerMethod:
         monitor: Monitor,
         resume: Checkpoint | None = None,
     ) -> Any:
-        """Train one group; see :class:`methods.interface.Method`."""
+        """Train one group, in units that suit its extent; see :class:`methods.interface.Method`."""
+        units = units_of(group)
+        group = [in_units_of_fit(scene, units) for scene in group]
         if len(group) != 1 and not self.joint:
             raise Refused(f"{self.name} trains each scene on its own, not {len(group)} together")
         subject: Any = group if self.joint else group[0]
         make: Any = self.trainer
         trainer: TrainingLoop = make(subject, options, budget.iterations, seed, device)
+        trainer.units = units
         if resume is not None:
             trainer.resume(resume)
         trainer.run(monitor)
-        return trainer.model()
+        return trainer.model_in_scene_units()
 
     def restore(self, checkpoint: Checkpoint, options: Any, device: str) -> Any:
         """The model of a checkpoint, of a finished fit or an earlier one."""
-        return self.trainer.restored(TrainingState(checkpoint, device), options)
+        model = self.trainer.restored(TrainingState(checkpoint, device), options)
+        model.units = checkpoint.scalars.get("units", 1.0)
+        return model
 
     def load(self, folder: Path, device: str) -> Any:
         """Read a saved model."""
-        return self.model.load(folder, device)
+        model = self.model.load(folder, device)
+        model.units = read_units(folder)
+        return model
 
     def compose(self, models: Sequence[Model]) -> Any:
         """One model of the scenes of all; they are concatenated and sorted once when rendered."""
         if not models or not all(isinstance(model, self.model) for model in models):
             raise Refused(f"{self.name} composes with models of its own only")
-        return self.model.join(models)
+        units = {model.units for model in models if isinstance(model, SceneModel)}
+        if len(units) > 1:
+            raise Refused(f"{self.name} composes models of like scene units only")
+        joined = self.model.join(models)
+        joined.units = units.pop()
+        return joined

@@ -14,9 +14,11 @@ from torch import Tensor
 from datasets.camera import Camera
 from datasets.names import unknown
 from datasets.scene import RGB
+from datasets.units import camera_in_units
 from econgs.anchors.gaussians import Gaussians, draw
 from econgs.splat.composite import over
 from methods.interface import Edit, Refused, edits_by_scene
+from methods.shared.units import write_units
 
 
 class Scene(Protocol):
@@ -37,7 +39,7 @@ S = TypeVar("S", bound=Scene)
 class SceneModel(ABC, Generic[S]):
     """A :class:`methods.interface.Model` of scenes; their Gaussians are concatenated and sorted once.
 
-    A method's model adds ``gaussians``, ``write`` (``save``, if it has several sizes), ``load`` and ``join``.
+    A method's model adds ``gaussians``, ``write`` (``write_size``, if it has several), ``load`` and ``join``.
 
     Args:
         scenes: at least one, with distinct names, on one device.
@@ -45,6 +47,7 @@ class SceneModel(ABC, Generic[S]):
     Attributes:
         method: name, for messages.
         preparation: name in :meth:`timings` of the step that makes a frame's Gaussians.
+        units: scene units / units of its Gaussians (:mod:`methods.shared.units`).
 
     Raises:
         Refused: two scenes have the same name.
@@ -52,6 +55,7 @@ class SceneModel(ABC, Generic[S]):
 
     method: ClassVar[str]
     preparation: ClassVar[Literal["decode", "shade"]] = "decode"
+    units: float = 1.0
 
     def __init__(self, scenes: Iterable[S]) -> None:
         pairs = [(scene.name, scene) for scene in scenes]
@@ -69,6 +73,17 @@ class SceneModel(ABC, Generic[S]):
 
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
         """Write every file; see :class:`methods.interface.Model`.
+
+        Raises:
+            Refused: the model has no size of that ``rate``.
+        """
+        ledger = self.write_size(folder, rate)
+        if size := write_units(folder, self.units):
+            return {**ledger, "": {**ledger.get("", {}), "units": size}}
+        return ledger
+
+    def write_size(self, folder: Path, rate: float | None) -> Mapping[str, Mapping[str, int]]:
+        """Write the files of a size; the ledger.
 
         Raises:
             Refused: ``rate`` is given; the model has one size.
@@ -126,6 +141,7 @@ class SceneModel(ABC, Generic[S]):
         back = subset[0].background if background is None else background
         edits = edits_by_scene(edit, [scene.name for scene in subset])
         with torch.inference_mode():
+            camera = self._in_units(camera)
             parts = [self.gaussians(scene, camera, edits.get(scene.name, Edit())) for scene in subset]
             splats = draw(parts, camera)
             rgb = over(splats.features, splats.alpha, back)
@@ -135,12 +151,17 @@ class SceneModel(ABC, Generic[S]):
         """Seconds of one frame of scenes (default: all) by part."""
         subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
         with torch.inference_mode():
+            camera = self._in_units(camera)
             start = seconds()
             parts = [self.gaussians(scene, camera, Edit()) for scene in subset]
             middle = seconds()
             draw(parts, camera)
             times = {self.preparation: middle - start, "rasterise": seconds() - middle}
         return {"decode": 0.0, "shade": 0.0} | times
+
+    def _in_units(self, camera: Camera) -> Camera:
+        """A camera of the scene in the units of the Gaussians."""
+        return camera if self.units == 1.0 else camera_in_units(camera, 1.0 / self.units)
 
 
 def seconds() -> float:

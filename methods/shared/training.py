@@ -98,6 +98,7 @@ class TrainingLoop(ABC):
         iteration: steps done.
         pending: views not yet drawn in this round.
         limited: growth has met its limit.
+        units: scene units / units of the fit (:mod:`methods.shared.units`).
 
     Raises:
         Refused: a scene without training views.
@@ -106,6 +107,7 @@ class TrainingLoop(ABC):
     optimiser: Adam
     options: Any
     background: RGB | None
+    units: float = 1.0
 
     def __init__(self, scenes: Sequence[SceneInput], iterations: int, seed: int, device: str) -> None:
         for scene in scenes:
@@ -145,8 +147,14 @@ class TrainingLoop(ABC):
         """The model of a state: as it will be stored, once the fit is finished."""
 
     def model(self) -> Any:
-        """The present state as a model of its own."""
+        """The present state as a model of its own, in the units of the fit."""
         return self.restored(TrainingState(self.checkpoint(), self.device), self.options)
+
+    def model_in_scene_units(self) -> Any:
+        """The present state as a model of its own, for cameras of the scene."""
+        model = self.model()
+        model.units = self.units
+        return model
 
     @abstractmethod
     def views(self) -> list[Any]:
@@ -169,7 +177,7 @@ class TrainingLoop(ABC):
             losses = self.step()
             monitor.progress(self.iteration, losses, self.count)
             if self.may_pause and monitor.due(self.iteration):
-                monitor.pause(self.iteration, self.model, self.checkpoint)
+                monitor.pause(self.iteration, self.model_in_scene_units, self.checkpoint)
         self.check_finite()
 
     def numbers(self, losses: Mapping[str, Tensor]) -> dict[str, float]:
@@ -221,6 +229,7 @@ class TrainingLoop(ABC):
             "limited": self.limited,
             "iterations": self.iterations,
             "scenes": [[label.name, label.background, label.light] for label in self.labels],
+            "units": self.units,
         }
         return Checkpoint(self.iteration, arrays, scalars)
 

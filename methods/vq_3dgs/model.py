@@ -88,7 +88,7 @@ class VqModel(SplatModel):
         with torch.no_grad():
             return cls(stored, [_placed(gaussians(sizes[0]), device) for sizes in stored], device)
 
-    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
+    def write_size(self, folder: Path, rate: float | None) -> Mapping[str, Mapping[str, int]]:
         """Write ``<scene>.safetensors`` per scene, at a codebook size.
 
         Raises:

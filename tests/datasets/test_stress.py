@@ -15,6 +15,7 @@ from datasets.camera_paths import training_cameras
 from datasets.catalogue import open_dataset
 from datasets.cloud import PointCloud, random_cloud
 from datasets.errors import DataError
+from datasets.units import camera_in_units, scene_in_units
 
 CAMERAS = training_cameras(42, 0.5, 16, 12, (0.2, 0.0, 0.1))
 
@@ -90,7 +91,7 @@ def test_clouds() -> None:
 
 
 def test_other_units_are_the_same_picture() -> None:
-    camera = stress.camera_in_units(CAMERAS[3], 1000.0)
+    camera = camera_in_units(CAMERAS[3], 1000.0)
     point = np.array([0.1, 0.2, -0.3])
 
     def pixel(camera: Camera, at: np.ndarray) -> np.ndarray:
@@ -99,7 +100,7 @@ def test_other_units_are_the_same_picture() -> None:
 
     assert pixel(camera, 1000.0 * point) == pytest.approx(pixel(CAMERAS[3], point))
     scene = open_dataset("vortices").scene("cores")
-    bigger = stress.scene_in_units(scene, 10.0)
+    bigger = scene_in_units(scene, 10.0)
     values = np.linspace(0, 1, 50)
     small, large = (one.transfer.classify(values)[:, 3] for one in (scene, bigger))
     assert large == pytest.approx(small / 10.0)

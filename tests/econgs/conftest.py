@@ -27,11 +27,10 @@ class Scene:
 
     tensors: dict[str, torch.Tensor]
     camera: Camera
-    near: float = 0.2
 
     def render(self, dtype: torch.dtype, backend: str | None, device: str = "cpu") -> Any:
         moved = {name: one.to(dtype).to(device) for name, one in self.tensors.items()}
-        return rasterise(camera=self.camera, near=self.near, backend=backend, **moved)
+        return rasterise(camera=self.camera, backend=backend, **moved)
 
     def gradients(
         self, dtype: torch.dtype, backend: str | None, seeds: dict[str, torch.Tensor], device: str = "cpu"
@@ -40,7 +39,7 @@ class Scene:
         leaves = {
             name: one.to(device, dtype, copy=True).requires_grad_(True) for name, one in self.tensors.items()
         }
-        out = rasterise(camera=self.camera, near=self.near, backend=backend, **leaves)
+        out = rasterise(camera=self.camera, backend=backend, **leaves)
         loss = sum((getattr(out, name) * seeds[name].to(dtype).to(device)).sum() for name in OUTPUTS)
         assert isinstance(loss, torch.Tensor)
         loss.backward()
@@ -133,7 +132,7 @@ def brute_force(scene: Scene) -> Reference:
     limits = 1.3 * camera.width / 2 / camera.fx, 1.3 * camera.height / 2 / camera.fy
     for one in np.argsort(local[:, 2], kind="stable"):
         px, py, pz = local[one]
-        if pz <= scene.near:
+        if pz <= scene.camera.near:
             continue
         w, *vector = data["quats"][one]
         axes = Rotation.from_quat([*vector, w]).as_matrix() * data["scales"][one]

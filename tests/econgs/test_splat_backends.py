@@ -216,7 +216,7 @@ def test_the_near_plane_culls(splat: Any, backend: Any) -> None:
     scene = splat.make_scene(80)
     depths = (scene.tensors["means"].numpy() - scene.camera.position) @ scene.camera.camera_to_world[:3, 2]
     cut = float(np.median(depths)) + 1e-5
-    scene = replace(scene, near=cut)
+    scene = replace(scene, camera=replace(scene.camera, near=cut))
     radii = scene.render(torch.float32, backend.name, backend.device).radii.cpu().numpy()
     assert (radii[depths < cut - 1e-4] == 0).all()
     assert (radii[depths > cut + 1e-4] > 0).any()

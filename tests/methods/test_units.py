@@ -1,0 +1,106 @@
+"""A scene in other units is the same scene: fits of powers of two apart are equal, others as good."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.errors import DataError
+from datasets.units import camera_in_units, cloud_in_units, scene_in_units, views_in_units
+from methods.contract.checks import Subject
+from methods.contract.scene import cameras
+from methods.interface import Refused, SceneInput
+from methods.registry import Registry, load_method
+from methods.shared.units import units_of
+
+NAMES = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")
+
+
+def scene_in(scene: SceneInput, units: float) -> SceneInput:
+    return replace(
+        scene,
+        scene=scene_in_units(scene.scene, units),
+        train=views_in_units(scene.train, units),
+        validation=views_in_units(scene.validation, units),
+        cloud=cloud_in_units(scene.cloud, units),
+        extent=units * scene.extent,
+    )
+
+
+def pictures(model, units: float) -> np.ndarray:
+    return np.stack([model.render(camera_in_units(one, units))[0].numpy() for one in cameras(2, phase=0.5)])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_fit_does_not_depend_on_scene_units(name: str, tmp_path: Path) -> None:
+    spec = Registry().spec(name)
+    subject = Subject(spec, load_method(spec), tmp_path, 24)
+    usual = subject.fit([subject.tiny("one")])
+    expected = pictures(usual, 1.0)
+    for units in (1.0 / 1024.0, 1024.0):
+        model = subject.fit([scene_in(subject.tiny("one"), units)])
+        assert model.units == units
+        assert (pictures(model, units) == expected).all()
+        folder, ledger = subject.saved(model, f"in{units}")
+        assert ledger[""]["units"] == (folder / "units.txt").stat().st_size
+        loaded = subject.method.load(folder, "cpu")
+        assert (
+            pictures(loaded, units)
+            == pictures(subject.method.load(subject.saved(usual, f"as{units}")[0], "cpu"), 1.0)
+        ).all()
+        assert (pictures(subject.method.compose([loaded]), units) == pictures(loaded, units)).all()
+        with pytest.raises(Refused, match="units"):
+            subject.method.compose([loaded, usual])
+
+
+def test_checkpoints_hold_the_units(tmp_path: Path) -> None:
+    spec = Registry().spec("3dgs")
+    subject = Subject(spec, load_method(spec), tmp_path, 8)
+    kept = []
+
+    class Keeps:
+        def due(self, iteration):
+            return iteration == 8
+
+        def pause(self, iteration, model, checkpoint):
+            kept.append((model(), checkpoint()))
+
+        def progress(self, iteration, losses, primitives): ...
+
+        def stage(self, name): ...
+
+    subject.fit([scene_in(subject.tiny("one"), 64.0)], Keeps())
+    ((paused, checkpoint),) = kept
+    assert (pictures(subject.restore(checkpoint), 64.0) == pictures(paused, 64.0)).all()
+
+
+@pytest.mark.parametrize(
+    ("extent", "units"),
+    [
+        (4.0, 1.0),
+        (1.0, 1.0),
+        (16.0, 1.0),
+        (0.99, 0.25),
+        (17.0, 4.0),
+        (4000.0, 1024.0),
+        (0.004, 1 / 1024),
+        (0.0, 1.0),
+    ],
+)
+def test_units_bring_scenes_to_a_usual_size(extent: float, units: float, tmp_path: Path) -> None:
+    spec = Registry().spec("3dgs")
+    scene = Subject(spec, load_method(spec), tmp_path, 8).tiny("one")
+    assert units_of([replace(scene, extent=extent)]) == units
+
+
+def test_a_damaged_file_of_units_is_an_error(tmp_path: Path) -> None:
+    spec = Registry().spec("3dgs")
+    subject = Subject(spec, load_method(spec), tmp_path, 2)
+    folder, _ = subject.saved(subject.fit([scene_in(subject.tiny("one"), 64.0)]), "model")
+    for content in ("nan\n", "-1\n", "", "x"):
+        (folder / "units.txt").write_text(content)
+        with pytest.raises(DataError, match=r"units\.txt"):
+            subject.method.load(folder, "cpu")
