@@ -150,8 +150,8 @@ def view_request(request: Request, split: Split, stress: str = "") -> ViewReques
     width, height = (
         max(1, round(values.get("zoom", 1.0) * size)) for size in (request.width, request.height)
     )
-    distance = values.get("distance", 1.0)
-    return ViewRequest(split, request.train_views, request.test_views, width, height, distance)
+    distance, step = values.get("distance", 1.0), values.get("step", 0.0)
+    return ViewRequest(split, request.train_views, request.test_views, width, height, distance, step)
 
 
 def _native_size(folder: Path) -> tuple[int, int]:

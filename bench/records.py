@@ -286,6 +286,7 @@ class MeasureResult(FrameTimes):
 
     Attributes:
         missing: metric -> why it could not be computed.
+        flicker: see :class:`bench.metrics.flicker.Flicker`; None where views are not neighbouring frames.
         features: attribute -> rows of some primitives; empty if the method does not expose attributes.
     """
 
@@ -295,6 +296,7 @@ class MeasureResult(FrameTimes):
     metrics: dict[str, float | None]
     missing: dict[str, str]
     views: list[ViewResult]
+    flicker: float | None = None
     features: dict[str, list[list[float]]] = Field(default_factory=dict)
 
 

@@ -85,6 +85,11 @@ KINDS: dict[str, Kind] = {
     "zoom": Kind(
         "test", "factor on width and height of the test views, 0.01 to 8", _number(0.01, 8.0)
     ),
+    "step": Kind(
+        "test",
+        "degrees between test cameras, which are then neighbouring frames of a path, 0.01 to 10",
+        _number(0.01, 10.0),
+    ),
 }  # fmt: skip
 
 

@@ -280,6 +280,7 @@ def _measured(measured: MeasureResult) -> Row:
         "fps_p95": 1.0 / measured.frame_seconds_p05,
         "reference_seconds": measured.reference_seconds,
         "identical_views": sum(view.identical for view in measured.views),
+        "flicker": measured.flicker,
     }
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
+from datasets.camera import NEAR, Camera
 from datasets.errors import DataError
 
 FIELD_OF_VIEW = math.pi / 6
@@ -51,18 +52,28 @@ def test_cameras(
     width: int,
     height: int,
     centre: Position | None = None,  # noqa: PT028
+    *,
+    step: float = 0.0,  # noqa: PT028
 ) -> tuple[Camera, ...]:
     """Cameras along a spiral from pole to pole that encloses the object (181 in the paper).
 
     The path has constant speed, so that frame times along it weigh all directions alike, and keeps
-    away from the training cameras. Arguments as in :func:`training_cameras`.
+    away from the training cameras.
+
+    Args:
+        n: number of views.
+        bounding_radius: radius of a sphere around the object.
+        width: image width in pixels.
+        height: image height in pixels; the sphere fits the shorter side.
+        centre: of the sphere, x, y, z; default: the origin.
+        step: degrees between successive cameras, around the middle of the path; 0 spreads them over the path.
 
     Raises:
         DataError: n < 1.
     """
     if n < 1:
         raise DataError(f"{n} test views", "there must be at least one", "Ask for 16 or 181, say")
-    return _looking_inwards(spiral(n), bounding_radius, width, height, centre, "test")
+    return _looking_inwards(spiral(n, step=step), bounding_radius, width, height, centre, "test")
 
 
 test_cameras.__test__ = False  # type: ignore[attr-defined]  # pytest: no test case
@@ -100,13 +111,19 @@ def icosphere(n: int) -> NDArray[np.float64]:
     return np.array(points)
 
 
-def spiral(n: int, phase: float = _PHASE) -> NDArray[np.float64]:
-    """(n, 3) unit vectors spaced evenly along a spherical spiral from pole to pole around z."""
+def spiral(n: int, phase: float = _PHASE, step: float = 0.0) -> NDArray[np.float64]:
+    """(n, 3) unit vectors spaced evenly along a spherical spiral from pole to pole around z.
+
+    A step in degrees places them that far apart on either side of its middle.
+    """
     theta = np.linspace(0.0, math.pi, 20001)
     slope = 2.0 * _TURNS  # azimuth per polar angle
     speed = np.sqrt(1.0 + (slope * np.sin(theta)) ** 2)
-    length = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
-    at = np.interp((np.arange(n) + 0.5) / n * length[-1], length, theta)
+    length = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])  # / spacing of theta
+    places = (np.arange(n) + 0.5) / n * length[-1]
+    if step:
+        places = 0.5 * length[-1] + math.radians(step) / theta[1] * (np.arange(n) - 0.5 * (n - 1))
+    at = np.interp(places, length, theta)
     azimuth = slope * at + phase
     return np.stack([np.sin(at) * np.cos(azimuth), np.sin(at) * np.sin(azimuth), np.cos(at)], axis=-1)
 
@@ -142,7 +159,8 @@ def _looking_inwards(
         matrix = look_at_origin(distance * direction)
         if centre is not None:
             matrix[:3, 3] += centre
-        cameras.append(Camera.with_fov(matrix, fov_x, width, height, f"{prefix}_{i:03d}"))
+        camera = Camera.with_fov(matrix, fov_x, width, height, f"{prefix}_{i:03d}")
+        cameras.append(replace(camera, near=NEAR * distance))
     return tuple(cameras)
 
 

@@ -264,7 +264,9 @@ def _cameras(volume: Volume, frame: Frame | None, request: ViewRequest) -> tuple
     radius = request.distance * (frame.radius if frame else 0.5 * float(np.linalg.norm(volume.extent)))
     centre = frame.centre if frame else None
     if request.split == "test":
-        return test_cameras(request.test_views, radius, request.width, request.height, centre)
+        return test_cameras(
+            request.test_views, radius, request.width, request.height, centre, step=request.step
+        )
     return training_cameras(request.train_views, radius, request.width, request.height, centre)
 
 

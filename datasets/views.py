@@ -28,6 +28,8 @@ class ViewRequest:
         width, height: image size in pixels. It must divide the size of pre-rendered views, which are
             averaged over areas.
         distance: factor on the usual distance of the cameras (of rendered views).
+        step: degrees between test cameras in the middle of the path (of rendered views); 0 spreads them over
+            the whole path.
     """
 
     split: Split
@@ -36,6 +38,7 @@ class ViewRequest:
     width: int
     height: int
     distance: float = 1.0
+    step: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

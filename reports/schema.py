@@ -207,6 +207,9 @@ COLUMNS: dict[str, Column] = _declare(
            "truth's: structures that it never found, and what has the color of the background"),
     Column("excess", _F, "alpha of the model beyond the truth's, summed over pixels, as a share of the "
            "truth's: what hides other things, and appears on another background"),
+    Column("flicker", _F, "root mean square over pixels and channels of the change of the error (picture "
+           "less truth) from one test view to the next; mean over pairs of views. Null where a view turns by "
+           "more than 2 degrees against the one before", "Flicker", "steps of 1/255", -1, _fixed(2)),
     Column("identical_views", _W, "views that are identical to the truth"),
     Column("psnr_std", _F, "standard deviation of PSNR over seeds", "±", "dB", 0, _fixed(2)),
     # Size.
@@ -335,11 +338,11 @@ TABLES: dict[str, Table] = {
         "composition are sums over its scenes or groups; `load_seconds` and `fps` are measured; memory is "
         "the maximum. A method that cannot make an edit, or cannot render models of several groups together, "
         "has a row with status `refused`.", _RESULT,
-        ("job", "status", "reason", "omissions", "stage", "stale", *METRICS, *COVERAGE, "identical_views",
-         "size_bytes", "group_bytes", "standalone_bytes", "primitives", "train_seconds", "group_seconds",
-         "partition_seconds", "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95",
-         "reference_seconds", "fit_reference_seconds", "peak_host_bytes", "peak_device_bytes",
-         "group_peak_host_bytes"),
+        ("job", "status", "reason", "omissions", "stage", "stale", *METRICS, *COVERAGE, "flicker",
+         "identical_views", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "train_seconds",
+         "group_seconds", "partition_seconds", "encode_seconds", "cpu_seconds", "load_seconds", "fps",
+         "fps_p05", "fps_p95", "reference_seconds", "fit_reference_seconds", "peak_host_bytes",
+         "peak_device_bytes", "group_peak_host_bytes"),
     ),
     "views": Table(
         "A measured view of a model.", _MEASURED,
@@ -390,8 +393,8 @@ TABLES: dict[str, Table] = {
         "no table but this one.",
         ("dataset", "scene", "method", "preset", "split", "requested_views", "seed", "stress"),
         ("job", "ladder", "place", "rungs", "rung", "subject", "variant", "same_truth", "status",
-         "failed_step", "reason", "stage", "stale", "psnr", "psnr_fg", "missing", "excess", "primitives",
-         "size_bytes", "train_seconds"),
+         "failed_step", "reason", "stage", "stale", "psnr", "psnr_fg", "missing", "excess", "flicker",
+         "primitives", "size_bytes", "train_seconds"),
     ),
     "superseded": Table(
         "A result that the other tables leave out, because a newer one takes its place.",

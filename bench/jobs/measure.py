@@ -17,7 +17,7 @@ from bench.records import MeasureResult, ViewResult
 from bench.stress import stress_of
 from bench.timing import median_timings, synchronise, time_frames
 from datasets.memory import peak_host_bytes
-from datasets.stress import camera_in_units
+from datasets.units import camera_in_units
 from methods.interface import HasAttributes, Method, Model, Refused
 from reports.schema import COVERAGE
 
@@ -66,6 +66,7 @@ def run(context: Context) -> MeasureResult:
 
     context.report(stage="metrics")
     from bench.metrics import evaluate
+    from bench.metrics.flicker import Flicker, is_dense
     from bench.metrics.image import to_8bit
     from datasets.png import write_png
 
@@ -75,6 +76,7 @@ def run(context: Context) -> MeasureResult:
     rows: list[ViewResult] = []
     missing: dict[str, str] = {}
     metrics = [*job.metrics, *COVERAGE]
+    flicker = Flicker() if is_dense(cameras) else None
     for index, camera in enumerate(cameras):
         tensor, tensor_alpha = model.render(camera, scenes=scenes, edit=edit, background=background)
         rgb, alpha = as_numpy(tensor), as_numpy(tensor_alpha)
@@ -84,13 +86,16 @@ def run(context: Context) -> MeasureResult:
             )
         values, reasons = evaluate(views.images[index], rgb, alpha, background, metrics)
         missing.update(reasons)
+        shown, displayed = to_8bit(views.composited(index)), to_8bit(rgb)
+        if flicker is not None:
+            flicker.add(shown, displayed)
         file = f"{index:04d}.png"
         write_png(out / file, premultiplied(rgb, alpha, background))
         rows.append(
             ViewResult(
                 view=camera.name or f"{index:04d}",
                 metrics=values,
-                identical=bool(np.array_equal(to_8bit(rgb), to_8bit(views.composited(index)))),
+                identical=bool(np.array_equal(displayed, shown)),
                 truth_file=f"jobs/{views_job.job.id}/truth/{views_job.views.truth[job.split][index]}",
                 render_file=f"jobs/{job.id}/renders/{file}",
             )
@@ -104,6 +109,7 @@ def run(context: Context) -> MeasureResult:
         metrics={name: _mean([row.metrics[name] for row in rows]) for name in metrics},
         missing=missing,
         views=rows,
+        flicker=None if flicker is None else flicker.mean,
         features=_attributes(model, scenes, job.sampled),
     )
 

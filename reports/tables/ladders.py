@@ -33,11 +33,11 @@ FAILURES = (
     "quality",
 )  # fmt: skip
 """Kinds of breaks, the gravest first."""
-_MEANS = ("psnr", "missing", "excess", "primitives", "size_bytes", "train_seconds")
+_MEANS = ("psnr", "missing", "excess", "flicker", "primitives", "size_bytes", "train_seconds")
 _KEY = ("ladder", "preset", "split", "requested_views", "subject", "method", "variant")
 COLUMNS_OF_LADDERS = (
     *_KEY, "place", "rungs", "rung", "dataset", "scene", "same_truth", "psnr", "psnr_std", "seeds", "change",
-    "missing", "excess", "primitives", "size_bytes", "train_seconds", "failure", "reason", "job",
+    "missing", "excess", "flicker", "primitives", "size_bytes", "train_seconds", "failure", "reason", "job",
     "first_job",
 )  # fmt: skip
 

@@ -45,6 +45,13 @@ def test_the_test_path_encloses_the_object_at_constant_speed():
     assert steps.max() < 1.25 * steps.min()
 
 
+def test_a_step_makes_neighbouring_frames_in_the_middle_of_the_path():
+    frames = spiral(16, step=1.0)
+    np.testing.assert_allclose(np.diag(degrees_between(frames[:-1], frames[1:])), 1.0, rtol=0.01)
+    assert degrees_between(spiral(20001), frames).min(axis=0).max() < 0.1
+    np.testing.assert_allclose(spiral(16)[7:9].mean(axis=0)[2], frames.mean(axis=0)[2], atol=0.01)
+
+
 @pytest.mark.parametrize(("width", "height"), [(64, 64), (96, 48), (40, 80)])
 def test_cameras_look_inwards_and_just_see_the_bounding_sphere(width, height):
     radius = 0.7
