@@ -143,15 +143,10 @@ def run(
         KeyboardInterrupt: Ctrl-C ended the run; the same call resumes it.
     """
     from bench.display import Silence, make_display
-    from bench.executor import LocalExecutor
-    from bench.plan import Planner
-    from bench.plugins import plugin_folders, remember, resolved
+    from bench.experiment import execute
     from bench.selection import Selection
-    from bench.store import Store
     from bench.suites import load_suite
 
-    given = resolved(map(str, plugins))
-    folders = plugin_folders(given, Path(out))
     selection = Selection(
         suite=load_suite(str(suite)),
         datasets=tuple(map(str, datasets)),
@@ -163,15 +158,12 @@ def run(
         split=split,
         overrides=options or {},
         device=device,
-        plugins=folders,
     )
-    store = Store(Path(out), create=True)
-    remember(store, given)
     display = Silence() if quiet else make_display()
-    executor = LocalExecutor(store, Planner(selection), display, retry=retry, plugins=folders)
-    if executor.run().stopped:
+    done = execute(selection, Path(out), plugins, display, retry=retry)
+    if done.outcome.stopped:
         raise KeyboardInterrupt("the run was stopped; the same call resumes it")
-    return Runs(store.root, plugins=folders)
+    return Runs(done.store.root, plugins=done.plugins)
 
 
 @dataclass(frozen=True)
@@ -250,8 +242,7 @@ class Runs:
         from bench.tables import build_tables
         from methods.registry import Registry
 
-        versions = {spec.name: spec.version for spec in Registry(self._plugins)}
-        return build_tables(self._store, versions, write=False)
+        return build_tables(self._store, Registry(self._plugins).versions, write=False)
 
     @property
     def results(self) -> pd.DataFrame:

@@ -24,6 +24,10 @@ class Display:
     def __init__(self) -> None:
         self._printed = 0.0
 
+    def note(self, text: str) -> None:
+        """Show a line that concerns the whole run."""
+        self._print(f"bench: {text}")
+
     def begin(self, job: Job, number: int, total: int) -> None:
         self._started = self._printed = time.monotonic()
         self._prefix = f"[{number}/{total}]"

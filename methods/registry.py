@@ -101,6 +101,11 @@ class Registry:
         """Names of all usable methods, sorted."""
         return sorted(self._specs)
 
+    @property
+    def versions(self) -> dict[str, str]:
+        """Method -> its version."""
+        return {spec.name: spec.version for spec in self}
+
     def built_in(self) -> list[str]:
         """Names of the methods that come with the harness, sorted."""
         return [name for name in self.names() if self._origins[name].startswith(BUILT_IN)]

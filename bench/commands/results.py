@@ -148,4 +148,4 @@ def current(plugins: Iterable[str], *stores: Path) -> dict[str, str]:
     """Method -> its current version, plugins included: rows of other versions are stale."""
     from methods.registry import Registry
 
-    return {spec.name: spec.version for spec in Registry(plugin_folders(plugins, *stores))}
+    return Registry(plugin_folders(plugins, *stores)).versions

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
-from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.display import make_display, span
 from bench.estimates import Estimate, Past
 from bench.plan import Planner
-from bench.plugins import plugin_folders, remember, resolved
+from bench.plugins import plugin_folders
 from bench.records import Job, Record
-from bench.rungs import remember as remember_ladders
 from bench.selection import Selection
 from bench.store import Store
 from bench.suites import load_suite
-from datasets.errors import DataError
 
 if TYPE_CHECKING:
     from bench.executor import Outcome
@@ -25,27 +23,21 @@ if TYPE_CHECKING:
 
 def run(options: Namespace) -> int:
     """Run the jobs of a suite and its selectors, then print the results and write the report."""
-    from bench.executor import LocalExecutor
+    from bench.experiment import execute
     from bench.limits import Limits
     from bench.tables import build_tables, stored_tables
     from reports.schema import joined
 
-    plugins = plugin_folders(options.plugins, Path(options.out))
-    planner = _planner(options, plugins)
-    store = Store(Path(options.out), create=True)
-    remember(store, resolved(options.plugins))
-    remember_ladders(store, planner.ladders)
-    versions = {spec.name: spec.version for spec in planner.registry}
-    executor = LocalExecutor(
-        store,
-        planner,
+    done = execute(
+        _selection(options),
+        Path(options.out),
+        options.plugins,
         make_display(),
         retry=options.retry,
         limits=Limits(options.time_limit, options.memory_limit),
-        plugins=plugins,
     )
-    _announce(planner, store)
-    outcome = executor.run()
+    store, planner, outcome = done.store, done.planner, done.outcome
+    versions = planner.registry.versions
     tables = build_tables(store, versions)
     # The rows of this run alone; the store's tables may hold another version of a model.
     frames = joined(stored_tables(outcome.records, versions, planner.ladders))
@@ -70,17 +62,6 @@ def run(options: Namespace) -> int:
     return _verdict(outcome, store)
 
 
-def _announce(planner: Planner, store: Store) -> None:
-    """Print a warning if ground truth that is still to be rendered will take the slow marcher."""
-    pending = (job for job in planner.jobs(store) if job.kind == "views" and store.record(job.id) is None)
-    if planner.renders and any(pending):
-        from datasets.render_views import slow_notice
-
-        with suppress(DataError):  # the machine ended the trial: the views job tries again
-            if notice := slow_notice():
-                print(f"bench: {notice}", file=sys.stderr)
-
-
 def _verdict(outcome: Outcome, store: Store) -> int:
     if not outcome.ran and not outcome.unfinished:
         print(f"bench: nothing to run, all {len(outcome.records)} jobs are finished", file=sys.stderr)
@@ -103,7 +84,7 @@ def _verdict(outcome: Outcome, store: Store) -> int:
 def plan(options: Namespace) -> int:
     """Print the jobs, their states, and the time, memory and disk that the rest may take."""
     root = Path(options.out)
-    planner = _planner(options, plugin_folders(options.plugins, root))
+    planner = Planner(replace(_selection(options), plugins=plugin_folders(options.plugins, root)))
     store = Store(root) if (root / "store.json").is_file() else None
     jobs = planner.jobs(store)
     records = {record.job.id: record for record in store.records()} if store else {}
@@ -145,10 +126,11 @@ def _state(job: Job, record: Record | None, estimate: Estimate | None, store: St
     return f"{words}, about {span(estimate.seconds)}" if estimate is not None else words
 
 
-def _planner(options: Namespace, plugins: tuple[str, ...]) -> Planner:
+def _selection(options: Namespace) -> Selection:
+    """What the command line selects; its plugin folders are chosen by the run."""
     from methods.options import parse_assignments
 
-    selection = Selection(
+    return Selection(
         suite=load_suite(options.suite),
         datasets=tuple(options.dataset),
         scenes=tuple(options.scene),
@@ -159,6 +141,4 @@ def _planner(options: Namespace, plugins: tuple[str, ...]) -> Planner:
         split=options.split,
         overrides=parse_assignments(options.set),
         device=options.device,
-        plugins=plugins,
     )
-    return Planner(selection)

@@ -15,7 +15,9 @@ import pandas as pd
 import pytest
 
 from bench.__main__ import COMMANDS, main
-from bench.commands.run import _announce, _state
+from bench.commands.run import _state
+from bench.display import Display
+from bench.experiment import _announce
 from bench.records import hash_of
 from bench.store import Store
 from datasets.errors import DataError
@@ -286,7 +288,8 @@ def test_the_slow_marcher_announces_itself_before_it_renders(
 ) -> None:
     monkeypatch.setattr(probe, "find_backend", lambda: probe.Backend("none", reason="no libLLVM was found"))
     jobs = [SimpleNamespace(kind="views", id="views-1")]
-    _announce(SimpleNamespace(renders=renders, jobs=lambda _: jobs), SimpleNamespace(record=lambda _: record))
+    planner = SimpleNamespace(renders=renders, jobs=lambda _: jobs)
+    _announce(planner, SimpleNamespace(record=lambda _: record), Display())
     assert ("slow reference marcher" in capsys.readouterr().err) == warned
 
 

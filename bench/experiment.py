@@ -1,0 +1,85 @@
+"""One run of a selection into a store: what `bench run` and :func:`bench.api.run` have in common."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.plan import Planner
+from bench.plugins import plugin_folders, remember, resolved
+from bench.rungs import remember as remember_ladders
+from bench.store import Store
+from datasets.errors import DataError
+
+if TYPE_CHECKING:
+    from bench.display import Display
+    from bench.executor import Outcome
+    from bench.limits import Limits
+    from bench.selection import Selection
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A run that has ended.
+
+    Attributes:
+        store: where its jobs are.
+        planner: its plan.
+        plugins: plugin folders of the run.
+        outcome: records, and whether it was stopped.
+    """
+
+    store: Store
+    planner: Planner
+    plugins: tuple[str, ...]
+    outcome: Outcome
+
+
+def execute(
+    selection: Selection,
+    out: Path,
+    plugins: Iterable[str | os.PathLike[str]],
+    display: Display,
+    *,
+    retry: bool = False,
+    limits: Limits | None = None,
+) -> Experiment:
+    """Run the jobs of a selection that are not finished yet; the store remembers its plugins and ladders.
+
+    Args:
+        selection: checked before the store is made; its plugin folders are chosen here.
+        out: folder of the store.
+        plugins: folders with methods; default: those that the store remembers.
+        display: shows progress and notices.
+        retry: run failed jobs again.
+        limits: of each job.
+
+    Raises:
+        DataError: the selection or the store cannot be used.
+    """
+    from bench.executor import LocalExecutor
+
+    given = resolved(os.fspath(folder) for folder in plugins)
+    folders = plugin_folders(given, out)
+    planner = Planner(replace(selection, plugins=folders))
+    store = Store(out, create=True)
+    remember(store, given)
+    remember_ladders(store, planner.ladders)
+    _announce(planner, store, display)
+    executor = LocalExecutor(store, planner, display, retry=retry, limits=limits, plugins=folders)
+    return Experiment(store, planner, folders, executor.run())
+
+
+def _announce(planner: Planner, store: Store, display: Display) -> None:
+    """Show a notice if ground truth that is still to be rendered will take the slow marcher."""
+    pending = (job for job in planner.jobs(store) if job.kind == "views" and store.record(job.id) is None)
+    if planner.renders and any(pending):
+        from datasets.render_views import slow_notice
+
+        with suppress(DataError):  # the machine ended the trial: the views job tries again
+            if notice := slow_notice():
+                display.note(notice)
