@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import psutil
 
+from bench.control_groups import memory_limit
 from bench.display import span
 from bench.estimates import Past, work
 from bench.records import Job, Record
@@ -136,26 +136,5 @@ def _held(pid: int) -> int | None:
 def available_memory() -> int:
     """Memory and swap of this machine, or what its control groups leave of them, in bytes."""
     memory, swap = psutil.virtual_memory().total, psutil.swap_memory().total
-    return min([memory + swap, *(group + swap for group in _groups())])
-
-
-def _groups() -> Iterator[int]:
-    """Limits of the memory of this process's control groups and of those around them."""
-    try:
-        lines = Path("/proc/self/cgroup").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return
-    for line in lines:
-        _, controllers, path = line.split(":", 2)
-        if controllers == "":
-            root, name = Path("/sys/fs/cgroup"), "memory.max"
-        elif "memory" in controllers.split(","):
-            root, name = Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes"
-        else:
-            continue
-        inside = PurePosixPath(path.lstrip("/"))
-        for group in (inside, *inside.parents):
-            try:
-                yield int((root / group / name).read_text(encoding="ascii"))
-            except (OSError, ValueError):  # "max", or a group that is not seen from here
-                continue
+    granted = memory_limit()
+    return memory + swap if granted is None else min(memory, granted) + swap

@@ -128,37 +128,6 @@ def _by_process() -> dict[int, tuple[str, float]]:
     return times
 
 
-def cpu_quota(root: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> float | None:
-    """Cores that the control groups of this process grant it, the least of all levels; None without a limit.
-
-    Args:
-        root: where the control groups are mounted.
-        own: file that names those of the process.
-    """
-    quotas = []
-    with suppress(OSError):
-        for line in own.read_text(encoding="utf-8").splitlines():
-            _, controllers, path = line.split(":", 2)
-            if controllers and "cpu" not in controllers.split(","):
-                continue
-            mounts = [root / controllers, root / "cpu"] if controllers else [root, root / "unified"]
-            parts = Path(path.lstrip("/")).parts
-            for mount in mounts:
-                levels = [mount.joinpath(*parts[:depth]) for depth in range(len(parts) + 1)]
-                quotas += [_quota(level) for level in levels]
-    return min((quota for quota in quotas if quota is not None), default=None)
-
-
-def _quota(folder: Path) -> float | None:
-    """Limit of one control group, of version 2 or 1."""
-    for names in (("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us")):
-        with suppress(OSError, ValueError):
-            quota, period = " ".join((folder / name).read_text(encoding="ascii") for name in names).split()
-            if quota not in ("max", "-1"):
-                return int(quota) / int(period)
-    return None
-
-
 def clock_cap(root: Path = Path("/sys/devices/system/cpu")) -> tuple[float, float] | None:
     """Highest clock that the system permits and that of the processor in Hz, of the slowest core.
 

@@ -77,7 +77,8 @@ def _native() -> Finding:
 
 
 def _cores() -> Finding:
-    from bench.machine import clock_cap, cpu_quota
+    from bench.control_groups import cpu_quota
+    from bench.machine import clock_cap
     from bench.timing import available_cores
 
     cores, quota, cap = available_cores(), cpu_quota(), clock_cap()

@@ -10,7 +10,7 @@ import pytest
 
 from bench import machine
 from bench.commands import doctor
-from bench.machine import Load, clock_cap, cpu_quota, measure_load
+from bench.machine import Load, clock_cap, measure_load
 from bench.timing import machine_lock
 
 EVEN = (0.1,) * 20
@@ -74,30 +74,6 @@ def test_the_verdict_names_what_it_means(monkeypatch, capsys):
     assert "take no part in the report's answers" in remedy
     assert "quiet: reference kernel 100 ms (100 to 100 in 20 laps)" in quiet
     assert quiet.endswith("training times and FPS measured now count")
-
-
-@pytest.mark.parametrize(
-    ("groups", "files", "quota"),
-    [
-        ("0::/a/b\n", {"a/cpu.max": "150000 100000\n", "a/b/cpu.max": "max 100000\n"}, 1.5),
-        ("0::/a/b\n", {"a/cpu.max": "300000 100000\n", "a/b/cpu.max": "50000 100000\n"}, 0.5),
-        ("0::/\n", {"cpu.max": "max 100000\n"}, None),
-        (
-            "4:memory:/m\n3:cpu,cpuacct:/c\n0::/\n",
-            {"cpu,cpuacct/c/cpu.cfs_quota_us": "200000\n", "cpu,cpuacct/c/cpu.cfs_period_us": "100000\n"},
-            2.0,
-        ),
-        ("1:cpu:/\n", {"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, None),
-        ("0::/gone\n", {}, None),
-    ],
-)
-def test_the_quota_is_the_least_of_all_levels(tmp_path, groups, files, quota):
-    (tmp_path / "own").write_text(groups)
-    for name, text in files.items():
-        path = tmp_path / "root" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    assert cpu_quota(tmp_path / "root", tmp_path / "own") == quota
 
 
 def test_a_capped_clock(tmp_path):
