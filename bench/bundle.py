@@ -33,7 +33,7 @@ MANIFEST = "bundle.json"
 FORMAT = 1
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, struct.error, ValueError, RuntimeError, OSError)
 """What reading a damaged zip raises (encrypted: RuntimeError, of which NotImplementedError is one)."""
-_LONG = {"features", "losses", "scenes"}
+_LONG = {"features", "losses", "scenes", "rung_views"}
 """Tables that take more room than all others and that nobody reads as CSV; records hold them too."""
 _LIMIT = 16 * 2**30
 """Bytes that the files of a bundle may have together: no bomb is unpacked."""

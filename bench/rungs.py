@@ -54,6 +54,7 @@ def rungs_of(job: Job, ladders: Iterable[Ladder]) -> Iterator[dict[str, Any]]:
         if place is not None:
             yield {
                 "ladder": ladder.name,
+                "purpose": ladder.title,
                 "place": place,
                 "rungs": len(ladder.rungs),
                 "rung": ladder.rungs[place].title(job.method or ""),

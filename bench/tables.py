@@ -104,12 +104,18 @@ def _stored(
             if not record.job.stress:
                 for table, facts in _facts(record, lineage, versions).items():
                     tables[table] += ({"job": name, **row} for row in facts)
-            tables["rungs"] += ({"job": name, **row} for row in _rungs(record, lineage, versions, ladders))
+            rungs = list(_rungs(record, lineage, versions, ladders))
+            tables["rungs"] += ({"job": name, **row} for row in rungs)
+            if rungs:
+                views = _views(record, lineage.needed(record, "views"))
+                tables["rung_views"] += ({"job": name, **row} for row in views)
         elif record.job.kind == "measure" and not record.job.stress:
             tables["superseded"].append({"job": name, **_result(record, lineage, versions)})
     for table, rows in tables.items():
         keys = [key for key in _ORDER if key not in ("kind", "split") or key in TABLES[table].columns]
         rows.sort(key=partial(_order, keys, axes))
+    places = {ladder.name: place for place, ladder in enumerate(ladders)}
+    tables["rungs"].sort(key=lambda row: places[row["ladder"]])
     return {table: frame(table, rows, stored=True) for table, rows in tables.items()}
 
 

@@ -283,6 +283,7 @@ COLUMNS: dict[str, Column] = _declare(
     Column("backend", _T, "backend of the renderer"),
     # Ladders.
     Column("ladder", _T, "name of the ladder", "Ladder", write=str),
+    Column("purpose", _T, "what gets harder on the ladder", "What gets harder", write=str),
     Column("place", _W, "place of the rung, 0 for the first", "Place", write=str),
     Column("rungs", _W, "rungs of the ladder", "Rungs", write=str),
     Column("rung", _T, "stress, scene or options of the rung", "Rung", write=str),
@@ -389,12 +390,17 @@ TABLES: dict[str, Table] = {
          "renderer", "version", "backend", "reference_seconds"),
     ),
     "rungs": Table(
-        "A measurement that is a rung of a ladder; the first rung is the usual run. Runs under stress are in "
-        "no table but this one.",
+        "A measurement that is a rung of a ladder, ladders in the order of their suite; the first rung is "
+        "the usual run. Runs under stress are in no table but this one and `rung_views`.",
         ("dataset", "scene", "method", "preset", "split", "requested_views", "seed", "stress"),
-        ("job", "ladder", "place", "rungs", "rung", "subject", "variant", "same_truth", "status",
+        ("job", "ladder", "purpose", "place", "rungs", "rung", "subject", "variant", "same_truth", "status",
          "failed_step", "reason", "stage", "stale", "psnr", "psnr_fg", "missing", "excess", "flicker",
          "primitives", "size_bytes", "train_seconds"),
+    ),
+    "rung_views": Table(
+        "A measured view of a rung, the usual run included.",
+        ("dataset", "scene", "method"),
+        ("job", "view", "psnr", "missing", "excess", "truth_file", "render_file", "background"),
     ),
     "superseded": Table(
         "A result that the other tables leave out, because a newer one takes its place.",

@@ -43,10 +43,14 @@ def run(options: Namespace) -> int:
     frames = joined(stored_tables(outcome.records, versions, planner.ladders))
     if len(frames["results"]) or len(frames["rungs"]) or len(frames["dvr"]):
         from bench.commands.results import print_answers, print_results, print_table
+        from reports.conclusions.ladders import summary
         from reports.paper.datasets import costs
+        from reports.tables.ladders import climbed, ladders
 
         if len(frames["results"]):
             print_results(frames["results"])
+        if (frames["rungs"]["stress"].fillna("") != "").any():
+            print("\n".join(summary(climbed(ladders(frames["rungs"])))))
         if len(frames["dvr"]):
             print_table(costs(frames["dvr"]))
         page = store.root / "report.html"

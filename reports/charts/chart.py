@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 380.0, 310.0
 """Size of a panel in pixels, axes and titles included."""
 INK, GRAY = "#222222", "#888888"
 """Colors of text, and of what is no series."""
-_TOP, _RIGHT, _BOTTOM = 8.0, 10.0, 44.0
+_TOP, _RIGHT, _BOTTOM, _ABOVE = 8.0, 10.0, 44.0, 24.0
 MOST_LABELS = 10
 """More series than this are named by a legend and when pointed at."""
 _MOST_ROOM = 0.35
@@ -35,6 +35,8 @@ class Axis:
         log: whether it is logarithmic.
         ticks: (value, text).
         grid: whether a line crosses the panel at each tick.
+        above: whether the texts of a horizontal axis are above the panel.
+        links: text of a tick -> id of a place on the page.
     """
 
     title: str
@@ -43,6 +45,8 @@ class Axis:
     log: bool = False
     ticks: tuple[tuple[float, str], ...] = ()
     grid: bool = True
+    above: bool = False
+    links: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def unit(self) -> str:
@@ -207,7 +211,8 @@ class Panel:
         """Left, top, width and height of the area between the axes, in pixels from the upper left corner."""
         ticks = max((text_width(text) for _, text in self.y.ticks), default=0.0)
         left = ticks + (28.0 if self.y.title else 10.0)
-        return left, _TOP, self.width - left - _RIGHT, self.height - _TOP - _BOTTOM
+        top, bottom = (_ABOVE, _TOP) if self.x.above else (_TOP, _BOTTOM)
+        return left, top, self.width - left - _RIGHT, self.height - top - bottom
 
     def place(self, x: float, y: float) -> tuple[float, float]:
         """Pixels of a point, y down."""

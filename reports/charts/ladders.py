@@ -1,103 +1,114 @@
-"""How far each method climbs each ladder, and how it breaks: a chart, and its section of the page."""
+"""How far each method climbs each ladder, and how it breaks: a heat map, and its section of the page."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from reports.charts.chart import Axis, Bar, Chart, Panel
-from reports.charts.elements import Section, card, legend, table
-from reports.schema import COLUMNS
-from reports.style import MISSING, PALETTE, Look, absent, label
+from reports.charts.elements import Section, card, legend
+from reports.conclusions.ladders import words
+from reports.style import PALETTE, Look, label
 from reports.tables.ladders import climbed
 
 if TYPE_CHECKING:
     from reports.charts.report import Report
 
-_HELD = "#A8D5C5"
-_KINDS = {
+_HELD, _UNKNOWN = "#A8D5C5", "#E3E5E8"
+KINDS = {
     "quality": PALETTE[4], "floaters": PALETTE[5], "vanishing parts": PALETTE[3], "explosion": PALETTE[0],
-    "collapse": PALETTE[1],
+    "collapse": PALETTE[1], "failed step": PALETTE[7],
 }  # fmt: skip
-_FAILED = PALETTE[7]
-_SPAN = 0.9
-"""Share of a column's width that a bar takes."""
-_COLUMN, _ROW = 100.0, 26.0
+"""Kind of break -> its color; all kinds of failed steps have one."""
+_SPAN = 0.92
+"""Share of a column's width that a ladder's rungs take."""
+_GAP = 0.012
+"""Half of the gap between two rungs, in columns."""
+_COLUMN, _ROW = 104.0, 25.0
 _CONDITIONS = ("preset", "split", "requested_views")
 
 
+def kind_of(failure: str) -> str:
+    """The key of :data:`KINDS` of a kind of break."""
+    return failure if failure in KINDS else "failed step"
+
+
+def anchor(prefix: str, name: str) -> str:
+    """Id of a place on the page, of a ladder or method."""
+    return f"{prefix}-{re.sub('[^a-z0-9]+', '-', name.lower()).strip('-')}"
+
+
 def ladder_chart(climbs: Sequence[dict[str, Any]]) -> Chart:
-    """A row per ladder and a column per method: the part of the rungs that hold, then the kind of the break.
+    """A row per ladder and a column per method: a field for each rung above the usual run.
+
+    Fields up to the first break have the color of rungs that hold, the others that of the kind of the break.
 
     Args:
         climbs: as of :func:`reports.tables.ladders.climbed`.
     """
-    rows = list(dict.fromkeys(_title(row, climbs) for row in climbs))
-    columns = list(dict.fromkeys(label(row["method"], row["variant"]) for row in climbs))
+    rows = list(dict.fromkeys(title(row, climbs) for row in climbs))
+    columns = list(dict.fromkeys(sorted(label(row["method"], row["variant"]) for row in climbs)))
     bars = []
-    used = {}
+    colors = {}
     for row in climbs:
-        y = rows.index(_title(row, climbs))
-        left = columns.index(label(row["method"], row["variant"])) - 0.5 * _SPAN
-        held = left + _SPAN * row["held"] / row["rungs"]
-        about = "\n".join([f"{columns[round(left + 0.5 * _SPAN)]}, {rows[y]}", *_words(row)])
-        bars.append(Bar(y, left, held, _HELD, about))
-        if row["failure"] is not None:
-            kind = row["failure"] if row["failure"] in _KINDS else "failed step"
-            used[kind] = _KINDS.get(kind, _FAILED)
-            bars.append(Bar(y, held, left + _SPAN, used[kind], about))
+        method, ladder = label(row["method"], row["variant"]), title(row, climbs)
+        about = "\n".join([f"{method}, {ladder}: {row['purpose']}", _outcome(row)])
+        left, width = columns.index(method) - 0.5 * _SPAN, _SPAN / (row["rungs"] - 1)
+        for place in range(1, row["rungs"]):
+            if place < row["held"]:
+                kind, color = "holds", _HELD
+            elif row["failure"] is not None:
+                kind = kind_of(row["failure"])
+                color = KINDS[kind]
+            else:
+                kind, color = "not measured", _UNKNOWN
+            colors[kind] = color
+            start = left + width * (place - 1)
+            bars.append(Bar(rows.index(ladder), start + _GAP, start + width - _GAP, color, about))
     x = Axis(
-        "", -0.5, len(columns) - 0.5, ticks=tuple((i, name) for i, name in enumerate(columns)), grid=False
-    )
-    names = tuple((i, name) for i, name in enumerate(rows))
-    upright = Axis("", len(rows) - 0.5, -0.5, ticks=names, grid=False)
-    width, height = 130.0 + _COLUMN * len(columns), 52.0 + _ROW * len(rows)
-    colors = {"holds": _HELD} | {kind: used[kind] for kind in (*_KINDS, "failed step") if kind in used}
-    looks = {kind: Look(color, "square", "") for kind, color in colors.items()}
-    return Chart([Panel("", x, upright, bars=bars, width=width, height=height)], looks)
+        "", -0.5, len(columns) - 0.5, ticks=tuple(enumerate(columns)), grid=False, above=True,
+        links={name: anchor("method", name) for name in columns},
+    )  # fmt: skip
+    y = Axis(
+        "", len(rows) - 0.5, -0.5, ticks=tuple(enumerate(rows)), grid=False,
+        links={title(row, climbs): anchor("ladder", row["ladder"]) for row in climbs},
+    )  # fmt: skip
+    width, height = 130.0 + _COLUMN * len(columns), 32.0 + _ROW * len(rows)
+    order = [kind for kind in ("holds", *KINDS, "not measured") if kind in colors]
+    looks = {kind: Look(colors[kind], "square", "") for kind in order}
+    return Chart([Panel("", x, y, bars=bars, width=width, height=height)], looks)
 
 
-def _title(row: dict[str, Any], climbs: Sequence[dict[str, Any]]) -> str:
-    """The ladder, with its conditions where there are several."""
+def title(row: dict[str, Any], climbs: Sequence[dict[str, Any]]) -> str:
+    """The ladder of a climb, with its conditions where there are several."""
     several = [name for name in _CONDITIONS if len({other[name] for other in climbs}) > 1]
     return " ".join([row["ladder"], *(f"{row[name]}" for name in several)])
 
 
-def _words(row: dict[str, Any]) -> list[str]:
-    if row["failure"] is None:
-        return [f"holds on {row['measured']} of {row['rungs']} rungs"]
-    where = f" on {row['subject']}" if row["subject"] else ""
-    return [f"breaks at {row['rung']}{where}: {row['failure']}"]
+def _outcome(row: dict[str, Any]) -> str:
+    if row["failure"] is not None:
+        return f"breaks at {words(row)}"
+    if row["measured"] == row["rungs"]:
+        return "holds on all rungs"
+    return f"holds on {row['measured'] - 1} of {row['rungs'] - 1} rungs; the others are not measured"
 
 
 def ladders_section(report: Report) -> Section | None:
-    """The chart, and every first break in a table; None without ladders."""
+    """The heat map; None without ladders."""
     climbs = climbed(report.ladders)
     if not climbs:
         return None
     chart = ladder_chart(climbs)
-    words = (
-        "A ladder leads from the usual run to one that no method may survive. A bar is a ladder's rungs: in "
-        "light green those that hold, then, from the first break on, the kind of that break. Of several "
-        "scenes the one counts on which the method comes least far. A rung breaks where a step fails or "
-        "where, against the usual run, PSNR falls by 3 dB, a fifth of the truth's alpha more is missing or "
-        "in excess, or there are more than 5 times the primitives. Where a rung has other test pictures, its "
-        "fall is that of the distance to the best method. All rungs: "
-        '<a href="ladders.csv">ladders</a>.'
+    text = (
+        "A ladder leads from the usual run to one that no method may survive. A field is a rung above the "
+        "usual run: green where it holds; from the first break on, the color of that break. Of several "
+        "scenes the one counts on which the method breaks first. A rung breaks where a step fails or where, "
+        "against the usual run, PSNR falls by 3 dB (quality), a fifth of the truth's alpha more is missing "
+        "(vanishing parts; more than half of it: collapse) or in excess (floaters, or swollen primitives), "
+        "or there are more than 5 times the primitives (explosion). Where a rung has other test pictures, "
+        "its fall is that of the distance to the best method. A ladder and a method lead to their details. "
+        'All rungs: <a href="ladders.csv">ladders</a>.'
     )
-    heads = ["Method", "Ladder", "Holds", "Breaks at", "Scene", "Break", "Change [dB]", "Missing [%]"]
-    rows = [
-        [
-            label(row["method"], row["variant"]),
-            _title(row, climbs),
-            f"{row['held']} of {row['rungs']}",
-            *(row[name] or MISSING for name in ("rung", "subject", "failure")),
-            MISSING if absent(row["change"]) else COLUMNS["change"].text(row["change"]),
-            MISSING if absent(row["missing"]) else f"{100.0 * row['missing']:.0f}",
-        ]
-        for row in sorted(climbs, key=lambda row: (row["method"], row["variant"]))
-        if row["failure"] is not None
-    ]
-    found = table("Where each method breaks first", heads, rows) if rows else "<p>Nothing breaks.</p>"
-    html = f"<p>{words}</p>{legend(chart.legend)}{card(chart.panels[0], '')}{found}"
+    html = f"<p>{text}</p>{legend(chart.legend)}{card(chart.panels[0], '')}"
     return Section("ladders", "Where methods break", html, {"ladders": chart})

@@ -95,6 +95,11 @@ class Report:
         """Rungs with their breaks."""
         return ladders(self.stored["rungs"] if "rungs" in self.stored else frame("rungs"))
 
+    @property
+    def rung_views(self) -> pd.DataFrame:
+        """Views of rungs."""
+        return self.stored["rung_views"] if "rung_views" in self.stored else frame("rung_views")
+
     @cached_property
     def ranks(self) -> dict[tuple[Any, str], int]:
         """Of the rows of :attr:`results`."""
@@ -116,7 +121,7 @@ class Report:
     @cached_property
     def answers(self) -> list[Answer]:
         """Of the first contest; empty without one."""
-        return answers(self.contests[0], self.results) if self.contests else []
+        return answers(self.contests[0], self.results, self.ladders) if self.contests else []
 
     @cached_property
     def at_shared_seeds(self) -> pd.DataFrame:

@@ -50,7 +50,7 @@ def page_panel(panel: Panel) -> str:
     data = f'<script type="application/json">{points}</script>' if panel.series else ""
     least = min(panel.width, _LEAST)
     size = f' class="chart" style="min-width:{least:.0f}px;max-width:{_MOST * panel.width:.0f}px"'
-    return f"{_document(panel.width, panel.height, drawing(panel), size)}{data}"
+    return f"{_document(panel.width, panel.height, drawing(panel, links=True), size)}{data}"
 
 
 def theme() -> str:
@@ -92,13 +92,13 @@ def _document(width: float, height: float, content: str, attributes: str) -> str
     )
 
 
-def drawing(panel: Panel) -> str:
-    """The markup of a panel, its upper left corner at the origin."""
+def drawing(panel: Panel, *, links: bool = False) -> str:
+    """The markup of a panel, its upper left corner at the origin; with the links of its axes if asked for."""
     series = f'<g class="series">{"".join(_series(panel))}</g>'
-    return "".join((*_axes(panel), *_bars(panel), *_stages(panel), series, *_labels(panel)))
+    return "".join((*_axes(panel, links), *_bars(panel), *_stages(panel), series, *_labels(panel)))
 
 
-def _axes(panel: Panel) -> Iterator[str]:
+def _axes(panel: Panel, links: bool) -> Iterator[str]:
     left, top, width, height = panel.box
     bottom = top + height
     columns = [(left + width * panel.x.share(value), text) for value, text in panel.x.ticks]
@@ -106,14 +106,20 @@ def _axes(panel: Panel) -> Iterator[str]:
     grid = [f"M{_n(x)} {_n(top)}v{_n(height)}" for x, _ in columns if panel.x.grid]
     grid += [f"M{_n(left)} {_n(y)}h{_n(width)}" for y, _ in rows if panel.y.grid]
     yield f'<path d="{"".join(grid)}" stroke="{_GRID}" fill="none"/>'
-    yield f'<path d="M{_n(left)} {_n(top)}v{_n(height)}h{_n(width)}" stroke="{_SOFT}" fill="none"/>'
+    if not panel.x.above:
+        yield f'<path d="M{_n(left)} {_n(top)}v{_n(height)}h{_n(width)}" stroke="{_SOFT}" fill="none"/>'
     for x, text in columns:
-        yield _text(x, bottom + 14, text, "middle")
+        yield _tick(panel.x, links, _text(x, top - 6 if panel.x.above else bottom + 14, text, "middle"), text)
     for y, text in rows:
-        yield _text(left - 5, y + 4, text, "end")
+        yield _tick(panel.y, links, _text(left - 5, y + 4, text, "end"), text)
     yield _text(left + width / 2, bottom + 32, panel.x.title, "middle", size=SIZE + 1)
     if panel.y.title:
         yield _text(12, top + height / 2, panel.y.title, "middle", size=SIZE + 1, turned=True)
+
+
+def _tick(axis: Axis, links: bool, markup: str, text: str) -> str:
+    anchor = axis.links.get(text) if links else None
+    return f'<a href="#{escape(anchor)}">{markup}</a>' if anchor else markup
 
 
 def _bars(panel: Panel) -> Iterator[str]:

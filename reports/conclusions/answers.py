@@ -11,6 +11,7 @@ import numpy as np
 
 from reports.conclusions.contest import Cells, Contest, Values
 from reports.conclusions.effects import LEAST_DATASETS, Effect, effect
+from reports.conclusions.ladders import Tally, tally
 from reports.schema import COLUMNS
 from reports.style import absent, label
 from reports.tables.confidence import signed
@@ -116,14 +117,18 @@ class Answer:
     sentence: str
 
 
-def answers(contest: Contest, results: pd.DataFrame) -> list[Answer]:
+def answers(contest: Contest, results: pd.DataFrame, ladders: pd.DataFrame) -> list[Answer]:
     """One answer per criterion.
 
     Args:
         contest: the methods and rows that are compared.
         results: the table that the contest is from; its edited scenes decide about editing.
+        ladders: as of :func:`reports.tables.ladders.ladders`. Those that two methods climbed decide about
+            robustness; without any, worst cases do.
     """
-    return [*(measured(each, contest) for each in CRITERIA), robustness(contest), editing(contest, results)]
+    climbed = tally(ladders, contest.methods, contest.preset)
+    robust = robustness(contest) if climbed is None else stamina(climbed)
+    return [*(measured(each, contest) for each in CRITERIA), robust, editing(contest, results)]
 
 
 def scope(contest: Contest) -> str:
@@ -172,6 +177,22 @@ def measured(criterion: Criterion, contest: Contest) -> Answer:
     text += f"{criterion.interval(lead)}), better on {lead.wins} of {_count(lead.datasets, 'dataset')}; "
     text += f"{_seeds(lead)}{_caution(values)}."
     return Answer(criterion.title, places, order[0] if lead.sure else "", text)
+
+
+def stamina(climbed: Tally) -> Answer:
+    """Which method holds the most rungs of the ladders that all compared ones climbed; no winner of a tie."""
+    held, rungs = climbed.held, climbed.rungs
+    order = sorted(held, key=lambda name: -held[name])
+    places = tuple(Place(name, held[name], f"{held[name]} of {rungs} rungs") for name in order)
+    best = [name for name in order if held[name] == held[order[0]]]
+    rest = ", ".join(f"{label(name)} {held[name]}" for name in order[len(best) :])
+    subject = label(best[0]) if len(best) == 1 else f"No winner: {_listing(best)}"
+    text = f"{subject} hold{'s' if len(best) == 1 else ''} {_count(held[best[0]], 'rung')} of {rungs}"
+    text += f" on {_count(climbed.ladders, 'ladder')} from harmless to fatal"
+    text += f"; {rest}" if rest else ""
+    for name, count in climbed.others.items():
+        text += f"; {label(name)} climbed {_count(count, 'ladder')} and is not compared"
+    return Answer(ROBUST, places, best[0] if len(best) == 1 else "", f"{text}.")
 
 
 def robustness(contest: Contest) -> Answer:

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from reports.conclusions.contest import Contest
 
 _EVIDENCE = {
-    "Smallest": "ledger", "Best picture": "confidence", "Fastest to train": "anytime",
-    "Fastest to draw": "timing", "Least memory": "tradeoffs", "Most robust": "stability",
-    "Can be edited": "editing",
+    "Smallest": ["ledger"], "Best picture": ["confidence"], "Fastest to train": ["anytime"],
+    "Fastest to draw": ["timing"], "Least memory": ["tradeoffs"], "Most robust": ["ladders", "stability"],
+    "Can be edited": ["editing"],
 }  # fmt: skip
-"""Criterion -> anchor of the section with its evidence."""
+"""Criterion -> anchors of sections with its evidence, the first of which that the page has is linked."""
 _SHADES = 4
 
 
@@ -83,8 +83,9 @@ def _matrix(answers: list[Answer], contest: Contest, models: list[Model], anchor
     """Methods by criteria: figures, shaded from the best to the worst."""
     heads = ['<th scope="col">Method</th>']
     for answer in answers:
-        anchor, title = _EVIDENCE[answer.title], escape(answer.title)
-        link = f'<a href="#{anchor}">{title}</a>' if anchor in anchors else title
+        title = escape(answer.title)
+        anchor = next((name for name in _EVIDENCE[answer.title] if name in anchors), "")
+        link = f'<a href="#{anchor}">{title}</a>' if anchor else title
         heads.append(f'<th scope="col">{link}</th>')
     lines = []
     for method in contest.methods:
@@ -101,8 +102,9 @@ def _cell(answer: Answer, method: str) -> str:
     methods = [place.method for place in answer.places]
     if method not in methods:
         return '<td class="soft">\N{EN DASH}</td>'
-    rank = methods.index(method)
+    own = answer.places[methods.index(method)]
+    rank = [place.value for place in answer.places].index(own.value)
     shade = round(_SHADES * (1.0 - rank / max(1, len(methods) - 1)))
-    text = escape(answer.places[rank].text)
+    text = escape(own.text)
     first = " first" if method == answer.winner else ""
     return f'<td class="shade{shade}{first}">{text}</td>'

@@ -15,7 +15,7 @@ from reports.charts.elements import Section
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections, variant_sections
 from reports.files import write_files, write_text
-from reports.page import answers, datasets, editing, provenance, scenes
+from reports.page import answers, datasets, editing, ladders, provenance, scenes
 from reports.page import results as results_table
 from reports.paper import verdicts
 from reports.paper.tables import paper_tables
@@ -62,6 +62,9 @@ def write_report(
             for section in chain(chart_sections(report.of_defaults), variant_sections(report)):
                 write_charts(section.charts)
                 charts.append(section)
+                if section.anchor == "ladders":
+                    html = ladders.section(report, root)
+                    charts.append(Section("breaks", "Where each method fails first", html))
             parts = (
                 ("scenes", "Pictures", scenes.section(report, root, folder)),
                 ("results", "Results", results_table.section(report)),

@@ -15,8 +15,10 @@ from reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd
+    from PIL import Image
 
 _SIDE = 400  # pixels; the page reduces larger pictures
+_THUMBNAIL = 144  # pixels
 _LOSSLESS = 256  # pixels; the page keeps every pixel of pictures up to this side
 
 
@@ -62,15 +64,27 @@ def read(path: Path, color: Iterable[float]) -> NDArray[np.uint8]:
     return np.rint(composite * 255.0).astype(np.uint8)  # type: ignore[no-any-return]
 
 
+def thumbnail(pixels: NDArray[np.uint8]) -> str:
+    """A picture as a WebP data URI of a few kilobytes: lossy, reduced to 144 pixels a side."""
+    from PIL import Image
+
+    image = Image.fromarray(pixels)
+    image.thumbnail((_THUMBNAIL, _THUMBNAIL), Image.Resampling.LANCZOS)
+    return _encoded(image, quality=80)
+
+
 def uri(pixels: NDArray[np.uint8]) -> str:
     """A picture as a WebP data URI: lossless if small, otherwise reduced to 400 pixels a side."""
     from PIL import Image
 
     image = Image.fromarray(pixels)
-    file = io.BytesIO()
     if max(image.size) <= _LOSSLESS:
-        image.save(file, "WEBP", lossless=True, quality=80, method=4)
-    else:
-        image.thumbnail((_SIDE, _SIDE), Image.Resampling.LANCZOS)
-        image.save(file, "WEBP", quality=88, method=4)
+        return _encoded(image, lossless=True, quality=80)
+    image.thumbnail((_SIDE, _SIDE), Image.Resampling.LANCZOS)
+    return _encoded(image, quality=88)
+
+
+def _encoded(image: Image.Image, **options: Any) -> str:
+    file = io.BytesIO()
+    image.save(file, "WEBP", method=4, **options)
     return f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode('ascii')}"

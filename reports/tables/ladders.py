@@ -34,11 +34,12 @@ FAILURES = (
 )  # fmt: skip
 """Kinds of breaks, the gravest first."""
 _MEANS = ("psnr", "missing", "excess", "flicker", "primitives", "size_bytes", "train_seconds")
+_FACTS = ("purpose", "rungs", "rung", "dataset", "scene", "same_truth", "job")
 _KEY = ("ladder", "preset", "split", "requested_views", "subject", "method", "variant")
 COLUMNS_OF_LADDERS = (
-    *_KEY, "place", "rungs", "rung", "dataset", "scene", "same_truth", "psnr", "psnr_std", "seeds", "change",
-    "missing", "excess", "flicker", "primitives", "size_bytes", "train_seconds", "failure", "reason", "job",
-    "first_job",
+    *_KEY, "purpose", "place", "rungs", "rung", "dataset", "scene", "same_truth", "psnr", "psnr_std", "seeds",
+    "change", "missing", "excess", "flicker", "primitives", "size_bytes", "train_seconds", "failure",
+    "reason", "job", "first_job",
 )  # fmt: skip
 
 Row = dict[str, Any]
@@ -93,10 +94,12 @@ def climbed(table: pd.DataFrame) -> list[Row]:
         table: of :func:`ladders`.
 
     Returns:
-        A row per ladder, preset, split, number of views, method and variant: ``held``, rungs before the first
-        break; ``rungs`` of the ladder; ``rung`` and ``failure`` of that break and its ``subject``, ``scene``,
-        ``change``, ``missing``; None without a break. Rungs that were not measured count as held only below a
-        later one that was: ``measured`` is the number of those up to the last measured one.
+        A row per ladder, preset, split, number of views, method and variant, in the order of the ladders:
+        ``held``, rungs before the first break; ``rungs`` of the ladder and its ``purpose``; ``place``,
+        ``rung`` and ``failure`` of that break and its ``subject``, ``scene``, ``change``, ``missing``,
+        ``excess``, ``reason``; None without a break. Of subjects with equally early breaks, the one with
+        the gravest counts. Rungs that were not measured count as held only below a later one that was:
+        ``measured`` is the number of those up to the last measured one.
     """
     worst: dict[tuple[Any, ...], Row] = {}
     subjects: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
@@ -106,16 +109,25 @@ def climbed(table: pd.DataFrame) -> list[Row]:
         rows.sort(key=lambda row: row["place"])
         broken = next((row for row in rows if not absent(row["failure"])), None)
         last = rows[-1]["place"] + 1
-        row = dict(zip(_KEY, key, strict=True)) | {"rungs": rows[0]["rungs"], "measured": last}
+        row = dict(zip(_KEY, key, strict=True)) | {"measured": last}
+        row |= {name: rows[0][name] for name in ("rungs", "purpose")}
         row["held"] = last if broken is None else broken["place"]
-        for name in ("rung", "failure", "scene", "change", "missing", "job"):
+        for name in ("place", "rung", "failure", "scene", "change", "missing", "excess", "reason", "job"):
             row[name] = None if broken is None or absent(broken[name]) else broken[name]
         if broken is None:
             row["subject"] = ""
         whose = tuple(row[name] for name in _KEY if name != "subject")
-        if whose not in worst or row["held"] < worst[whose]["held"]:
+        if whose not in worst or severity(row) < severity(worst[whose]):
             worst[whose] = row
     return list(worst.values())
+
+
+def severity(climb: Row) -> tuple[float, int, float]:
+    """Sorts climbs, the earliest break ahead: by share of the rungs above the usual run that hold, then by
+    kind of break and change.
+    """
+    kind = len(FAILURES) if climb["failure"] is None else FAILURES.index(climb["failure"])
+    return (climb["held"] - 1) / (climb["rungs"] - 1), kind, climb["change"] or 0.0
 
 
 def _mean(rows: Sequence[Row]) -> Row:
@@ -128,7 +140,7 @@ def _mean(rows: Sequence[Row]) -> Row:
     psnr = means["psnr"]
     return {
         **{name: fmean(values) if values else None for name, values in means.items()},
-        **{name: shown[name] for name in ("rungs", "rung", "dataset", "scene", "same_truth", "job")},
+        **{name: shown[name] for name in _FACTS},
         "primitives": round(fmean(means["primitives"])) if means["primitives"] else None,
         "size_bytes": round(fmean(means["size_bytes"])) if means["size_bytes"] else None,
         "psnr_std": stdev(psnr) if len(psnr) > 1 else None,

@@ -11,9 +11,12 @@ from reports.conclusions.clocks import BUSY
 from reports.conclusions.contest import contests
 from reports.conclusions.effects import effect
 from reports.schema import frame
+from reports.tables.ladders import ladders
 from reports.tables.protocols import by_protocol
+from tests.reports.tables.test_ladders import table as rungs
 
 SMALLEST, PICTURE, TRAINING, DRAWING, MEMORY = CRITERIA
+NO_LADDERS = ladders(frame("rungs"))
 
 
 def row(method, psnr, dataset="d", scene="s", seed=0, **more):
@@ -67,7 +70,7 @@ def test_datasets_that_disagree_have_no_winner():
 
 def test_a_tie_has_no_winner():
     tables = [*pair([0.0, 0.0, 0.0])]
-    answered = answers(contest(*tables), table(*tables))
+    answered = answers(contest(*tables), table(*tables), NO_LADDERS)
     assert {answer.winner for answer in answered} == {""}
     assert "0.00 dB higher" in of(answered, "Best picture").sentence
 
@@ -125,7 +128,7 @@ def test_a_method_with_few_datasets_is_not_ranked():
 def test_a_failed_fit_counts_for_robustness_and_takes_its_dataset_out_of_the_rest():
     rows = [*pair([1.0, 1.2, 1.4, -9.0])]
     rows[-1] |= {"status": "oom", "psnr": None}
-    answered = answers(contest(*rows), table(*rows))
+    answered = answers(contest(*rows), table(*rows), NO_LADDERS)
     assert "better on 3 of 3 datasets" in of(answered, "Best picture").sentence
     robust = of(answered, ROBUST)
     assert robust.winner == "a"
@@ -133,7 +136,7 @@ def test_a_failed_fit_counts_for_robustness_and_takes_its_dataset_out_of_the_res
 
 
 def test_robust_is_who_is_least_behind_in_the_worst_scene():
-    answered = answers(contest(*pair([3.0, 3.0, -1.0])), table(*pair([3.0, 3.0, -1.0])))
+    answered = answers(contest(*pair([3.0, 3.0, -1.0])), table(*pair([3.0, 3.0, -1.0])), NO_LADDERS)
     robust = of(answered, ROBUST)
     assert robust.winner == "a"
     assert "by at most 1.0 dB (d2 / s); b: behind the best method of a scene" in robust.sentence
@@ -141,14 +144,14 @@ def test_robust_is_who_is_least_behind_in_the_worst_scene():
 
 
 def test_who_leads_everywhere_is_behind_nobody():
-    robust = of(answers(contest(*pair([3.0, 2.0])), table(*pair([3.0, 2.0]))), ROBUST)
+    robust = of(answers(contest(*pair([3.0, 2.0])), table(*pair([3.0, 2.0])), NO_LADDERS), ROBUST)
     assert robust.sentence.startswith("a: never behind another method; b: behind the best")
     assert [place.text for place in robust.places] == ["0.0 dB", "\N{MINUS SIGN}3.0 dB"]
 
 
 def test_few_training_views_count_for_robustness_alone():
     rows = [*pair([1.0, 1.1, 1.2]), *pair([-7.0, -7.0, -7.0], requested_views=6)]
-    answered = answers(contest(*rows), table(*rows))
+    answered = answers(contest(*rows), table(*rows), NO_LADDERS)
     assert of(answered, "Best picture").winner == "a"
     assert of(answered, ROBUST).winner == "b"
     assert of(answered, ROBUST).sentence.endswith("few training views included.")
@@ -220,8 +223,60 @@ def test_edits_are_counted_and_compared_where_all_make_them():
         row("c", None, kind="edited", edit="light", status="refused"),
     ]  # fmt: skip
     rows = [*pair([1.0]), row("c", 30.0, "d0"), row("e", 30.0, "d0"), *edits]
-    answer = of(answers(contest(*rows), table(*rows)), EDITABLE)
+    answer = of(answers(contest(*rows), table(*rows), NO_LADDERS), EDITABLE)
     assert answer.winner == "a"
     assert [place.text for place in answer.places] == ["2 of 2", "1 of 2", "0 of 2"]
     assert "1 edit that they share: 30.00 dB, 20.00 dB" in answer.sentence
     assert "c refuses all; not tried: e" in answer.sentence
+
+
+def climb(method, *psnr, **more):
+    """A method's rungs, from the usual run on."""
+    return [{"method": method, "place": place, "psnr": value} | more for place, value in enumerate(psnr)]
+
+
+def robust(*climbs, methods="ab"):
+    """The answer on robustness, of a contest that says nothing about it."""
+    rows = [row(name, 30.0, f"d{i}") for i in range(2) for name in methods]
+    table_of_ladders = ladders(rungs(*(each for own in climbs for each in own)))
+    return of(answers(contest(*rows), table(*rows), table_of_ladders), ROBUST)
+
+
+def test_the_most_robust_holds_the_most_rungs() -> None:
+    answer = robust(climb("a", 30.0, 29.0, 28.0, 20.0), climb("b", 33.0, 29.0, 28.0, 32.0))
+    assert answer.winner == "a"
+    assert answer.sentence == "a holds 2 rungs of 3 on 1 ladder from harmless to fatal; b 0."
+    assert [place.text for place in answer.places] == ["2 of 3 rungs", "0 of 3 rungs"]
+
+
+def test_equally_many_rungs_have_no_winner() -> None:
+    answer = robust(climb("a", 30.0, 29.0, 20.0), climb("b", 33.0, 32.0, 25.0))
+    assert answer.winner == ""
+    assert answer.sentence.startswith("No winner: a and b hold 1 rung of 2 on 1 ladder")
+
+
+def test_only_rungs_count_on_which_all_were_measured() -> None:
+    shared = [climb("a", 30.0, 29.0, 29.0), climb("b", 30.0, 20.0)]
+    other = [climb("a", 30.0, 20.0, ladder="start")]
+    assert robust(*shared, *other).sentence.startswith("a holds 1 rung of 1 on 1 ladder")
+    # Of two scenes, a rung holds where it holds on both.
+    again = [climb("a", 30.0, 20.0, 20.0, subject="x/y"), climb("b", 30.0, 29.0, subject="x/y")]
+    assert robust(*shared, *again).winner == ""
+
+
+def test_a_method_with_few_ladders_is_not_compared() -> None:
+    climbs = [climb(name, 30.0, 29.0, ladder=ladder) for name in "ab" for ladder in ("x", "y", "z")]
+    answer = robust(*climbs, climb("c", 30.0, 20.0, ladder="x"), methods="abcd")
+    assert [place.method for place in answer.places] == ["a", "b"]
+    assert "c climbed 1 ladder and is not compared; d climbed 0 ladders and" in answer.sentence
+
+
+def test_a_failed_fit_holds_nothing_from_there_on() -> None:
+    failed = climb("b", 30.0, 29.0, 29.0)
+    failed[1] |= {"status": "oom", "psnr": None}
+    assert robust(climb("a", 30.0, 29.0, 20.0), failed).winner == "a"
+
+
+def test_without_two_methods_on_a_ladder_the_worst_case_decides() -> None:
+    assert "behind" in robust(climb("a", 30.0, 20.0)).sentence
+    assert "behind" in robust(climb("a", 30.0, 20.0, preset="other"), climb("b", 30.0, 20.0)).sentence

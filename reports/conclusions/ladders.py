@@ -1,0 +1,184 @@
+"""What ladders say about a method: how many rungs it holds, and where it breaks first.
+
+The usual run, a ladder's first rung, counts nowhere; a method that breaks there holds no rung.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+from typing import TYPE_CHECKING, Any
+
+from reports.style import absent, label
+from reports.tables.columns import records
+from reports.tables.confidence import signed
+from reports.tables.ladders import severity
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Row = dict[str, Any]
+Ladder = tuple[Any, ...]
+"""Name, split and number of views."""
+Breaks = dict[int, bool]
+"""Place of a measured rung -> whether it breaks."""
+_LEAST_SHARE = 0.5
+"""Share of the ladders of the method with the most that a method needs to be compared."""
+_MOST_NAMES = 4
+"""Ladders that a sentence names one by one."""
+
+
+@dataclass(frozen=True)
+class Tally:
+    """How many rungs methods hold, of those on which all of them were measured.
+
+    Of several scenes on which a ladder is climbed, a rung holds where it holds on all.
+
+    Attributes:
+        held: method -> rungs below its first breaks.
+        rungs: number of them all.
+        ladders: number of ladders.
+        others: method that is not compared -> number of ladders that it climbed.
+    """
+
+    held: Mapping[str, int]
+    rungs: int
+    ladders: int
+    others: Mapping[str, int]
+
+
+def tally(table: pd.DataFrame, methods: Collection[str], preset: str) -> Tally | None:
+    """Compare methods with their default options; None without a rung that two of them climbed.
+
+    Args:
+        table: of :func:`reports.tables.ladders.ladders`.
+        methods: to compare. Those with fewer than half as many ladders as another one are left out.
+        preset: of the rows that count.
+    """
+    climbs: dict[str, dict[Ladder, dict[str, Breaks]]] = {}
+    for row in records(table):
+        if row["method"] in methods and row["preset"] == preset and not row["variant"]:
+            ladder = (row["ladder"], row["split"], row["requested_views"])
+            subjects = climbs.setdefault(row["method"], {}).setdefault(ladder, {})
+            subjects.setdefault(row["subject"], {})[row["place"]] = not absent(row["failure"])
+    most = max(map(len, climbs.values()), default=0)
+    compared = [name for name in methods if len(climbs.get(name, ())) >= max(1.0, _LEAST_SHARE * most)]
+    if len(compared) < 2:
+        return None
+    held = dict.fromkeys(compared, 0)
+    rungs = ladders = 0
+    for ladder in set.intersection(*(set(climbs[name]) for name in compared)):
+        own = {name: climbs[name][ladder] for name in compared}
+        common = set.intersection(*(set(each) for each in own.values()))
+        shared = {
+            subject: set.intersection(*(set(each[subject]) for each in own.values())) for subject in common
+        }
+        places = set().union(*shared.values()) - {0}
+        rungs += len(places)
+        ladders += bool(places)
+        for name, each in own.items():
+            broken = (at for subject, all_have in shared.items() for at in all_have if each[subject][at])
+            first = min(broken, default=None)
+            held[name] += sum(first is None or place < first for place in places)
+    others = {name: len(climbs.get(name, ())) for name in methods if name not in compared}
+    return Tally(held, rungs, ladders, others) if rungs else None
+
+
+def by_method(climbs: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
+    """Method and variant -> its climbs, the earliest break first.
+
+    Args:
+        climbs: as of :func:`reports.tables.ladders.climbed`.
+    """
+    methods: dict[tuple[str, str], list[Row]] = {}
+    for climb in climbs:
+        methods.setdefault((climb["method"], climb["variant"]), []).append(climb)
+    return {name: sorted(own, key=severity) for name, own in sorted(methods.items())}
+
+
+def verdict(climbs: Sequence[Row]) -> str:
+    """Where a method breaks first, in a sentence or two.
+
+    Args:
+        climbs: of one method, the earliest break first (:func:`by_method`).
+    """
+    name = label(climbs[0]["method"], climbs[0]["variant"])
+    broken = [climb for climb in climbs if climb["failure"] is not None]
+    whole = [climb for climb in climbs if climb["failure"] is None and climb["measured"] == climb["rungs"]]
+    count = _count(len(climbs), "ladder")
+    if not broken:
+        return f"{name} breaks on none of {count}{_rest(climbs)}."
+    first = [climb for climb in broken if severity(climb)[0] == severity(broken[0])[0]]
+    text = f"{name} breaks first on {listing(climb['ladder'] for climb in first)}"
+    if len(first) == 1:
+        text += f" ({words(first[0])})"
+    elif severity(first[0])[0] <= 0:
+        text += ", at the first rung above the usual run"
+    text += f"; it breaks on {len(broken)} of {count}"
+    text += f" and holds all rungs of {listing(climb['ladder'] for climb in whole)}" if whole else ""
+    return f"{text}{_rest(climbs)}."
+
+
+def words(climb: Row) -> str:
+    """A first break, as "views=6 on vis_male/skin: quality, -3.40 dB"."""
+    where = f" on {climb['subject']}" if climb["subject"] else ""
+    change = "" if absent(climb["change"]) else f", {signed(climb['change'])} dB"
+    return f"{climb['rung']}{where}: {climb['failure']}{change}"
+
+
+def summary(climbs: Iterable[Row]) -> list[str]:
+    """A line per method for a terminal: the rungs that hold, and the first breaks.
+
+    Args:
+        climbs: as of :func:`reports.tables.ladders.climbed`.
+    """
+    methods = by_method(climbs)
+    width = max((len(label(*name)) for name in methods), default=0)
+    lines = []
+    for name, own in methods.items():
+        held = sum(max(0, climb["held"] - 1) for climb in own)
+        rungs = sum(climb["rungs"] - 1 if climb["failure"] else climb["measured"] - 1 for climb in own)
+        breaks = [
+            f"{climb['ladder']} at {climb['rung']} ({climb['failure']})"
+            for climb in own
+            if climb["failure"] is not None
+        ]
+        text = f"breaks on {', '.join(breaks)}" if breaks else "nothing breaks"
+        lines.append(f"{label(*name):<{width}}  holds {held} of {_count(rungs, 'rung')}; {text}")
+    return lines
+
+
+def flickering(amounts: Mapping[tuple[str, str], Mapping[str, float]]) -> str:
+    """Who flickers most and who least, mean over the scenes that all methods have.
+
+    Args:
+        amounts: method and variant -> scene -> flicker in steps of 1/255.
+    """
+    shared = set.intersection(*(set(own) for own in amounts.values())) if amounts else set()
+    if len(amounts) < 2 or not shared:
+        return "No scene compares two methods."
+    means = {label(*name): fmean(own[scene] for scene in shared) for name, own in amounts.items()}
+    order = sorted(means, key=lambda name: -means[name])
+    most, least = order[0], order[-1]
+    text = f"{most} flickers most, {means[most]:.2f}, and {least} least, {means[least]:.2f}"
+    return f"{text} ({'mean over ' if len(shared) > 1 else ''}{_count(len(shared), 'scene')})."
+
+
+def listing(names: Iterable[str]) -> str:
+    """Names of ladders in quotation marks; of many the first ones and a number."""
+    quoted = [f"“{name}”" for name in names]
+    if len(quoted) > _MOST_NAMES + 1:
+        quoted = [*quoted[:_MOST_NAMES], f"{len(quoted) - _MOST_NAMES} more"]
+    *head, last = quoted
+    return f"{', '.join(head)} and {last}" if head else last
+
+
+def _rest(climbs: Iterable[Row]) -> str:
+    missing = sum(climb["rungs"] - climb["measured"] for climb in climbs if climb["failure"] is None)
+    verb = "is" if missing == 1 else "are"
+    return f"; {_count(missing, 'rung')} above those that hold {verb} not measured" if missing else ""
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
