@@ -65,6 +65,7 @@ class LocalExecutor:
         retry: run failed jobs again.
         limits: of each job; default: those of :mod:`bench.limits`.
         plugins: plugin folders for the workers.
+        threads: most threads of a job; default: a thread per core.
     """
 
     def __init__(
@@ -76,6 +77,7 @@ class LocalExecutor:
         retry: bool = False,
         limits: Limits | None = None,
         plugins: tuple[str, ...] = (),
+        threads: int | None = None,
     ) -> None:
         self._store = store
         self._planner = planner
@@ -85,7 +87,7 @@ class LocalExecutor:
         self._memory = self._limits.bytes()
         self._past = finished_here(store)
         self._plugins = plugins
-        self._threads = available_cores()
+        self._threads = min(available_cores(), threads or available_cores())
         self._processes = Processes(self._environment())
         self._signals = 0
         self._attempted: set[str] = set()

@@ -70,7 +70,10 @@ def execute(
     remember(store, given)
     remember_ladders(store, planner.ladders)
     _announce(planner, store, display)
-    executor = LocalExecutor(store, planner, display, retry=retry, limits=limits, plugins=folders)
+    threads = selection.suite.threads
+    executor = LocalExecutor(
+        store, planner, display, retry=retry, limits=limits, plugins=folders, threads=threads
+    )
     return Experiment(store, planner, folders, executor.run())
 
 

@@ -66,6 +66,7 @@ class Suite:
         sampled: primitives of each scene whose attributes are recorded.
         ladders: runs under more and more stress, beside the usual ones.
         repeats: further seeds of a rung on which a method breaks, and of the first rung beside it.
+        threads: most threads of a job, so that results do not depend on the number of cores; None: all cores.
     """
 
     name: str
@@ -86,6 +87,7 @@ class Suite:
     sampled: int = SAMPLED
     ladders: tuple[Ladder, ...] = ()
     repeats: tuple[int, ...] = ()
+    threads: int | None = None
 
     def present(self, available: Collection[str]) -> dict[str, tuple[tuple[str, ...], ...]]:
         """The datasets to run where those ``available`` have data: stand-ins take the places of others."""
@@ -158,6 +160,7 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
             sampled=int(data.get("sampled", SAMPLED)),
             ladders=tuple(ladder_of(table, str(path)) for table in data.get("ladders", ())),
             repeats=tuple(int(seed) for seed in data.get("repeats", ())),
+            threads=int(data["threads"]) if "threads" in data else None,
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
@@ -165,6 +168,8 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
         ) from error
     if suite.sampled < 1:
         raise DataError(path, f"sampled = {suite.sampled}", "Give a number of primitives, 1 or more")
+    if suite.threads is not None and suite.threads < 1:
+        raise DataError(path, f"threads = {suite.threads}", "Give a number of threads, 1 or more")
     for name in suite.stand_ins:
         if name not in suite.datasets:
             raise unknown("dataset", name, suite.datasets, of=f"{path} (stand_ins)")

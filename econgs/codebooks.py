@@ -38,6 +38,10 @@ class Codebook:
 
     def decoded(self) -> Tensor:
         """(N, D) the word of each value; differentiable with respect to the words."""
+        # Gradients are summed in the same order each time: threads race in indexing on a CPU, and in
+        # index_select on a GPU.
+        if self.words.device.type == "cpu":
+            return self.words.index_select(0, self.ids)
         return self.words[self.ids]
 
     @property

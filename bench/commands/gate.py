@@ -73,5 +73,5 @@ def _versions(store: Store) -> dict[str, str]:
     """Software of the store's jobs that decides results."""
     for record in store.records():
         if record.provenance is not None and record.fit is not None:
-            return {name: record.provenance.versions[name] for name in sorted(record.provenance.versions)}
+            return dict(sorted(record.provenance.versions.items()))
     return {}

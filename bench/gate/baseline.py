@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bench.gate.cells import Cell, Key
+from bench.gate.cells import Cell, Key, Options
 from bench.gate.quantities import QUANTITIES
 from bench.store import write_text
 from datasets.errors import DataError
@@ -33,6 +33,7 @@ class BaselineCell(_Model):
     Attributes:
         version: of the method.
         processor: hardware and threads, for times.
+        options: the method's options as they were resolved, and the iterations.
         seeds: in the order of all lists.
         values: quantity -> value of each seed; null where it could not be measured.
         views: view -> mean PSNR over seeds.
@@ -51,6 +52,7 @@ class BaselineCell(_Model):
     requested_views: int
     version: str
     processor: str
+    options: Options
     seeds: Annotated[list[int], Field(min_length=LEAST_SEEDS)]
     values: dict[str, list[float | None]]
     views: dict[str, float]
@@ -91,7 +93,7 @@ def cell_of(cell: Cell) -> BaselineCell:
     """A cell for the file.
 
     Raises:
-        DataError: it has failures or too few seeds.
+        DataError: it has failures, too few seeds, or seeds that differ in options.
     """
     seeds = sorted(cell.values)
     if cell.failures:
@@ -104,11 +106,16 @@ def cell_of(cell: Cell) -> BaselineCell:
             f"{len(seeds)} seeds show no spread",
             f"Run at least {LEAST_SEEDS}: --seed 0 --seed 1 --seed 2",
         )
+    for seed in seeds[1:]:
+        if changes := option_changes(cell.options[seeds[0]], cell.options[seed]):
+            text = f"seeds {seeds[0]} and {seed} differ in options: {changes}"
+            raise DataError(cell.key.title, text, "Repeat the run in a new store")
     views, spread = _views(cell, seeds)
     return BaselineCell(
         **cell.key._asdict(),
         version=cell.version,
         processor=cell.processor,
+        options=cell.options[seeds[0]],
         seeds=seeds,
         values={
             name: [_short(cell.values[seed].get(name)) for seed in seeds]
@@ -120,6 +127,12 @@ def cell_of(cell: Cell) -> BaselineCell:
         models=[cell.models.get(seed, "") for seed in seeds],
         kernel=_short(float(np.median(cell.kernels))) if cell.kernels else None,
     )
+
+
+def option_changes(before: Options, after: Options) -> str:
+    """The options that differ, as "ssim_weight 0.2 → 0.3"; "" if none does."""
+    names = [name for name in before | after if before.get(name) != after.get(name)]
+    return ", ".join(f"{name} {before.get(name, 'absent')} → {after.get(name, 'absent')}" for name in names)
 
 
 def _views(cell: Cell, seeds: list[int]) -> tuple[dict[str, float], float]:
@@ -143,13 +156,13 @@ def _short(value: float | None) -> float | None:
 
 
 def write(path: Path, baseline: Baseline) -> None:
-    """Write the file whole or not at all; a list of numbers is one line."""
+    """Write the file whole or not at all; a list of numbers, options or views is one line."""
     text = json.dumps(baseline.model_dump(), indent=1, ensure_ascii=False)
     lists = re.compile(r"\[\s+([^\[\]{}]*?)\s+\]")
     text = lists.sub(lambda m: "[" + re.sub(r"\s*\n\s*", " ", m[1]) + "]", text)
     text = re.sub(r"(?<=\d)\.0(?=[,\]])", "", text)
-    views = re.compile(r'("views": )\{\s+([^{}]*?)\s+\}')
-    text = views.sub(lambda m: m[1] + "{" + re.sub(r"\s*\n\s*", " ", m[2]) + "}", text)
+    tables = re.compile(r'("(?:options|views)": )\{\s+([^{}]*?)\s+\}')
+    text = tables.sub(lambda m: m[1] + "{" + re.sub(r"\s*\n\s*", " ", m[2]) + "}", text)
     write_text(path, text + "\n")
 
 

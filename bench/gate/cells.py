@@ -17,6 +17,8 @@ from reports.tables.protocols import by_scene_choice
 if TYPE_CHECKING:
     import pandas as pd
 
+Options = dict[str, bool | int | float | str]
+"""Option -> value."""
 Values = dict[str, float]
 """Quantity -> value."""
 VIEW_METRIC = "psnr"
@@ -63,6 +65,7 @@ class Cell:
         kernels: seconds of the reference kernel beside the cell's times.
         busy: number of times that were measured on a busy machine, which count nothing.
         failures: seed -> status and reason.
+        options: seed -> the method's options as they were resolved, and the iterations.
     """
 
     key: Key
@@ -74,6 +77,7 @@ class Cell:
     kernels: list[float] = field(default_factory=list)
     busy: int = 0
     failures: dict[int, str] = field(default_factory=dict)
+    options: dict[int, Options] = field(default_factory=dict)
 
 
 def cells_of(store: Store, tables: Mapping[str, pd.DataFrame]) -> dict[Key, Cell]:
@@ -96,6 +100,7 @@ def cells_of(store: Store, tables: Mapping[str, pd.DataFrame]) -> dict[Key, Cell
         if row["status"] != "ok":
             cell.failures[seed] = f"{row['status']}: {_plain(row['reason'])}"
             continue
+        cell.options[seed] = _options(store, row["job"])
         cell.values[seed] = _values(row, clocks, cell)
         cell.views[seed] = paths.get(row["job"], {})
         if digest := models.digest(row["job"]):
@@ -105,6 +110,13 @@ def cells_of(store: Store, tables: Mapping[str, pd.DataFrame]) -> dict[Key, Cell
 
 def _plain(value: Any) -> Any:
     return None if absent(value) else value
+
+
+def _options(store: Store, job: str) -> Options:
+    record = store.record(job)
+    assert record is not None
+    iterations = {"iterations": record.job.iterations} if record.job.iterations else {}
+    return {**record.job.options, **iterations}
 
 
 def _values(row: Mapping[Any, Any], clocks: Clocks, cell: Cell) -> Values:

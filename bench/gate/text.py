@@ -27,6 +27,7 @@ def summary(verdict: Verdict) -> str:
     if verdict.same or verdict.differ:
         parts.append(
             f"{verdict.same} models equal the baseline's byte for byte, {verdict.differ} differ"
+            + (f" ({verdict.elsewhere})" if verdict.elsewhere else "")
             if verdict.differ
             else f"all {verdict.same} models equal the baseline's byte for byte"
         )

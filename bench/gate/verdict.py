@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from bench.gate.baseline import Baseline, BaselineCell
+from bench.gate.baseline import Baseline, BaselineCell, option_changes
 from bench.gate.cells import VIEW_METRIC, Cell, Key
 from bench.gate.quantities import QUANTITIES, Quantity
 from bench.gate.spread import Prior, prior, quantile, tail
@@ -56,6 +56,7 @@ class Verdict:
         tests: number of comparisons.
         same: number of models whose files equal the baseline's.
         differ: number of models whose files do not.
+        elsewhere: processors and threads of baseline and run where models differ on unlike ones; else "".
     """
 
     findings: list[Finding] = field(default_factory=list)
@@ -63,6 +64,7 @@ class Verdict:
     tests: int = 0
     same: int = 0
     differ: int = 0
+    elsewhere: str = ""
 
     def add(self, findings: Iterable[Finding]) -> None:
         """Add findings and put the worst first."""
@@ -161,6 +163,7 @@ def compare(baseline: Baseline, cells: Mapping[Key, Cell], *, times: bool = True
         verdict.add(pair.findings())
         verdict.same += len(pair.equal)
         verdict.differ += pair.differ
+        verdict.elsewhere = verdict.elsewhere or pair.elsewhere
     tests = [
         *_tests([sample for pair in pairs for sample in pair.samples()]),
         *_tests(list(_of_methods(pairs))),
@@ -197,8 +200,13 @@ class _Pair:
             if not self.new.failures:
                 yield Finding("not measured", self.title, "the run has no such result")
             return
-        if self.new.version != self.old.version:
+        other_version = self.new.version != self.old.version
+        if other_version:
             yield Finding("note", self.title, f"method version {self.old.version} → {self.new.version}")
+        # The same version means the same results, so a setting that differs is a mistake without one.
+        for text in dict.fromkeys(option_changes(self.old.options, own) for own in self.new.options.values()):
+            if text:
+                yield Finding("note" if other_version else "worse", self.title, f"options differ: {text}")
         if self._pace:
             yield Finding("not measured", self.title, f"times: {self._pace}")
         for name, quantity in QUANTITIES.items():
@@ -212,6 +220,13 @@ class _Pair:
             text = f"{len(lacking)} of {len(self.old.views)} views were not measured ({lacking[0]}, ...)"
             yield Finding("worse", self.title, text)
         yield from self._of_equal()
+
+    @property
+    def elsewhere(self) -> str:
+        """Processors and threads, where models differ on unlike ones; else ""."""
+        if not self.differ or self.new.processor == self.old.processor:
+            return ""
+        return f"the baseline's are of {self.old.processor}, these of {self.new.processor}"
 
     def _compares(self, quantity: Quantity) -> bool:
         return quantity.kind != "time" or (self._times and not self._pace)

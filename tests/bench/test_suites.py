@@ -22,7 +22,7 @@ def test_every_dataset_of_a_suite_is_known_and_what_is_missing_has_a_stand_in_or
         assert without, "nothing to run without data"
         assert without <= BUILT_IN
     assert suite.preset == "quick" or name == "datasets"
-    assert set(suite.presets) == ({"quick"} if name == "gate" else set(VIEWS))
+    assert set(suite.presets) == ({"quick"} if name.startswith("gate") else set(VIEWS))
 
 
 @pytest.mark.parametrize("name", ["design", "storage", "hyperparameters", "threshold", "init-points"])
@@ -119,6 +119,7 @@ def test_a_suite_may_record_more_anchors_than_others(dataset, tmp_path):
     ("datasets", "more", "error", "words"),
     [
         ("shells = []", "sampled = 0", DataError, "sampled = 0"),
+        ("shells = []", "threads = 0", DataError, "threads = 0"),
         ('shells = []\n[stand_ins]\nshels = ""', "", UnknownName, r"shels.*shells"),
         ('vortex = []\n[stand_ins]\nvortex = ""', "", DataError, "none of its datasets has data"),
         ('shells = ["outer", ["core"]]', "", DataError, "names, or lists of names"),
@@ -127,3 +128,8 @@ def test_a_suite_may_record_more_anchors_than_others(dataset, tmp_path):
 def test_bad_suites_are_refused_by_name(tmp_path, datasets, more, error, words):
     with pytest.raises(error, match=words):
         plan(suite_file(tmp_path, datasets, more))
+
+
+def test_a_suite_may_limit_the_threads_of_its_jobs(bench):
+    bench.run_suite(suite_file(bench.store.parent, f'"{bench.dataset}" = ["a"]', "threads = 1"))
+    assert {record.provenance.threads for record in bench.of_kind("fit")} == {1}

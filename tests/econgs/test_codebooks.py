@@ -88,6 +88,22 @@ def test_words_learn_by_the_values_that_take_them():
     assert book.words.grad.tolist() == [[1.0], [2.0]]
 
 
+def test_gradients_of_words_are_the_same_each_time_on_several_threads():
+    generator = torch.Generator().manual_seed(0)
+    words = torch.randn(16, 21, generator=generator, requires_grad=True)
+    ids = torch.randint(0, 16, (100_000,), generator=generator)
+    upstream = torch.randn(100_000, 21, generator=generator)
+    threads = torch.get_num_threads()
+    gradients = []
+    try:
+        for count in (1, 4, 4, 4):
+            torch.set_num_threads(count)
+            gradients += torch.autograd.grad(Codebook(words, ids).decoded(), words, upstream)
+    finally:
+        torch.set_num_threads(threads)
+    assert all(torch.equal(gradient, gradients[0]) for gradient in gradients[1:])
+
+
 def test_nearest_in_one_dimension_takes_unsorted_words():
     words = torch.tensor([[3.0], [-1.0], [0.5]])
     assert nearest(torch.tensor([[2.9], [-7.0], [0.0], [100.0]]), words).tolist() == [0, 1, 2, 0]

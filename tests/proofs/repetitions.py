@@ -1,12 +1,12 @@
 """Does the gate raise a false alarm? Repetitions of one state with other seeds, judged by a baseline of five.
 
-python -m tests.proofs.repetitions [--store DIR] [--seeds 45] [--baselines 20]
+python -m tests.proofs.repetitions [--store DIR] [--seeds 45] [--method NAME ...] [--baselines 20]
 
 Runs the suite `gate` with each seed into the store (what is finished stays), takes the seeds 0 to 4 as
-baseline, and judges every other seed alone. Nothing has changed, so each alarm is false: none of n bounds
-their rate at 3 / n (95 %). The same is repeated with baselines of five random seeds; these share runs, so
-they bound nothing, but show what a baseline that came out badly would do. Quality and sizes only: times are
-of shared machines.
+baseline, and judges every other seed of a method alone. Nothing has changed, so each alarm is false: none of
+n bounds their rate at 1 - 0.05^(1/n) (95 %). The same is repeated with baselines of five random seeds; these
+share runs, so they bound nothing, but show what a baseline that came out badly would do. Quality and sizes
+only: times are of shared machines.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
-from collections import Counter
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,123 +24,157 @@ from bench.gate.baseline import FORMAT, Baseline, Change, cell_of, sorted_cells
 from bench.gate.cells import Cell, Key, cells_of
 from bench.gate.quantities import QUANTITIES
 from bench.gate.spread import prior, quantile
-from bench.gate.verdict import LEVEL, Verdict, compare
+from bench.gate.verdict import LEVEL, Finding, Verdict, compare
 from bench.store import Store
+from bench.suites import load_suite
 from bench.tables import build_tables
 
 BASE = 5
 """Seeds of a baseline."""
+SEED_COUNTS = ((5, 1), (5, 3), (10, 1), (10, 3), (20, 1), (20, 3), (20, 5))
+"""Seeds of a baseline and of a run whose smallest losses are printed."""
+Cells = dict[Key, Cell]
 
 
-def part(cells: dict[Key, Cell], seeds: Collection[int]) -> dict[Key, Cell]:
-    """The cells with some of their seeds."""
+def part(cells: Cells, seeds: Collection[int], method: str = "") -> Cells:
+    """The cells (of a method) with some of their seeds."""
 
-    def some(values: dict) -> dict:
+    def some(values: dict[int, Any]) -> dict[int, Any]:
         return {seed: value for seed, value in values.items() if seed in seeds}
 
     return {
-        key: Cell(key, cell.version, cell.processor, some(cell.values), some(cell.views), some(cell.models))
+        key: Cell(
+            key,
+            cell.version,
+            cell.processor,
+            some(cell.values),
+            some(cell.views),
+            some(cell.models),
+            options=some(cell.options),
+        )
         for key, cell in cells.items()
+        if method in ("", key.method)
     }
 
 
-def baseline_of(cells: dict[Key, Cell], seeds: Collection[int]) -> Baseline:
+def baseline_of(cells: Cells, seeds: Collection[int]) -> Baseline:
     """A baseline in memory."""
     change = Change(date="", reason="repetitions", version="", commit=None)
     made = sorted_cells(cell_of(cell) for cell in part(cells, seeds).values())
     return Baseline(format=FORMAT, changes=[change], environment={}, cells=made)
 
 
-def judge(cells: dict[Key, Cell], base: Collection[int], seed: int) -> Verdict:
-    """The verdict on one seed."""
-    return compare(baseline_of(cells, base), part(cells, [seed]), times=False)
+def verdicts(cells: Cells, base: Collection[int], method: str) -> Iterator[tuple[int, Verdict]]:
+    """The verdict on each seed of a method that is not in the baseline; other methods add to the prior."""
+    before = baseline_of(cells, base)
+    for seed in seeds_of(cells, method):
+        if seed not in base:
+            yield seed, compare(before, part(cells, [seed], method), times=False)
+
+
+def seeds_of(cells: Cells, method: str = "") -> list[int]:
+    """Seeds that all cells (of a method) have."""
+    each = [set(cell.values) for key, cell in cells.items() if method in ("", key.method)]
+    return sorted(set.intersection(*each))
 
 
 def main() -> None:
     """Run what lacks, then print the counts and what the gate is able to see."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--store", type=Path, default=Path("out/repetitions"))
-    parser.add_argument("--seeds", type=int, default=45)
-    parser.add_argument("--baselines", type=int, default=20)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--store", type=Path, default=Path("out/repetitions"), metavar="DIR")
+    parser.add_argument(
+        "--seeds", type=int, default=45, metavar="N", help="seeds 0 to N - 1 are run; 0: none"
+    )
+    parser.add_argument("--method", action="append", metavar="NAME", help="run this one; default: all")
+    parser.add_argument("--baselines", type=int, default=20, metavar="N", help="number of random baselines")
     options = parser.parse_args()
-    seeds = list(range(options.seeds))
-    flags = [text for seed in seeds for text in ("--seed", str(seed))]
-    command = [
-        sys.executable,
-        "-m",
-        "bench",
-        "run",
-        "gate",
-        *flags,
-        "--out",
-        str(options.store),
-        "--no-report",
-    ]
-    subprocess.run(command, check=True)
+    for method in (options.method or load_suite("gate").methods) if options.seeds else ():
+        seeds = [text for seed in range(options.seeds) for text in ("--seed", str(seed))]
+        command = [
+            "bench",
+            "run",
+            "gate",
+            "--method",
+            method,
+            *seeds,
+            "--out",
+            str(options.store),
+            "--no-report",
+        ]
+        subprocess.run([sys.executable, "-m", *command], check=True)
     store = Store(options.store)
-    cells = cells_of(store, build_tables(store, write=False))
-    print_alarms("seeds 0 to 4", cells, seeds[:BASE], seeds[BASE:])
+    cells = {
+        key: cell
+        for key, cell in cells_of(store, build_tables(store, write=False)).items()
+        if set(range(BASE)) < set(cell.values)
+    }
+    if not cells:
+        sys.exit(f"{options.store}: no method has the seeds 0 to {BASE - 1} and a further one")
+    print_alarms(cells, options.baselines)
+    for least in sorted({base for base, _ in SEED_COUNTS}):
+        print_smallest(
+            {key: cell for key, cell in cells.items() if len(seeds_of(cells, key.method)) >= least}, least
+        )
+
+
+def print_alarms(cells: Cells, baselines: int) -> None:
+    """By method: repetitions, comparisons, alarms and their bound, then each alarm."""
+    print(
+        "| method | repetitions | comparisons each | alarms | gains | rate of alarms under (95 %) |", end=""
+    )
+    print(f" alarms with {baselines} random baselines |\n|---|---|---|---|---|---|---|")
     rng = np.random.default_rng(0)
-    alarms = total = 0
-    for _ in range(options.baselines):
-        base = sorted(map(int, rng.choice(seeds, BASE, replace=False)))
-        others = [seed for seed in seeds if seed not in base]
-        alarms += sum(judge(cells, base, seed).code != 0 for seed in others)
-        total += len(others)
-    print(
-        f"{options.baselines} random baselines: {alarms} alarms in {total} comparisons ({alarms / total:.2%})"
-    )
-    print_tolerances(cells, seeds[:BASE], seeds[BASE:])
+    findings: list[tuple[int, Finding]] = []
+    for method in dict.fromkeys(key.method for key in cells):
+        judged = dict(verdicts(cells, range(BASE), method))
+        tests = next(iter(judged.values())).tests
+        alarms, gains = (sum(bool(v.of(kind)) for v in judged.values()) for kind in ("worse", "better"))
+        findings += [(seed, f) for seed, v in judged.items() for f in v.of("worse", "better")]
+        bound = f"{1.0 - 0.05 ** (1.0 / len(judged)):.1%}" if not alarms else ""
+        own = {key: cell for key, cell in cells.items() if key.method == method}
+        others = [
+            verdict
+            for _ in range(baselines)
+            for _, verdict in verdicts(own, rng.choice(seeds_of(own), BASE, replace=False).tolist(), method)
+        ]
+        again = f"{sum(bool(verdict.of('worse')) for verdict in others)} of {len(others)}"
+        print(f"| {method} | {len(judged)} | {tests} | {alarms} | {gains} | {bound} | {again} |", flush=True)
+    for seed, finding in findings:
+        print(f"seed {seed}: {finding.kind} {finding.cell}: {finding.text}")
 
 
-def print_alarms(name: str, cells: dict[Key, Cell], base: list[int], others: list[int]) -> None:
-    """Alarms and gains of a baseline, with what raised them."""
-    verdicts = {seed: judge(cells, base, seed) for seed in others}
-    kinds = Counter(kind for v in verdicts.values() for kind in {f.kind for f in v.of("worse", "better")})
-    tests = next(iter(verdicts.values())).tests
-    print(
-        f"baseline of {name}: {kinds['worse']} of {len(others)} repetitions raise alarms, "
-        f"{kinds['better']} gains"
-    )
-    print(f"({tests} comparisons each; without an alarm their rate is under {3 / len(others):.1%})")
-    for seed, verdict in verdicts.items():
-        for finding in verdict.of("worse", "better"):
-            print(f"  seed {seed}: {finding.kind} {finding.cell}: {finding.text}")
+def print_smallest(cells: Cells, base: int) -> None:
+    """The smallest losses that are found with a baseline of that many seeds, as ranges over all results."""
+    if not cells:
+        return
+    names = ("psnr", "size_bytes", "missing")
+    methods = ", ".join(dict.fromkeys(key.method for key in cells))
+    print(f"\nsmallest loss that is found, {methods}\n")
+    print("| baseline | run | " + " | ".join(QUANTITIES[name].title for name in names) + " |")
+    print("|---|---|---|---|---|")
+    seeds = seeds_of(cells)
+    before = baseline_of(cells, seeds[:base])
+    tests = compare(before, part(cells, seeds[-1:]), times=False).tests
+    for runs in (runs for count, runs in SEED_COUNTS if count == base):
+        ranges = [_range(smallest(cells, name, seeds[:base], runs, tests), name) for name in names]
+        print(f"| {base} | {runs} | " + " | ".join(ranges) + " |", flush=True)
 
 
-def print_tolerances(cells: dict[Key, Cell], base: list[int], others: list[int]) -> None:
-    """By method: the largest difference that the seeds 5 and later show, and half of what the gate needs."""
-    methods = dict.fromkeys(key.method for key in cells)
-    names = ("psnr", "ssim", "flip", "size_bytes", "primitives")
-    print("| method | " + " | ".join(f"{QUANTITIES[name].title}: seeds, alarm" for name in names) + " |")
-    print("|" + "---|" * (len(names) + 1))
-    for method in methods:
-        row = [method]
-        for name in names:
-            quantity = QUANTITIES[name]
-            spreads, needs = [], []
-            for key, cell in cells.items():
-                if key.method == method:
-                    scores = [quantity.score(cell.values[seed][name]) for seed in others]
-                    spreads.append(float(np.std(scores, ddof=1)))
-                    needs.append(smallest_loss(cells, key, name, base, others[0]))
-            unit = " dB" if quantity.scale == "linear" else ""
-            row.append(
-                f"{quantity.change(float(np.mean(spreads))).lstrip('+-')}{unit}, "
-                f"{quantity.change(float(np.mean(needs))).lstrip('+-')}{unit}"
-            )
-        print("| " + " | ".join(row) + " |", flush=True)
+def smallest(cells: Cells, name: str, base: Sequence[int], runs: int, tests: int) -> list[float]:
+    """For each result the least loss of score that is found, where ``tests`` are made in all."""
+    score: Callable[[float], float] = QUANTITIES[name].score
+    variances = [
+        float(np.var([score(cell.values[seed][name]) for seed in base], ddof=1)) for cell in cells.values()
+    ]
+    shared = prior(variances, [len(base) - 1] * len(variances))
+    moderated = [shared.moderated(variance, len(base) - 1) for variance in variances]
+    error = 1.0 / len(base) + 1.0 / runs
+    return [quantile(LEVEL / tests, freedom) * float(np.sqrt(v * error)) for v, freedom in moderated]
 
 
-def smallest_loss(cells: dict[Key, Cell], key: Key, name: str, base: list[int], seed: int) -> float:
-    """The least loss of score in one result of one seed that the gate finds, from the baseline's mean."""
-    quantity = QUANTITIES[name]
-    tests = judge(cells, base, seed).tests
-    scores = {other: [quantity.score(cell.values[s][name]) for s in base] for other, cell in cells.items()}
-    variances = {other: float(np.var(values, ddof=1)) for other, values in scores.items()}
-    shared = prior(list(variances.values()), [len(base) - 1] * len(variances))
-    variance, freedom = shared.moderated(variances[key], len(base) - 1)
-    return quantile(LEVEL / tests, freedom) * float(np.sqrt(variance * (1 / len(base) + 1)))
+def _range(losses: list[float], name: str) -> str:
+    low, high = (QUANTITIES[name].change(loss).lstrip("+-") for loss in (min(losses), max(losses)))
+    return f"{low} to {high}"
 
 
 if __name__ == "__main__":

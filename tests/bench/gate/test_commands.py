@@ -53,6 +53,7 @@ def test_a_baseline_is_small_readable_and_the_same_every_time(gate: Bench, tmp_p
     text = (tmp_path / "base.json").read_text()
     assert max(map(len, text.splitlines())) < 300
     baseline = read(tmp_path / "base.json")
+    assert all(cell.options["iterations"] > 0 for cell in baseline.cells)
     assert [(cell.scene, cell.seeds) for cell in baseline.cells] == [("a", [0, 1, 2]), ("b", [0, 1, 2])]
     gate("baseline", "runs", "--out", tmp_path / "base.json", "--reason", "a better method")
     again = read(tmp_path / "base.json")
@@ -92,6 +93,17 @@ def test_means_and_shares_must_follow_from_their_parts(gate: Bench, tmp_path: Pa
     assert all(text.startswith("psnr is 99") for text in findings)
     tables["results"].loc[0, "size_bytes"] += 5
     assert [finding.text.split()[0] for finding in audit(tables)] == ["size_bytes"]
+
+
+def test_a_default_that_changed_is_found_by_its_name(gate: Bench, tmp_path: Path) -> None:
+    def more(record) -> None:
+        record["job"]["iterations"] += 1
+
+    change(tmp_path / "runs", "measure", more)
+    done = gate("gate", "--baseline", "base.json", "--without-times", code=1)
+    losses = [line for line in done.stdout.splitlines() if line.startswith("worse  ")]
+    assert len(losses) == 2
+    assert all("options differ: iterations" in line for line in losses)
 
 
 def test_what_cannot_be_compared_has_codes_of_its_own(gate: Bench, tmp_path: Path) -> None:

@@ -12,7 +12,9 @@ from bench.gate.baseline import FORMAT, Baseline, Change, cell_of
 from bench.gate.cells import Cell, Key
 from bench.gate.quantities import QUANTITIES
 from bench.gate.spread import prior, quantile, tail
+from bench.gate.text import summary
 from bench.gate.verdict import LEVEL, Verdict, compare
+from datasets.errors import DataError
 
 PROCESSOR = "a processor; 2 threads"
 VIEWS = [f"v{i}" for i in range(8)]
@@ -33,6 +35,7 @@ def cell(
         values = {name: float(rng.normal(LEVELS[name], SPREAD[name])) for name in SPREAD}
         path = values["psnr"] + psnr + rng.normal(0.0, 0.05, len(VIEWS))
         values["psnr"] = float(path.mean())
+        made.options[seed] = {"ssim_weight": 0.2, "iterations": 300}
         made.values[seed] = values | more
         made.views[seed] = dict(zip(VIEWS, map(float, path), strict=True))
     return made
@@ -158,7 +161,10 @@ def test_equal_files_of_a_model_must_measure_alike() -> None:
         assert "from the same files" in finding.text
     same.models[1] = "other"
     verdict = judge(old, {key(): same})
-    assert (verdict.code, verdict.same, verdict.differ) == (0, 0, 1)
+    assert (verdict.code, verdict.same, verdict.differ, verdict.elsewhere) == (0, 0, 1, "")
+    same.processor = "a processor; 1 threads"
+    verdict = judge(old, {key(): same})
+    assert "are of a processor; 2 threads, these of a processor; 1 threads" in summary(verdict)
 
 
 def test_times_count_on_the_same_quiet_processor_alone() -> None:
@@ -176,6 +182,26 @@ def test_times_count_on_the_same_quiet_processor_alone() -> None:
     for other in (replace(slow, kernels=[0.09]), replace(slow, busy=1), replace(slow, processor="another")):
         assert judge(old, {key(): other}).word == "not measured"
         assert judge(old, {key(): other}, times=False).word == "pass"
+
+
+def test_a_setting_that_differs_is_worse_unless_the_version_was_raised() -> None:
+    new = many(7, [7])
+    new[key()].options[7] = {"ssim_weight": 0.3, "iterations": 300, "rent": True}
+    verdict = judge(OLD, new)
+    (finding,) = verdict.findings
+    assert (finding.kind, finding.cell) == ("worse", key().title)
+    assert finding.text == "options differ: ssim_weight 0.2 → 0.3, rent absent → True"
+    new[key()].version = "2"
+    verdict = judge(OLD, new)
+    assert verdict.code == 0
+    assert [finding.kind for finding in verdict.findings] == ["note", "note"]
+
+
+def test_a_baseline_has_one_setting() -> None:
+    one = cell(np.random.default_rng(0), [0, 1, 2])
+    one.options[2]["iterations"] = 100
+    with pytest.raises(DataError, match="seeds 0 and 2 differ in options: iterations 300 → 100"):
+        cell_of(one)
 
 
 def test_a_number_that_seeds_never_change_must_not_change() -> None:
