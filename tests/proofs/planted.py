@@ -2,12 +2,14 @@
 
     python tests/proofs/planted.py                    every plant, and the same without one
     python tests/proofs/planted.py 3dgs-* sort-tiles  some of them (patterns)
-    python tests/proofs/planted.py --report           what earlier calls found, as Markdown
+    python tests/proofs/planted.py --full half-vector the gate's full form alone (three seeds, four scenes)
+    python tests/proofs/planted.py --report           what earlier calls found, as Markdown (also with --full)
 
 For each plant of plants.toml the script copies the checkout, replaces the plant's text, builds the native
 module where C++ is touched, runs the named test, runs the suite `gate` with the named method, and compares it
 with the project's baseline, as .ci/run does. Where the gate passes, the method's fingerprint is asked. The
-control does all of that without a plant and must pass.
+control does all of that without a plant and must pass. ``--full`` asks the suite `gate-full` and its baseline,
+as .ci/nightly does, and neither tests nor fingerprints.
 
 Exit code 1: a plant's text is no longer in the source, nothing notices a plant, or the control does not pass.
 """
@@ -31,7 +33,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PLANTS = Path(__file__).with_name("plants.toml")
 CONTROL = "control"
-BASELINE = ROOT / "tests" / "gate-baseline.json"
 FINGERPRINT = "tests/methods/test_fingerprints.py::test_results_are_as_recorded_for_their_version[{}]"
 _CHECKOUT = ("bench", "datasets", "econgs", "methods", "native", "reports", "tests", "docs",
              "CMakeLists.txt", "pyproject.toml", "CHANGELOG.md", "README.md")  # fmt: skip
@@ -102,11 +103,13 @@ class Proof:
 
     Args:
         work: keeps builds, views and results between calls.
+        suite: "gate" or "gate-full"; its baseline is in tests/.
     """
 
-    def __init__(self, work: Path) -> None:
-        self.work = work
-        self.results = work / "results"
+    def __init__(self, work: Path, suite: str) -> None:
+        self.work, self.suite = work, suite
+        self.baseline = ROOT / "tests" / f"{suite}-baseline.json"
+        self.results = work / f"results-{suite}"
         for folder in (self.results, work / "copies", work / "runs"):
             folder.mkdir(parents=True, exist_ok=True)
 
@@ -120,7 +123,8 @@ class Proof:
             failed = self._pytest(copy, *tests) if tests else ""
             gate = {method: self._gate(copy, name, method) for method in methods}
             missed = [method for method, finding in gate.items() if not finding]
-            prints = [method for method in missed if self._pytest(copy, FINGERPRINT.format(method))]
+            asked = missed if self.suite == "gate" else []
+            prints = [method for method in asked if self._pytest(copy, FINGERPRINT.format(method))]
             result = Result(name, gate, failed, prints)
         except RuntimeError as error:
             result = Result(name, {}, "", [], str(error))
@@ -192,8 +196,8 @@ class Proof:
         store = self.work / "runs" / f"{name} {method}"
         shutil.rmtree(store, ignore_errors=True)
         bench = [sys.executable, "-m", "bench"]
-        ran = self._in(copy, *bench, *f"run gate --method {method} --no-report --out".split(), store)
-        done = self._in(copy, *bench, "gate", store, "--without-times", "--baseline", BASELINE)
+        ran = self._in(copy, *bench, "run", self.suite, "--method", method, "--no-report", "--out", store)
+        done = self._in(copy, *bench, "gate", store, "--without-times", "--baseline", self.baseline)
         text = done.stdout + done.stderr
         (self.results / f"{name} {method}.txt").write_text(text, encoding="utf-8")
         shutil.rmtree(store, ignore_errors=True)
@@ -233,10 +237,12 @@ def line(result: Result) -> str:
 
 
 def markdown(listed: Sequence[Plant], proof: Proof) -> str:
-    """Results of all plants as a table."""
+    """Results of all plants as a table; of the full form, those that it was asked about."""
     rows = ["| Plant | What breaks | Noticed by | First finding of the gate |", "|---|---|---|---|"]
     for plant in listed:
         result = proof.known(plant.name)
+        if result is None and proof.suite != "gate":
+            continue
         if result is None or result.trouble:
             rows.append(f"| {plant.name} | {plant.breaks} | not run | |")
             continue
@@ -260,13 +266,14 @@ def main() -> int:
     parser.add_argument("patterns", nargs="*", metavar="PLANT", help="default: all, and the control")
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "proof", metavar="DIR")
     parser.add_argument("--new", action="store_true", help="only plants without a result")
+    parser.add_argument("--full", action="store_true", help="ask the gate's full form alone")
     parser.add_argument("--report", action="store_true", help="print the results of earlier calls")
     options = parser.parse_args()
     listed = plants()
     if gone := [f"{plant.name}: {plant.missing}" for plant in listed if plant.missing]:
         print("\n".join(gone), file=sys.stderr)
         return 1
-    proof = Proof(options.work.resolve())
+    proof = Proof(options.work.resolve(), "gate-full" if options.full else "gate")
     if options.report:
         print(markdown(listed, proof))
         return 0
@@ -274,12 +281,16 @@ def main() -> int:
     chosen = options.patterns or ["*"]
     for plant in listed:
         if any(fnmatch(plant.name, one) for one in chosen) and not (options.new and proof.known(plant.name)):
-            result = proof.prove(plant, plant.methods, [plant.test] if plant.test else [])
+            if options.full and not plant.methods:
+                continue
+            tests = [plant.test] if plant.test and not options.full else []
+            result = proof.prove(plant, plant.methods, tests)
             print(line(result), flush=True)
             good &= result.noticed
     if any(fnmatch(CONTROL, one) for one in chosen):
         methods = sorted({method for plant in listed for method in plant.methods})
-        result = proof.prove(None, methods, sorted({plant.test for plant in listed if plant.test}))
+        tests = [] if options.full else sorted({plant.test for plant in listed if plant.test})
+        result = proof.prove(None, methods, tests)
         print(line(result), flush=True)
         good &= not (result.noticed or result.trouble or result.fingerprints)
     return 0 if good else 1
