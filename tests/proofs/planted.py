@@ -8,8 +8,8 @@
 For each plant of plants.toml the script copies the checkout, replaces the plant's text, builds the native
 module where C++ is touched, runs the named test, runs the suite `gate` with the named method, and compares it
 with the project's baseline, as .ci/run does. Where the gate passes, the method's fingerprint is asked. The
-control does all of that without a plant and must pass. ``--full`` asks the suite `gate-full` and its baseline,
-as .ci/nightly does, and neither tests nor fingerprints.
+control does all of that without a plant and must pass. ``--full`` asks the suite `gate-full` and its
+baseline, as .ci/nightly does, and neither tests nor fingerprints.
 
 Exit code 1: a plant's text is no longer in the source, nothing notices a plant, or the control does not pass.
 """

@@ -1,0 +1,77 @@
+"""Is one prior of variances over all methods a good one, or would one per method be better?
+
+python -m tests.proofs.priors [BASELINE ...]
+
+Leaves out each seed of a baseline in turn and tests it against the others, once with the gate's prior over
+all methods and once with a prior per method. Prints how often the p-value is below a level (two-sided; a rule
+that holds what it promises has that level), and how wide tolerances are with a prior per method.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+
+from bench.gate.baseline import BaselineCell, read
+from bench.gate.quantities import QUANTITIES, Quantity
+from bench.gate.spread import prior, quantile, tail
+from bench.gate.verdict import LEVEL
+from tests.proofs.planted import ROOT
+
+_TESTS = 240  # of a comparison of six methods on two scenes
+LEVELS = (0.05, 0.01, 0.001, 0.0001)
+QUALITY = [quantity for quantity in QUANTITIES.values() if quantity.kind != "time"]
+
+
+def tests(cells: list[BaselineCell], quantity: Quantity, left: int) -> list[tuple[str, float, float]]:
+    """Method, p-value and tolerance of each cell for one seed, with one prior for these cells."""
+    scores = [
+        np.array([quantity.score(v) for v in cell.values[quantity.name] if v is not None]) for cell in cells
+    ]
+    others = [np.delete(values, left) for values in scores]
+    freedom = len(others[0]) - 1
+    shared = prior([float(np.var(values, ddof=1)) for values in others], [freedom] * len(cells))
+    out = []
+    for cell, values, rest in zip(cells, scores, others, strict=True):
+        variance, whole = shared.moderated(float(np.var(rest, ddof=1)), freedom)
+        error = float(np.sqrt(variance * (1.0 + 1.0 / len(rest))))
+        chance = 2.0 * tail(abs(values[left] - rest.mean()) / error, whole)
+        out.append((cell.method, chance, quantile(LEVEL / _TESTS, whole) * error))
+    return out
+
+
+def main() -> None:
+    """Print both rules for each baseline."""
+    names = sys.argv[1:] or [ROOT / "tests" / f"{name}-baseline.json" for name in ("gate", "gate-full")]
+    for path in map(Path, names):
+        cells = read(path).cells
+        by_method: dict[str, list[BaselineCell]] = defaultdict(list)
+        for cell in cells:
+            by_method[cell.method].append(cell)
+        print(f"{path.name}\n| prior | " + " | ".join(f"p < {level:g}" for level in LEVELS) + " |")
+        print("|---|" + "---|" * len(LEVELS))
+        tolerances: dict[str, dict[str, list[float]]] = {}
+        for name, groups in {"of all methods": [cells], "per method": list(by_method.values())}.items():
+            done = [
+                test
+                for quantity in QUALITY
+                for left in range(len(cells[0].seeds))
+                for group in groups
+                for test in tests(group, quantity, left)
+            ]
+            chances = np.array([chance for _, chance, _ in done])
+            rates = " | ".join(f"{(chances < level).mean():.2%}" for level in LEVELS)
+            print(f"| {name} | {rates} |")
+            tolerances[name] = defaultdict(list)
+            for method, _, tolerance in done:
+                tolerances[name][method].append(np.log(tolerance))
+        own, shared = tolerances["per method"], tolerances["of all methods"]
+        ratios = (f"{method} {np.exp(np.mean(own[method]) - np.mean(shared[method])):.2f}" for method in own)
+        print("tolerance per method / of all: " + ", ".join(ratios) + "\n")
+
+
+if __name__ == "__main__":
+    main()
