@@ -237,11 +237,14 @@ def line(result: Result) -> str:
 
 
 def markdown(listed: Sequence[Plant], proof: Proof) -> str:
-    """Results of all plants as a table; of the full form, those that it was asked about."""
+    """Results of all plants as a table; of the full form, the gate's findings where it was asked."""
+    full = proof.suite == "gate-full"
     rows = ["| Plant | What breaks | Noticed by | First finding of the gate |", "|---|---|---|---|"]
+    if full:
+        rows = ["| Plant | What breaks | First finding of the gate |", "|---|---|---|"]
     for plant in listed:
         result = proof.known(plant.name)
-        if result is None and proof.suite != "gate":
+        if full and (result is None or result.trouble):
             continue
         if result is None or result.trouble:
             rows.append(f"| {plant.name} | {plant.breaks} | not run | |")
@@ -250,7 +253,8 @@ def markdown(listed: Sequence[Plant], proof: Proof) -> str:
         by += [f"`{plant.test.rpartition('::')[2]}`"] if result.test else []
         by += [f"fingerprint ({method})" for method in result.fingerprints]
         gate = [f"{method}: {_finding(text)}" for method, text in result.gate.items()]
-        cells = [plant.name, plant.breaks, ", ".join(by) or "**nothing**", "<br>".join(gate) or "not asked"]
+        noticed = [] if full else [", ".join(by) or "**nothing**"]
+        cells = [plant.name, plant.breaks, *noticed, "<br>".join(gate) or "not asked"]
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(rows)
 

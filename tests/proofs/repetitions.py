@@ -1,17 +1,19 @@
 """Does the gate raise a false alarm? Repetitions of one state with other seeds, judged by a baseline of five.
 
 python -m tests.proofs.repetitions [--store DIR] [--seeds 45] [--method NAME ...] [--baselines 20]
+python -m tests.proofs.repetitions --seeds 0        judge what repetitions.csv holds
 
-Runs the suite `gate` with each seed into the store (what is finished stays), takes the seeds 0 to 4 as
-baseline, and judges every other seed of a method alone. Nothing has changed, so each alarm is false: none of
-n bounds their rate at 1 - 0.05^(1/n) (95 %). The same is repeated with baselines of five random seeds; these
-share runs, so they bound nothing, but show what a baseline that came out badly would do. Quality and sizes
-only: times are of shared machines.
+Runs the suite `gate` into the store with each seed that repetitions.csv lacks, and writes the values of all
+there. Takes the seeds 0 to 4 as baseline, and judges every other seed of a method alone. Nothing has changed,
+so each alarm is false: none of n bounds their rate at 1 - 0.05^(1/n) (95 %). The same is repeated with
+baselines of five random seeds; these share runs, so they bound nothing, but show what a baseline that came
+out badly would do. Quality and sizes only: times are of shared machines.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -21,14 +23,19 @@ from typing import Any
 import numpy as np
 
 from bench.gate.baseline import FORMAT, Baseline, Change, cell_of, sorted_cells
-from bench.gate.cells import Cell, Key, cells_of
+from bench.gate.cells import VIEW_METRIC, Cell, Key, cells_of
 from bench.gate.quantities import QUANTITIES
 from bench.gate.spread import prior, quantile
 from bench.gate.verdict import LEVEL, Finding, Verdict, compare
 from bench.store import Store
 from bench.suites import load_suite
 from bench.tables import build_tables
+from methods.registry import Registry
 
+VALUES = Path(__file__).with_name("repetitions.csv")
+"""Quantities of every repetition, and the PSNR of each view; older versions of a method do not count."""
+_NUMBERS = [name for name, quantity in QUANTITIES.items() if quantity.kind != "time"]
+_VIEW = f"{VIEW_METRIC} "
 BASE = 5
 """Seeds of a baseline."""
 SEED_COUNTS = ((5, 1), (5, 3), (10, 1), (10, 3), (20, 1), (20, 3), (20, 5))
@@ -75,7 +82,49 @@ def verdicts(cells: Cells, base: Collection[int], method: str) -> Iterator[tuple
 def seeds_of(cells: Cells, method: str = "") -> list[int]:
     """Seeds that all cells (of a method) have."""
     each = [set(cell.values) for key, cell in cells.items() if method in ("", key.method)]
-    return sorted(set.intersection(*each))
+    return sorted(set.intersection(*each)) if each else []
+
+
+def read() -> Cells:
+    """The cells that the file holds."""
+    cells: Cells = {}
+    if not VALUES.is_file():
+        return cells
+    registry = Registry()
+    with VALUES.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            rate, views = float(row["rate"]) if row["rate"] else None, int(row["requested_views"])
+            texts = {name: row[name] for name in ("dataset", "scene", "method", "variant", "preset", "split")}
+            key = Key(**texts, rate=rate, requested_views=views)
+            if row["version"] == registry.spec(key.method).version:
+                numbers = {
+                    name: float(value)
+                    for name, value in row.items()
+                    if value and (name in _NUMBERS or _VIEW in name)
+                }
+                cell = cells.setdefault(key, Cell(key, row["version"], row["processor"]))
+                seed = int(row["seed"])
+                cell.values[seed] = {name: number for name, number in numbers.items() if _VIEW not in name}
+                cell.views[seed] = {
+                    name.removeprefix(_VIEW): number for name, number in numbers.items() if _VIEW in name
+                }
+    return cells
+
+
+def write(cells: Cells) -> None:
+    """Write the file, sorted, with nine digits."""
+    views = sorted({view for cell in cells.values() for path in cell.views.values() for view in path})
+    with VALUES.open("w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        titles = [f"{_VIEW}{view}" for view in views]
+        rows.writerow([*Key._fields, "version", "processor", "seed", *_NUMBERS, *titles])
+        for key, cell in sorted(cells.items(), key=lambda item: tuple(map(str, item[0]))):
+            for seed, values in sorted(cell.values.items()):
+                numbers = [values.get(name) for name in _NUMBERS] + [
+                    cell.views[seed].get(view) for view in views
+                ]
+                texts = ["" if number is None else f"{number:.9g}" for number in numbers]
+                rows.writerow([*key, cell.version, cell.processor, seed, *texts])
 
 
 def main() -> None:
@@ -88,28 +137,25 @@ def main() -> None:
     parser.add_argument("--method", action="append", metavar="NAME", help="run this one; default: all")
     parser.add_argument("--baselines", type=int, default=20, metavar="N", help="number of random baselines")
     options = parser.parse_args()
+    every = read()
     for method in (options.method or load_suite("gate").methods) if options.seeds else ():
-        seeds = [text for seed in range(options.seeds) for text in ("--seed", str(seed))]
-        command = [
-            "bench",
-            "run",
-            "gate",
-            "--method",
-            method,
-            *seeds,
-            "--out",
-            str(options.store),
-            "--no-report",
-        ]
-        subprocess.run([sys.executable, "-m", *command], check=True)
-    store = Store(options.store)
-    cells = {
-        key: cell
-        for key, cell in cells_of(store, build_tables(store, write=False)).items()
-        if set(range(BASE)) < set(cell.values)
-    }
+        lacking = sorted(set(range(options.seeds)) - set(seeds_of(every, method)))
+        seeds = " ".join(f"--seed {seed}" for seed in lacking)
+        command = f"-m bench run gate --method {method} {seeds} --no-report --out".split()
+        if lacking:
+            subprocess.run([sys.executable, *command, str(options.store)], check=True)
+    if options.store.is_dir():
+        store = Store(options.store)
+        for key, cell in cells_of(store, build_tables(store, write=False)).items():
+            known = every.setdefault(key, Cell(key, cell.version, cell.processor))
+            known.values |= cell.values
+            known.views |= cell.views
+        write(every)
+    for cell in every.values():
+        cell.options = {seed: {} for seed in cell.values}
+    cells = {key: cell for key, cell in every.items() if set(range(BASE)) < set(cell.values)}
     if not cells:
-        sys.exit(f"{options.store}: no method has the seeds 0 to {BASE - 1} and a further one")
+        sys.exit(f"no method has the seeds 0 to {BASE - 1} and a further one")
     print_alarms(cells, options.baselines)
     for least in sorted({base for base, _ in SEED_COUNTS}):
         print_smallest(
