@@ -23,6 +23,12 @@ A block begins with ``<!-- KIND`` and a description in TOML, and ends with ``<!-
     image       file of the SVG, relative to the page
     alt         text that stands for the picture
 
+``ladders``  how far methods climb the ladders of a bundle. Keys:
+
+    bundles     as above
+    show        "breaks": the first break of each method on each ladder; "verdicts": where each method breaks
+                first, in a sentence; "flicker": that of each method on each scene
+
 ``index``    what each bundle holds; ``commands``: every command of ``bench`` with its options.
 """
 
@@ -46,12 +52,15 @@ from bench.tables import build_tables
 from reports.charts import svg
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
-from reports.style import TITLES
+from reports.conclusions.ladders import by_method, verdict
+from reports.style import TITLES, absent
+from reports.tables.confidence import signed
+from reports.tables.ladders import climbed, ladders
 from reports.tables.protocols import by_scene_choice
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
-BLOCK = re.compile(r"(<!-- (table|chart|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S)
+BLOCK = re.compile(r"(<!-- (table|chart|ladders|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S)
 METHODS = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")
 BY_ITSELF = "kind == 'basic' and rate.isna()"
 
@@ -223,6 +232,56 @@ def image(description: str) -> tuple[str, str]:
     return block["image"], svg.file(drawing) + "\n"
 
 
+def ladders_of(description: str) -> str:
+    """How far methods climb ladders, as Markdown, and a line with the conditions."""
+    block = tomllib.loads(description)
+    parts = tables(tuple(block["bundles"]))
+    rungs = ladders(parts["rungs"])
+    if rungs.empty:
+        raise SystemExit(f"no ladders for {block}")
+    shows = {"breaks": _breaks, "verdicts": _verdicts, "flicker": _flicker}
+    usual = parts["results"].query(BY_ITSELF, engine="python")
+    return f"{shows[block['show']](rungs)}\n{_conditions(usual[usual['variant'] == ''])}"
+
+
+def _breaks(rungs: pd.DataFrame) -> str:
+    climbs = climbed(rungs)
+    methods = [method for (method,) in _ordered(rungs, ["method"])]
+    rows = []
+    for ladder in dict.fromkeys(climb["ladder"] for climb in climbs):
+        own = {climb["method"]: climb for climb in climbs if climb["ladder"] == ladder}
+        name = f"**{ladder}**: {next(iter(own.values()))['purpose']}"
+        rows.append([name, *(_first_break(own.get(method)) for method in methods)])
+    return _markdown(["ladder", *(TITLES.get(name, name) for name in methods)], rows)
+
+
+def _first_break(climb: dict[str, Any] | None) -> str:
+    if climb is None:
+        return "\N{EN DASH}"
+    if climb["failure"] is None:
+        return "holds" if len(climb["outcomes"]) == climb["rungs"] else "holds where measured"
+    change = f", {signed(climb['change'], 1)} dB" if not absent(climb["change"]) else ""
+    return f"`{climb['rung']}` {climb['failure']}{change}"
+
+
+def _verdicts(rungs: pd.DataFrame) -> str:
+    own = by_method(climbed(rungs))
+    names = [name for (name,) in _ordered(rungs, ["method"])]
+    ordered = sorted(own.items(), key=lambda item: names.index(item[0][0]))
+    return "".join(f"- {verdict(climbs)}\n" for _, climbs in ordered)
+
+
+def _flicker(rungs: pd.DataFrame) -> str:
+    rows = rungs[rungs["flicker"].notna()]
+    scenes = list(dict.fromkeys(rows["subject"]))
+    lines = []
+    for (method,) in _ordered(rows, ["method"]):
+        own = rows[rows["method"] == method].set_index("subject")["flicker"]
+        cells = [f"{own[scene]:.2f}" if scene in own.index else "\N{EN DASH}" for scene in scenes]
+        lines.append([TITLES.get(method, method), *cells])
+    return _markdown(["flicker [1/255]", *(f"`{scene}`" for scene in scenes)], lines)
+
+
 def index(_: str) -> str:
     """What each bundle holds, as Markdown."""
     titles = ["bundle", "MB", "rows", "datasets", "methods", "presets", "seeds"]
@@ -269,6 +328,7 @@ def _escaped(text: str | None) -> str:
 KINDS: dict[str, Callable[[str], str]] = {
     "table": table,
     "chart": chart,
+    "ladders": ladders_of,
     "index": index,
     "commands": commands,
 }

@@ -10,17 +10,17 @@ from reports.charts.chart import Axis, Bar, Chart, Panel
 from reports.charts.elements import Section, card, legend
 from reports.conclusions.ladders import words
 from reports.style import PALETTE, Look, label
-from reports.tables.ladders import climbed
+from reports.tables.ladders import climbed, held
 
 if TYPE_CHECKING:
     from reports.charts.report import Report
 
-_HELD, _UNKNOWN = "#A8D5C5", "#E3E5E8"
 KINDS = {
     "quality": PALETTE[4], "floaters": PALETTE[5], "vanishing parts": PALETTE[3], "explosion": PALETTE[0],
     "collapse": PALETTE[1], "failed step": PALETTE[7],
 }  # fmt: skip
 """Kind of break -> its color; all kinds of failed steps have one."""
+_COLORS = {"holds": "#A8D5C5", **KINDS, "not measured": "#E3E5E8"}
 _SPAN = 0.92
 """Share of a column's width that a ladder's rungs take."""
 _GAP = 0.012
@@ -42,30 +42,23 @@ def anchor(prefix: str, name: str) -> str:
 def ladder_chart(climbs: Sequence[dict[str, Any]]) -> Chart:
     """A row per ladder and a column per method: a field for each rung above the usual run.
 
-    Fields up to the first break have the color of rungs that hold, the others that of the kind of the break.
-
     Args:
         climbs: as of :func:`reports.tables.ladders.climbed`.
     """
     rows = list(dict.fromkeys(title(row, climbs) for row in climbs))
-    columns = list(dict.fromkeys(sorted(label(row["method"], row["variant"]) for row in climbs)))
+    columns = [label(*name) for name in sorted({(row["method"], row["variant"]) for row in climbs})]
     bars = []
-    colors = {}
+    used = set()
     for row in climbs:
         method, ladder = label(row["method"], row["variant"]), title(row, climbs)
         about = "\n".join([f"{method}, {ladder}: {row['purpose']}", _outcome(row)])
         left, width = columns.index(method) - 0.5 * _SPAN, _SPAN / (row["rungs"] - 1)
         for place in range(1, row["rungs"]):
-            if place < row["held"]:
-                kind, color = "holds", _HELD
-            elif row["failure"] is not None:
-                kind = kind_of(row["failure"])
-                color = KINDS[kind]
-            else:
-                kind, color = "not measured", _UNKNOWN
-            colors[kind] = color
+            failure = row["outcomes"].get(place)
+            kind = kind_of(failure) if failure else "holds" if place in row["outcomes"] else "not measured"
+            used.add(kind)
             start = left + width * (place - 1)
-            bars.append(Bar(rows.index(ladder), start + _GAP, start + width - _GAP, color, about))
+            bars.append(Bar(rows.index(ladder), start + _GAP, start + width - _GAP, _COLORS[kind], about))
     x = Axis(
         "", -0.5, len(columns) - 0.5, ticks=tuple(enumerate(columns)), grid=False, above=True,
         links={name: anchor("method", name) for name in columns},
@@ -75,8 +68,7 @@ def ladder_chart(climbs: Sequence[dict[str, Any]]) -> Chart:
         links={title(row, climbs): anchor("ladder", row["ladder"]) for row in climbs},
     )  # fmt: skip
     width, height = 130.0 + _COLUMN * len(columns), 32.0 + _ROW * len(rows)
-    order = [kind for kind in ("holds", *KINDS, "not measured") if kind in colors]
-    looks = {kind: Look(colors[kind], "square", "") for kind in order}
+    looks = {kind: Look(color, "square", "") for kind, color in _COLORS.items() if kind in used}
     return Chart([Panel("", x, y, bars=bars, width=width, height=height)], looks)
 
 
@@ -88,10 +80,10 @@ def title(row: dict[str, Any], climbs: Sequence[dict[str, Any]]) -> str:
 
 def _outcome(row: dict[str, Any]) -> str:
     if row["failure"] is not None:
-        return f"breaks at {words(row)}"
-    if row["measured"] == row["rungs"]:
+        return f"first breaks at {words(row)}"
+    if len(row["outcomes"]) == row["rungs"]:
         return "holds on all rungs"
-    return f"holds on {row['measured'] - 1} of {row['rungs'] - 1} rungs; the others are not measured"
+    return f"holds on the {held(row)} measured of {row['rungs'] - 1} rungs"
 
 
 def ladders_section(report: Report) -> Section | None:
@@ -102,10 +94,10 @@ def ladders_section(report: Report) -> Section | None:
     chart = ladder_chart(climbs)
     text = (
         "A ladder leads from the usual run to one that no method may survive. A field is a rung above the "
-        "usual run: green where it holds; from the first break on, the color of that break. Of several "
-        "scenes the one counts on which the method breaks first. A rung breaks where a step fails or where, "
-        "against the usual run, PSNR falls by 3 dB (quality), a fifth of the truth's alpha more is missing "
-        "(vanishing parts; more than half of it: collapse) or in excess (floaters, or swollen primitives), "
+        "usual run: green where it holds, else in the color of its break; of several scenes the gravest "
+        "counts. A rung breaks where a step fails or where, against the usual run, PSNR falls by 3 dB "
+        "(quality), a fifth of the truth's alpha more is missing (vanishing parts; more than half of it: "
+        "collapse) or in excess (floaters, or swollen primitives), "
         "or there are more than 5 times the primitives (explosion). Where a rung has other test pictures, "
         "its fall is that of the distance to the best method. A ladder and a method lead to their details. "
         'All rungs: <a href="ladders.csv">ladders</a>.'

@@ -1,6 +1,6 @@
 """What ladders say about a method: how many rungs it holds, and where it breaks first.
 
-The usual run, a ladder's first rung, counts nowhere; a method that breaks there holds no rung.
+The usual run, a ladder's first rung, counts nowhere.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from reports.style import absent, label
 from reports.tables.columns import records
 from reports.tables.confidence import signed
-from reports.tables.ladders import severity
+from reports.tables.ladders import held, severity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +36,7 @@ class Tally:
     Of several scenes on which a ladder is climbed, a rung holds where it holds on all.
 
     Attributes:
-        held: method -> rungs below its first breaks.
+        held: method -> rungs that hold.
         rungs: number of them all.
         ladders: number of ladders.
         others: method that is not compared -> number of ladders that it climbed.
@@ -66,7 +66,7 @@ def tally(table: pd.DataFrame, methods: Collection[str], preset: str) -> Tally |
     compared = [name for name in methods if len(climbs.get(name, ())) >= max(1.0, _LEAST_SHARE * most)]
     if len(compared) < 2:
         return None
-    held = dict.fromkeys(compared, 0)
+    counts = dict.fromkeys(compared, 0)
     rungs = ladders = 0
     for ladder in set.intersection(*(set(climbs[name]) for name in compared)):
         own = {name: climbs[name][ladder] for name in compared}
@@ -78,11 +78,10 @@ def tally(table: pd.DataFrame, methods: Collection[str], preset: str) -> Tally |
         rungs += len(places)
         ladders += bool(places)
         for name, each in own.items():
-            broken = (at for subject, all_have in shared.items() for at in all_have if each[subject][at])
-            first = min(broken, default=None)
-            held[name] += sum(first is None or place < first for place in places)
+            broken = {at for subject, all_have in shared.items() for at in all_have if each[subject][at]}
+            counts[name] += len(places - broken)
     others = {name: len(climbs.get(name, ())) for name in methods if name not in compared}
-    return Tally(held, rungs, ladders, others) if rungs else None
+    return Tally(counts, rungs, ladders, others) if rungs else None
 
 
 def by_method(climbs: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
@@ -105,7 +104,9 @@ def verdict(climbs: Sequence[Row]) -> str:
     """
     name = label(climbs[0]["method"], climbs[0]["variant"])
     broken = [climb for climb in climbs if climb["failure"] is not None]
-    whole = [climb for climb in climbs if climb["failure"] is None and climb["measured"] == climb["rungs"]]
+    whole = [
+        climb for climb in climbs if climb["failure"] is None and len(climb["outcomes"]) == climb["rungs"]
+    ]
     count = _count(len(climbs), "ladder")
     if not broken:
         return f"{name} breaks on none of {count}{_rest(climbs)}."
@@ -137,15 +138,12 @@ def summary(climbs: Iterable[Row]) -> list[str]:
     width = max((len(label(*name)) for name in methods), default=0)
     lines = []
     for name, own in methods.items():
-        held = sum(max(0, climb["held"] - 1) for climb in own)
-        rungs = sum(climb["rungs"] - 1 if climb["failure"] else climb["measured"] - 1 for climb in own)
-        breaks = [
-            f"{climb['ladder']} at {climb['rung']} ({climb['failure']})"
-            for climb in own
-            if climb["failure"] is not None
-        ]
-        text = f"breaks on {', '.join(breaks)}" if breaks else "nothing breaks"
-        lines.append(f"{label(*name):<{width}}  holds {held} of {_count(rungs, 'rung')}; {text}")
+        rungs = sum(place > 0 for climb in own for place in climb["outcomes"])
+        breaks = [f"{climb['rung']} ({climb['failure']})" for climb in own if climb["failure"] is not None]
+        text = f"breaks at {', '.join(breaks)}" if breaks else "nothing breaks"
+        lines.append(
+            f"{label(*name):<{width}}  holds {sum(map(held, own))} of {_count(rungs, 'rung')}; {text}"
+        )
     return lines
 
 
@@ -175,9 +173,8 @@ def listing(names: Iterable[str]) -> str:
 
 
 def _rest(climbs: Iterable[Row]) -> str:
-    missing = sum(climb["rungs"] - climb["measured"] for climb in climbs if climb["failure"] is None)
-    verb = "is" if missing == 1 else "are"
-    return f"; {_count(missing, 'rung')} above those that hold {verb} not measured" if missing else ""
+    missing = sum(climb["rungs"] - len(climb["outcomes"]) for climb in climbs)
+    return f"; {_count(missing, 'rung')} {'is' if missing == 1 else 'are'} not measured" if missing else ""
 
 
 def _count(number: int, noun: str) -> str:

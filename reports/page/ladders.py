@@ -17,7 +17,7 @@ from reports.schema import COLUMNS, COVERAGE
 from reports.style import MISSING, absent, label
 from reports.tables.columns import records
 from reports.tables.confidence import signed
-from reports.tables.ladders import climbed
+from reports.tables.ladders import climbed, held
 
 if TYPE_CHECKING:
     import numpy as np
@@ -56,7 +56,7 @@ def _method(own: Sequence[Row], climbs: Sequence[Row]) -> str:
         [
             f'<a href="#{anchor("ladder", row["ladder"])}">{escape(title(row, climbs))}</a>',
             f'<span class="wrap">{escape(row["purpose"])}</span>',
-            f"{max(0, row['held'] - 1)} of {row['rungs'] - 1}",
+            f"{held(row)} of {row['rungs'] - 1}",
             *(escape(row[name] or "") or MISSING for name in ("rung", "subject")),
             _kind(row["failure"], row["reason"]) or MISSING,
             MISSING if absent(row["change"]) else signed(row["change"]),

@@ -70,7 +70,7 @@ def thumbnail(pixels: NDArray[np.uint8]) -> str:
 
     image = Image.fromarray(pixels)
     image.thumbnail((_THUMBNAIL, _THUMBNAIL), Image.Resampling.LANCZOS)
-    return _encoded(image, quality=80)
+    return _encoded(image, quality=70)
 
 
 def uri(pixels: NDArray[np.uint8]) -> str:

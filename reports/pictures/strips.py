@@ -23,7 +23,7 @@ RULE = (
     "Pictures are of one scene, that on which the most methods break, and of one view: that on which the "
     "methods lose most PSNR from the usual run to their last picture, mean over methods. Where test pictures "
     "differ from rung to rung, it is each rung's view with the lowest mean PSNR. A method has no pictures "
-    "above its first break."
+    "above its first break, unless rungs are scenes."
 )
 FACTOR = 8
 """Amplification of the change of error in pictures."""
@@ -77,7 +77,7 @@ def views_of_jobs(views: pd.DataFrame) -> ViewsOfJobs:
 
 
 def until_break(rows: Sequence[Row]) -> dict[tuple[str, str], dict[int, Row]]:
-    """Method and variant -> place -> rung, up to the first break.
+    """Method and variant -> place -> rung, up to the first break; all where rungs are scenes.
 
     Args:
         rows: of :func:`reports.tables.ladders.ladders`, of one ladder and subject.
@@ -88,7 +88,7 @@ def until_break(rows: Sequence[Row]) -> dict[tuple[str, str], dict[int, Row]]:
         name = (row["method"], row["variant"])
         if name not in broken:
             methods.setdefault(name, {})[row["place"]] = row
-        if not absent(row["failure"]):
+        if row["subject"] and not absent(row["failure"]):
             broken.add(name)
     return methods
 

@@ -35,6 +35,9 @@ FAILURES = (
 """Kinds of breaks, the gravest first."""
 _MEANS = ("psnr", "missing", "excess", "flicker", "primitives", "size_bytes", "train_seconds")
 _FACTS = ("purpose", "rungs", "rung", "dataset", "scene", "same_truth", "job")
+_OF_BREAK = (
+    "place", "rung", "failure", "subject", "scene", "change", "missing", "excess", "reason", "job",
+)  # fmt: skip
 _KEY = ("ladder", "preset", "split", "requested_views", "subject", "method", "variant")
 COLUMNS_OF_LADDERS = (
     *_KEY, "purpose", "place", "rungs", "rung", "dataset", "scene", "same_truth", "psnr", "psnr_std", "seeds",
@@ -88,46 +91,57 @@ def ladders(rungs: pd.DataFrame) -> pd.DataFrame:
 
 
 def climbed(table: pd.DataFrame) -> list[Row]:
-    """How far each method climbs each ladder, on the subject where it comes least far.
+    """How far each method climbs each ladder, on all subjects together.
 
     Args:
         table: of :func:`ladders`.
 
     Returns:
-        A row per ladder, preset, split, number of views, method and variant, in the order of the ladders:
-        ``held``, rungs before the first break; ``rungs`` of the ladder and its ``purpose``; ``place``,
-        ``rung`` and ``failure`` of that break and its ``subject``, ``scene``, ``change``, ``missing``,
-        ``excess``, ``reason``; None without a break. Of subjects with equally early breaks, the one with
-        the gravest counts. Rungs that were not measured count as held only below a later one that was:
-        ``measured`` is the number of those up to the last measured one.
+        A row per ladder, preset, split, number of views, method and variant, in the order of the ladders.
+        ``rungs`` of the ladder and its ``purpose``; ``outcomes``, place of a measured rung -> the gravest
+        kind of break of any subject, None if the rung holds on all. Of the first break, on the subject with
+        the earliest and gravest: ``place``, ``rung``, ``failure``, ``subject``, ``scene``, ``change``,
+        ``missing``, ``excess``, ``reason``, ``job``; None without a break.
     """
-    worst: dict[tuple[Any, ...], Row] = {}
-    subjects: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
+    climbs: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
     for row in records(table):
-        subjects[tuple(row[name] for name in _KEY)].append(row)
-    for key, rows in subjects.items():
-        rows.sort(key=lambda row: row["place"])
-        broken = next((row for row in rows if not absent(row["failure"])), None)
-        last = rows[-1]["place"] + 1
-        row = dict(zip(_KEY, key, strict=True)) | {"measured": last}
-        row |= {name: rows[0][name] for name in ("rungs", "purpose")}
-        row["held"] = last if broken is None else broken["place"]
-        for name in ("place", "rung", "failure", "scene", "change", "missing", "excess", "reason", "job"):
-            row[name] = None if broken is None or absent(broken[name]) else broken[name]
-        if broken is None:
-            row["subject"] = ""
-        whose = tuple(row[name] for name in _KEY if name != "subject")
-        if whose not in worst or severity(row) < severity(worst[whose]):
-            worst[whose] = row
-    return list(worst.values())
+        climbs[tuple(row[name] for name in _KEY if name != "subject")].append(row)
+    result = []
+    for key, rows in climbs.items():
+        outcomes: dict[int, str | None] = {}
+        for row in rows:
+            kinds = [outcomes.get(row["place"]), None if absent(row["failure"]) else row["failure"]]
+            outcomes[row["place"]] = min(kinds, key=_gravity)
+        broken = min(
+            (row for row in rows if not absent(row["failure"])),
+            key=lambda row: (
+                row["place"],
+                _gravity(row["failure"]),
+                0.0 if absent(row["change"]) else row["change"],
+            ),
+            default=None,
+        )
+        climb = dict(zip((name for name in _KEY if name != "subject"), key, strict=True))
+        climb |= {"rungs": rows[0]["rungs"], "purpose": rows[0]["purpose"], "outcomes": outcomes}
+        for name in _OF_BREAK:
+            climb[name] = None if broken is None or absent(broken[name]) else broken[name]
+        result.append(climb)
+    return result
+
+
+def held(climb: Row) -> int:
+    """Number of rungs above the usual run that hold."""
+    return sum(place > 0 and kind is None for place, kind in climb["outcomes"].items())
+
+
+def _gravity(failure: str | None) -> int:
+    return len(FAILURES) if failure is None else FAILURES.index(failure)
 
 
 def severity(climb: Row) -> tuple[float, int, float]:
-    """Sorts climbs, the earliest break ahead: by share of the rungs above the usual run that hold, then by
-    kind of break and change.
-    """
-    kind = len(FAILURES) if climb["failure"] is None else FAILURES.index(climb["failure"])
-    return (climb["held"] - 1) / (climb["rungs"] - 1), kind, climb["change"] or 0.0
+    """Sorts climbs, the earliest break ahead: by the share of rungs before it, kind of break and change."""
+    before = climb["rungs"] if climb["failure"] is None else climb["place"]
+    return (before - 1) / (climb["rungs"] - 1), _gravity(climb["failure"]), climb["change"] or 0.0
 
 
 def _mean(rows: Sequence[Row]) -> Row:

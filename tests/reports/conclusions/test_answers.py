@@ -245,8 +245,8 @@ def robust(*climbs, methods="ab"):
 def test_the_most_robust_holds_the_most_rungs() -> None:
     answer = robust(climb("a", 30.0, 29.0, 28.0, 20.0), climb("b", 33.0, 29.0, 28.0, 32.0))
     assert answer.winner == "a"
-    assert answer.sentence == "a holds 2 rungs of 3 on 1 ladder from harmless to fatal; b 0."
-    assert [place.text for place in answer.places] == ["2 of 3 rungs", "0 of 3 rungs"]
+    assert answer.sentence == "a holds 2 rungs of 3 on 1 ladder from harmless to fatal; b 1."
+    assert [place.text for place in answer.places] == ["2 of 3 rungs", "1 of 3 rungs"]
 
 
 def test_equally_many_rungs_have_no_winner() -> None:
@@ -271,10 +271,10 @@ def test_a_method_with_few_ladders_is_not_compared() -> None:
     assert "c climbed 1 ladder and is not compared; d climbed 0 ladders and" in answer.sentence
 
 
-def test_a_failed_fit_holds_nothing_from_there_on() -> None:
+def test_a_failed_fit_holds_nothing() -> None:
     failed = climb("b", 30.0, 29.0, 29.0)
     failed[1] |= {"status": "oom", "psnr": None}
-    assert robust(climb("a", 30.0, 29.0, 20.0), failed).winner == "a"
+    assert robust(climb("a", 30.0, 29.0, 29.0), failed).winner == "a"
 
 
 def test_without_two_methods_on_a_ladder_the_worst_case_decides() -> None:

@@ -44,7 +44,7 @@ def test_a_single_first_break_is_described() -> None:
 
 def test_what_was_not_measured_is_said() -> None:
     (own,) = by_method(climbs({"place": 0, "rungs": 4}, {"place": 1, "rungs": 4})).values()
-    text = "a breaks on none of 1 ladder; 2 rungs above those that hold are not measured."
+    text = "a breaks on none of 1 ladder; 2 rungs are not measured."
     assert verdict(own) == text
 
 
@@ -53,8 +53,8 @@ def test_a_line_per_method_for_a_terminal() -> None:
     failed[1] |= {"status": "oom", "psnr": None}
     rows = [*one(30.0, 29.0, 20.0, ladder="x"), *one(30.0, 29.0, ladder="y"), *failed]
     assert summary(climbs(*rows)) == [
-        "a  holds 2 of 3 rungs; breaks on x at r2 (quality)",
-        "b  holds 0 of 2 rungs; breaks on x at r1 (memory)",
+        "a  holds 2 of 3 rungs; breaks at r2 (quality)",
+        "b  holds 1 of 2 rungs; breaks at r1 (memory)",
     ]
 
 

@@ -40,6 +40,11 @@ def test_pictures_end_at_the_first_break() -> None:
     }
 
 
+def test_ladders_of_scenes_have_all_pictures() -> None:
+    own = rows(*({"place": place, "psnr": 30.0 - 5 * place, "subject": ""} for place in range(3)))
+    assert list(until_break(own)["a", ""]) == [0, 1, 2]
+
+
 def test_the_scene_is_that_where_most_methods_break() -> None:
     def pair(subject, method, psnr):
         common = {"subject": subject, "method": method}

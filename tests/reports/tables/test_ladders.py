@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from reports.schema import frame
-from reports.tables.ladders import COLUMNS_OF_LADDERS, FAILURES, climbed, ladders
+from reports.tables.ladders import COLUMNS_OF_LADDERS, FAILURES, climbed, held, ladders, severity
 
 USUAL = {
     "ladder": "noise", "rungs": 4, "subject": "vortices/cores", "dataset": "vortices", "scene": "cores",
@@ -108,6 +108,29 @@ def test_the_worst_subject_decides_how_far_a_method_climbs() -> None:
             rows.append({"subject": subject, "place": place, "psnr": 20.0 if place >= falls else 30.0})
     rows += [{"method": "b", "place": place} for place in range(3)]
     first, second = climbed(ladders(table(*rows)))
-    assert (first["held"], first["measured"], first["rungs"]) == (2, 4, 4)
+    assert first["outcomes"] == {0: None, 1: None, 2: "quality", 3: "quality"}
+    assert (held(first), first["place"], first["rungs"]) == (1, 2, 4)
     assert (first["subject"], first["failure"], first["rung"]) == ("vis_male/skin", "quality", "r2")
-    assert (second["held"], second["measured"], second["failure"], second["subject"]) == (3, 3, None, "")
+    assert second["outcomes"] == {0: None, 1: None, 2: None}
+    assert (held(second), second["failure"], second["subject"]) == (2, None, None)
+
+
+def test_the_gravest_kind_of_all_subjects_is_a_rungs() -> None:
+    rows = [{"subject": subject, "place": place} for subject in ("x/x", "y/y") for place in range(3)]
+    rows[1] |= {"psnr": 20.0}
+    rows[4] |= {"excess": 0.9, "psnr": 29.0}
+    (climb,) = climbed(ladders(table(*rows)))
+    assert climb["outcomes"] == {0: None, 1: "floaters", 2: None}  # a rung above a break may hold
+    assert (climb["subject"], climb["failure"], climb["change"]) == ("y/y", "floaters", -1.0)
+    assert held(climb) == 1
+
+
+def test_severity_is_the_share_of_rungs_before_the_break() -> None:
+    def climb(place, rungs, failure="quality", change=-5.0):
+        return {"place": place, "rungs": rungs, "failure": failure, "change": change}
+
+    ordered = [
+        climb(0, 3), climb(1, 4, "collapse"), climb(1, 2, change=-9.0), climb(1, 2), climb(2, 4), climb(2, 3),
+        climb(None, 3, None, None),
+    ]  # fmt: skip
+    assert sorted([*ordered[3:], *ordered[:3]], key=severity) == ordered
