@@ -52,9 +52,8 @@ from bench.tables import build_tables
 from reports.charts import svg
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
-from reports.conclusions.ladders import by_method, verdict
-from reports.style import TITLES, absent
-from reports.tables.confidence import signed
+from reports.conclusions.ladders import amount, by_method, verdict
+from reports.style import TITLES
 from reports.tables.ladders import climbed, ladders
 from reports.tables.protocols import by_scene_choice
 
@@ -237,6 +236,7 @@ def ladders_of(description: str) -> str:
     block = tomllib.loads(description)
     parts = tables(tuple(block["bundles"]))
     rungs = ladders(parts["rungs"])
+    rungs = rungs[rungs["variant"] == ""]
     if rungs.empty:
         raise SystemExit(f"no ladders for {block}")
     shows = {"breaks": _breaks, "verdicts": _verdicts, "flicker": _flicker}
@@ -260,8 +260,7 @@ def _first_break(climb: dict[str, Any] | None) -> str:
         return "\N{EN DASH}"
     if climb["failure"] is None:
         return "holds" if len(climb["outcomes"]) == climb["rungs"] else "holds where measured"
-    change = f", {signed(climb['change'], 1)} dB" if not absent(climb["change"]) else ""
-    return f"`{climb['rung']}` {climb['failure']}{change}"
+    return f"`{climb['rung']}` {', '.join(filter(None, [climb['failure'], amount(climb)]))}"
 
 
 def _verdicts(rungs: pd.DataFrame) -> str:

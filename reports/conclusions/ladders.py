@@ -25,6 +25,10 @@ Breaks = dict[int, bool]
 """Place of a measured rung -> whether it breaks."""
 _LEAST_SHARE = 0.5
 """Share of the ladders of the method with the most that a method needs to be compared."""
+_DECIDES = {
+    "quality": "change", "vanishing parts": "missing", "collapse": "missing", "floaters": "excess",
+}  # fmt: skip
+"""Kind of break -> the column that decides it."""
 _MOST_NAMES = 4
 """Ladders that a sentence names one by one."""
 
@@ -122,10 +126,17 @@ def verdict(climbs: Sequence[Row]) -> str:
 
 
 def words(climb: Row) -> str:
-    """A first break, as "views=6 on vis_male/skin: quality, -3.40 dB"."""
+    """A first break, as "views=6 on vis_male/skin: quality, -3.4 dB"."""
     where = f" on {climb['subject']}" if climb["subject"] else ""
-    change = "" if absent(climb["change"]) else f", {signed(climb['change'])} dB"
-    return f"{climb['rung']}{where}: {climb['failure']}{change}"
+    return f"{climb['rung']}{where}: {', '.join(filter(None, [climb['failure'], amount(climb)]))}"
+
+
+def amount(climb: Row) -> str:
+    """What decides that a first break is one, as "-3.4 dB" or "43 % missing"; "" of failed steps."""
+    column = _DECIDES.get(climb["failure"])
+    if column is None or absent(climb[column]):
+        return ""
+    return f"{signed(climb[column], 1)} dB" if column == "change" else f"{100 * climb[column]:.0f} % {column}"
 
 
 def summary(climbs: Iterable[Row]) -> list[str]:

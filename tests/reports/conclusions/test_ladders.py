@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from reports.conclusions.ladders import by_method, flickering, summary, verdict
+import pytest
+
+from reports.conclusions.ladders import by_method, flickering, summary, verdict, words
 from reports.tables.ladders import climbed, ladders
 from tests.reports.tables.test_ladders import table
 
@@ -37,9 +39,25 @@ def test_a_single_first_break_is_described() -> None:
     (own,) = by_method(climbs(*rows)).values()
     text = verdict(own)
     assert text.startswith(
-        "a breaks first on “late” (r2 on vortices/cores: quality, \N{MINUS SIGN}10.00 dB); it"
+        "a breaks first on “late” (r2 on vortices/cores: quality, \N{MINUS SIGN}10.0 dB); it"
     )
     assert text.endswith("; it breaks on 2 of 2 ladders.")
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"psnr": 26.0}, "quality, \N{MINUS SIGN}4.0 dB"),
+        ({"missing": 0.43}, "vanishing parts, 43 % missing"),
+        ({"missing": 0.9}, "collapse, 90 % missing"),
+        ({"excess": 0.3}, "floaters, 30 % excess"),
+        ({"primitives": 9000}, "explosion"),
+        ({"status": "oom", "psnr": None}, "memory"),
+    ],
+)
+def test_a_break_is_described_by_what_decides_it(change, text) -> None:
+    (climb,) = climbs({"place": 0}, {"place": 1} | change)
+    assert words(climb) == f"r1 on vortices/cores: {text}"
 
 
 def test_what_was_not_measured_is_said() -> None:

@@ -43,7 +43,7 @@ def test_heads_of_the_heat_map_lead_to_methods_and_ladders(maker, tables) -> Non
     assert {"method-3dgs", "method-hac", "ladder-noise"} <= outline.references
     assert outline.references <= set(outline.ids)
     assert outline.wrong == []
-    assert "3DGS breaks first on “noise” (r2 on vortices/cores: quality, \N{MINUS SIGN}10.00 dB)" in text
+    assert "3DGS breaks first on “noise” (r2 on vortices/cores: quality, \N{MINUS SIGN}10.0 dB)" in text
     assert "hold 1 rung of 2 on 1 ladder" in text
 
 
