@@ -20,7 +20,7 @@ KINDS = {
     "collapse": PALETTE[1], "failed step": PALETTE[7],
 }  # fmt: skip
 """Kind of break -> its color; all kinds of failed steps have one."""
-_COLORS = {"holds": "#A8D5C5", **KINDS, "not measured": "#E3E5E8"}
+_COLORS = {"holds": "#A8D5C5", **KINDS, "not measured": "#dddddd"}
 _SPAN = 0.92
 """Share of a column's width that a ladder's rungs take."""
 _GAP = 0.012

@@ -104,7 +104,10 @@ def _ladders(report: Report, climbs: Sequence[Row], views: strips.ViewsOfJobs, r
         seen.add(place)
         name = f"<b>{escape(title(rows[0], climbs))}</b>: {escape(rows[0]['purpose'])}"
         blocks.append(f"<details{mark}><summary>{name}</summary>{''.join(tables)}</details>")
-    note = "PSNR is the mean over test views and seeds, with its change against the usual run."
+    note = (
+        "PSNR is the mean over test views and seeds, with its standard deviation where there are several "
+        "seeds, and its change against the usual run in parentheses."
+    )
     if room < PICTURE_BYTES:
         note += f" {strips.RULE}"
     if omitted:
@@ -146,7 +149,8 @@ def _cell(row: Row | None, picture: str) -> str:
         return MISSING
     broken = not absent(row["failure"])
     style = f' style="--kind:{KINDS[kind_of(row["failure"])]}"' if broken and picture else ""
-    text = MISSING if absent(row["psnr"]) else f"{COLUMNS['psnr'].text(row['psnr'])} dB"
+    spread = "" if absent(row["psnr_std"]) else f" ± {COLUMNS['psnr_std'].text(row['psnr_std'])}"
+    text = MISSING if absent(row["psnr"]) else f"{COLUMNS['psnr'].text(row['psnr'])}{spread} dB"
     if row["place"] and not absent(row["change"]):
         text += f" ({signed(row['change'])})"
     kind = _kind(row["failure"], row["reason"])

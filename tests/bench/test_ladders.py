@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -209,9 +210,10 @@ def test_truth_and_test_views_under_stress(truth) -> None:
 
 
 def test_a_run_with_ladders(bench, suite, tmp_path) -> None:
-    bench.run_suite(
+    done = bench.run_suite(
         suite(LADDERS.replace('"noise=32"', '"noise=32", "units=1000"')), "--scene", "shock", report=True
     )
+    assert re.search(r"^fake +holds [0-5] of 5 rungs", done.stdout, re.M)
     tables = bench.tables()
     assert list(tables["results"]["kind"]) == ["basic"] * len(
         tables["results"]
@@ -225,6 +227,9 @@ def test_a_run_with_ladders(bench, suite, tmp_path) -> None:
         ("opacity", 0): "as usual", ("opacity", 1): "opacity=0.1",
     }  # fmt: skip
     assert set(rungs["status"]) == {"ok"}
+    assert list(dict.fromkeys(rungs["ladder"])) == ["noise", "zoom", "opacity"]  # as in the suite
+    assert set(tables["rung_views"]["job"]) == set(rungs["job"])
+    assert all((bench.store / file).is_file() for file in tables["rung_views"]["render_file"])
     plain = rungs[rungs["ladder"] == "noise"].set_index("place")
     assert plain["psnr"][2] < plain["psnr"][1] < plain["psnr"][0]
     assert plain["psnr"][3] == pytest.approx(plain["psnr"][0], abs=0.5)

@@ -64,6 +64,13 @@ def test_pictures_beyond_the_limit_are_left_out(maker, tables, monkeypatch) -> N
     assert "omits pictures of 1 ladder to" in html
 
 
+def test_several_seeds_have_a_spread(maker, tables) -> None:
+    rows = [*RUNGS, RUNGS[2] | {"seed": 1, "psnr": 22.0}]
+    html = ladders.section(Report(tables | {"rungs": table(*rows)}), maker.root)
+    assert "21.00 ± 1.41 dB (\N{MINUS SIGN}9.00)" in html
+    assert html.count("±") == 1
+
+
 def test_the_least_flicker_is_marked(maker, tables) -> None:
     tables["rungs"]["flicker"] = [None, 2.0, None, None, 1.0, None]
     html = ladders.section(Report(tables), maker.root)
