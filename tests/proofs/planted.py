@@ -233,7 +233,7 @@ def line(result: Result) -> str:
     by = [f"gate with {method}: {finding}" for method, finding in result.gate.items() if finding]
     by += [result.test] if result.test else []
     by += [f"fingerprint of {method}" for method in result.fingerprints]
-    return f"{result.name}: {'; '.join(by) or 'not noticed'}"
+    return f"{result.name}: {'; '.join(by) or ('passes' if result.name == CONTROL else 'not noticed')}"
 
 
 def markdown(listed: Sequence[Plant], proof: Proof) -> str:

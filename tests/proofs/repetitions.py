@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from bench.gate.baseline import FORMAT, Baseline, Change, cell_of, sorted_cells
+from bench.gate.baseline import read as read_baseline
 from bench.gate.cells import VIEW_METRIC, Cell, Key, cells_of
 from bench.gate.quantities import QUANTITIES
 from bench.gate.spread import prior, quantile
@@ -34,6 +35,7 @@ from methods.registry import Registry
 
 VALUES = Path(__file__).with_name("repetitions.csv")
 """Quantities of every repetition, and the PSNR of each view; older versions of a method do not count."""
+PROJECT = Path(__file__).parents[1] / "gate-baseline.json"
 _NUMBERS = [name for name, quantity in QUANTITIES.items() if quantity.kind != "time"]
 _VIEW = f"{VIEW_METRIC} "
 BASE = 5
@@ -65,9 +67,11 @@ def part(cells: Cells, seeds: Collection[int], method: str = "") -> Cells:
 
 
 def baseline_of(cells: Cells, seeds: Collection[int]) -> Baseline:
-    """A baseline in memory."""
+    """A baseline in memory: some seeds, and the project's results of the other methods, for the prior."""
     change = Change(date="", reason="repetitions", version="", commit=None)
-    made = sorted_cells(cell_of(cell) for cell in part(cells, seeds).values())
+    methods = {key.method for key in cells}
+    others = [cell for cell in read_baseline(PROJECT).cells if cell.method not in methods]
+    made = sorted_cells([*others, *(cell_of(cell) for cell in part(cells, seeds).values())])
     return Baseline(format=FORMAT, changes=[change], environment={}, cells=made)
 
 
