@@ -32,8 +32,8 @@ def threads() -> int: ...
 def set_threads(count: int) -> None: ...
 def forward(
     means: Floats, quats: Floats, scales: Floats, opacities: Floats, features: Floats,
-    offset: Floats | None, view: Doubles, near: float, image: OutFloats, alpha: OutFloats,
-    depth: OutFloats, radii: OutInts, keep: bool,
+    offset: Floats | None, view: Doubles, near: float, low_pass: float, compensated: bool,
+    image: OutFloats, alpha: OutFloats, depth: OutFloats, radii: OutInts, keep: bool,
 ) -> Frame: ...
 def backward(
     frame: Frame, means: Floats, quats: Floats, scales: Floats, opacities: Floats, features: Floats,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from econgs.splat.low_pass import LINEAGE, LowPass
 from econgs.splat.rasterise import SplatImages, choose_backend, rasterise
 from econgs.splat.sh import spherical_harmonics
 
-__all__ = ["SplatImages", "choose_backend", "rasterise", "spherical_harmonics"]
+__all__ = ["LINEAGE", "LowPass", "SplatImages", "choose_backend", "rasterise", "spherical_harmonics"]

@@ -18,14 +18,13 @@ from datasets.camera import Camera
 from econgs.splat.splats import Splats
 
 TILE = 16
-BLUR = 0.3
 
 
 def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Features H×W×C, alpha H×W, depth H×W and radii N."""
     import gsplat
 
-    means, quats, scales, opacities, features, camera, screen_offset = splats
+    means, quats, scales, opacities, features, camera, screen_offset, low_pass = splats
     width, height = camera.width, camera.height
     if len(means) == 0:
         # Zeros with a gradient path to the inputs, for a backward pass.
@@ -34,10 +33,12 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         return image[..., :-1], image[..., -1], image[..., -1], means.new_zeros(0, dtype=torch.int32)
     pose = torch.as_tensor(camera.world_to_camera, dtype=means.dtype, device=means.device)
     intrinsics = means.new_tensor([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
-    radii, centres, depths, conics, _ = gsplat.fully_fused_projection(
+    radii, centres, depths, conics, shares = gsplat.fully_fused_projection(
         means, None, quats, scales, pose[None], intrinsics[None], width, height,
-        eps2d=BLUR, near_plane=camera.near,
+        eps2d=low_pass.variance, near_plane=camera.near, calc_compensations=low_pass.compensated,
     )  # fmt: skip
+    if low_pass.compensated:
+        opacities = opacities * shares[0]
     if screen_offset is not None:
         centres = centres + screen_offset[None]
 

@@ -18,6 +18,7 @@ from torch import Tensor
 
 import econgs._native as _native
 from datasets.names import unknown
+from econgs.splat.low_pass import LowPass
 from econgs.splat.splats import Splats
 
 
@@ -100,6 +101,7 @@ class _Rasterise(torch.autograd.Function):
         view: NDArray[np.float64],
         size: tuple[int, int],
         near: float,
+        low_pass: LowPass,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         width, height = size
         channels = features.shape[1]
@@ -111,8 +113,8 @@ class _Rasterise(torch.autograd.Function):
         radii = torch.empty(means.shape[0], dtype=torch.int32)
         keep = any(ctx.needs_input_grad[:6])
         outputs = (image, alpha, depth, radii)
-        arrays = (*map(_array, (*inputs, offset)), view, near, *map(_array, outputs), keep)
-        frame = _native.forward(*arrays)
+        arrays = (*map(_array, (*inputs, offset)), view, near, low_pass.variance, low_pass.compensated)
+        frame = _native.forward(*arrays, *map(_array, outputs), keep)
         ctx.frame = frame if keep else None
         ctx.inputs = inputs
         ctx.images = (image, alpha, depth)
@@ -136,7 +138,7 @@ class _Rasterise(torch.autograd.Function):
         _native.backward(ctx.frame, *arrays)
         needs = ctx.needs_input_grad
         results = [grad if need else None for grad, need in zip(grads, needs[:5], strict=True)]
-        return (*results, grad_offset, None, None, None)
+        return (*results, grad_offset, None, None, None, None)
 
 
 def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -145,12 +147,12 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     Raises:
         ValueError: NaN or infinity, a zero quaternion, a negative scale or an opacity outside [0, 1].
     """
-    means, quats, scales, opacities, features, camera, screen_offset = splats
+    means, quats, scales, opacities, features, camera, screen_offset, low_pass = splats
     pose = camera.world_to_camera[:3, :4].ravel()
     view = np.array([*pose.tolist(), camera.fx, camera.fy, camera.cx, camera.cy])
     size = (camera.width, camera.height)
     images: tuple[Tensor, Tensor, Tensor, Tensor] = _Rasterise.apply(
-        means, quats, scales, opacities, features, screen_offset, view, size, camera.near
+        means, quats, scales, opacities, features, screen_offset, view, size, camera.near, low_pass
     )
     return images
 

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.names import unknown
+from econgs.splat.low_pass import LINEAGE, LowPass
 from econgs.splat.splats import Splats
 
 BACKENDS = ("native", "gsplat", "torch")
@@ -47,6 +48,7 @@ def rasterise(
     camera: Camera,
     *,
     screen_offset: Tensor | None = None,
+    low_pass: LowPass = LINEAGE,
     backend: str | None = None,
 ) -> SplatImages:
     """Splat N Gaussians with C feature channels into one view (Kerbl et al. 2023, with EWA projection).
@@ -64,6 +66,7 @@ def rasterise(
         camera: the view; Gaussians of at most the depth of its near plane are culled.
         screen_offset: (N, 2) added to the projected centres, in pixels; its gradient is the screen-space
             gradient that densification reads.
+        low_pass: filter of the projected Gaussians.
         backend: "native" (CPU, float32), "gsplat" (CUDA, float32) or "torch"; by default the environment
             variable ``ECONGS_BACKEND``, else the one that suits the tensors.
 
@@ -82,7 +85,7 @@ def rasterise(
         _check_values(tensors)
     try:
         images = _module(name).rasterise(
-            Splats(means, quats, scales, opacities, features, camera, screen_offset)
+            Splats(means, quats, scales, opacities, features, camera, screen_offset, low_pass)
         )
     except ValueError:
         _find_bad(tensors)  # the same message for every backend

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from datasets.camera import Camera
+from econgs.splat.low_pass import LINEAGE, LowPass
 
 
 class Splats(NamedTuple):
@@ -19,3 +20,4 @@ class Splats(NamedTuple):
     features: Tensor
     camera: Camera
     screen_offset: Tensor | None = None
+    low_pass: LowPass = LINEAGE

@@ -15,17 +15,21 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from econgs.splat.composite import MIN_ALPHA
+from econgs.splat.low_pass import LowPass
 from econgs.splat.splats import Splats
 
 TILE = 16  # pixels
-BLUR = 0.3  # px², added to the diagonal of the projected covariance
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
 CLAMP = 1.3  # the Jacobian is taken no further out than this many half fields of view
 
 
 class Projected(NamedTuple):
-    """Gaussians on the image plane, in pixels; the inverse of the covariance is ``(c, -b, a) / det``."""
+    """Gaussians on the image plane, in pixels; the inverse of the covariance is ``(c, -b, a) / det``.
+
+    Attributes:
+        share: factor on opacities; None for 1.
+    """
 
     u: Tensor
     v: Tensor
@@ -34,23 +38,25 @@ class Projected(NamedTuple):
     b: Tensor
     c: Tensor
     det: Tensor
+    share: Tensor | None
 
 
 def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Features H×W×C, alpha H×W, depth H×W and radii N."""
-    means, quats, scales, opacities, features, camera, screen_offset = splats
+    means, quats, scales, opacities, features, camera, screen_offset, low_pass = splats
     with torch.no_grad():
         seen, radii, boxes = _visible(
-            _project(means, quats, scales, camera, screen_offset), opacities, camera
+            _project(means, quats, scales, camera, screen_offset, low_pass), opacities, camera
         )
     # Everything differentiable is computed from the visible rows only: what is culled gets exact zeros
     # as gradients, whatever infinities its projection holds.
     offset = None if screen_offset is None else screen_offset[seen]
-    visible = _project(means[seen], quats[seen], scales[seen], camera, offset)
+    visible = _project(means[seen], quats[seen], scales[seen], camera, offset, low_pass)
+    opacity = opacities[seen] if visible.share is None else opacities[seen] * visible.share
     pairs, counts = _intersections(boxes, camera)
     columns = [visible.u, visible.v, visible.c / visible.det, -visible.b / visible.det]
     columns.append(visible.a / visible.det)
-    geometry = torch.stack([*columns, opacities[seen]], dim=0)
+    geometry = torch.stack([*columns, opacity], dim=0)
     payload = torch.cat(
         [features[seen], visible.depth[:, None], torch.ones_like(visible.depth[:, None])], dim=1
     )
@@ -73,7 +79,12 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 def _project(
-    means: Tensor, quats: Tensor, scales: Tensor, camera: Camera, screen_offset: Tensor | None
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    camera: Camera,
+    screen_offset: Tensor | None,
+    low_pass: LowPass,
 ) -> Projected:
     pose = torch.as_tensor(camera.world_to_camera, dtype=means.dtype, device=means.device)
     view = pose[:3, :3]
@@ -92,17 +103,19 @@ def _project(
         ],
         dim=-2,
     )
-    # With M = J W R S the projected covariance is M Mᵀ + 0.3 I. Its determinant is taken from the cross
+    # With M = J W R S the projected covariance is M Mᵀ + variance I. Its determinant is taken from the cross
     # product of M's rows (Cauchy-Binet): a c - b² cancels for needles.
     first, second = (jacobian @ view @ _rotations(quats) * scales[:, None, :]).unbind(1)
     aa, cc = (first * first).sum(-1), (second * second).sum(-1)
     cross = torch.linalg.cross(first, second)
-    det = (cross * cross).sum(-1) + BLUR * (aa + cc) + BLUR * BLUR
+    before, variance = (cross * cross).sum(-1), low_pass.variance
+    det = before + variance * (aa + cc) + variance * variance
+    share = (before / det).sqrt() if low_pass.compensated else None
 
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
     if screen_offset is not None:
         u, v = u + screen_offset[:, 0], v + screen_offset[:, 1]
-    return Projected(u, v, z, aa + BLUR, (first * second).sum(-1), cc + BLUR, det)
+    return Projected(u, v, z, aa + variance, (first * second).sum(-1), cc + variance, det, share)
 
 
 def _rotations(quats: Tensor) -> Tensor:
@@ -121,6 +134,8 @@ def _visible(splats: Projected, opacities: Tensor, camera: Camera) -> tuple[Tens
     The support is the ellipse on which alpha reaches 1/255; a Gaussian is visible if the ellipse's box holds
     a pixel centre. Boxes are inclusive: first and last column, first and last row.
     """
+    if splats.share is not None:
+        opacities = opacities * splats.share
     squared = 2.0 * torch.log(opacities / MIN_ALPHA).clamp(min=0)
     half_u, half_v = (squared * splats.a).sqrt(), (squared * splats.c).sqrt()
     lower = torch.stack([splats.u - half_u, splats.v - half_v], dim=-1) - 0.5

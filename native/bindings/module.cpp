@@ -39,7 +39,7 @@ Inputs inputs(const In& means, const In& quats, const In& scales, const In& opac
   return {means.data(), quats.data(), scales.data(), opacities.data(), features.data(), shift, n, channels};
 }
 
-View view_of(const Doubles& numbers, double near, const Array& alpha) {
+View view_of(const Doubles& numbers, double near, double low_pass, bool compensated, const Array& alpha) {
   View view;
   const double* const p = numbers.data();
   for (int i = 0; i < 3; ++i) {
@@ -51,6 +51,9 @@ View view_of(const Doubles& numbers, double near, const Array& alpha) {
   view.cx = p[14];
   view.cy = p[15];
   view.near = near;
+  view.low_pass = low_pass;
+  view.compensated = compensated;
+  expect(std::isfinite(low_pass) && low_pass > 0, "the variance of the low-pass filter must be above 0");
   expect(alpha.ndim() == 2 && alpha.shape(0) >= 1 && alpha.shape(1) >= 1, "the image must have pixels");
   expect(alpha.shape(0) < (1 << 20) && alpha.shape(1) < (1 << 20), "the image is too large");
   view.height = static_cast<int>(alpha.shape(0));
@@ -62,10 +65,10 @@ View view_of(const Doubles& numbers, double near, const Array& alpha) {
 
 // The caller (Python) owns the frame.
 Frame* forward_checked(const In& means, const In& quats, const In& scales, const In& opacities, const In& features,
-                       std::optional<In> offset, const Doubles& numbers, double near, const Array& image,
-                       const Array& alpha, const Array& depth, const Counts& radii, bool keep) {
+                       std::optional<In> offset, const Doubles& numbers, double near, double low_pass, bool compensated,
+                       const Array& image, const Array& alpha, const Array& depth, const Counts& radii, bool keep) {
   const Inputs in = inputs(means, quats, scales, opacities, features, offset);
-  const View view = view_of(numbers, near, alpha);
+  const View view = view_of(numbers, near, low_pass, compensated, alpha);
   expect(is(depth, {view.height, view.width}) && is(image, {view.height, view.width, in.channels}) &&
              static_cast<int64_t>(radii.shape(0)) == in.count,
          "the outputs have other sizes than the inputs ask for");
@@ -239,7 +242,8 @@ NB_MODULE(_native, m) {
   m.def("set_threads", set_threads, "count"_a);
 
   m.def("forward", forward_checked, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "features"_a, "offset"_a.none(),
-        "view"_a, "near"_a, "image"_a, "alpha"_a, "depth"_a, "radii"_a, "keep"_a, nb::rv_policy::take_ownership);
+        "view"_a, "near"_a, "low_pass"_a, "compensated"_a, "image"_a, "alpha"_a, "depth"_a, "radii"_a, "keep"_a,
+        nb::rv_policy::take_ownership);
   m.def("backward", backward_checked, "frame"_a, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "features"_a,
         "image"_a, "alpha"_a, "depth"_a, "grad_image"_a.none(), "grad_alpha"_a.none(), "grad_depth"_a.none(),
         "to_means"_a, "to_quats"_a, "to_scales"_a, "to_opacities"_a, "to_features"_a, "to_offset"_a.none(),

@@ -18,6 +18,7 @@ struct Vec3 {
 INLINE Vec3 operator+(Vec3 a, Vec3 b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
 INLINE Vec3 operator*(vd s, Vec3 a) { return {s * a.x, s * a.y, s * a.z}; }
 INLINE Vec3 operator*(Vec3 a, Vec3 b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
+INLINE Vec3 cross(Vec3 a, Vec3 b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
 INLINE vd dot(Vec3 a, Vec3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 INLINE Vec3 row(const double* m) { return {setd(m[0]), setd(m[1]), setd(m[2])}; }
 
@@ -35,7 +36,9 @@ struct Geometry {
   Vec3 k1, k2;                 // rows of Jacobian * view
   Vec3 c1, c2, c3;             // columns of the Gaussian's rotation
   Vec3 r1, r2, m1, m2;         // k * rotation, and that times the scales
+  Vec3 cross;                  // m1 x m2; its square is the determinant before the filter
   vd a, b, c, det, u, v;
+  vd opacity;                  // after the filter
 };
 
 INLINE Batch gather(const Inputs& in, int64_t begin, int64_t end) {
@@ -83,11 +86,12 @@ INLINE Geometry geometry(const Batch& g, const View& view) {
   const vd aa = dot(o.m1, o.m1), cc = dot(o.m2, o.m2);
   o.b = dot(o.m1, o.m2);
   // Determinant by the cross product of the rows (Cauchy-Binet): a c - b^2 would cancel for needles.
-  const vd x = o.m1.y * o.m2.z - o.m1.z * o.m2.y, y = o.m1.z * o.m2.x - o.m1.x * o.m2.z,
-           z = o.m1.x * o.m2.y - o.m1.y * o.m2.x;
-  o.det = x * x + y * y + z * z + BLUR * (aa + cc) + BLUR * BLUR;
-  o.a = aa + BLUR;
-  o.c = cc + BLUR;
+  o.cross = cross(o.m1, o.m2);
+  const vd before = dot(o.cross, o.cross);
+  o.det = before + view.low_pass * (aa + cc) + view.low_pass * view.low_pass;
+  o.a = aa + view.low_pass;
+  o.c = cc + view.low_pass;
+  o.opacity = view.compensated ? g.opacity * sqrtd(before / o.det) : g.opacity;
   o.u = view.fx * tx + view.cx + g.off_u;
   o.v = view.fy * ty + view.cy + g.off_v;
   return o;
@@ -111,7 +115,7 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
     const Geometry o = geometry(g, view);
     const vd inverse = 1.0 / o.det;
     vd bound;
-    for (int l = 0; l < DLANES; ++l) bound[l] = g.opacity[l] * 255.0f >= 1.0 ? ::log2(g.opacity[l]) : -100.0;
+    for (int l = 0; l < DLANES; ++l) bound[l] = o.opacity[l] * 255.0f >= 1.0 ? ::log2(o.opacity[l]) : -100.0;
     const vd lift = bound;
     bound = maxd((bound + 7.994353436858858) * (2.0 * 0.6931471805599453), vd{});  // 2 ln(255 opacity)
     const vd half_u = sqrtd(bound * o.a), half_v = sqrtd(bound * o.c);
@@ -120,7 +124,7 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
     // Visible: nearer than `near` is culled, and the ellipse's box must hold the centre of a pixel.
     const vd left = maxd(o.u - half_u, setd(0.5)), right = mind(o.u + half_u, setd(view.width - 0.5));
     const vd low = maxd(o.v - half_v, setd(0.5)), high = mind(o.v + half_v, setd(view.height - 0.5));
-    const vl visible = sound & (o.local.z > view.near) & (o.local.z < 1e30) & (g.opacity >= 1.0 / 255.0) &
+    const vl visible = sound & (o.local.z > view.near) & (o.local.z < 1e30) & (o.opacity >= 1.0 / 255.0) &
                        (left <= right) & (low <= high);
     // Rounding in float must not cut a pixel off whose alpha is 1/255 in float: widened by a hair.
     const vd wide = bound * (1.0 + 1e-4) + 1e-4;
@@ -140,7 +144,7 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
       }
       radii[n] = across;
       Splat& s = splats[n];
-      s.opacity = across ? (float)g.opacity[l] : 0.0f;
+      s.opacity = across ? (float)o.opacity[l] : 0.0f;
       s.depth = across ? (float)o.local.z[l] : 0.0f;
       if (!across) continue;
       s.u = o.u[l];
@@ -201,7 +205,13 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
     // dL/dcov = 1/2 sum of h (K d) (K d)'
     const vd ee = p * p * sum[SLOT_EE], ey = p * q * sum[SLOT_EY], yy = q * q * sum[SLOT_YY];
     const vd h11 = 0.5 * ee, h12 = 0.5 * (ey - slope * ee), h22 = 0.5 * (yy - slope * (2.0 * ey - slope * ee));
-    const Vec3 dm1 = (2.0 * h11) * o.m1 + (2.0 * h12) * o.m2, dm2 = (2.0 * h12) * o.m1 + (2.0 * h22) * o.m2;
+    Vec3 dm1 = (2.0 * h11) * o.m1 + (2.0 * h12) * o.m2, dm2 = (2.0 * h12) * o.m1 + (2.0 * h22) * o.m2;
+    if (view.compensated) {  // ln opacity holds 1/2 ln (det before / det after)
+      const vd inverse = 1.0 / o.det, grown = sum[SLOT_SUM] * (1.0 / dot(o.cross, o.cross) - inverse);
+      const vd lost = sum[SLOT_SUM] * (-view.low_pass * inverse);
+      dm1 = dm1 + grown * cross(o.m2, o.cross) + lost * o.m1;
+      dm2 = dm2 + grown * cross(o.cross, o.m1) + lost * o.m2;
+    }
     const Vec3 ds = o.r1 * dm1 + o.r2 * dm2;
     const Vec3 dr1 = g.scale * dm1, dr2 = g.scale * dm2;
     const Vec3 dc1 = dr1.x * o.k1 + dr2.x * o.k2, dc2 = dr1.y * o.k1 + dr2.y * o.k2, dc3 = dr1.z * o.k1 + dr2.z * o.k2;

@@ -11,7 +11,6 @@ namespace econgs {
 
 // Constants of the 3DGS lineage.
 constexpr int TILE = 16;                     // pixels
-constexpr double BLUR = 0.3;                 // px^2, added to the diagonal of the projected covariance
 constexpr float MAX_ALPHA = 0.99f;
 constexpr float MIN_ALPHA = 1.0f / 255.0f;
 constexpr float MIN_TRANSMITTANCE = 1e-4f;
@@ -20,6 +19,8 @@ constexpr double CLAMP = 1.3;                // of half a field of view, for the
 struct View {
   double rotation[9], translation[3];  // world to camera
   double fx, fy, cx, cy, near;
+  double low_pass;  // px^2, added to the diagonal of the projected covariance
+  bool compensated;  // opacities shrink so that the filter keeps a Gaussian's mass
   int width, height;
 };
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from datasets.camera import Camera
-from econgs.splat import rasterise
+from econgs.splat import LINEAGE, LowPass, rasterise
 
 NAMES = ("means", "quats", "scales", "opacities", "features", "screen_offset")
 OUTPUTS = ("features", "alpha", "depth")
@@ -27,10 +27,11 @@ class Scene:
 
     tensors: dict[str, torch.Tensor]
     camera: Camera
+    low_pass: LowPass = LINEAGE
 
     def render(self, dtype: torch.dtype, backend: str | None, device: str = "cpu") -> Any:
         moved = {name: one.to(dtype).to(device) for name, one in self.tensors.items()}
-        return rasterise(camera=self.camera, backend=backend, **moved)
+        return rasterise(camera=self.camera, low_pass=self.low_pass, backend=backend, **moved)
 
     def gradients(
         self, dtype: torch.dtype, backend: str | None, seeds: dict[str, torch.Tensor], device: str = "cpu"
@@ -39,7 +40,7 @@ class Scene:
         leaves = {
             name: one.to(device, dtype, copy=True).requires_grad_(True) for name, one in self.tensors.items()
         }
-        out = rasterise(camera=self.camera, backend=backend, **leaves)
+        out = rasterise(camera=self.camera, low_pass=self.low_pass, backend=backend, **leaves)
         loss = sum((getattr(out, name) * seeds[name].to(dtype).to(device)).sum() for name in OUTPUTS)
         assert isinstance(loss, torch.Tensor)
         loss.backward()
@@ -90,6 +91,7 @@ def make_scene(
     position: tuple[float, float, float] = (1.2, -2.0, 0.7),
     fov: float = 0.7,
     offset: float = 1.0,
+    low_pass: LowPass = LINEAGE,
 ) -> Scene:
     """A cloud of Gaussians around the origin; ``stretch`` is the spread of the log scales."""
     random = np.random.default_rng(seed)
@@ -110,7 +112,7 @@ def make_scene(
         "screen_offset": offset * random.normal(size=(count, 2)),
     }
     tensors = {name: torch.from_numpy(np.asarray(one, np.float32)).double() for name, one in arrays.items()}
-    return Scene(tensors, camera)
+    return Scene(tensors, camera, low_pass)
 
 
 def brute_force(scene: Scene) -> Reference:
@@ -138,12 +140,16 @@ def brute_force(scene: Scene) -> Reference:
         axes = Rotation.from_quat([*vector, w]).as_matrix() * data["scales"][one]
         sx, sy = np.clip(px / pz, -limits[0], limits[0]), np.clip(py / pz, -limits[1], limits[1])
         jacobian = np.array([[camera.fx, 0, -camera.fx * sx], [0, camera.fy, -camera.fy * sy]]) / pz
-        covariance = jacobian @ turn @ axes @ axes.T @ turn.T @ jacobian.T + 0.3 * np.eye(2)
+        before = jacobian @ turn @ axes @ axes.T @ turn.T @ jacobian.T
+        covariance = before + scene.low_pass.variance * np.eye(2)
+        opacity = data["opacities"][one]
+        if scene.low_pass.compensated:
+            opacity *= np.sqrt(max(np.linalg.det(before), 0.0) / np.linalg.det(covariance))
         centre = np.array([camera.fx * px / pz + camera.cx, camera.fy * py / pz + camera.cy])
         centre += data["screen_offset"][one]
         away = np.stack([x, y], axis=-1) - centre
         exponent = np.einsum("hwi,ij,hwj->hw", away, np.linalg.inv(covariance), away)
-        alpha = data["opacities"][one] * np.exp(-0.5 * exponent)
+        alpha = opacity * np.exp(-0.5 * exponent)
         doubtful |= running & (abs(alpha * 255 - 1) < 1e-3)
         doubtful |= running & (abs(alpha / 0.99 - 1) < 1e-4)
         clamped |= alpha > 0.99

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from datasets.errors import UnknownName
-from econgs.splat import choose_backend, rasterise
+from econgs.splat import LowPass, choose_backend, rasterise
 
 SCENES: dict[str, dict[str, Any]] = {
     "plain": {},
@@ -29,6 +29,9 @@ SCENES: dict[str, dict[str, Any]] = {
     "many-channels": {"channels": 35},
     "near": {"position": (0.3, 0.4, 0.3), "fov": 1.2, "count": 120},
     "one-pixel": {"size": (1, 1), "count": 60, "sigma": 0.1},
+    "narrow-filter": {"low_pass": LowPass(0.05), "sigma": 0.02},
+    "compensated": {"low_pass": LowPass(0.1, compensated=True), "sigma": 0.02, "opacity": (0.3, 1.0)},
+    "compensated-needles": {"low_pass": LowPass(compensated=True), "stretch": 0.8, "count": 150},
 }
 
 

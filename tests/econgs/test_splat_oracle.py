@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from datasets.camera import Camera
-from econgs.splat import rasterise
+from econgs.splat import LINEAGE, LowPass, rasterise
 
 SCENES = {
     "plain": {},
@@ -18,6 +18,8 @@ SCENES = {
     "off-centre": {"shift": 9.0, "size": (50, 33), "channels": 7},
     "wide and near": {"position": (0.3, 0.4, 0.2), "fov": 1.6, "channels": 4},
     "tiny": {"sigma": 0.001, "size": (16, 16)},
+    "narrow filter": {"low_pass": LowPass(0.05), "sigma": 0.01},
+    "compensated": {"low_pass": LowPass(0.1, compensated=True), "sigma": 0.03, "opacity": (0.5, 1.0)},
 }
 
 
@@ -47,13 +49,14 @@ def test_scenes_reach_every_rule(splat: Any) -> None:
     assert (abs(in_front[:, 0] / in_front[:, 2]) > 1.3 * camera.width / 2 / camera.fx).any()
 
 
-def test_gradients_are_those_of_finite_differences(splat: Any) -> None:
+@pytest.mark.parametrize("low_pass", [LINEAGE, LowPass(0.8, compensated=True)])
+def test_gradients_are_those_of_finite_differences(splat: Any, low_pass: LowPass) -> None:
     scene = splat.make_scene(7, (18, 13), 2, seed=2, sigma=0.15, opacity=(0.3, 0.7), shift=1.0)
     inputs = [one.clone().requires_grad_(True) for one in scene.tensors.values()]
 
     def render(*tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:
         named = dict(zip(scene.tensors, tensors, strict=True))
-        out = rasterise(camera=scene.camera, **named)
+        out = rasterise(camera=scene.camera, low_pass=low_pass, **named)
         return out.features, out.alpha, out.depth
 
     assert torch.autograd.gradcheck(render, inputs, eps=1e-7, atol=1e-6, rtol=1e-5)
@@ -101,3 +104,30 @@ def test_one_gaussian_is_a_closed_form(backend: Any) -> None:
     np.testing.assert_allclose(out.alpha.cpu().numpy(), alpha, **tolerance)
     np.testing.assert_allclose(out.depth.cpu().numpy(), alpha * depth, **tolerance)
     np.testing.assert_allclose(out.features.cpu().numpy(), alpha[..., None] * [2.0, -1.0], **tolerance)
+
+
+@pytest.mark.parametrize("variance", [0.0, -0.1, float("nan"), float("inf")])
+def test_a_filter_without_a_width_is_refused(variance: float) -> None:
+    with pytest.raises(ValueError, match="low-pass"):
+        LowPass(variance)
+
+
+def test_a_compensated_gaussian_keeps_its_mass(backend: Any) -> None:
+    """Its sum over pixels is 2π opacity · variance before the filter, whatever the filter adds."""
+    size, depth, scale, opacity = 60, 2.0, 0.02, 0.8
+    camera = Camera.with_fov(np.eye(4), 0.6, size, size)
+    kind = {"dtype": torch.float32, "device": backend.device}
+    variance = (camera.fx * scale / depth) ** 2
+    for low_pass in (LowPass(1.0, compensated=True), LowPass(4.0, compensated=True)):
+        alpha = rasterise(
+            torch.tensor([[0.0, 0.0, depth]], **kind),
+            torch.tensor([[1.0, 0.0, 0.0, 0.0]], **kind),
+            torch.full((1, 3), scale, **kind),
+            torch.tensor([opacity], **kind),
+            torch.ones((1, 1), **kind),
+            camera,
+            low_pass=low_pass,
+            backend=backend.name,
+        ).alpha
+        cut = 2.0 * np.pi * (variance + low_pass.variance) / 255.0  # of the mass, beyond alpha 1/255
+        assert alpha.sum().item() == pytest.approx(2.0 * np.pi * opacity * variance - cut, rel=0.02)
