@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
+from econgs.splat.low_pass import LINEAGE, LowPass
 from econgs.splat.rasterise import SplatImages, rasterise
 
 
@@ -67,7 +68,12 @@ def apply_masks(decoded: ViewGaussians, masks: Tensor) -> ViewGaussians:
     )
 
 
-def draw(decoded: Sequence[Gaussians], camera: Camera, screen_offset: Tensor | None = None) -> SplatImages:
+def draw(
+    decoded: Sequence[Gaussians],
+    camera: Camera,
+    screen_offset: Tensor | None = None,
+    low_pass: LowPass = LINEAGE,
+) -> SplatImages:
     """Splat the Gaussians of one or several scenes together."""
 
     def all_of(name: str) -> Tensor:
@@ -77,4 +83,6 @@ def draw(decoded: Sequence[Gaussians], camera: Camera, screen_offset: Tensor | N
     means, quats, scales, opacities, colors = (
         all_of(name) for name in ("means", "quats", "scales", "opacities", "colors")
     )
-    return rasterise(means, quats, scales, opacities, colors, camera, screen_offset=screen_offset)
+    return rasterise(
+        means, quats, scales, opacities, colors, camera, screen_offset=screen_offset, low_pass=low_pass
+    )

@@ -113,8 +113,9 @@ class _Rasterise(torch.autograd.Function):
         radii = torch.empty(means.shape[0], dtype=torch.int32)
         keep = any(ctx.needs_input_grad[:6])
         outputs = (image, alpha, depth, radii)
-        arrays = (*map(_array, (*inputs, offset)), view, near, low_pass.variance, low_pass.compensated)
-        frame = _native.forward(*arrays, *map(_array, outputs), keep)
+        settings = (near, low_pass.variance, low_pass.compensated)
+        arrays = (*map(_array, (*inputs, offset)), view, *settings, *map(_array, outputs), keep)
+        frame = _native.forward(*arrays)
         ctx.frame = frame if keep else None
         ctx.inputs = inputs
         ctx.images = (image, alpha, depth)

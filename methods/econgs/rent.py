@@ -10,7 +10,7 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from econgs.anchors.gaussians import ViewGaussians
-from econgs.splat.rasterise import rasterise
+from econgs.splat import LowPass, rasterise
 
 VIEWS = 24
 """Training views that are asked, at most."""
@@ -28,7 +28,9 @@ def some_views(count: int, most: int = VIEWS) -> list[int]:
     return [round(i * (count - 1) / max(number - 1, 1)) for i in range(number)]
 
 
-def contributions(anchors: int, cameras: Sequence[Camera], decode: Decode, device: torch.device) -> Tensor:
+def contributions(
+    anchors: int, cameras: Sequence[Camera], decode: Decode, low_pass: LowPass, device: torch.device
+) -> Tensor:
     """(N,) by how much each anchor's Gaussians weigh in the pixels of these views, summed.
 
     The weight of a Gaussian in a pixel is its share of the blended color; its sum over pixels is the
@@ -43,7 +45,7 @@ def contributions(anchors: int, cameras: Sequence[Camera], decode: Decode, devic
             continue
         gray = torch.ones_like(decoded.colors[:, :1]).requires_grad_(True)
         geometry = (decoded.means, decoded.quats, decoded.scales, decoded.opacities)
-        rasterise(*geometry, gray, camera).features.sum().backward()  # type: ignore[no-untyped-call]
+        rasterise(*geometry, gray, camera, low_pass=low_pass).features.sum().backward()  # type: ignore[no-untyped-call]
         if gray.grad is not None:
             weights.index_add_(0, owner, gray.grad[:, 0])
     return weights

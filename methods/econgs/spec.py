@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
+from methods.shared.splatting import SplattingOptions
 
 
 @dataclass(frozen=True)
-class EcongsOptions:
+class EcongsOptions(SplattingOptions):
     """Options of ECoNGS."""
 
     # Start

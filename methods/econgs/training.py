@@ -302,7 +302,7 @@ class Trainer(AnchorLoop):
             errors = []
             for view in views:
                 decoded, _ = frame(cameras[view], kept)
-                splats = draw([decoded], cameras[view])
+                splats = draw([decoded], cameras[view], low_pass=self.low_pass)
                 truth = scene.images[view].to(self.device)
                 target = over(truth[..., :3], truth[..., 3], background)
                 apart = [over(splats.features, splats.alpha, background) - target]
@@ -312,7 +312,8 @@ class Trainer(AnchorLoop):
             return torch.stack(errors).mean(dim=0).cpu()
 
         views = some_views(len(cameras))
-        weights = contributions(len(positions), [cameras[view] for view in views], frame, positions.device)
+        sample = [cameras[view] for view in views]
+        weights = contributions(len(positions), sample, frame, self.low_pass, positions.device)
         return who_stays(weights, allowance, views[::3], measure)
 
     def _psnr(self, model: EcongsModel) -> float:

@@ -4,13 +4,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
+from methods.shared.splatting import SplattingOptions
 
 PUBLISHED: dict[str, OptionValue] = {"start": "random", "sh_rest_lr": 1.25e-4}
 """How the released code starts on scenes without a cloud of their own, and its rate of SH at every preset."""
 
 
 @dataclass(frozen=True)
-class GaussianOptions:
+class GaussianOptions(SplattingOptions):
     """Options of 3DGS, and the first of the methods that begin like it."""
 
     start: Literal["cloud", "random"] = option("cloud", "where the first Gaussians come from")

@@ -138,6 +138,7 @@ class Trainer(TrainingLoop):
                 features,
                 camera,
                 screen_offset=offset,
+                low_pass=self.low_pass,
             )
         except ValueError:
             self.check_finite()  # the usual reason; any other is a fault of the program

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
+from methods.shared.splatting import SplattingOptions
 
 
 @dataclass(frozen=True)
-class ScaffoldOptions:
+class ScaffoldOptions(SplattingOptions):
     """Options of Scaffold-GS, and the first of HAC's."""
 
     # Start

@@ -8,8 +8,9 @@ from typing import Any, ClassVar
 
 from methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
 from methods.shared.model import SceneModel
-from methods.shared.training import TrainingLoop, TrainingState
-from methods.shared.units import in_units_of_fit, read_units, units_of
+from methods.shared.rendering import Rendering
+from methods.shared.training import TrainingLoop, TrainingState, low_pass_of
+from methods.shared.units import in_units_of_fit, units_of
 
 
 class TrainerMethod:
@@ -59,22 +60,22 @@ class TrainerMethod:
     def restore(self, checkpoint: Checkpoint, options: Any, device: str) -> Any:
         """The model of a checkpoint, of a finished fit or an earlier one."""
         model = self.trainer.restored(TrainingState(checkpoint, device), options)
-        model.units = checkpoint.scalars.get("units", 1.0)
+        model.rendering = Rendering(checkpoint.scalars.get("units", 1.0), low_pass_of(options))
         return model
 
     def load(self, folder: Path, device: str) -> Any:
         """Read a saved model."""
         model = self.model.load(folder, device)
-        model.units = read_units(folder)
+        model.rendering = Rendering.read(folder)
         return model
 
     def compose(self, models: Sequence[Model]) -> Any:
         """One model of the scenes of all; they are concatenated and sorted once when rendered."""
         if not models or not all(isinstance(model, self.model) for model in models):
             raise Refused(f"{self.name} composes with models of its own only")
-        units = {model.units for model in models if isinstance(model, SceneModel)}
-        if len(units) > 1:
-            raise Refused(f"{self.name} composes models of like scene units only")
+        renderings = {model.rendering for model in models if isinstance(model, SceneModel)}
+        if len(renderings) > 1:
+            raise Refused(f"{self.name} composes models of like scene units and low-pass filter only")
         joined = self.model.join(models)
-        joined.units = units.pop()
+        joined.rendering = renderings.pop()
         return joined

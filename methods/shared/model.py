@@ -18,7 +18,7 @@ from datasets.units import camera_in_units
 from econgs.anchors.gaussians import Gaussians, draw
 from econgs.splat.composite import over
 from methods.interface import Edit, Refused, edits_by_scene
-from methods.shared.units import write_units
+from methods.shared.rendering import Rendering
 
 
 class Scene(Protocol):
@@ -47,7 +47,7 @@ class SceneModel(ABC, Generic[S]):
     Attributes:
         method: name, for messages.
         preparation: name in :meth:`timings` of the step that makes a frame's Gaussians.
-        units: scene units / units of its Gaussians (:mod:`methods.shared.units`).
+        rendering: units and filter of its Gaussians.
 
     Raises:
         Refused: two scenes have the same name.
@@ -55,7 +55,7 @@ class SceneModel(ABC, Generic[S]):
 
     method: ClassVar[str]
     preparation: ClassVar[Literal["decode", "shade"]] = "decode"
-    units: float = 1.0
+    rendering: Rendering = Rendering()
 
     def __init__(self, scenes: Iterable[S]) -> None:
         pairs = [(scene.name, scene) for scene in scenes]
@@ -78,8 +78,8 @@ class SceneModel(ABC, Generic[S]):
             Refused: the model has no size of that ``rate``.
         """
         ledger = self.write_size(folder, rate)
-        if size := write_units(folder, self.units):
-            return {**ledger, "": {**ledger.get("", {}), "units": size}}
+        if size := self.rendering.write(folder):
+            return {**ledger, "": {**ledger.get("", {}), "rendering": size}}
         return ledger
 
     def write_size(self, folder: Path, rate: float | None) -> Mapping[str, Mapping[str, int]]:
@@ -143,7 +143,7 @@ class SceneModel(ABC, Generic[S]):
         with torch.inference_mode():
             camera = self._in_units(camera)
             parts = [self.gaussians(scene, camera, edits.get(scene.name, Edit())) for scene in subset]
-            splats = draw(parts, camera)
+            splats = draw(parts, camera, low_pass=self.rendering.low_pass)
             rgb = over(splats.features, splats.alpha, back)
             return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
 
@@ -155,13 +155,14 @@ class SceneModel(ABC, Generic[S]):
             start = seconds()
             parts = [self.gaussians(scene, camera, Edit()) for scene in subset]
             middle = seconds()
-            draw(parts, camera)
+            draw(parts, camera, low_pass=self.rendering.low_pass)
             times = {self.preparation: middle - start, "rasterise": seconds() - middle}
         return {"decode": 0.0, "shade": 0.0} | times
 
     def _in_units(self, camera: Camera) -> Camera:
         """A camera of the scene in the units of the Gaussians."""
-        return camera if self.units == 1.0 else camera_in_units(camera, 1.0 / self.units)
+        units = self.rendering.units
+        return camera if units == 1.0 else camera_in_units(camera, 1.0 / units)
 
 
 def seconds() -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,12 @@ from torch import Tensor
 from datasets.scene import RGB, WHITE
 from econgs.losses import photometric_loss
 from econgs.optim import Adam
+from econgs.splat import LINEAGE, LowPass
 from econgs.splat.composite import over
 from methods.interface import Checkpoint, Diverged, Monitor, Refused, SceneInput
 from methods.shared.edits import Direction
+from methods.shared.rendering import Rendering
+from methods.shared.splatting import SplattingOptions
 
 CHECK_EVERY = 100
 """Iterations between looks at whether parameters are finite."""
@@ -121,6 +124,11 @@ class TrainingLoop(ABC):
         self.limited = False
 
     @property
+    def low_pass(self) -> LowPass:
+        """Filter of the projected Gaussians."""
+        return low_pass_of(self.options)
+
+    @property
     @abstractmethod
     def count(self) -> int:
         """Number of primitives."""
@@ -148,12 +156,14 @@ class TrainingLoop(ABC):
 
     def model(self) -> Any:
         """The present state as a model of its own, in the units of the fit."""
-        return self.restored(TrainingState(self.checkpoint(), self.device), self.options)
+        model = self.restored(TrainingState(self.checkpoint(), self.device), self.options)
+        model.rendering = Rendering(low_pass=self.low_pass)
+        return model
 
     def model_in_scene_units(self) -> Any:
         """The present state as a model of its own, for cameras of the scene."""
         model = self.model()
-        model.units = self.units
+        model.rendering = replace(model.rendering, units=self.units)
         return model
 
     @abstractmethod
@@ -244,6 +254,13 @@ class TrainingLoop(ABC):
     def arrays(self, checkpoint: Checkpoint) -> dict[str, Tensor]:
         """Arrays of a checkpoint on the device of the fit."""
         return {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
+
+
+def low_pass_of(options: Any) -> LowPass:
+    """The filter that options choose; that of the lineage, where they have none."""
+    if not isinstance(options, SplattingOptions):
+        return LINEAGE
+    return LowPass(options.low_pass, options.antialiased)
 
 
 def to_numpy(tensor: Tensor) -> NDArray[np.float32]:

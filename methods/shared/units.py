@@ -9,16 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
-from datasets.errors import DataError
 from datasets.units import cloud_in_units, scene_in_units, views_in_units
 from methods.interface import SceneInput
 
 USUAL = (1.0, 16.0)
 """Extents of scenes that are fitted as they are."""
 _TYPICAL = 4.0
-_FILE = "units.txt"
 
 
 def units_of(group: Sequence[SceneInput]) -> float:
@@ -42,28 +39,3 @@ def in_units_of_fit(scene: SceneInput, units: float) -> SceneInput:
         cloud=cloud_in_units(scene.cloud, factor),
         extent=factor * scene.extent,
     )
-
-
-def write_units(folder: Path, units: float) -> int:
-    """Store the units of a model; bytes of the file. Usual units take none."""
-    if units == 1.0:
-        return 0
-    return (folder / _FILE).write_bytes(f"{units!r}\n".encode())
-
-
-def read_units(folder: Path) -> float:
-    """The units of a stored model.
-
-    Raises:
-        DataError: the file cannot be read.
-    """
-    file = folder / _FILE
-    try:
-        units = float(file.read_bytes().decode("ascii"))
-    except FileNotFoundError:
-        return 1.0
-    except (OSError, ValueError) as error:
-        raise DataError(file, f"holds no number ({error})", "Save the model again") from error
-    if not (math.isfinite(units) and units > 0.0):
-        raise DataError(file, f"holds {units}, no length", "Save the model again")
-    return units

@@ -73,6 +73,7 @@ class VqTrainer(Trainer):
             now.logits.sigmoid(),
             spherical_harmonics(now.sh_degree, now.means, position, now.sh_dc, now.sh_rest),
             camera,
+            low_pass=self.low_pass,
         )
         return {"image": self.image_loss(splats.features, splats.alpha, truth, back)}, None, splats.radii
 

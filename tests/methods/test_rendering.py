@@ -10,10 +10,12 @@ import pytest
 
 from datasets.errors import DataError
 from datasets.units import camera_in_units, cloud_in_units, scene_in_units, views_in_units
+from econgs.splat import LowPass
 from methods.contract.checks import Subject
 from methods.contract.scene import cameras
 from methods.interface import Refused, SceneInput
 from methods.registry import Registry, load_method
+from methods.shared.rendering import FILE
 from methods.shared.units import units_of
 
 NAMES = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")
@@ -42,10 +44,10 @@ def test_a_fit_does_not_depend_on_scene_units(name: str, tmp_path: Path) -> None
     expected = pictures(usual, 1.0)
     for units in (1.0 / 1024.0, 1024.0):
         model = subject.fit([scene_in(subject.tiny("one"), units)])
-        assert model.units == units
+        assert model.rendering.units == units
         assert (pictures(model, units) == expected).all()
         folder, ledger = subject.saved(model, f"in{units}")
-        assert ledger[""]["units"] == (folder / "units.txt").stat().st_size
+        assert ledger[""]["rendering"] == (folder / FILE).stat().st_size
         loaded = subject.method.load(folder, "cpu")
         assert (
             pictures(loaded, units)
@@ -96,11 +98,30 @@ def test_units_bring_scenes_to_a_usual_size(extent: float, units: float, tmp_pat
     assert units_of([replace(scene, extent=extent)]) == units
 
 
-def test_a_damaged_file_of_units_is_an_error(tmp_path: Path) -> None:
+def test_a_damaged_file_is_an_error(tmp_path: Path) -> None:
     spec = Registry().spec("3dgs")
     subject = Subject(spec, load_method(spec), tmp_path, 2)
     folder, _ = subject.saved(subject.fit([scene_in(subject.tiny("one"), 64.0)]), "model")
-    for content in ("nan\n", "-1\n", "", "x"):
-        (folder / "units.txt").write_text(content)
-        with pytest.raises(DataError, match=r"units\.txt"):
+    for content in ("units=nan", "units=-1", "low_pass=0", "compensated=2", "low_pass=[]", "x", "a=1"):
+        (folder / FILE).write_text(content)
+        with pytest.raises(DataError, match=FILE):
             subject.method.load(folder, "cpu")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_model_is_drawn_with_the_filter_of_its_fit(name: str, tmp_path: Path) -> None:
+    spec = Registry().spec(name)
+    subject = Subject(spec, load_method(spec), tmp_path, 16)
+    usual = subject.fit()
+    for changed in ({"low_pass": 0.05}, {"antialiased": True}):
+        model = subject.fit(**changed)
+        assert model.rendering.low_pass in (LowPass(0.05), LowPass(0.3, compensated=True))
+        assert (pictures(model, 1.0) != pictures(usual, 1.0)).any()
+        folder, _ = subject.saved(model, f"with {next(iter(changed))}")
+        loaded = subject.method.load(folder, "cpu")
+        assert loaded.rendering == model.rendering
+        own = pictures(loaded, 1.0)
+        loaded.rendering = usual.rendering
+        assert (pictures(loaded, 1.0) != own).any()
+        with pytest.raises(Refused, match="filter"):
+            subject.method.compose([model, usual])

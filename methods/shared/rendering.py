@@ -1,0 +1,58 @@
+"""How the Gaussians of a model are drawn, as stored beside its files."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from datasets.errors import DataError
+from econgs.splat import LINEAGE, LowPass
+
+FILE = "rendering.toml"
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """How Gaussians are drawn.
+
+    Attributes:
+        units: scene units / units of the Gaussians (:mod:`methods.shared.units`).
+        low_pass: filter of the projected Gaussians.
+    """
+
+    units: float = 1.0
+    low_pass: LowPass = LINEAGE
+
+    def write(self, folder: Path) -> int:
+        """Store what differs from the defaults; bytes of the file, 0 where nothing does."""
+        lines = []
+        if self.units != 1.0:
+            lines.append(f"units={self.units!r}")
+        if self.low_pass.variance != LINEAGE.variance:
+            lines.append(f"low_pass={self.low_pass.variance!r}")
+        if self.low_pass.compensated:
+            lines.append("compensated=true")
+        return (folder / FILE).write_bytes("\n".join(lines).encode()) if lines else 0
+
+    @classmethod
+    def read(cls, folder: Path) -> Rendering:
+        """What :meth:`write` stored.
+
+        Raises:
+            DataError: the file cannot be read.
+        """
+        file = folder / FILE
+        if not file.exists():
+            return cls()
+        try:
+            facts: dict[str, Any] = tomllib.loads(file.read_text(encoding="utf-8"))
+            units = float(facts.pop("units", 1.0))
+            variance, compensated = facts.pop("low_pass", LINEAGE.variance), facts.pop("compensated", False)
+            if facts or not (math.isfinite(units) and units > 0.0) or not isinstance(compensated, bool):
+                raise ValueError(f"units {units}, compensated {compensated}, {', '.join(facts)}")
+            return cls(units, LowPass(float(variance), compensated))
+        except (OSError, ValueError, TypeError) as error:
+            raise DataError(file, f"cannot be used ({error})", "Save the model again") from error
