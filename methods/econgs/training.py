@@ -53,9 +53,6 @@ COLOR_SAMPLE = 256
 """Anchors whose offset colors a step regularises."""
 BEYOND = 10.0
 """Weight of diffuse colors outside [0, 1] against that of offset colors."""
-VANISHING = 0.5
-"""Share of a view's alpha under which the loss of alpha has the weight :data:`RESCUE`."""
-RESCUE = 1.0
 
 
 class _Scene:
@@ -173,8 +170,7 @@ class Trainer(AnchorLoop):
         splats, offset = self.splat(decoded, camera)
         back = scene.source.train.background
         parts = {"image": self.image_loss(splats.features, splats.alpha, truth, back)}
-        if self._asks_alpha(scene):
-            parts["alpha"] = self._alpha_loss(splats.alpha, truth[..., 3])
+        parts |= self.alpha_losses(splats.alpha, truth[..., 3], scene.transparent)
         parts["scale"] = self._scale_loss(decoded.scales)
         if self.options.color_weight:
             parts["color"] = self._color_loss(scene, camera, positions, values.features)
@@ -228,17 +224,6 @@ class Trainer(AnchorLoop):
     def _asks_alpha(self, scene: _Scene) -> bool:
         """Whether alpha is a target: opaque pictures have their background in them."""
         return scene.transparent and self.options.alpha_weight > 0.0
-
-    def _alpha_loss(self, alpha: Tensor, truth: Tensor) -> Tensor:
-        """Mean absolute error of alpha: an object of the background's color looks right without alpha.
-
-        It counts more while most is missing: a scene that is as pale as its background starts too dark, is
-        dimmed for that, and once all opacities are negative no gradient brings it back.
-        """
-        weight = self.options.alpha_weight
-        if float(alpha.detach().sum()) < VANISHING * float(truth.sum()):
-            weight = max(weight, RESCUE)
-        return weight * (alpha - truth).abs().mean()
 
     def _scale_loss(self, scales: Tensor) -> Tensor:
         """The regulariser of the product of scales, over the Gaussians drawn."""

@@ -53,6 +53,7 @@ class Trainer(TrainingLoop):
             limit=options.max_gaussians,
         )
         self.images = torch.from_numpy(scene.train.images)
+        self.transparent = bool((self.images[..., 3] < 1).any())
         parameters, rates = self._start()
         self.optimiser = Adam({name: values.to(device) for name, values in parameters.items()}, rates)
         self.statistics = GrowthStatistics.zeros(self.count, device)
@@ -121,7 +122,8 @@ class Trainer(TrainingLoop):
         """Parts of the loss against a view (H, W, 4), screen offsets that densification reads, radii."""
         splats, offset = self._splat(self._colors(camera), camera)
         image = self.image_loss(splats.features, splats.alpha, truth, back)
-        return {"image": image}, offset, splats.radii
+        losses = {"image": image, **self.alpha_losses(splats.alpha, truth[..., 3], self.transparent)}
+        return losses, offset, splats.radii
 
     def _splat(self, features: torch.Tensor, camera: Camera) -> tuple[SplatImages, torch.Tensor | None]:
         """Features splatted, and the screen offsets of :meth:`_losses`."""

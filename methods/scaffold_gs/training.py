@@ -101,6 +101,7 @@ class Trainer(AnchorLoop):
         ).to(device)
         self.background = self.chosen_background(scene)
         self.images = torch.from_numpy(scene.train.images)
+        self.transparent = bool((self.images[..., 3] < 1).any())
         groups = self.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
         self._show_some()
@@ -180,6 +181,7 @@ class Trainer(AnchorLoop):
             decoded = apply_masks(decoded, prepared.masks)
         splats, offset = self.splat(decoded, camera)
         losses = {"image": self.image_loss(splats.features, splats.alpha, truth, background)}
+        losses |= self.alpha_losses(splats.alpha, truth[..., 3], self.transparent)
         if len(decoded.scales):
             losses["scale"] = self.options.scale_weight * decoded.scales.prod(dim=1).mean()
         losses |= prepared.losses

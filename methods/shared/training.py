@@ -25,6 +25,9 @@ from methods.shared.splatting import SplattingOptions
 
 CHECK_EVERY = 100
 """Iterations between looks at whether parameters are finite."""
+VANISHING = 0.5
+"""Share of a view's alpha under which the loss of alpha has the weight :data:`RESCUE`."""
+RESCUE = 1.0
 _BACKGROUNDS: dict[str, RGB] = {"white": WHITE, "black": (0.0, 0.0, 0.0)}
 _LOGARITHMS = ("log_scales", "log_scalings")  # may be finite where their exponentials are not
 
@@ -216,6 +219,27 @@ class TrainingLoop(ABC):
         """The background that the option of that name chooses."""
         choice = self.options.background
         return scene.train.background if choice == "scene" else _BACKGROUNDS.get(choice)
+
+    def alpha_losses(self, alpha: Tensor, truth: Tensor, transparent: bool) -> dict[str, Tensor]:
+        """The mean absolute error of alpha: an object of the background's color looks right without alpha.
+
+        It counts more while most is missing: a scene that is as pale as its background starts too dark, is
+        dimmed for that, and once all opacities are negative no gradient brings it back.
+
+        Args:
+            alpha: (H, W) drawn.
+            truth: (H, W) of the view.
+            transparent: whether training views are transparent anywhere: opaque ones hold their background.
+
+        Returns:
+            The weighted part of the loss by its name; empty if alpha is no target.
+        """
+        weight = self.options.alpha_weight
+        if not transparent or weight == 0.0:
+            return {}
+        if float(alpha.detach().sum()) < VANISHING * float(truth.sum()):
+            weight = max(weight, RESCUE)
+        return {"alpha": weight * (alpha - truth).abs().mean()}
 
     def background_color(self) -> RGB | Tensor:
         """The background of this iteration."""

@@ -75,7 +75,9 @@ class VqTrainer(Trainer):
             camera,
             low_pass=self.low_pass,
         )
-        return {"image": self.image_loss(splats.features, splats.alpha, truth, back)}, None, splats.radii
+        image = self.image_loss(splats.features, splats.alpha, truth, back)
+        losses = {"image": image, **self.alpha_losses(splats.alpha, truth[..., 3], self.transparent)}
+        return losses, None, splats.radii
 
     def _set_rates(self) -> None:
         if not self.coded:
