@@ -108,3 +108,18 @@ def with_near_planes(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
     if distance == 0.0:
         return tuple(cameras)
     return tuple(replace(camera, near=NEAR * distance) for camera in cameras)
+
+
+def pixel_size(cameras: Sequence[Camera]) -> float:
+    """Size of a pixel at the point that cameras look at, mean over cameras, in scene units; 0 for one camera.
+
+    The point is the nearest one to all optical axes; of parallel axes, the middle of the cameras.
+    """
+    places = np.stack([camera.position for camera in cameras])
+    axes = np.stack([camera.camera_to_world[:3, 2] for camera in cameras])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    middle = places.mean(axis=0)
+    offset = (across @ (places - middle)[:, :, None]).sum(axis=0)[:, 0]
+    point = middle + np.linalg.lstsq(across.sum(axis=0), offset, rcond=1e-6)[0]
+    sizes = np.linalg.norm(places - point, axis=1) / [camera.fx for camera in cameras]
+    return float(sizes.mean())

@@ -1,4 +1,4 @@
-"""The low-pass filter on projected Gaussians, which keeps them from falling between pixels."""
+"""Low-pass filters of Gaussians: on the image, so that none falls between pixels, and in the scene."""
 
 from __future__ import annotations
 
@@ -8,23 +8,28 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class LowPass:
-    """A filter of projected Gaussians.
+    """Filters of Gaussians.
 
     Attributes:
         variance: added to the diagonal of the projected covariance, in px²; above 0.
-        compensated: opacities shrink so that a Gaussian keeps its mass, by the root of the ratio of the
-            determinants (Yu et al. 2024, Mip-Splatting).
+        compensated: the filter on the image shrinks opacities so that a Gaussian keeps its mass, by the root
+            of the ratio of the determinants (Yu et al. 2024, Mip-Splatting).
+        smoothing: added to the diagonal of the covariance in the scene, in squared scene units: a least size
+            that does not depend on the view.
 
     Raises:
-        ValueError: the variance is not above 0, or not finite.
+        ValueError: the variance is not above 0, the smoothing is negative, or one is not finite.
     """
 
     variance: float = 0.3
     compensated: bool = False
+    smoothing: float = 0.0
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.variance) and self.variance > 0.0):
             raise ValueError(f"low-pass filter: variance {self.variance:g} must be finite and above 0")
+        if not (math.isfinite(self.smoothing) and self.smoothing >= 0.0):
+            raise ValueError(f"low-pass filter: smoothing {self.smoothing:g} must be finite and 0 or more")
 
 
 LINEAGE = LowPass()

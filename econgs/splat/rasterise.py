@@ -66,7 +66,7 @@ def rasterise(
         camera: the view; Gaussians of at most the depth of its near plane are culled.
         screen_offset: (N, 2) added to the projected centres, in pixels; its gradient is the screen-space
             gradient that densification reads.
-        low_pass: filter of the projected Gaussians.
+        low_pass: filters of the Gaussians.
         backend: "native" (CPU, float32), "gsplat" (CUDA, float32) or "torch"; by default the environment
             variable ``ECONGS_BACKEND``, else the one that suits the tensors.
 
@@ -80,6 +80,9 @@ def rasterise(
         tensors["screen_offset"] = screen_offset
     _check_shapes(tensors)
     _check_camera(camera)
+    if low_pass.smoothing:
+        scales = (scales.square() + low_pass.smoothing).sqrt()
+        tensors["scales"] = scales
     name = choose_backend(means, backend)
     if name != "native":  # the native kernels check values as they read them
         _check_values(tensors)

@@ -60,7 +60,9 @@ class TrainerMethod:
     def restore(self, checkpoint: Checkpoint, options: Any, device: str) -> Any:
         """The model of a checkpoint, of a finished fit or an earlier one."""
         model = self.trainer.restored(TrainingState(checkpoint, device), options)
-        model.rendering = Rendering(checkpoint.scalars.get("units", 1.0), low_pass_of(options))
+        scalars = checkpoint.scalars
+        low_pass = low_pass_of(options, scalars.get("pixel", 0.0))
+        model.rendering = Rendering(scalars.get("units", 1.0), low_pass)
         return model
 
     def load(self, folder: Path, device: str) -> Any:

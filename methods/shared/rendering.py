@@ -20,7 +20,7 @@ class Rendering:
 
     Attributes:
         units: scene units / units of the Gaussians (:mod:`methods.shared.units`).
-        low_pass: filter of the projected Gaussians.
+        low_pass: filters of the Gaussians.
     """
 
     units: float = 1.0
@@ -35,6 +35,8 @@ class Rendering:
             lines.append(f"low_pass={self.low_pass.variance!r}")
         if self.low_pass.compensated:
             lines.append("compensated=true")
+        if self.low_pass.smoothing:
+            lines.append(f"smoothing={self.low_pass.smoothing!r}")
         return (folder / FILE).write_bytes("\n".join(lines).encode()) if lines else 0
 
     @classmethod
@@ -51,8 +53,9 @@ class Rendering:
             facts: dict[str, Any] = tomllib.loads(file.read_text(encoding="utf-8"))
             units = float(facts.pop("units", 1.0))
             variance, compensated = facts.pop("low_pass", LINEAGE.variance), facts.pop("compensated", False)
+            smoothing = facts.pop("smoothing", 0.0)
             if facts or not (math.isfinite(units) and units > 0.0) or not isinstance(compensated, bool):
                 raise ValueError(f"units {units}, compensated {compensated}, {', '.join(facts)}")
-            return cls(units, LowPass(float(variance), compensated))
+            return cls(units, LowPass(float(variance), compensated, float(smoothing)))
         except (OSError, ValueError, TypeError) as error:
             raise DataError(file, f"cannot be used ({error})", "Save the model again") from error

@@ -17,6 +17,12 @@ class SplattingOptions:
     antialiased: bool = option(
         False, "opacities shrink so that the filter keeps a Gaussian's mass (Mip-Splatting)"
     )
+    smoothing: float = option(
+        0.0,
+        "variance added to every Gaussian in the scene, px² of the training views at their mean distance",
+        minimum=0.0,
+        maximum=4.0,
+    )
     alpha_weight: float = option(
         0.0,
         "weight of the mean absolute error of alpha, where training views are transparent anywhere",

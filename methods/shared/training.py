@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets.camera import pixel_size
 from datasets.scene import RGB, WHITE
 from econgs.losses import photometric_loss
 from econgs.optim import Adam
@@ -105,6 +106,7 @@ class TrainingLoop(ABC):
         pending: views not yet drawn in this round.
         limited: growth has met its limit.
         units: scene units / units of the fit (:mod:`methods.shared.units`).
+        pixel: size of a pixel of the training views at their mean distance, in units of the fit.
 
     Raises:
         Refused: a scene without training views.
@@ -125,11 +127,13 @@ class TrainingLoop(ABC):
         self.iteration = 0
         self.pending: list[Any] = []
         self.limited = False
+        # Rounded: models of the same cameras compose, whatever group they were in.
+        self.pixel = float(f"{np.mean([pixel_size(scene.train.cameras) for scene in scenes]):.6g}")
 
     @property
     def low_pass(self) -> LowPass:
         """Filter of the projected Gaussians."""
-        return low_pass_of(self.options)
+        return low_pass_of(self.options, self.pixel)
 
     @property
     @abstractmethod
@@ -264,6 +268,7 @@ class TrainingLoop(ABC):
             "iterations": self.iterations,
             "scenes": [[label.name, label.background, label.light] for label in self.labels],
             "units": self.units,
+            "pixel": self.pixel,
         }
         return Checkpoint(self.iteration, arrays, scalars)
 
@@ -280,11 +285,16 @@ class TrainingLoop(ABC):
         return {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
 
 
-def low_pass_of(options: Any) -> LowPass:
-    """The filter that options choose; that of the lineage, where they have none."""
+def low_pass_of(options: Any, pixel: float) -> LowPass:
+    """The filters that options choose; that of the lineage, where they have none.
+
+    Args:
+        options: of a method.
+        pixel: size of a pixel of the training views at their mean distance, in units of the fit.
+    """
     if not isinstance(options, SplattingOptions):
         return LINEAGE
-    return LowPass(options.low_pass, options.antialiased)
+    return LowPass(options.low_pass, options.antialiased, options.smoothing * pixel**2)
 
 
 def to_numpy(tensor: Tensor) -> NDArray[np.float32]:

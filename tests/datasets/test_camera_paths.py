@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from datasets import camera_paths
+from datasets.camera import pixel_size
 from datasets.camera_paths import icosphere, spiral, training_cameras
 from datasets.errors import DataError
 
@@ -76,6 +77,14 @@ def test_cameras_look_inwards_and_just_see_the_bounding_sphere(width, height):
             assert used > 0.93
     names = [c.name for c in training_cameras(12, radius, width, height)]
     assert len(set(names)) == 12
+
+
+def test_the_pixel_at_what_cameras_look_at():
+    around = training_cameras(42, 0.7, 64, 64, (5.0, -1.0, 2.0))
+    expected = np.linalg.norm(around[0].position - [5.0, -1.0, 2.0]) / around[0].fx
+    for cameras in (around, around[:3], around[20:22]):
+        assert pixel_size(cameras) == pytest.approx(expected)
+    assert pixel_size(around[:1]) == 0.0
 
 
 def test_z_points_up_in_the_picture():

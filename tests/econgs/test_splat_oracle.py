@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -106,10 +107,25 @@ def test_one_gaussian_is_a_closed_form(backend: Any) -> None:
     np.testing.assert_allclose(out.features.cpu().numpy(), alpha[..., None] * [2.0, -1.0], **tolerance)
 
 
-@pytest.mark.parametrize("variance", [0.0, -0.1, float("nan"), float("inf")])
-def test_a_filter_without_a_width_is_refused(variance: float) -> None:
-    with pytest.raises(ValueError, match="low-pass"):
-        LowPass(variance)
+@pytest.mark.parametrize("number", [0.0, -0.1, float("nan"), float("inf")])
+def test_a_filter_without_a_width_is_refused(number: float) -> None:
+    with pytest.raises(ValueError, match="variance"):
+        LowPass(number)
+    if number:
+        with pytest.raises(ValueError, match="smoothing"):
+            LowPass(smoothing=number)
+
+
+def test_smoothing_adds_to_the_covariance_in_the_scene(splat: Any, backend: Any) -> None:
+    """So a scene of balls is the scene of balls that are larger by it."""
+    balls = splat.make_scene(60, stretch=0.0, sigma=0.03)
+    larger = replace(balls, tensors={**balls.tensors, "scales": (balls.tensors["scales"] ** 2 + 4e-4).sqrt()})
+    smooth = replace(balls, low_pass=LowPass(smoothing=4e-4))
+    first, second = (one.render(torch.float32, backend.name, backend.device) for one in (larger, smooth))
+    torch.testing.assert_close(first.features, second.features, rtol=0, atol=1e-5)
+    assert (
+        first.features - balls.render(torch.float32, backend.name, backend.device).features
+    ).abs().max() > 0.05
 
 
 def test_a_compensated_gaussian_keeps_its_mass(backend: Any) -> None:

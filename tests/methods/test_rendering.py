@@ -10,7 +10,6 @@ import pytest
 
 from datasets.errors import DataError
 from datasets.units import camera_in_units, cloud_in_units, scene_in_units, views_in_units
-from econgs.splat import LowPass
 from methods.contract.checks import Subject
 from methods.contract.scene import cameras
 from methods.interface import Refused, SceneInput
@@ -102,7 +101,16 @@ def test_a_damaged_file_is_an_error(tmp_path: Path) -> None:
     spec = Registry().spec("3dgs")
     subject = Subject(spec, load_method(spec), tmp_path, 2)
     folder, _ = subject.saved(subject.fit([scene_in(subject.tiny("one"), 64.0)]), "model")
-    for content in ("units=nan", "units=-1", "low_pass=0", "compensated=2", "low_pass=[]", "x", "a=1"):
+    for content in (
+        "units=nan",
+        "units=-1",
+        "low_pass=0",
+        "compensated=2",
+        "smoothing=-1",
+        "low_pass=[]",
+        "x",
+        "a=1",
+    ):
         (folder / FILE).write_text(content)
         with pytest.raises(DataError, match=FILE):
             subject.method.load(folder, "cpu")
@@ -113,9 +121,12 @@ def test_a_model_is_drawn_with_the_filter_of_its_fit(name: str, tmp_path: Path) 
     spec = Registry().spec(name)
     subject = Subject(spec, load_method(spec), tmp_path, 16)
     usual = subject.fit()
-    for changed in ({"low_pass": 0.05}, {"antialiased": True}):
+    for changed in ({"low_pass": 0.05}, {"antialiased": True}, {"smoothing": 0.5}):
         model = subject.fit(**changed)
-        assert model.rendering.low_pass in (LowPass(0.05), LowPass(0.3, compensated=True))
+        low_pass = model.rendering.low_pass
+        assert low_pass.variance == changed.get("low_pass", 0.3)
+        assert low_pass.compensated == changed.get("antialiased", False)
+        assert (low_pass.smoothing > 0.0) == ("smoothing" in changed)
         assert (pictures(model, 1.0) != pictures(usual, 1.0)).any()
         folder, _ = subject.saved(model, f"with {next(iter(changed))}")
         loaded = subject.method.load(folder, "cpu")
