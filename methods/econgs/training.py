@@ -34,7 +34,7 @@ from methods.econgs.start import starting_points
 from methods.interface import Checkpoint, SceneInput
 from methods.shared.anchors import AnchorLoop, Rate
 from methods.shared.coding import coded_context
-from methods.shared.training import CHECK_EVERY, TrainingState, to_numpy
+from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy
 
 DECODER_RATES: dict[str, Rate] = {
     "opacity": (2e-3, 2e-5),
@@ -83,7 +83,7 @@ class _Scene:
         self.anchors.initial["features"][:, decoders.features :] = stored.to(device)
         self.palette = torch.from_numpy(color)
         self.images = torch.from_numpy(source.train.images)
-        self.transparent = bool((self.images[..., 3] < 1).any())
+        self.transparent = are_transparent(self.images)
         light = source.scene.light
         self.light = None if light is None else light.direction
 
@@ -221,10 +221,6 @@ class Trainer(AnchorLoop):
             light=scene.light,
         )
 
-    def _asks_alpha(self, scene: _Scene) -> bool:
-        """Whether alpha is a target: opaque pictures have their background in them."""
-        return scene.transparent and self.options.alpha_weight > 0.0
-
     def _scale_loss(self, scales: Tensor) -> Tensor:
         """The regulariser of the product of scales, over the Gaussians drawn."""
         products = scales.prod(dim=1)
@@ -280,7 +276,7 @@ class Trainer(AnchorLoop):
             decoded = self._decode(scene, camera, positions.index_select(0, rows), values.of(rows))
             return decoded, rows[decoded.slots // scene.anchors.offsets]
 
-        asks_alpha = self._asks_alpha(scene)
+        asks_alpha = self.asks_alpha(scene.transparent)
 
         @torch.no_grad()
         def measure(views: Sequence[int], kept: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from methods.gaussian_splatting.model import GaussianModel, SceneGaussians, Spla
 from methods.gaussian_splatting.schedule import Schedule
 from methods.gaussian_splatting.spec import GaussianOptions
 from methods.interface import Checkpoint, SceneInput
-from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, under
+from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent, under
 
 PARAMETERS = ("means", "log_scales", "quats", "logits", "sh_dc", "sh_rest")
 LEARNING_RATES = {"log_scales": 5e-3, "quats": 1e-3, "sh_dc": 2.5e-3}
@@ -53,7 +53,7 @@ class Trainer(TrainingLoop):
             limit=options.max_gaussians,
         )
         self.images = torch.from_numpy(scene.train.images)
-        self.transparent = bool((self.images[..., 3] < 1).any())
+        self.transparent = are_transparent(self.images)
         parameters, rates = self._start()
         self.optimiser = Adam({name: values.to(device) for name, values in parameters.items()}, rates)
         self.statistics = GrowthStatistics.zeros(self.count, device)

@@ -224,6 +224,14 @@ class TrainingLoop(ABC):
         choice = self.options.background
         return scene.train.background if choice == "scene" else _BACKGROUNDS.get(choice)
 
+    def asks_alpha(self, transparent: bool) -> bool:
+        """Whether alpha is a target: opaque pictures have their background in them.
+
+        Args:
+            transparent: whether training views are transparent anywhere (:func:`are_transparent`).
+        """
+        return transparent and self.options.alpha_weight > 0.0
+
     def alpha_losses(self, alpha: Tensor, truth: Tensor, transparent: bool) -> dict[str, Tensor]:
         """The mean absolute error of alpha: an object of the background's color looks right without alpha.
 
@@ -233,14 +241,14 @@ class TrainingLoop(ABC):
         Args:
             alpha: (H, W) drawn.
             truth: (H, W) of the view.
-            transparent: whether training views are transparent anywhere: opaque ones hold their background.
+            transparent: as for :meth:`asks_alpha`.
 
         Returns:
             The weighted part of the loss by its name; empty if alpha is no target.
         """
-        weight = self.options.alpha_weight
-        if not transparent or weight == 0.0:
+        if not self.asks_alpha(transparent):
             return {}
+        weight = self.options.alpha_weight
         if float(alpha.detach().sum()) < VANISHING * float(truth.sum()):
             weight = max(weight, RESCUE)
         return {"alpha": weight * (alpha - truth).abs().mean()}
@@ -295,6 +303,11 @@ def low_pass_of(options: Any, pixel: float) -> LowPass:
     if not isinstance(options, SplattingOptions):
         return LINEAGE
     return LowPass(options.low_pass, options.antialiased, options.smoothing * pixel**2)
+
+
+def are_transparent(images: Tensor) -> bool:
+    """Whether some pixel of pictures (n, H, W, 4) is not opaque."""
+    return bool((images[..., 3] < 1).any())
 
 
 def to_numpy(tensor: Tensor) -> NDArray[np.float32]:
