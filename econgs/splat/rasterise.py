@@ -81,8 +81,8 @@ def rasterise(
     _check_shapes(tensors)
     _check_camera(camera)
     if low_pass.smoothing:
-        scales = (scales.square() + low_pass.smoothing).sqrt()
-        tensors["scales"] = scales
+        _refuse_negative(scales)  # which squares hide
+        scales = tensors["scales"] = torch.hypot(scales, scales.new_tensor(math.sqrt(low_pass.smoothing)))
     name = choose_backend(means, backend)
     if name != "native":  # the native kernels check values as they read them
         _check_values(tensors)
@@ -193,8 +193,12 @@ def _find_bad(tensors: dict[str, Tensor]) -> None:
         _refuse(name, tensor, ~torch.isfinite(tensor), "every value must be finite")
     opacities, scales, quats = tensors["opacities"], tensors["scales"], tensors["quats"]
     _refuse("opacities", opacities, (opacities < 0) | (opacities > 1), "opacities lie in [0, 1]")
-    _refuse("scales", scales, scales < 0, "scales are standard deviations, ≥ 0")
+    _refuse_negative(scales)
     _refuse("quats", quats, quats.square().sum(-1) == 0, "a zero quaternion is no rotation")
+
+
+def _refuse_negative(scales: Tensor) -> None:
+    _refuse("scales", scales, scales < 0, "scales are standard deviations, ≥ 0")
 
 
 def _refuse(name: str, tensor: Tensor, bad: Tensor, rule: str) -> None:

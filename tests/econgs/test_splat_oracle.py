@@ -128,6 +128,19 @@ def test_smoothing_adds_to_the_covariance_in_the_scene(splat: Any, backend: Any)
     ).abs().max() > 0.05
 
 
+def test_smoothing_hides_no_bad_scale_and_overflows_at_none(splat: Any, backend: Any) -> None:
+    scene = replace(splat.make_scene(20), low_pass=LowPass(smoothing=1e-4))
+    for value, fine in ((1e30, True), (-0.1, False), (float("nan"), False)):
+        scales = scene.tensors["scales"].clone()
+        scales[3, 1] = value
+        changed = replace(scene, tensors={**scene.tensors, "scales": scales})
+        if fine:
+            assert torch.isfinite(changed.render(torch.float32, backend.name, backend.device).features).all()
+        else:
+            with pytest.raises(ValueError, match=r"^scales\[3, 1\] is"):
+                changed.render(torch.float32, backend.name, backend.device)
+
+
 def test_a_compensated_gaussian_keeps_its_mass(backend: Any) -> None:
     """Its sum over pixels is 2π opacity · variance before the filter, whatever the filter adds."""
     size, depth, scale, opacity = 60, 2.0, 0.02, 0.8
