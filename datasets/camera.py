@@ -46,11 +46,12 @@ class Camera:
         width: int,
         height: int,
         name: str = "",
+        near: float = 0.2,
     ) -> Camera:
         """A camera with square pixels, centred principal point and horizontal field of view in radians."""
         focal = 0.5 * width / math.tan(0.5 * fov_x)
         matrix = np.asarray(camera_to_world, dtype=np.float64)
-        return cls(matrix, focal, focal, 0.5 * width, 0.5 * height, width, height, name)
+        return cls(matrix, focal, focal, 0.5 * width, 0.5 * height, width, height, name, near)
 
     @property
     def fov_x(self) -> float:

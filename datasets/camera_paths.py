@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,8 +158,8 @@ def _looking_inwards(
         matrix = look_at_origin(distance * direction)
         if centre is not None:
             matrix[:3, 3] += centre
-        camera = Camera.with_fov(matrix, fov_x, width, height, f"{prefix}_{i:03d}")
-        cameras.append(replace(camera, near=NEAR * distance))
+        name = f"{prefix}_{i:03d}"
+        cameras.append(Camera.with_fov(matrix, fov_x, width, height, name, NEAR * distance))
     return tuple(cameras)
 
 

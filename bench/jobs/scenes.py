@@ -23,10 +23,10 @@ from datasets.stress import (
     turned,
     with_outliers,
 )
-from datasets.units import cloud_in_units, scene_in_units, views_in_units
 from datasets.views import ViewSet
 from datasets.volume import Volume
 from methods.interface import Refused, SceneInput
+from methods.shared.units import in_units
 
 
 def scene_inputs(context: Context) -> list[SceneInput]:
@@ -64,20 +64,15 @@ def scene_inputs(context: Context) -> list[SceneInput]:
             if start == "outliers":
                 cloud = with_outliers(cloud, train.cameras, seed)
         train = _stressed(train, stress, derived_seed("stress", job.dataset_name, name, job.seed))
-        if units != 1.0:
-            scene = scene_in_units(scene, units)
-            train, validation = (views_in_units(views, units) for views in (train, validation))
-            cloud = cloud_in_units(cloud, units)
-        inputs.append(
-            SceneInput(
-                scene=scene,
-                train=train,
-                validation=validation,
-                cloud=cloud,
-                extent=camera_extent(train.cameras),
-                volume=partial(_volume, dataset, scene.variable) if scene.views_folder is None else None,
-            )
+        scene_input = SceneInput(
+            scene=scene,
+            train=train,
+            validation=validation,
+            cloud=cloud,
+            extent=camera_extent(train.cameras),
+            volume=partial(_volume, dataset, scene.variable) if scene.views_folder is None else None,
         )
+        inputs.append(in_units(scene_input, units))
     return inputs
 
 

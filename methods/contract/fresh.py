@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,8 @@ def main(name: str, device: str, folder: str, *plugins: str) -> int:
     try:
         with np.load(Path(folder, "view.npz")) as view:
             size = int(view["width"]), int(view["height"])
-            camera = Camera.with_fov(view["pose"], float(view["fov"]), *size)
-            camera = replace(camera, near=float(view["near"]))
+            near = float(view["near"])
+            camera = Camera.with_fov(view["pose"], float(view["fov"]), *size, near=near)
         rgb, alpha = load_method(spec).load(Path(folder, "model"), device).render(camera)
         np.savez(Path(folder, "picture.npz"), rgb=rgb.cpu().numpy(), alpha=alpha.cpu().numpy())
     except Exception as error:

@@ -10,7 +10,7 @@ from methods.interface import Budget, Checkpoint, Model, Monitor, Refused, Scene
 from methods.shared.model import SceneModel
 from methods.shared.rendering import Rendering
 from methods.shared.training import TrainingLoop, TrainingState, low_pass_of
-from methods.shared.units import in_units_of_fit, units_of
+from methods.shared.units import in_units, units_of
 
 
 class TrainerMethod:
@@ -45,7 +45,7 @@ class TrainerMethod:
     ) -> Any:
         """Train one group, in units that suit its extent; see :class:`methods.interface.Method`."""
         units = units_of(group)
-        group = [in_units_of_fit(scene, units) for scene in group]
+        group = [in_units(scene, 1.0 / units) for scene in group]
         if len(group) != 1 and not self.joint:
             raise Refused(f"{self.name} trains each scene on its own, not {len(group)} together")
         subject: Any = group if self.joint else group[0]

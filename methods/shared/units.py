@@ -26,16 +26,15 @@ def units_of(group: Sequence[SceneInput]) -> float:
     return float(2.0 ** round(math.log2(extent / _TYPICAL)))
 
 
-def in_units_of_fit(scene: SceneInput, units: float) -> SceneInput:
-    """A scene in the units of its fit; its volume has no units of its own."""
+def in_units(scene: SceneInput, units: float) -> SceneInput:
+    """The scene with all coordinates multiplied by ``units``; its volume has no units of its own."""
     if units == 1.0:
         return scene
-    factor = 1.0 / units
     return replace(
         scene,
-        scene=scene_in_units(scene.scene, factor),
-        train=views_in_units(scene.train, factor),
-        validation=views_in_units(scene.validation, factor),
-        cloud=cloud_in_units(scene.cloud, factor),
-        extent=factor * scene.extent,
+        scene=scene_in_units(scene.scene, units),
+        train=views_in_units(scene.train, units),
+        validation=views_in_units(scene.validation, units),
+        cloud=cloud_in_units(scene.cloud, units),
+        extent=units * scene.extent,
     )
