@@ -25,6 +25,14 @@ def test_every_dataset_of_a_suite_is_known_and_what_is_missing_has_a_stand_in_or
     assert set(suite.presets) == ({"quick"} if name.startswith("gate") else set(VIEWS))
 
 
+@pytest.mark.parametrize("name", names())
+def test_without_data_a_suite_names_scenes_that_its_datasets_have(name):
+    known = {info.name: {*info.scenes, *info.compositions} for info in list_datasets([])}
+    here = [info.name for info in list_datasets([]) if info.available]
+    for dataset, choices in load_suite(name).present(here).items():
+        assert {scene for choice in choices for scene in choice} <= known[dataset.partition("@")[0]]
+
+
 @pytest.mark.parametrize("name", ["design", "storage", "hyperparameters", "threshold", "init-points"])
 def test_variants_of_a_suite_are_options_that_methods_have(name, monkeypatch):
     monkeypatch.setattr("bench.selection.subsets", lambda *_: [])
