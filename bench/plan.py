@@ -53,6 +53,7 @@ class Planner:
         if preset not in suite.presets:
             raise unknown("preset", preset, suite.presets, of=f"suite {suite.name}")
         self._preset_name, self._preset = preset, suite.presets[preset]
+        self._like = self._preset.like or preset
         self.ladders = suite.ladders
         self._seeds = selection.seeds or suite.seeds
         self._specs = self._methods()
@@ -107,17 +108,21 @@ class Planner:
             for value in knob.values
         ]
         saved = [None, *(value for knob, value in points if not knob.refit)]
-        yield resolve(spec, self._preset_name, overrides), saved
+        yield resolve(spec, self._like, overrides), saved
         for knob, value in points:
             if knob.refit:
-                yield resolve(spec, self._preset_name, {**overrides, knob.name: value}), [None]
+                yield resolve(spec, self._like, {**overrides, knob.name: value}), [None]
 
     # ------------------------------------------------------------------ ladders
 
     def _rungs(self) -> Iterator[_Case]:
-        """The runs of all rungs, those of the first ones too; equal jobs are made once by :meth:`jobs`."""
+        """The runs of all rungs, those of the first ones too; equal jobs are made once by :meth:`jobs`.
+
+        A dataset that the suite does not name climbs every ladder whose rungs are no scenes.
+        """
         usual = [(spec, settings) for spec, settings, _ in self._settings if not settings.knob]
         alone: list[float | None] = [None]
+        named = usual_sources(self._selection, self._selection.suite.datasets)
         opened: dict[str, Subset | None] = {}
         for ladder in self._selection.suite.ladders:
             sources = usual_sources(self._selection, ladder.datasets)
@@ -127,7 +132,11 @@ class Planner:
                         opened[rung.scene] = subset_of_scene(self._selection, self._preset, rung.scene)
                     chosen = [opened[rung.scene]]
                 else:
-                    chosen = [one for one in self._subsets if not ladder.datasets or one.source in sources]
+                    chosen = [
+                        one
+                        for one in self._subsets
+                        if not ladder.datasets or one.source in sources or one.source not in named
+                    ]
                 for subset in chosen:
                     # Truth that was rendered elsewhere is there as it is.
                     if subset is None or (subset.kind == "views" and part_of(rung.stress, "truth", "test")):
@@ -137,6 +146,8 @@ class Planner:
                         for spec, settings in usual
                         if ladder.is_for(spec.name)
                     ]
+                    if not (rung.stress or rung.options or rung.scene):
+                        choices = [each for each in self._settings if ladder.is_for(each[0].name)]
                     if choices:
                         yield _Case(subset, rung.stress, choices)
 
@@ -145,7 +156,7 @@ class Planner:
     ) -> Settings:
         """Settings with the options of a rung."""
         more = options.get(spec.name)
-        return resolve(spec, self._preset_name, {**settings.overrides, **more}) if more else settings
+        return resolve(spec, self._like, {**settings.overrides, **more}) if more else settings
 
     def _repeats(self, jobs: list[Job], store: Store) -> Iterator[Job]:
         """Rungs on which a method breaks, and the first rungs beside them, with further seeds."""
@@ -170,11 +181,13 @@ class Planner:
     # ------------------------------------------------------------------ graph
 
     def _all(self, store: Store | None) -> Iterator[Job]:
+        climbing = {name for ladder in self._selection.suite.ladders for name in ladder.datasets}
+        climbed = usual_sources(self._selection, climbing)  # their usual runs are first rungs
         for subset in self._subsets:
             if self._selection.suite.dvr and subset.kind == "volume":
                 for name in (*subset.hashes, *subset.compositions):
                     yield self._of_scene("dvr", subset, name)
-            if self._settings:
+            if self._settings and subset.source not in climbed:
                 yield from self._of_case(_Case(subset, "", self._settings), self._seeds, store)
         for case in self._cases:
             yield from self._of_case(case, self._seeds, store)

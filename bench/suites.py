@@ -28,6 +28,8 @@ class ViewPreset:
         prerendered_limit: pre-rendered views keep their own size up to this many pixels along the
             longer side; larger ones are area-averaged by the smallest whole factor that fits.
         cloud_points: size of the initial cloud.
+        like: the preset whose options and iterations methods take, where a suite gives its preset a name of
+            its own; "" is the name.
     """
 
     train_views: int
@@ -36,6 +38,7 @@ class ViewPreset:
     height: int
     prerendered_limit: int
     cloud_points: int = 10_000
+    like: str = ""
 
 
 VIEWS = {
@@ -43,7 +46,7 @@ VIEWS = {
     "standard": ViewPreset(92, 181, 400, 400, 400),
     "paper": ViewPreset(92, 181, 800, 800, 800),
 }
-"""Presets of a suite that names none; "paper" is the published protocol."""
+"""Presets of every suite, unless it declares its own of that name; "paper" is the published protocol."""
 
 
 @dataclass(frozen=True)
@@ -138,9 +141,7 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
             raise unknown("key", key, keys, of=str(path))
     compositions = data.get("compositions", [])
     try:
-        presets = VIEWS
-        if "presets" in data:
-            presets = {name: ViewPreset(**table) for name, table in data["presets"].items()}
+        presets = {name: ViewPreset(**table) for name, table in data.get("presets", {}).items()}
         suite = Suite(
             name=path.stem,
             title=str(data["title"]),
@@ -149,7 +150,7 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
             optional=tuple(data.get("optional", ())),
             seeds=tuple(int(seed) for seed in data.get("seeds", [0])),
             preset=str(data["preset"]),
-            presets=presets,
+            presets={**VIEWS, **presets},
             variants=tuple(data.get("variants", [{}])),
             rates=str(data.get("rates", "default")),
             compositions="all" if compositions == "all" else tuple(compositions),
@@ -173,8 +174,8 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
     for name in suite.stand_ins:
         if name not in suite.datasets:
             raise unknown("dataset", name, suite.datasets, of=f"{path} (stand_ins)")
-    if suite.preset not in presets:
-        raise unknown("preset", suite.preset, presets, of=str(path))
+    if suite.preset not in suite.presets:
+        raise unknown("preset", suite.preset, suite.presets, of=str(path))
     if suite.rates not in ("default", "all"):
         raise DataError(path, f"rates = {suite.rates!r}", 'Use "default" or "all"')
     for edit in suite.edits:

@@ -94,6 +94,29 @@ def test_a_rung_adds_only_the_jobs_that_it_decides(suite) -> None:
     assert views["opacity=0.1"].id in measures["opacity=0.1"].needs
 
 
+def test_a_dataset_of_a_ladder_runs_on_ladders_alone(suite) -> None:
+    named = """ladders = [
+        { name = "noise", title = "", datasets = ["argon_bubble_like@32"], rungs = ["", "noise=8"] },
+        { name = "rate", title = "", datasets = ["argon_bubble_like@32"], rungs = [
+            "", { options = { fake-joint = { pace = 0.01 } } },
+        ] },
+    ]"""
+    alone = "ladders = [" + named[named.index('{ name = "rate"') :]
+    methods = ("fake", "fake-joint")
+    # The fake has no rung of rates, and nothing else asks for its usual run.
+    assert {job.method for job in plan(suite(alone), methods=methods) if job.kind != "views"} == {
+        "fake-joint"
+    }
+    jobs = plan(suite(named), methods=methods)
+    assert {(job.method, job.stress) for job in jobs if job.kind == "fit" and job.method == "fake"} == {
+        ("fake", ""),
+        ("fake", "noise=8"),
+    }
+    # A dataset of the command line, which the suite does not know, climbs too.
+    other = plan(suite(named), datasets=("vortices@16",))
+    assert {job.stress for job in other if job.kind == "fit"} == {"", "noise=8"}
+
+
 def test_budget_and_joint_methods(suite) -> None:
     jobs = plan(
         suite('ladders = [{ name = "b", title = "", rungs = ["", "budget=0.1"] }]'), methods=("fake-joint",)

@@ -21,8 +21,8 @@ def test_every_dataset_of_a_suite_is_known_and_what_is_missing_has_a_stand_in_or
     if name not in ("real-volumes", "unstructured"):
         assert without, "nothing to run without data"
         assert without <= BUILT_IN
-    assert suite.preset == "quick" or name == "datasets"
-    assert set(suite.presets) == ({"quick"} if name.startswith("gate") else set(VIEWS))
+    assert suite.preset == {"stability": "small"}.get(name, "quick") or name == "datasets"
+    assert set(suite.presets) >= set(VIEWS)
 
 
 @pytest.mark.parametrize("name", names())
@@ -141,3 +141,21 @@ def test_bad_suites_are_refused_by_name(tmp_path, datasets, more, error, words):
 def test_a_suite_may_limit_the_threads_of_its_jobs(bench):
     bench.run_suite(suite_file(bench.store.parent, f'"{bench.dataset}" = ["a"]', "threads = 1"))
     assert {record.provenance.threads for record in bench.of_kind("fit")} == {1}
+
+
+def test_a_preset_of_a_name_of_its_own_takes_options_and_iterations_of_another(tmp_path):
+    own = (
+        'presets.small = { like = "quick", train_views = 3, test_views = 2, width = 8, height = 8,'
+        " prerendered_limit = 8 }"
+    )
+
+    def fit(more, preset):
+        jobs = plan(suite_file(tmp_path, "vortices = []", more), preset=preset, methods=("hac",))
+        return next(job for job in jobs if job.kind == "fit")
+
+    usual, small = fit("", "quick"), fit(own, "small")
+    assert (small.preset, small.options, small.iterations) == ("small", usual.options, usual.iterations)
+    assert (small.request.width, small.request.train_views) == (8, 3)
+    assert fit(own, "standard").request.width == VIEWS["standard"].width
+    with pytest.raises(UnknownName, match="preset"):
+        fit(own.replace("quick", "quik"), "small")
