@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
-from methods.shared.splatting import SplattingOptions
+from methods.shared import splatting
 
 
 @dataclass(frozen=True)
-class EcongsOptions(SplattingOptions):
+class EcongsOptions(splatting.SplattingOptions):
     """Options of ECoNGS."""
 
     # Start
@@ -75,11 +75,6 @@ class EcongsOptions(SplattingOptions):
         "mean", "regulariser of the product of scales over drawn Gaussians"
     )
     scale_weight: float = option(0.01, "its weight (the paper's 0.001 belongs to the sum)", minimum=0.0)
-    alpha_weight: float = option(
-        0.05,
-        "weight of the mean absolute error of alpha, where training views are transparent anywhere",
-        minimum=0.0,
-    )
     color_weight: float = option(
         0.01, "weight of offset colors squared, ten times as much beyond black and white", minimum=0.0
     )
@@ -118,7 +113,7 @@ SPEC = MethodSpec(
     reference=(
         "K. Tang, C. Wang: ECoNGS: Efficient Compressive Neural Gaussian Splats for Volume Visualization"
     ),
-    version="1",
+    version="2",
     implementation="methods.econgs.method:Econgs",
     source=SHARED_SOURCE,
     joint=True,
@@ -127,13 +122,14 @@ SPEC = MethodSpec(
     uses_alpha="views are composited on the scene's background; alpha is also a target of its own",
     options=EcongsOptions,
     # So short a fit cannot train as many anchors: half of them, for 0.15 to 0.3 dB (docs/results/choices.md).
-    presets={"quick": {"growth_gradient": 6e-4, "alpha_weight": 0.2}},
+    presets={"quick": {**splatting.QUICK, "growth_gradient": 6e-4}},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={
         "fair": Configuration(),
         # What the paper states and what its code base implies where it is silent (docs/results/choices.md).
         "paper": Configuration(
             {
+                **splatting.PUBLISHED,
                 "feature_step": 1.0,
                 "scale_loss": "sum",
                 "scale_weight": 0.001,
@@ -144,7 +140,6 @@ SPEC = MethodSpec(
                 "features": 50,
                 "growth_gradient": 2e-4,
                 "direction_start": 1.0,
-                "alpha_weight": 0.0,
                 "color_weight": 0.0,
                 "fold_embeddings": False,
                 "hidden": 50,

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
-from methods.shared.splatting import SplattingOptions
+from methods.shared import splatting
 
-PUBLISHED: dict[str, OptionValue] = {"start": "random", "sh_rest_lr": 1.25e-4}
+PUBLISHED: dict[str, OptionValue] = {**splatting.PUBLISHED, "start": "random", "sh_rest_lr": 1.25e-4}
 """How the released code starts on scenes without a cloud of their own, and its rate of SH at every preset."""
 
 
 @dataclass(frozen=True)
-class GaussianOptions(SplattingOptions):
+class GaussianOptions(splatting.SplattingOptions):
     """Options of 3DGS, and the first of the methods that begin like it."""
 
     start: Literal["cloud", "random"] = option("cloud", "where the first Gaussians come from")
@@ -54,14 +54,14 @@ SPEC = MethodSpec(
         "B. Kerbl, G. Kopanas, T. Leimkühler, G. Drettakis: 3D Gaussian Splatting for Real-Time Radiance "
         "Field Rendering. ACM Transactions on Graphics 42(4), 2023"
     ),
-    version="2",
+    version="3",
     implementation="methods.gaussian_splatting.method:GaussianSplatting",
     source=SHARED_SOURCE,
     composable=True,
     edits=frozenset({"opacity"}),
-    uses_alpha="views are composited on the training background; alpha is no target of its own",
+    uses_alpha="views are composited on the training background; alpha is also a target of its own",
     options=GaussianOptions,
-    presets={"quick": {"sh_rest_lr": 1e-3}, "standard": {"sh_rest_lr": 5e-4}},
+    presets={"quick": {**splatting.QUICK, "sh_rest_lr": 1e-3}, "standard": {"sh_rest_lr": 5e-4}},
     iterations={"quick": 1_200, "standard": 7_000, "paper": 30_000},
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
 )

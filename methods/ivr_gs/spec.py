@@ -7,7 +7,12 @@ from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.gaussian_splatting.spec import GaussianOptions
 from methods.interface import Configuration, OptionValue, RateKnob, option
 
-PUBLISHED: dict[str, OptionValue] = {**PLAIN_PUBLISHED, "background": "white", "shading_start": 0.0}
+PUBLISHED: dict[str, OptionValue] = {
+    **PLAIN_PUBLISHED,
+    "alpha_weight": 0.1,
+    "background": "white",
+    "shading_start": 0.0,
+}
 """How the released code starts."""
 
 
@@ -46,7 +51,7 @@ SPEC = replace(
         "K. Tang, S. Yao, C. Wang: iVR-GS: Inverse Volume Rendering for Explorable Visualization via "
         "Editable 3D Gaussian Splatting. IEEE Transactions on Visualization and Computer Graphics 31(6), 2025"
     ),
-    version="1",
+    version="2",
     implementation="methods.ivr_gs.method:IvrGs",
     edits=frozenset({"palette", "opacity", "light", "shading"}),
     uses_alpha=(
@@ -54,6 +59,7 @@ SPEC = replace(
         "palette color is the mean color weighted by alpha"
     ),
     options=IvrOptions,
+    presets={**PLAIN.presets, "quick": {"sh_rest_lr": 1e-3}},  # its loss of alpha is another one
     iterations={"quick": 1_600, "standard": 9_300, "paper": 40_000},
     rate_knobs=(RateKnob("codebook size", (4, 16, 64, 256, 1024), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
-from methods.shared.splatting import SplattingOptions
+from methods.shared import splatting
 
 
 @dataclass(frozen=True)
-class ScaffoldOptions(SplattingOptions):
+class ScaffoldOptions(splatting.SplattingOptions):
     """Options of Scaffold-GS, and the first of HAC's."""
 
     # Start
@@ -44,7 +44,12 @@ class ScaffoldOptions(SplattingOptions):
     scale_weight: float = option(0.01, "weight of the mean product of scales of drawn Gaussians", minimum=0.0)
 
 
-PUBLISHED: dict[str, OptionValue] = {"start": "random", "background": "white", "max_anchors": 0}
+PUBLISHED: dict[str, OptionValue] = {
+    **splatting.PUBLISHED,
+    "start": "random",
+    "background": "white",
+    "max_anchors": 0,
+}
 """How the released code starts on scenes without a cloud of their own."""
 
 SPEC = MethodSpec(
@@ -54,13 +59,14 @@ SPEC = MethodSpec(
         "T. Lu, M. Yu, L. Xu, Y. Xiangli, L. Wang, D. Lin, B. Dai: Scaffold-GS: Structured 3D Gaussians for "
         "View-Adaptive Rendering. CVPR 2024"
     ),
-    version="1",
+    version="2",
     implementation="methods.scaffold_gs.method:ScaffoldGS",
     source=SHARED_SOURCE,
     composable=True,
     edits=frozenset({"opacity"}),
-    uses_alpha="views are composited on the training background; alpha is no target of its own",
+    uses_alpha="views are composited on the training background; alpha is also a target of its own",
     options=ScaffoldOptions,
+    presets={"quick": splatting.QUICK},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED, {"paper": 30_000})},
 )

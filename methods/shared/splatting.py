@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from methods.interface import option
+from methods.interface import OptionValue, option
 
 
 @dataclass(frozen=True)
@@ -12,19 +12,30 @@ class SplattingOptions:
     """How projected Gaussians are filtered, which models keep with their files; whether alpha is a target."""
 
     low_pass: float = option(
-        0.3, "variance of the low-pass filter on projected Gaussians, px²", minimum=0.01, maximum=4.0
+        0.03, "variance of the low-pass filter on projected Gaussians, px²", minimum=0.01, maximum=4.0
     )
     antialiased: bool = option(
-        False, "opacities shrink so that the filter keeps a Gaussian's mass (Mip-Splatting)"
+        True, "opacities shrink so that the filter keeps a Gaussian's mass (Mip-Splatting)"
     )
     smoothing: float = option(
-        0.0,
+        0.1,
         "variance added to every Gaussian in the scene, px² of the training views at their mean distance",
         minimum=0.0,
         maximum=4.0,
     )
     alpha_weight: float = option(
-        0.0,
+        0.05,
         "weight of the mean absolute error of alpha, where training views are transparent anywhere",
         minimum=0.0,
     )
+
+
+PUBLISHED: dict[str, OptionValue] = {
+    "low_pass": 0.3,
+    "antialiased": False,
+    "smoothing": 0.0,
+    "alpha_weight": 0.0,
+}
+"""Of 3DGS and what follows it."""
+QUICK: dict[str, OptionValue] = {"alpha_weight": 0.2}
+"""In so short a schedule."""

@@ -10,6 +10,7 @@ import pytest
 
 from datasets.errors import DataError
 from datasets.units import camera_in_units, cloud_in_units, scene_in_units, views_in_units
+from econgs.splat import LINEAGE
 from methods.contract.checks import Subject
 from methods.contract.scene import cameras
 from methods.interface import Refused, SceneInput
@@ -120,9 +121,11 @@ def test_a_damaged_file_is_an_error(tmp_path: Path) -> None:
 def test_a_model_is_drawn_with_the_filter_of_its_fit(name: str, tmp_path: Path) -> None:
     spec = Registry().spec(name)
     subject = Subject(spec, load_method(spec), tmp_path, 16)
-    usual = subject.fit()
+    lineage = {"low_pass": 0.3, "antialiased": False, "smoothing": 0.0}
+    usual = subject.fit(**lineage)
+    assert usual.rendering.low_pass == LINEAGE
     for changed in ({"low_pass": 0.05}, {"antialiased": True}, {"smoothing": 0.5}):
-        model = subject.fit(**changed)
+        model = subject.fit(**lineage | changed)
         low_pass = model.rendering.low_pass
         assert low_pass.variance == changed.get("low_pass", 0.3)
         assert low_pass.compensated == changed.get("antialiased", False)
