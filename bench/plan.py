@@ -20,7 +20,7 @@ from bench.stress import part_of, stress_of
 from bench.suites import SAMPLED
 from datasets.names import unknown
 from methods.interface import MethodSpec
-from methods.options import Settings, resolve
+from methods.options import ITERATIONS, Settings, resolve
 from methods.registry import Registry
 from reports import schema
 
@@ -332,7 +332,10 @@ class Planner:
         """
         subset, stress = case.subset, part_of(case.stress, "truth", "input", "fit")
         request, device = subset.request, self._selection.device
-        iterations = max(1, round(stress_of(stress).get("budget", 1.0) * settings.iterations))
+        budget = float(stress_of(stress).get("budget", 1.0))
+        if ITERATIONS not in settings.overrides:
+            budget *= self._preset.budget
+        iterations = max(1, round(budget * settings.iterations))
         identity = {
             "kind": kind,
             "dataset": subset.name,

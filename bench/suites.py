@@ -30,6 +30,7 @@ class ViewPreset:
         cloud_points: size of the initial cloud.
         like: the preset whose options and iterations methods take, where a suite gives its preset a name of
             its own; "" is the name.
+        budget: share of the iterations that methods take, unless they are set.
     """
 
     train_views: int
@@ -39,6 +40,7 @@ class ViewPreset:
     prerendered_limit: int
     cloud_points: int = 10_000
     like: str = ""
+    budget: float = 1.0
 
 
 VIEWS = {

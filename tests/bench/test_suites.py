@@ -149,13 +149,17 @@ def test_a_preset_of_a_name_of_its_own_takes_options_and_iterations_of_another(t
         " prerendered_limit = 8 }"
     )
 
-    def fit(more, preset):
-        jobs = plan(suite_file(tmp_path, "vortices = []", more), preset=preset, methods=("hac",))
+    def fit(more, preset, **options):
+        suite = suite_file(tmp_path, "vortices = []", more)
+        jobs = plan(suite, preset=preset, methods=("hac",), overrides={"hac": options})
         return next(job for job in jobs if job.kind == "fit")
 
     usual, small = fit("", "quick"), fit(own, "small")
     assert (small.preset, small.options, small.iterations) == ("small", usual.options, usual.iterations)
     assert (small.request.width, small.request.train_views) == (8, 3)
+    half = own.replace(" }", ", budget = 0.5 }")
+    assert fit(half, "small").iterations == usual.iterations // 2
+    assert fit(half, "small", iterations=77).iterations == 77
     assert fit(own, "standard").request.width == VIEWS["standard"].width
     with pytest.raises(UnknownName, match="preset"):
         fit(own.replace("quick", "quik"), "small")
