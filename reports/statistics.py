@@ -109,7 +109,8 @@ def interval(strata: Sequence[NDArray[np.float64]], length: int | None = None) -
         blocks = len(values) / size
         variance += float(values @ _covariance(len(values), size) @ values) * blocks / (blocks - 1)
         fewest = min(fewest, blocks)
-    half = t_quantile(float(fewest) - 1.0) * variance**0.5 / len(strata)
+    # Of equal values rounding may make the variance a negative zero, or less.
+    half = t_quantile(float(fewest) - 1.0) * max(variance, 0.0) ** 0.5 / len(strata)
     return Interval(mean, mean - half, mean + half, count)
 
 

@@ -65,6 +65,14 @@ def test_the_half_width_is_students_t_of_independent_block_means():
     assert result.mean - result.low == pytest.approx(result.high - result.mean)
 
 
+def test_equal_values_have_an_interval_of_almost_no_width():
+    for count in range(8, 60):
+        for value in (34.0, 33.98, 0.1):
+            low, high = interval([np.full(count, value)])[1:3]
+            assert low == pytest.approx(value, abs=1e-6)
+            assert high == pytest.approx(value, abs=1e-6)
+
+
 def test_too_few_views_have_no_interval():
     result = interval([np.array([1.0, 2.0, 3.0])])
     assert (result.mean, result.low, result.high, result.views) == (2.0, None, None, 3)
