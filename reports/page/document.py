@@ -63,7 +63,7 @@ def write_report(
                 write_charts(section.charts)
                 charts.append(section)
                 if section.anchor == "ladders":
-                    html = ladders.section(report, root)
+                    html = ladders.section(report, root, folder)
                     charts.append(Section("breaks", "Where each method fails first", html))
             parts = (
                 ("scenes", "Pictures", scenes.section(report, root, folder)),

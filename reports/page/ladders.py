@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from reports import markup
 from reports.charts.ladders import KINDS, anchor, kind_of, title
 from reports.conclusions.ladders import by_method, flickering, verdict
-from reports.pictures import strips
+from reports.pictures import breaks, strips
 from reports.pictures.files import thumbnail
 from reports.schema import COLUMNS, COVERAGE
 from reports.style import MISSING, absent, label
@@ -31,25 +31,29 @@ Row = dict[str, Any]
 _LADDER = ("ladder", "preset", "split", "requested_views")
 
 
-def section(report: Report, root: Path) -> str:
+def section(report: Report, root: Path, charts: Path) -> str:
     """Breaks by method, rungs by ladder, and flicker; "" without ladders.
 
     Args:
         report: the tables.
         root: folder that the paths of pictures are relative to.
+        charts: folder beside the page, for the files of :func:`reports.pictures.breaks.write`.
     """
     climbs = climbed(report.ladders)
     if not climbs:
         return ""
     views = strips.views_of_jobs(report.rung_views)
-    parts = ["<h3>Methods</h3>", *(_method(own, climbs) for own in by_method(climbs).values())]
+    files = breaks.write(report, root, charts)
+    links = {name: f"{charts.name}/{file}" for name, file in files.items()}
+    parts = ["<h3>Methods</h3>"]
+    parts += [_method(own, climbs, links.get(name)) for name, own in by_method(climbs).items()]
     parts += ["<h3>Ladders</h3>", *_ladders(report, climbs, views, root)]
     parts += _flicker(report, views, root)
     return "\n".join(parts)
 
 
-def _method(own: Sequence[Row], climbs: Sequence[Row]) -> str:
-    """A method's ladders, the one on which it breaks first ahead."""
+def _method(own: Sequence[Row], climbs: Sequence[Row], file: str | None) -> str:
+    """A method's ladders, the one on which it breaks first ahead, and a link to pictures of the breaks."""
     heads = ["Ladder", "What gets harder", "Rungs that hold", "Breaks at", "Scene", "Break"]
     heads += [COLUMNS["change"].header, "Missing [%]", "Excess [%]"]
     rows = [
@@ -66,6 +70,8 @@ def _method(own: Sequence[Row], climbs: Sequence[Row]) -> str:
     ]
     name = label(own[0]["method"], own[0]["variant"])
     table = markup.table(f"Where {name} breaks first", heads, rows)
+    if file is not None:
+        table += f'<p class="note"><a href="{file}">Pictures of its breaks</a></p>'
     return (
         f'<details id="{anchor("method", name)}"><summary>{escape(verdict(own))}</summary>{table}</details>'
     )

@@ -118,7 +118,7 @@ def choose(rows: Sequence[Row], views: ViewsOfJobs) -> dict[int, str]:
     if all(row["same_truth"] for row in rows):
         falls: dict[str, list[float]] = {}
         for places in methods.values():
-            first, last = (_psnr(views.get(places[at]["job"], {})) for at in (min(places), max(places)))
+            first, last = (psnr_of(views.get(places[at]["job"], {})) for at in (min(places), max(places)))
             for view in first.keys() & last.keys():
                 falls.setdefault(view, []).append(first[view] - last[view])
         if not falls:
@@ -129,7 +129,7 @@ def choose(rows: Sequence[Row], views: ViewsOfJobs) -> dict[int, str]:
     for place in sorted({row["place"] for row in rows}):
         levels: dict[str, list[float]] = {}
         for places in methods.values():
-            for view, psnr in _psnr(views.get(places[place]["job"], {}) if place in places else {}).items():
+            for view, psnr in psnr_of(views.get(places[place]["job"], {}) if place in places else {}).items():
                 levels.setdefault(view, []).append(psnr)
         if levels:
             chosen[place] = min(sorted(levels), key=lambda name: fmean(levels[name]))
@@ -151,7 +151,7 @@ def strip(rows: Sequence[Row], views: ViewsOfJobs, root: Path) -> dict[int, Rung
         truth, pictures = None, {}
         for name, places in methods.items():
             row = views.get(places[place]["job"], {}).get(view) if place in places else None
-            if row is not None and (pair := _read(row, root)) is not None:
+            if row is not None and (pair := read_pair(row, root)) is not None:
                 truth, pictures[name] = pair
         if pictures:
             rungs[place] = Rung(view, None if repeated and rungs else truth, pictures)
@@ -177,7 +177,7 @@ def flicker(rows: Sequence[Row], views: ViewsOfJobs, root: Path) -> Flicker | No
         errors = {}
         truths: dict[str, Picture] = {}
         for row in own:
-            pairs = {view: _read(each, root) for view, each in views.get(row["job"], {}).items()}
+            pairs = {view: read_pair(each, root) for view, each in views.get(row["job"], {}).items()}
             frames = {view: pair for view, pair in sorted(pairs.items()) if pair is not None}
             if frames:
                 name = (row["method"], row["variant"])
@@ -206,11 +206,12 @@ def flicker(rows: Sequence[Row], views: ViewsOfJobs, root: Path) -> Flicker | No
     return best[1] if best else None
 
 
-def _psnr(views: dict[str, Row]) -> dict[str, float]:
+def psnr_of(views: dict[str, Row]) -> dict[str, float]:
+    """View -> PSNR, of those that have one."""
     return {name: float(row["psnr"]) for name, row in views.items() if not absent(row["psnr"])}
 
 
-def _read(row: Row, root: Path) -> tuple[Picture, Picture] | None:
+def read_pair(row: Row, root: Path) -> tuple[Picture, Picture] | None:
     """Truth and picture of a view; None where one cannot be read."""
     try:
         color = background(row["background"])

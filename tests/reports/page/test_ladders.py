@@ -48,32 +48,37 @@ def test_heads_of_the_heat_map_lead_to_methods_and_ladders(maker, tables) -> Non
 
 
 def test_pictures_end_at_the_break_and_are_no_condition(maker, tables) -> None:
-    html = ladders.section(Report(tables), maker.root)
+    html = ladders.section(Report(tables), maker.root, maker.root / "charts")
     assert len(re.findall("<img ", html)) == 1 + 2 * 3  # the truth once
     assert html.count("--kind:") == 2
-    bare = ladders.section(Report(tables), maker.root / "elsewhere")
+    bare = ladders.section(Report(tables), maker.root / "elsewhere", maker.root / "none")
     assert "<img" not in bare
+    assert {path.name for path in (maker.root / "charts").glob("breaks-*")} == {
+        f"breaks-{name}.{suffix}" for name in ("3dgs", "hac") for suffix in ("pdf", "png")
+    }
+    assert 'href="charts/breaks-hac.png"' in html
+    assert not (maker.root / "none").exists()
     assert bare.count("20.00 dB") == html.count("20.00 dB") == 2
-    assert ladders.section(Report(maker.tables()), maker.root) == ""
+    assert ladders.section(Report(maker.tables()), maker.root, maker.root / "none") == ""
 
 
 def test_pictures_beyond_the_limit_are_left_out(maker, tables, monkeypatch) -> None:
     monkeypatch.setattr(ladders, "PICTURE_BYTES", 3000)
-    html = ladders.section(Report(tables), maker.root)
+    html = ladders.section(Report(tables), maker.root, maker.root / "charts")
     assert "<img" not in html
     assert "omits pictures of 1 ladder to" in html
 
 
 def test_several_seeds_have_a_spread(maker, tables) -> None:
     rows = [*RUNGS, RUNGS[2] | {"seed": 1, "psnr": 22.0}]
-    html = ladders.section(Report(tables | {"rungs": table(*rows)}), maker.root)
+    html = ladders.section(Report(tables | {"rungs": table(*rows)}), maker.root, maker.root / "charts")
     assert "21.00 ± 1.41 dB (\N{MINUS SIGN}9.00)" in html
     assert html.count("±") == 1
 
 
 def test_the_least_flicker_is_marked(maker, tables) -> None:
     tables["rungs"]["flicker"] = [None, 2.0, None, None, 1.0, None]
-    html = ladders.section(Report(tables), maker.root)
+    html = ladders.section(Report(tables), maker.root, maker.root / "charts")
     assert re.findall("<b>([0-9.]+)</b>", html) == ["1.00"]
     assert "3DGS flickers most, 2.00, and HAC least, 1.00 (1 scene)" in html
     assert html.count("change of error of") == 2

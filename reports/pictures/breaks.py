@@ -1,0 +1,171 @@
+"""The first breaks of a method in pictures: truth, the broken rung and the usual run, ladder by ladder."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reports.conclusions.ladders import amount, by_method
+from reports.pictures.strips import ViewsOfJobs, psnr_of, read_pair, views_of_jobs
+from reports.style import label
+from reports.tables.columns import records
+from reports.tables.ladders import climbed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from reports.charts.report import Report
+
+RULE = (
+    "Each break has three pictures: the ground truth of its rung, the method on that rung, and the method on "
+    "the usual run. The view is the one that loses most PSNR; where test pictures differ from rung to rung, "
+    "it is each rung's view with the lowest PSNR."
+)
+_COLUMNS = 3
+_CELL, _GAP, _SPACE, _TEXT = 0.82, 0.04, 0.16, 0.13  # inches
+_LETTERS = 44  # letters of a line above three pictures
+
+Picture = NDArray[np.uint8]
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Break:
+    """The first break of a method on a ladder.
+
+    Attributes:
+        ladder, rung, subject: where; the subject is a scene, "" where rungs are scenes.
+        kind: of the break, with the amount that decides it.
+        truth: (height, width, 3) ground truth of the rung.
+        broken: the method on the rung.
+        usual: the method on the usual run; None without one, or without its pictures.
+    """
+
+    ladder: str
+    rung: str
+    subject: str
+    kind: str
+    truth: Picture
+    broken: Picture
+    usual: Picture | None
+
+
+def of_method(climbs: Sequence[Row], rows: Sequence[Row], views: ViewsOfJobs, root: Path) -> list[Break]:
+    """The first breaks that have pictures (a failed step has none), the earliest first.
+
+    Args:
+        climbs: of one method, as of :func:`reports.conclusions.ladders.by_method`.
+        rows: of :func:`reports.tables.ladders.ladders`.
+        views: by job.
+        root: folder that the paths in ``views`` are relative to.
+    """
+    by_job = {row["job"]: row for row in rows if row["job"] is not None}
+    breaks = []
+    for climb in climbs:
+        row = by_job.get(climb["job"])
+        if climb["failure"] is None or row is None:
+            continue
+        broken, usual = views.get(row["job"], {}), views.get(row["first_job"], {})
+        levels, first = psnr_of(broken), psnr_of(usual)
+        if not levels:
+            continue
+        if row["same_truth"] and levels.keys() & first.keys():
+            view = max(sorted(levels.keys() & first.keys()), key=lambda name: first[name] - levels[name])
+            other = view
+        else:
+            view = min(sorted(levels), key=lambda name: levels[name])
+            other = min(sorted(first), key=lambda name: first[name]) if first else ""
+        pair = read_pair(broken[view], root)
+        if pair is None:
+            continue
+        before = read_pair(usual[other], root) if other and climb["subject"] else None
+        kind = ", ".join(filter(None, [climb["failure"], amount(climb)]))
+        breaks.append(
+            Break(
+                climb["ladder"],
+                climb["rung"],
+                climb["subject"],
+                kind,
+                *pair,
+                None if before is None else before[1],
+            )
+        )
+    return breaks
+
+
+def write(report: Report, root: Path, folder: Path) -> dict[tuple[str, str], str]:
+    """Write ``breaks-METHOD.png`` and ``.pdf`` of every method that breaks; method and variant -> PNG's name.
+
+    Args:
+        report: the tables.
+        root: folder that the paths of pictures are relative to.
+        folder: folder of the files; it is created if a file is written.
+    """
+    rows, views = records(report.ladders), views_of_jobs(report.rung_views)
+    names = {}
+    for method, climbs in by_method(climbed(report.ladders)).items():
+        if breaks := of_method(climbs, rows, views, root):
+            stem = "breaks-" + "".join(
+                letter if letter.isalnum() else "-" for letter in label(*method).lower()
+            )
+            folder.mkdir(parents=True, exist_ok=True)
+            figure = draw(breaks)
+            figure.savefig(folder / f"{stem}.pdf", metadata={"CreationDate": None})
+            figure.savefig(folder / f"{stem}.png", dpi=120)
+            names[method] = f"{stem}.png"
+    return names
+
+
+def draw(breaks: Sequence[Break]) -> Figure:
+    """A grid of breaks, three pictures each."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = min(_COLUMNS, len(breaks))
+    lines = [_words(one) for one in breaks]
+    rows = [range(start, min(start + columns, len(breaks))) for start in range(0, len(breaks), columns)]
+    heads = [_TEXT * max(lines[at].count("\n") + 1 for at in row) + 0.05 for row in rows]
+    wide = 3 * _CELL + 2 * _GAP
+    size = (columns * (wide + _SPACE) + _SPACE, sum(heads) + len(rows) * (_CELL + _TEXT + _SPACE) + _GAP)
+    figure = Figure(figsize=size)
+    FigureCanvasAgg(figure)
+    figure.suppressComposite = True  # the PDF keeps the pixels of every picture
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    top = _GAP
+    for row, head in zip(rows, heads, strict=True):
+        for column, at in enumerate(row):
+            left = _SPACE + column * (wide + _SPACE)
+            axes.text(left, top, lines[at], fontsize=6.5, va="top", weight="bold", linespacing=1.1)
+            shots = (
+                ("truth", breaks[at].truth),
+                (breaks[at].rung, breaks[at].broken),
+                ("as usual", breaks[at].usual),
+            )
+            for place, (name, picture) in enumerate(shots):
+                if picture is None:
+                    continue
+                x, y = left + place * (_CELL + _GAP), top + head
+                height, width = picture.shape[:2]
+                scale = _CELL / max(height, width)
+                axes.imshow(
+                    picture,
+                    extent=(x, x + width * scale, y + height * scale, y),
+                    aspect="auto",
+                    interpolation="nearest",
+                )
+                axes.text(x, y + _CELL + 0.02, name, fontsize=5.5, va="top", color="#555555")
+        top += head + _CELL + _TEXT + _SPACE
+    axes.set(xlim=(0.0, size[0]), ylim=(size[1], 0.0))
+    return figure
+
+
+def _words(one: Break) -> str:
+    where = f"{one.ladder}, {one.subject}" if one.subject else one.ladder
+    return "\n".join(textwrap.wrap(f"{where}: {one.kind}", _LETTERS))
