@@ -107,9 +107,9 @@ def interval(strata: Sequence[NDArray[np.float64]], length: int | None = None) -
     for values in strata:
         size = length or block_length(len(values))
         blocks = len(values) / size
-        variance += float(values @ _covariance(len(values), size) @ values) * blocks / (blocks - 1)
+        spread = values - values.mean()  # less rounding; the weights sum to one
+        variance += float(spread @ _covariance(len(values), size) @ spread) * blocks / (blocks - 1)
         fewest = min(fewest, blocks)
-    # Of equal values rounding may make the variance a negative zero, or less.
     half = t_quantile(float(fewest) - 1.0) * max(variance, 0.0) ** 0.5 / len(strata)
     return Interval(mean, mean - half, mean + half, count)
 

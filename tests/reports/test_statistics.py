@@ -70,8 +70,8 @@ def test_equal_values_have_an_interval_of_almost_no_width():
         for value in (34.0, 33.98, 0.1):
             one = interval([np.full(count, value)])
             low, high = one.low, one.high
-            assert low == pytest.approx(value, abs=1e-6)
-            assert high == pytest.approx(value, abs=1e-6)
+            assert low == pytest.approx(value, abs=1e-12)
+            assert high == pytest.approx(value, abs=1e-12)
 
 
 def test_too_few_views_have_no_interval():
