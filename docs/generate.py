@@ -54,7 +54,7 @@ from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.conclusions.ladders import amount, by_method, verdict
 from reports.style import TITLES
-from reports.tables.ladders import climbed, ladders
+from reports.tables.ladders import climbed, held, ladders
 from reports.tables.protocols import by_scene_choice
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -239,7 +239,9 @@ def ladders_of(description: str) -> str:
     rungs = rungs[rungs["variant"] == ""]
     if rungs.empty:
         raise SystemExit(f"no ladders for {block}")
-    shows = {"breaks": _breaks, "verdicts": _verdicts, "flicker": _flicker}
+    shows = {"breaks": _breaks, "verdicts": _verdicts, "flicker": _flicker, "method": _of_method}
+    if "method" in block:
+        rungs = rungs[rungs["method"] == block["method"]]
     usual = parts["results"].query(BY_ITSELF, engine="python")
     return f"{shows[block['show']](rungs)}\n{_conditions(usual[usual['variant'] == ''])}"
 
@@ -268,6 +270,34 @@ def _verdicts(rungs: pd.DataFrame) -> str:
     names = [name for (name,) in _ordered(rungs, ["method"])]
     ordered = sorted(own.items(), key=lambda item: names.index(item[0][0]))
     return "".join(f"- {verdict(climbs)}\n" for _, climbs in ordered)
+
+
+def _of_method(rungs: pd.DataFrame) -> str:
+    """All ladders of one method, the earliest break first."""
+    (climbs,) = by_method(climbed(rungs)).values()
+    by_job = rungs.dropna(subset=["job"]).set_index("job")
+    lines = []
+    for climb in climbs:
+        place = "" if climb["failure"] is None else f"`{climb['rung']}`"
+        if climb["subject"]:
+            place += f" on `{climb['subject']}`"
+        level = ""
+        if climb["failure"] is not None and climb["job"] in by_job.index:
+            row = by_job.loc[climb["job"]]
+            level = "" if pd.isna(row["psnr"]) else f"{row['psnr']:.2f}"
+            level += "" if pd.isna(row["psnr_std"]) else f" ± {row['psnr_std']:.2f}"
+        kind = ", ".join(filter(None, [climb["failure"], amount(climb)])) if place else "\N{EN DASH}"
+        name = f"**{climb['ladder']}**: {climb['purpose']}"
+        lines.append(
+            [
+                name,
+                f"{held(climb)} of {climb['rungs'] - 1}",
+                place or "\N{EN DASH}",
+                kind,
+                level or "\N{EN DASH}",
+            ]
+        )
+    return _markdown(["ladder", "rungs that hold", "first break", "kind", "PSNR there [dB]"], lines)
 
 
 def _flicker(rungs: pd.DataFrame) -> str:

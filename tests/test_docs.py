@@ -59,6 +59,11 @@ def test_generated_blocks_are_current(generate: ModuleType) -> None:
         ("breaks", "| **noise**: more noise | `r1` quality, \N{MINUS SIGN}10.0 dB | holds | \N{EN DASH} |"),
         ("verdicts", "- HAC breaks on none of 1 ladder."),
         ("flicker", "| 3DGS | 2.50 |"),
+        (
+            'method"\nmethod = "3dgs',
+            "| **noise**: more noise | 0 of 1 | `r1` on `vortices/cores` "
+            "| quality, \N{MINUS SIGN}10.0 dB | 20.00 |",
+        ),
     ],
 )
 def test_a_block_of_ladders(generate, monkeypatch, show, line) -> None:
