@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from reports import markup
 from reports.charts.ladders import KINDS, anchor, kind_of, title
 from reports.conclusions.ladders import by_method, flickering, verdict
-from reports.pictures import breaks, strips
+from reports.pictures import ladder_files, strips
 from reports.pictures.files import thumbnail
 from reports.schema import COLUMNS, COVERAGE
 from reports.style import MISSING, absent, label
@@ -37,18 +37,18 @@ def section(report: Report, root: Path, charts: Path) -> str:
     Args:
         report: the tables.
         root: folder that the paths of pictures are relative to.
-        charts: folder beside the page, for the files of :func:`reports.pictures.breaks.write`.
+        charts: folder beside the page, for the files of ladders (:mod:`reports.pictures.ladder_files`).
     """
     climbs = climbed(report.ladders)
     if not climbs:
         return ""
     views = strips.views_of_jobs(report.rung_views)
-    files = breaks.write(report, root, charts)
+    files = ladder_files.write_breaks(report, root, charts)
     links = {name: f"{charts.name}/{file}" for name, file in files.items()}
     parts = ["<h3>Methods</h3>"]
     parts += [_method(own, climbs, links.get(name)) for name, own in by_method(climbs).items()]
     parts += ["<h3>Ladders</h3>", *_ladders(report, climbs, views, root)]
-    parts += _flicker(report, views, root)
+    parts += _flicker(report, views, root, charts)
     return "\n".join(parts)
 
 
@@ -171,7 +171,7 @@ def _picture(pixels: NDArray[np.uint8], alt: str) -> str:
     )
 
 
-def _flicker(report: Report, views: strips.ViewsOfJobs, root: Path) -> list[str]:
+def _flicker(report: Report, views: strips.ViewsOfJobs, root: Path, charts: Path) -> list[str]:
     """Flicker by method and scene, and one pair of frames."""
     rows = [row for row in records(report.ladders) if not absent(row["flicker"])]
     amounts: dict[tuple[str, str], dict[str, float]] = {}
@@ -201,6 +201,7 @@ def _flicker(report: Report, views: strips.ViewsOfJobs, root: Path) -> list[str]
     parts.append(markup.table("Flicker in steps of 1/255, the least in bold", ["Method", *scenes], lines))
     pair = strips.flicker(rows, views, root)
     if pair is not None:
+        ladder_files.write_flicker(pair, charts)
         heads = ["Truth", *(label(*name) for name in pair.changes)]
         where = f"{pair.subject}, views {pair.views[0]} and {pair.views[1]}"
         cells = [

@@ -7,14 +7,15 @@ import pytest
 from PIL import Image
 
 from reports.conclusions.ladders import by_method
-from reports.pictures.breaks import draw, of_method
+from reports.pictures.ladder_files import breaks_of, draw_breaks, draw_flicker
+from reports.pictures.strips import Flicker
 from reports.tables.columns import records
 from reports.tables.ladders import climbed, ladders
 from tests.reports.pictures.test_strips import views
 from tests.reports.tables.test_ladders import table
 
 
-def breaks_of(rungs, psnr, folder):
+def made(rungs, psnr, folder):
     """Breaks of the method "a", of flat pictures whose gray is the PSNR, before truths of 100."""
 
     def save(name, value):
@@ -29,7 +30,7 @@ def breaks_of(rungs, psnr, folder):
     )
     every = ladders(table(*rungs))
     (climbs,) = by_method(climbed(every)).values()
-    return of_method(climbs, records(every), of_jobs, folder)
+    return breaks_of(climbs, records(every), of_jobs, folder)
 
 
 def grays(one):
@@ -43,7 +44,7 @@ def test_the_view_is_that_of_the_largest_loss(tmp_path) -> None:
         "measure-1": {"v0": 20.0},
         "measure-2": {"v0": 15.0, "v1": 25.0},
     }
-    (one,) = breaks_of(rungs, psnr, tmp_path)
+    (one,) = made(rungs, psnr, tmp_path)
     assert (one.ladder, one.rung, one.subject) == ("noise", "r2", "vortices/cores")
     assert one.kind == "quality, \N{MINUS SIGN}10.0 dB"
     assert grays(one) == [100, 25, 40]  # v1 fell by 15 dB, v0 by 5
@@ -52,24 +53,38 @@ def test_the_view_is_that_of_the_largest_loss(tmp_path) -> None:
 def test_other_test_pictures_have_a_view_for_each_rung(tmp_path) -> None:
     rungs = [{"place": 0, "psnr": 30.0}, {"place": 1, "psnr": 29.0, "excess": 0.5, "same_truth": False}]
     psnr = {"measure-0": {"v0": 30.0, "v1": 28.0}, "measure-1": {"w0": 30.0, "w1": 24.0}}
-    (one,) = breaks_of(rungs, psnr, tmp_path)
+    (one,) = made(rungs, psnr, tmp_path)
     assert one.kind.startswith("floaters")
     assert grays(one) == [100, 24, 28]
 
 
 def test_a_failed_step_has_no_pictures(tmp_path) -> None:
     rungs = [{"place": 0, "psnr": 30.0}, {"place": 1, "psnr": None, "status": "failed", "reason": "x"}]
-    assert breaks_of(rungs, {"measure-0": {"v0": 30.0}}, tmp_path) == []
+    assert made(rungs, {"measure-0": {"v0": 30.0}}, tmp_path) == []
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_every_picture_is_drawn_inside_the_figure(tmp_path, count) -> None:
     rungs = [{"place": 0, "psnr": 30.0}, {"place": 1, "psnr": 20.0}]
-    (one,) = breaks_of(rungs, {"measure-0": {"v0": 30.0}, "measure-1": {"v0": 20.0}}, tmp_path)
-    figure = draw([one] * count)
+    (one,) = made(rungs, {"measure-0": {"v0": 30.0}, "measure-1": {"v0": 20.0}}, tmp_path)
+    figure = draw_breaks([one] * count)
+    assert len(boxes_of(figure)) == 3 * count
+
+
+def test_flicker_has_a_picture_of_each_method() -> None:
+    picture = np.zeros((4, 6, 3), np.uint8)
+    changes = {(name, ""): picture for name in ("3dgs", "hac")}
+    pair = Flicker("vortices/cores", ("v1", "v2"), picture, changes, dict.fromkeys(changes, 2.5))
+    figure = draw_flicker(pair)
+    assert len(boxes_of(figure)) == 3
+    assert {"truth", "3DGS: 2.50", "HAC: 2.50"} <= {text.get_text() for text in figure.axes[0].texts}
+
+
+def boxes_of(figure):
+    """Places of the pictures, each of which is inside the figure, no two alike."""
     (axes,) = figure.axes
-    assert len(axes.images) == 3 * count
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    boxes = [image.get_extent() for image in axes.images]
+    boxes = [tuple(np.round(image.get_extent(), 6)) for image in axes.images]
     assert all(left <= a < b <= right and top <= d < c <= bottom for a, b, c, d in boxes)
-    assert len({(round(a, 6), round(d, 6)) for a, _, _, d in boxes}) == len(boxes)
+    assert len(set(boxes)) == len(boxes)
+    return boxes

@@ -1,4 +1,4 @@
-"""The first breaks of a method in pictures: truth, the broken rung and the usual run, ladder by ladder."""
+"""Pictures of ladders as files for papers: the first breaks of each method, and the flicker of all."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reports.conclusions.ladders import amount, by_method
-from reports.pictures.strips import ViewsOfJobs, psnr_of, read_pair, views_of_jobs
+from reports.pictures.strips import FACTOR, Flicker, ViewsOfJobs, psnr_of, read_pair, views_of_jobs
 from reports.style import label
 from reports.tables.columns import records
 from reports.tables.ladders import climbed
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from reports.charts.report import Report
@@ -56,7 +57,7 @@ class Break:
     usual: Picture | None
 
 
-def of_method(climbs: Sequence[Row], rows: Sequence[Row], views: ViewsOfJobs, root: Path) -> list[Break]:
+def breaks_of(climbs: Sequence[Row], rows: Sequence[Row], views: ViewsOfJobs, root: Path) -> list[Break]:
     """The first breaks that have pictures (a failed step has none), the earliest first.
 
     Args:
@@ -99,7 +100,7 @@ def of_method(climbs: Sequence[Row], rows: Sequence[Row], views: ViewsOfJobs, ro
     return breaks
 
 
-def write(report: Report, root: Path, folder: Path) -> dict[tuple[str, str], str]:
+def write_breaks(report: Report, root: Path, folder: Path) -> dict[tuple[str, str], str]:
     """Write ``breaks-METHOD.png`` and ``.pdf`` of every method that breaks; method and variant -> PNG's name.
 
     Args:
@@ -110,34 +111,35 @@ def write(report: Report, root: Path, folder: Path) -> dict[tuple[str, str], str
     rows, views = records(report.ladders), views_of_jobs(report.rung_views)
     names = {}
     for method, climbs in by_method(climbed(report.ladders)).items():
-        if breaks := of_method(climbs, rows, views, root):
+        if breaks := breaks_of(climbs, rows, views, root):
             stem = "breaks-" + "".join(
                 letter if letter.isalnum() else "-" for letter in label(*method).lower()
             )
-            folder.mkdir(parents=True, exist_ok=True)
-            figure = draw(breaks)
-            figure.savefig(folder / f"{stem}.pdf", metadata={"CreationDate": None})
-            figure.savefig(folder / f"{stem}.png", dpi=120)
-            names[method] = f"{stem}.png"
+            names[method] = _save(draw_breaks(breaks), folder, stem)
     return names
 
 
-def draw(breaks: Sequence[Break]) -> Figure:
-    """A grid of breaks, three pictures each."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def write_flicker(pair: Flicker, folder: Path) -> str:
+    """Write ``flicker.png`` and ``.pdf``, the truth beside the change of error of each method; PNG's name."""
+    return _save(draw_flicker(pair), folder, "flicker")
 
+
+def _save(figure: Figure, folder: Path, stem: str) -> str:
+    folder.mkdir(parents=True, exist_ok=True)
+    figure.savefig(folder / f"{stem}.pdf", metadata={"CreationDate": None})
+    figure.savefig(folder / f"{stem}.png", dpi=120)
+    return f"{stem}.png"
+
+
+def draw_breaks(breaks: Sequence[Break]) -> Figure:
+    """A grid of breaks, three pictures each."""
     columns = min(_COLUMNS, len(breaks))
     lines = [_words(one) for one in breaks]
     rows = [range(start, min(start + columns, len(breaks))) for start in range(0, len(breaks), columns)]
     heads = [_TEXT * max(lines[at].count("\n") + 1 for at in row) + 0.05 for row in rows]
     wide = 3 * _CELL + 2 * _GAP
-    size = (columns * (wide + _SPACE) + _SPACE, sum(heads) + len(rows) * (_CELL + _TEXT + _SPACE) + _GAP)
-    figure = Figure(figsize=size)
-    FigureCanvasAgg(figure)
-    figure.suppressComposite = True  # the PDF keeps the pixels of every picture
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set_axis_off()
+    width = columns * (wide + _SPACE) + _SPACE
+    figure, axes = _canvas(width, sum(heads) + len(rows) * (_CELL + _TEXT + _SPACE) + _GAP)
     top = _GAP
     for row, head in zip(rows, heads, strict=True):
         for column, at in enumerate(row):
@@ -149,21 +151,47 @@ def draw(breaks: Sequence[Break]) -> Figure:
                 ("as usual", breaks[at].usual),
             )
             for place, (name, picture) in enumerate(shots):
-                if picture is None:
-                    continue
-                x, y = left + place * (_CELL + _GAP), top + head
-                height, width = picture.shape[:2]
-                scale = _CELL / max(height, width)
-                axes.imshow(
-                    picture,
-                    extent=(x, x + width * scale, y + height * scale, y),
-                    aspect="auto",
-                    interpolation="nearest",
-                )
-                axes.text(x, y + _CELL + 0.02, name, fontsize=5.5, va="top", color="#555555")
+                if picture is not None:
+                    _show(axes, picture, left + place * (_CELL + _GAP), top + head, name)
         top += head + _CELL + _TEXT + _SPACE
-    axes.set(xlim=(0.0, size[0]), ylim=(size[1], 0.0))
     return figure
+
+
+def draw_flicker(pair: Flicker) -> Figure:
+    """A row of pictures: the truth, and the amplified change of error of each method."""
+    shots = [("truth", pair.truth)]
+    shots += [(f"{label(*name)}: {pair.amounts[name]:.2f}", change) for name, change in pair.changes.items()]
+    figure, axes = _canvas(
+        len(shots) * (_CELL + _GAP) + 2 * _SPACE - _GAP, _TEXT + 0.05 + _CELL + _TEXT + _GAP + _SPACE
+    )
+    words = f"{pair.subject}, {pair.views[0]} to {pair.views[1]}: change of the error, {FACTOR} times"
+    axes.text(_SPACE, _GAP, words, fontsize=6.5, va="top", weight="bold")
+    for place, (name, picture) in enumerate(shots):
+        _show(axes, picture, _SPACE + place * (_CELL + _GAP), _GAP + _TEXT + 0.05, name)
+    return figure
+
+
+def _canvas(width: float, height: float) -> tuple[Figure, Axes]:
+    """A figure with one set of axes in inches from the upper left corner."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    figure.suppressComposite = True  # the PDF keeps the pixels of every picture
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    axes.set(xlim=(0.0, width), ylim=(height, 0.0), autoscale_on=False)
+    return figure, axes
+
+
+def _show(axes: Axes, picture: Picture, left: float, top: float, name: str) -> None:
+    """A picture that fits a cell, with its name below the cell."""
+    height, width = picture.shape[:2]
+    scale = _CELL / max(height, width)
+    place = (left, left + width * scale, top + height * scale, top)
+    axes.imshow(picture, extent=place, aspect="auto", interpolation="nearest")
+    axes.text(left, top + _CELL + 0.02, name, fontsize=5.5, va="top", color="#555555")
 
 
 def _words(one: Break) -> str:
