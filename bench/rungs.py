@@ -45,13 +45,18 @@ def ladders_of(root: Path) -> list[Ladder]:
 def rungs_of(job: Job, ladders: Iterable[Ladder]) -> Iterator[dict[str, Any]]:
     """Ladder, place and rung of a measurement on each ladder: columns of the table `rungs`.
 
-    Compositions, edited scenes and saved rates are on none.
+    Compositions, edited scenes and saved rates are on none. A dataset that some ladder names is on those that
+    name it, and options of a rung are on its own ladder alone.
     """
     if job.kind != "measure" or job.composition or job.edit or job.rate is not None:
         return
+    ladders = list(ladders)
+    named = {name for ladder in ladders for name in ladder.datasets}
     for ladder in ladders:
+        if ladder.datasets and job.dataset in named and job.dataset not in ladder.datasets:
+            continue
         place = place_of(ladder, job)
-        if place is not None:
+        if place is not None and not any(_sets(other, _rest(ladder, job), job) for other in ladders):
             yield {
                 "ladder": ladder.name,
                 "purpose": ladder.title,
@@ -83,5 +88,16 @@ def place_of(ladder: Ladder, job: Job) -> int | None:
 
 def _base(ladder: Ladder, job: Job) -> str:
     """Label of a measurement's options without those of the rungs."""
+    return label(_rest(ladder, job))
+
+
+def _rest(ladder: Ladder, job: Job) -> dict[str, Any]:
     names = ladder.options(job.method or "")
-    return label({name: value for name, value in job.overrides.items() if name not in names})
+    return {name: value for name, value in job.overrides.items() if name not in names}
+
+
+def _sets(ladder: Ladder, options: dict[str, Any], job: Job) -> bool:
+    """Whether some options are those of one of its rungs."""
+    return bool(options) and any(
+        dict(rung.options.get(job.method or "", {})) == options for rung in ladder.rungs
+    )

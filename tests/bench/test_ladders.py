@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +15,9 @@ from bench.bundle import verify_bundle, write_bundle
 from bench.jobs.scenes import scene_inputs
 from bench.jobs.truth import Truth
 from bench.records import Request
+from bench.rungs import rungs_of
 from bench.stress import KINDS, part_of, stress_of
+from bench.suites import load_suite
 from datasets.catalogue import open_dataset
 from datasets.errors import DataError, UnknownName
 
@@ -115,6 +118,33 @@ def test_a_dataset_of_a_ladder_runs_on_ladders_alone(suite) -> None:
     # A dataset of the command line, which the suite does not know, climbs too.
     other = plan(suite(named), datasets=("vortices@16",))
     assert {job.stress for job in other if job.kind == "fit"} == {"", "noise=8"}
+
+
+def test_rungs_of_two_ladders_with_the_same_options_stay_apart(suite) -> None:
+    rungs = 'rungs = ["", { options = { fake = { pace = 0.01 } } }]'
+    text = suite(f"""ladders = [
+        {{ name = "here", title = "", datasets = ["argon_bubble_like@32"], {rungs} }},
+        {{ name = "there", title = "", datasets = ["vortices@16"], {rungs} }},
+        {{ name = "scenes", title = "", rungs = [
+            {{ scene = "argon_bubble_like@32/shock" }}, {{ scene = "vortices@16/cores" }},
+        ] }},
+    ]""")
+    text_of = Path(text).read_text().replace("[datasets]", '[datasets]\n"vortices@16" = ["cores"]')
+    Path(text).write_text(text_of)
+    ladders = load_suite(text).ladders
+    places = {
+        (job.dataset, job.subject, row["ladder"], row["rung"])
+        for job in plan(text)
+        for row in rungs_of(job, ladders)
+    }
+    assert places == {
+        ("argon_bubble_like@32", scene, "here", rung)
+        for scene in ("shock", "bubble")
+        for rung in ("as usual", "pace=0.01")
+    } | {("vortices@16", "cores", "there", rung) for rung in ("as usual", "pace=0.01")} | {
+        ("argon_bubble_like@32", "shock", "scenes", "argon_bubble_like@32/shock"),
+        ("vortices@16", "cores", "scenes", "vortices@16/cores"),
+    }  # fmt: skip
 
 
 def test_budget_and_joint_methods(suite) -> None:
