@@ -52,6 +52,7 @@ def rungs_of(job: Job, ladders: Iterable[Ladder]) -> Iterator[dict[str, Any]]:
         return
     ladders = list(ladders)
     named = {name for ladder in ladders for name in ladder.datasets}
+    named |= {rung.scene.rpartition("/")[0] for ladder in ladders for rung in ladder.rungs if rung.scene}
     for ladder in ladders:
         if ladder.datasets and job.dataset in named and job.dataset not in ladder.datasets:
             continue

@@ -127,7 +127,9 @@ def test_rungs_of_two_ladders_with_the_same_options_stay_apart(suite) -> None:
         {{ name = "there", title = "", datasets = ["vortices@16"], {rungs} }},
         {{ name = "scenes", title = "", rungs = [
             {{ scene = "argon_bubble_like@32/shock" }}, {{ scene = "vortices@16/cores" }},
+            {{ scene = "extremes@16/nothing", stress = "start=random" }},
         ] }},
+        {{ name = "start", title = "", datasets = ["vortices@16"], rungs = ["", "start=random"] }},
     ]""")
     text_of = Path(text).read_text().replace("[datasets]", '[datasets]\n"vortices@16" = ["cores"]')
     Path(text).write_text(text_of)
@@ -144,6 +146,9 @@ def test_rungs_of_two_ladders_with_the_same_options_stay_apart(suite) -> None:
     } | {("vortices@16", "cores", "there", rung) for rung in ("as usual", "pace=0.01")} | {
         ("argon_bubble_like@32", "shock", "scenes", "argon_bubble_like@32/shock"),
         ("vortices@16", "cores", "scenes", "vortices@16/cores"),
+        ("extremes@16", "nothing", "scenes", "extremes@16/nothing start=random"),
+        ("vortices@16", "cores", "start", "as usual"),
+        ("vortices@16", "cores", "start", "start=random"),
     }  # fmt: skip
 
 
