@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ from datasets.errors import DataError
 from econgs.splat import LINEAGE, LowPass
 
 FILE = "rendering.toml"
+_CHECK = b"\ncrc32="
+"""Before the checksum of all before it, the last line of the file."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,10 @@ class Rendering:
             lines.append("compensated=true")
         if self.low_pass.smoothing:
             lines.append(f"smoothing={self.low_pass.smoothing!r}")
-        return (folder / FILE).write_bytes("\n".join(lines).encode()) if lines else 0
+        if not lines:
+            return 0
+        text = "\n".join(lines).encode()
+        return (folder / FILE).write_bytes(text + _CHECK + str(zlib.crc32(text)).encode())
 
     @classmethod
     def read(cls, folder: Path) -> Rendering:
@@ -50,7 +56,10 @@ class Rendering:
         if not file.exists():
             return cls()
         try:
-            facts: dict[str, Any] = tomllib.loads(file.read_text(encoding="utf-8"))
+            text, _, check = file.read_bytes().rpartition(_CHECK)
+            if check != str(zlib.crc32(text)).encode():
+                raise ValueError("its checksum differs")
+            facts: dict[str, Any] = tomllib.loads(text.decode())
             units = float(facts.pop("units", 1.0))
             variance, compensated = facts.pop("low_pass", LINEAGE.variance), facts.pop("compensated", False)
             smoothing = facts.pop("smoothing", 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -112,8 +113,13 @@ def test_a_damaged_file_is_an_error(tmp_path: Path) -> None:
         "x",
         "a=1",
     ):
+        (folder / FILE).write_text(f"{content}\ncrc32={zlib.crc32(content.encode())}")
+        with pytest.raises(DataError, match=FILE) as error:
+            subject.method.load(folder, "cpu")
+        assert "checksum" not in str(error.value)
+    for content in ("", "units=2.0", "units=2.0\ncrc32=1"):
         (folder / FILE).write_text(content)
-        with pytest.raises(DataError, match=FILE):
+        with pytest.raises(DataError, match="checksum"):
             subject.method.load(folder, "cpu")
 
 
