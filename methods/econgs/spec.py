@@ -121,8 +121,9 @@ SPEC = MethodSpec(
     edits=frozenset({"palette", "opacity", "light", "shading"}),
     uses_alpha="views are composited on the scene's background; alpha is also a target of its own",
     options=EcongsOptions,
-    # So short a fit cannot train as many anchors: half of them, for 0.15 to 0.3 dB (docs/results/choices.md).
-    presets={"quick": {**splatting.QUICK, "growth_gradient": 6e-4}},
+    # So short a fit cannot train as many anchors: half of them, for 0.15 to 0.3 dB. Nor does it see enough
+    # directions: decoders that depend on them make up highlights between views (docs/results/choices.md).
+    presets={"quick": {**splatting.QUICK, "growth_gradient": 6e-4, "view_direction": False}},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={
         "fair": Configuration(),
@@ -139,6 +140,7 @@ SPEC = MethodSpec(
                 "start_spacing": 0.0,
                 "features": 50,
                 "growth_gradient": 2e-4,
+                "view_direction": True,
                 "direction_start": 1.0,
                 "color_weight": 0.0,
                 "fold_embeddings": False,
