@@ -75,9 +75,11 @@ def test_values_are_activated_once(tiny, scene, tmp_path):
     with torch.no_grad():
         trainer.optimiser["specular"].add_(1.0)  # highlights that a second sigmoid would change
     camera = scene.validation.cameras[0]
-    with torch.no_grad():
-        learned = IvrModel([trainer._shaded()], None).render(camera)[0]
     model = trainer.model()
+    with torch.no_grad():
+        shown = IvrModel([trainer._shaded()], None)
+        shown.rendering = model.rendering
+        learned = shown.render(camera)[0]
     many, _ = saved(model, tmp_path / "many", 65536.0)
     torch.testing.assert_close(many.render(camera)[0], learned, atol=0.02, rtol=0)
     sizes = [saved(model, tmp_path / str(size), size)[0] for size in (4.0, 32.0, 256.0)]

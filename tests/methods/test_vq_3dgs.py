@@ -117,7 +117,7 @@ def test_metadata_that_are_not_its_own_are_named(fitted, tmp_path, change):
     from safetensors.torch import save_file
 
     fitted[0].save(tmp_path)
-    (file,) = tmp_path.iterdir()
+    (file,) = tmp_path.glob("tiny.*")
     with safe_open(file, framework="pt") as opened:
         about = json.loads(opened.metadata()["model"])
         tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
