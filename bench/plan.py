@@ -120,8 +120,8 @@ class Planner:
 
         A dataset that the suite does not name climbs every ladder whose rungs are no scenes.
         """
-        usual = [(spec, settings) for spec, settings, _ in self._settings if not settings.knob]
         alone: list[float | None] = [None]
+        stressed = [(spec, settings, alone) for spec, settings, _ in self._settings if not settings.knob]
         named = usual_sources(self._selection, self._selection.suite.datasets)
         opened: dict[str, Subset | None] = {}
         for ladder in self._selection.suite.ladders:
@@ -141,13 +141,12 @@ class Planner:
                     # Truth that was rendered elsewhere is there as it is.
                     if subset is None or (subset.kind == "views" and part_of(rung.stress, "truth", "test")):
                         continue
+                    plain = not (rung.stress or rung.options or rung.scene)
                     choices = [
-                        (spec, self._with(spec, settings, rung.options), alone)
-                        for spec, settings in usual
+                        (spec, self._with(spec, settings, rung.options), rates)
+                        for spec, settings, rates in (self._settings if plain else stressed)
                         if ladder.is_for(spec.name)
                     ]
-                    if not (rung.stress or rung.options or rung.scene):
-                        choices = [each for each in self._settings if ladder.is_for(each[0].name)]
                     if choices:
                         yield _Case(subset, rung.stress, choices)
 

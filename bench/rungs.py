@@ -56,8 +56,8 @@ def rungs_of(job: Job, ladders: Iterable[Ladder]) -> Iterator[dict[str, Any]]:
     for ladder in ladders:
         if ladder.datasets and job.dataset in named and job.dataset not in ladder.datasets:
             continue
-        place = place_of(ladder, job)
-        if place is not None and not any(_sets(other, _rest(ladder, job), job) for other in ladders):
+        place, base = place_of(ladder, job), _base(ladder, job)
+        if place is not None and not any(_sets(other, base, job) for other in ladders):
             yield {
                 "ladder": ladder.name,
                 "purpose": ladder.title,
@@ -65,7 +65,7 @@ def rungs_of(job: Job, ladders: Iterable[Ladder]) -> Iterator[dict[str, Any]]:
                 "rungs": len(ladder.rungs),
                 "rung": ladder.rungs[place].title(job.method or ""),
                 "subject": "" if ladder.of_scenes else f"{job.dataset_name}/{job.subject}",
-                "variant": _base(ladder, job),
+                "variant": label(base),
                 "same_truth": ladder.rungs[place].same_truth,
             }
 
@@ -87,12 +87,8 @@ def place_of(ladder: Ladder, job: Job) -> int | None:
     return None
 
 
-def _base(ladder: Ladder, job: Job) -> str:
-    """Label of a measurement's options without those of the rungs."""
-    return label(_rest(ladder, job))
-
-
-def _rest(ladder: Ladder, job: Job) -> dict[str, Any]:
+def _base(ladder: Ladder, job: Job) -> dict[str, Any]:
+    """Options of a measurement that differ from the preset's, without those of the rungs."""
     names = ladder.options(job.method or "")
     return {name: value for name, value in job.overrides.items() if name not in names}
 

@@ -178,6 +178,11 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
             raise unknown("dataset", name, suite.datasets, of=f"{path} (stand_ins)")
     if suite.preset not in suite.presets:
         raise unknown("preset", suite.preset, suite.presets, of=str(path))
+    for name, preset in presets.items():
+        if not 0.0 < preset.budget <= 1.0:
+            raise DataError(
+                path, f"preset {name}: budget = {preset.budget!r}", "Give a share, above 0, at most 1"
+            )
     if suite.rates not in ("default", "all"):
         raise DataError(path, f"rates = {suite.rates!r}", 'Use "default" or "all"')
     for edit in suite.edits:

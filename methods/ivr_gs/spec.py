@@ -59,7 +59,8 @@ SPEC = replace(
         "palette color is the mean color weighted by alpha"
     ),
     options=IvrOptions,
-    presets={**PLAIN.presets, "quick": {"sh_rest_lr": 1e-3}},  # its loss of alpha is another one
+    # The loss of alpha is another one, with a weight of its own.
+    presets={**PLAIN.presets, "quick": {**PLAIN.presets["quick"], "alpha_weight": 0.1}},
     iterations={"quick": 1_600, "standard": 9_300, "paper": 40_000},
     rate_knobs=(RateKnob("codebook size", (4, 16, 64, 256, 1024), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},

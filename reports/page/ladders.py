@@ -43,17 +43,22 @@ def section(report: Report, root: Path, charts: Path) -> str:
     if not climbs:
         return ""
     views = strips.views_of_jobs(report.rung_views)
-    files = ladder_files.write_breaks(report, root, charts)
-    links = {name: f"{charts.name}/{file}" for name, file in files.items()}
+    rows = records(report.ladders)
+    methods = by_method(climbs)
+    breaks = {name: ladder_files.breaks_of(own, rows, views, root) for name, own in methods.items()}
     parts = ["<h3>Methods</h3>"]
-    parts += [_method(own, climbs, links.get(name)) for name, own in by_method(climbs).items()]
+    if any(breaks.values()):
+        parts.append(f'<p class="note">Pictures of breaks: {ladder_files.RULE}</p>')
+    parts += [_method(own, climbs, breaks[name], charts) for name, own in methods.items()]
     parts += ["<h3>Ladders</h3>", *_ladders(report, climbs, views, root)]
     parts += _flicker(report, views, root, charts)
     return "\n".join(parts)
 
 
-def _method(own: Sequence[Row], climbs: Sequence[Row], file: str | None) -> str:
-    """A method's ladders, the one on which it breaks first ahead, and a link to pictures of the breaks."""
+def _method(
+    own: Sequence[Row], climbs: Sequence[Row], breaks: Sequence[ladder_files.Break], charts: Path
+) -> str:
+    """A method's ladders, the one on which it breaks first ahead, and files with pictures of its breaks."""
     heads = ["Ladder", "What gets harder", "Rungs that hold", "Breaks at", "Scene", "Break"]
     heads += [COLUMNS["change"].header, "Missing [%]", "Excess [%]"]
     rows = [
@@ -70,8 +75,10 @@ def _method(own: Sequence[Row], climbs: Sequence[Row], file: str | None) -> str:
     ]
     name = label(own[0]["method"], own[0]["variant"])
     table = markup.table(f"Where {name} breaks first", heads, rows)
-    if file is not None:
-        table += f'<p class="note"><a href="{file}">Pictures of its breaks</a></p>'
+    if breaks:
+        file = anchor("breaks", name)
+        ladder_files.write_breaks(breaks, charts, file)
+        table += f'<p class="note"><a href="{charts.name}/{file}.png">Pictures of its breaks</a></p>'
     return (
         f'<details id="{anchor("method", name)}"><summary>{escape(verdict(own))}</summary>{table}</details>'
     )

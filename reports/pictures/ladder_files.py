@@ -11,17 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.conclusions.ladders import amount, by_method
-from reports.pictures.strips import FACTOR, Flicker, ViewsOfJobs, psnr_of, read_pair, views_of_jobs
+from reports.conclusions.ladders import amount
+from reports.pictures.panel_files import canvas, save
+from reports.pictures.strips import FACTOR, Flicker, ViewsOfJobs, psnr_of, read_pair
 from reports.style import label
-from reports.tables.columns import records
-from reports.tables.ladders import climbed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from reports.charts.report import Report
 
 RULE = (
     "Each break has three pictures: the ground truth of its rung, the method on that rung, and the method on "
@@ -30,6 +27,7 @@ RULE = (
 )
 _COLUMNS = 3
 _CELL, _GAP, _SPACE, _TEXT = 0.82, 0.04, 0.16, 0.13  # inches
+_DPI = 120
 _LETTERS = 44  # letters of a line above three pictures
 
 Picture = NDArray[np.uint8]
@@ -100,35 +98,14 @@ def breaks_of(climbs: Sequence[Row], rows: Sequence[Row], views: ViewsOfJobs, ro
     return breaks
 
 
-def write_breaks(report: Report, root: Path, folder: Path) -> dict[tuple[str, str], str]:
-    """Write ``breaks-METHOD.png`` and ``.pdf`` of every method that breaks; method and variant -> PNG's name.
-
-    Args:
-        report: the tables.
-        root: folder that the paths of pictures are relative to.
-        folder: folder of the files; it is created if a file is written.
-    """
-    rows, views = records(report.ladders), views_of_jobs(report.rung_views)
-    names = {}
-    for method, climbs in by_method(climbed(report.ladders)).items():
-        if breaks := breaks_of(climbs, rows, views, root):
-            stem = "breaks-" + "".join(
-                letter if letter.isalnum() else "-" for letter in label(*method).lower()
-            )
-            names[method] = _save(draw_breaks(breaks), folder, stem)
-    return names
+def write_breaks(breaks: Sequence[Break], folder: Path, name: str) -> None:
+    """Write breaks of a method as ``name.png`` and ``.pdf``."""
+    save(draw_breaks(breaks), folder, name, _DPI)
 
 
-def write_flicker(pair: Flicker, folder: Path) -> str:
-    """Write ``flicker.png`` and ``.pdf``, the truth beside the change of error of each method; PNG's name."""
-    return _save(draw_flicker(pair), folder, "flicker")
-
-
-def _save(figure: Figure, folder: Path, stem: str) -> str:
-    folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / f"{stem}.pdf", metadata={"CreationDate": None})
-    figure.savefig(folder / f"{stem}.png", dpi=120)
-    return f"{stem}.png"
+def write_flicker(pair: Flicker, folder: Path) -> None:
+    """Write ``flicker.png`` and ``.pdf``, the truth beside the change of error of each method."""
+    save(draw_flicker(pair), folder, "flicker", _DPI)
 
 
 def draw_breaks(breaks: Sequence[Break]) -> Figure:
@@ -139,7 +116,7 @@ def draw_breaks(breaks: Sequence[Break]) -> Figure:
     heads = [_TEXT * max(lines[at].count("\n") + 1 for at in row) + 0.05 for row in rows]
     wide = 3 * _CELL + 2 * _GAP
     width = columns * (wide + _SPACE) + _SPACE
-    figure, axes = _canvas(width, sum(heads) + len(rows) * (_CELL + _TEXT + _SPACE) + _GAP)
+    figure, axes = canvas(width, sum(heads) + len(rows) * (_CELL + _TEXT + _SPACE) + _GAP)
     top = _GAP
     for row, head in zip(rows, heads, strict=True):
         for column, at in enumerate(row):
@@ -161,7 +138,7 @@ def draw_flicker(pair: Flicker) -> Figure:
     """A row of pictures: the truth, and the amplified change of error of each method."""
     shots = [("truth", pair.truth)]
     shots += [(f"{label(*name)}: {pair.amounts[name]:.2f}", change) for name, change in pair.changes.items()]
-    figure, axes = _canvas(
+    figure, axes = canvas(
         len(shots) * (_CELL + _GAP) + 2 * _SPACE - _GAP, _TEXT + 0.05 + _CELL + _TEXT + _GAP + _SPACE
     )
     words = f"{pair.subject}, {pair.views[0]} to {pair.views[1]}: change of the error, {FACTOR} times"
@@ -169,20 +146,6 @@ def draw_flicker(pair: Flicker) -> Figure:
     for place, (name, picture) in enumerate(shots):
         _show(axes, picture, _SPACE + place * (_CELL + _GAP), _GAP + _TEXT + 0.05, name)
     return figure
-
-
-def _canvas(width: float, height: float) -> tuple[Figure, Axes]:
-    """A figure with one set of axes in inches from the upper left corner."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height))
-    FigureCanvasAgg(figure)
-    figure.suppressComposite = True  # the PDF keeps the pixels of every picture
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set_axis_off()
-    axes.set(xlim=(0.0, width), ylim=(height, 0.0), autoscale_on=False)
-    return figure, axes
 
 
 def _show(axes: Axes, picture: Picture, left: float, top: float, name: str) -> None:

@@ -39,27 +39,40 @@ def write(panels: list[Panel], scene: str, folder: Path) -> str:
         Name of the files without suffix: "panel-<dataset>-<scene>".
     """
     name = "panel-" + re.sub(r"[^\w.@=+-]+", "-", scene)
-    folder.mkdir(parents=True, exist_ok=True)
-    figure = draw([panel for panel in panels if panel.window is not None], scene)
-    figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None})
-    figure.savefig(folder / f"{name}.png", dpi=200)
+    save(draw([panel for panel in panels if panel.window is not None], scene), folder, name, dpi=200)
     return name
+
+
+def save(figure: Figure, folder: Path, name: str, dpi: int) -> None:
+    """Write a figure as PDF, the same bytes each time, and as PNG; the folder is created if it is missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None})
+    figure.savefig(folder / f"{name}.png", dpi=dpi)
+
+
+def canvas(width: float, height: float) -> tuple[Figure, Axes]:
+    """A figure with one set of axes for all pictures, in inches from the upper left corner.
+
+    Hundreds of axes take seconds.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    figure.suppressComposite = True  # the PDF keeps the pixels of every picture
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    axes.set(xlim=(0.0, width), ylim=(height, 0.0), autoscale_on=False)
+    return figure, axes
 
 
 def draw(panels: list[Panel], scene: str) -> Figure:
     """A row per view with ground truth and all models: the picture, and below it zoom and difference."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = 1 + max(len(panel.shots) for panel in panels)
     heights = [_above(panel) + _CELL * _aspect(panel) + _GAP + _HALF + 2 * _TEXT for panel in panels]
     size = (columns * (_CELL + _GAP) + _GAP, sum(heights) + 2.4 * _TEXT)
-    figure = Figure(figsize=size)
-    FigureCanvasAgg(figure)
-    figure.suppressComposite = True  # the PDF keeps the pixels of every picture
-    # One set of axes for all pictures, in inches from the upper left corner: hundreds of axes take seconds.
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set_axis_off()
+    figure, axes = canvas(*size)
     top = _GAP
     for panel, height in zip(panels, heights, strict=True):
         _row(axes, panel, top)
@@ -68,7 +81,6 @@ def draw(panels: list[Panel], scene: str) -> Figure:
     text = f"ΔE*uv to the ground truth, 0 to {DELTA_E_MAX:.0f}"
     _write(axes, 2 * _GAP + _CELL, top + 0.03, text if columns > 2 else f"ΔE*uv 0 to {DELTA_E_MAX:.0f}")
     _write(axes, _GAP, top + 0.03 + _TEXT, scene, color="#555555")
-    axes.set(xlim=(0.0, size[0]), ylim=(size[1], 0.0))
     return figure
 
 

@@ -164,3 +164,6 @@ def test_a_preset_of_a_name_of_its_own_takes_options_and_iterations_of_another(t
     assert fit(own, "standard").request.width == VIEWS["standard"].width
     with pytest.raises(UnknownName, match="preset"):
         fit(own.replace("quick", "quik"), "small")
+    for share in ("0.0", "-1.0", "1.5", "nan"):
+        with pytest.raises(DataError, match="small: budget"):
+            fit(half.replace("0.5", share), "small")
