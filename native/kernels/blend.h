@@ -32,6 +32,19 @@ INLINE void make_lattice(Lattice& at) {
   for (int band = 0; band < LANES * BAND_VECTORS; ++band) at.first[band] = (float)(band * BLOCK_ROWS) + 0.5f;
 }
 
+// Calls take(i, x, y, many) for each row of four pixels of a block: i is the place of the first in the state, (x, y)
+// its place in the tile, of which `many` pixels of the row are part.
+template <class Take>
+INLINE void rows_of(const Tile& tile, Take take) {
+  for (int block = 0; block < BLOCKS; ++block)
+    for (int row = 0; row < BLOCK_ROWS; ++row) {
+      const int i = block * LANES + 4 * row, x = block % 4 * 4, y = block / 4 * BLOCK_ROWS + row;
+      if (y >= tile.height || x >= tile.width) continue;
+      if (x + 4 <= tile.width) take(i, x, y, 4);  // a constant, which unrolls the loop over them
+      else take(i, x, y, tile.width - x);
+    }
+}
+
 INLINE vf power_of_two(vi n) { return (vf)((n + 127) << 23); }
 
 // The blocks of a tile that a splat's ellipse meets; (u, v) is its centre within the tile.
@@ -97,6 +110,15 @@ template <int FIXED>
 static int64_t blend_channels(const Inputs& in, const Splat* splats, const Tile& tile, const View& view,
                               const Images& out, float* scratch) {
   const int channels = FIXED ? FIXED : in.channels;
+  if (!tile.count) {
+    for (int y = tile.y; y < tile.y + tile.height; ++y) {
+      const int64_t pixel = (int64_t)y * view.width + tile.x;
+      __builtin_memset(out.alpha + pixel, 0, tile.width * sizeof(float));
+      __builtin_memset(out.depth + pixel, 0, tile.width * sizeof(float));
+      __builtin_memset(out.features + pixel * channels, 0, tile.width * channels * sizeof(float));
+    }
+    return 0;
+  }
   Lattice at;
   make_lattice(at);
   float* const passing = scratch;
@@ -151,16 +173,14 @@ static int64_t blend_channels(const Inputs& in, const Splat* splats, const Tile&
   if (tile.blocks)
     for (; e < tile.count; ++e) tile.blocks[e] = 0;
 
-  for (int i = 0; i < PIXELS; ++i) {
-    const int block = i / LANES, lane = i % LANES;
-    const int x = block % 4 * 4 + lane % 4, y = block / 4 * BLOCK_ROWS + lane / 4;
-    if (x >= tile.width || y >= tile.height) continue;
+  rows_of(tile, [&](int i, int x, int y, int many) {
     const int64_t pixel = (int64_t)(tile.y + y) * view.width + tile.x + x;
-    const float left = passing[i] < 0 ? -passing[i] : passing[i];
-    out.alpha[pixel] = 1.0f - left;
-    out.depth[pixel] = depth[i];
-    for (int k = 0; k < channels; ++k) out.features[pixel * channels + k] = color[k * PIXELS + i];
-  }
+    for (int l = 0; l < many; ++l) {
+      out.alpha[pixel + l] = 1.0f - __builtin_fabsf(passing[i + l]);
+      out.depth[pixel + l] = depth[i + l];
+      for (int k = 0; k < channels; ++k) out.features[(pixel + l) * channels + k] = color[k * PIXELS + i + l];
+    }
+  });
   return evaluations * LANES;
 }
 
@@ -168,6 +188,7 @@ static int64_t blend_channels(const Inputs& in, const Splat* splats, const Tile&
 template <int FIXED, bool DEPTH>
 static void blend_backward_channels(const Inputs& in, const Splat* splats, const Tile& tile, const View& view,
                                     const ConstImages& out, const ConstImages& grad, float* slots, float* scratch) {
+  if (!tile.count) return;
   const int channels = FIXED ? FIXED : in.channels;
   const int size = slot_size(channels);
   Lattice at;
@@ -178,23 +199,26 @@ static void blend_backward_channels(const Inputs& in, const Splat* splats, const
   float* const grad_depth = scratch + 3 * PIXELS;
   float* const grad_color = scratch + 4 * PIXELS;
   vf* const sum_color = (vf*)(scratch + (4 + channels) * (int64_t)PIXELS);
-  for (int i = 0; i < PIXELS; ++i) {
-    const int block = i / LANES, lane = i % LANES;
-    const int x = block % 4 * 4 + lane % 4, y = block / 4 * BLOCK_ROWS + lane / 4;
-    const bool inside = x < tile.width && y < tile.height;
-    const int64_t pixel = inside ? (int64_t)(tile.y + y) * view.width + tile.x + x : 0;
-    passing[i] = inside ? 1.0f : -1.0f;
-    grad_alpha[i] = inside && grad.alpha ? grad.alpha[pixel] : 0.0f;
-    grad_depth[i] = inside && DEPTH ? grad.depth[pixel] : 0.0f;
-    double total = inside ? (double)grad_alpha[i] * out.alpha[pixel] : 0.0;
-    if (DEPTH && inside) total += (double)grad_depth[i] * out.depth[pixel];
-    for (int k = 0; k < channels; ++k) {
-      const float g = inside && grad.features ? grad.features[pixel * channels + k] : 0.0f;
-      grad_color[k * PIXELS + i] = g;
-      if (inside) total += (double)g * out.features[pixel * channels + k];
-    }
-    rest[i] = (float)total;
+  if (tile.width < TILE || tile.height < TILE) {  // pixels outside the image have ended and pass nothing on
+    for (int i = 0; i < PIXELS; i += LANES) store(passing + i, set(-1.0f));
+    for (int64_t i = PIXELS; i < (4 + channels) * (int64_t)PIXELS; i += LANES) store(scratch + i, vf{});
   }
+  rows_of(tile, [&](int i, int x, int y, int many) {
+    const int64_t pixel = (int64_t)(tile.y + y) * view.width + tile.x + x;
+    for (int l = 0; l < many; ++l) {
+      passing[i + l] = 1.0f;
+      grad_alpha[i + l] = grad.alpha ? grad.alpha[pixel + l] : 0.0f;
+      grad_depth[i + l] = DEPTH ? grad.depth[pixel + l] : 0.0f;
+      double total = (double)grad_alpha[i + l] * out.alpha[pixel + l];
+      if (DEPTH) total += (double)grad_depth[i + l] * out.depth[pixel + l];
+      for (int k = 0; k < channels; ++k) {
+        const float g = grad.features ? grad.features[(pixel + l) * channels + k] : 0.0f;
+        grad_color[k * PIXELS + i + l] = g;
+        total += (double)g * out.features[(pixel + l) * channels + k];
+      }
+      rest[i + l] = (float)total;
+    }
+  });
 
   for (int64_t e = 0; e < tile.count; ++e) {
     if (e + 6 < tile.count) {
