@@ -15,6 +15,11 @@ MAX_SPECULAR = 5.0
 MAX_SHININESS = 50.0
 
 
+def raw_specular(coefficient: float) -> float:
+    """The value before activation, sigmoid × ``MAX_SPECULAR``, of a specular coefficient."""
+    return math.log(coefficient / (MAX_SPECULAR - coefficient))
+
+
 @dataclass(frozen=True)
 class Factors:
     """Edits of a scene: factors on its trained values.

@@ -60,6 +60,9 @@ class EcongsOptions(splatting.SplattingOptions):
     shading_bias: float = option(
         0.5, "first value of the ambient and diffuse coefficients", minimum=0.0, maximum=1.0
     )
+    specular_start: float = option(
+        0.5, "first value of the specular coefficient, of 0 to 5", minimum=1e-3, maximum=4.999
+    )
     voxel: float = option(0.001, "lattice of anchors, scene units", minimum=1e-5, maximum=0.1)
     init_factor: int = option(16, "coarsest growth cell, in lattice cells", minimum=16, maximum=4096)
     growth_gradient: float = option(
@@ -113,7 +116,7 @@ SPEC = MethodSpec(
     reference=(
         "K. Tang, C. Wang: ECoNGS: Efficient Compressive Neural Gaussian Splats for Volume Visualization"
     ),
-    version="2",
+    version="3",
     implementation="methods.econgs.method:Econgs",
     source=SHARED_SOURCE,
     joint=True,
@@ -142,6 +145,7 @@ SPEC = MethodSpec(
                 "growth_gradient": 2e-4,
                 "view_direction": True,
                 "direction_start": 1.0,
+                "specular_start": 2.5,
                 "color_weight": 0.0,
                 "fold_embeddings": False,
                 "hidden": 50,

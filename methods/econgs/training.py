@@ -19,6 +19,7 @@ from econgs.anchors.decoders import Decoders
 from econgs.anchors.folding import fold_embeddings
 from econgs.anchors.gaussians import ViewGaussians, draw
 from econgs.anchors.growing import AnchorRules
+from econgs.anchors.shading import raw_specular
 from econgs.context.arrays import round_arrays
 from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
@@ -411,6 +412,6 @@ def make_decoders(options: EcongsOptions, hidden: int, generator: torch.Generato
         direction_start=options.direction_start,
         offset_color=options.offset_color,
         storage=options.storage,
-        shading_bias=(bias, bias, 0.0, 0.0),
+        shading_bias=(bias, bias, raw_specular(options.specular_start), 0.0),
         generator=generator,
     )

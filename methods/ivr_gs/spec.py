@@ -12,6 +12,7 @@ PUBLISHED: dict[str, OptionValue] = {
     "alpha_weight": 0.1,
     "background": "white",
     "shading_start": 0.0,
+    "specular_start": 2.5,
 }
 """How the released code starts."""
 
@@ -30,6 +31,12 @@ class IvrOptions(GaussianOptions):
     shaded_growth: bool = option(True, "Gaussians also grow at the beginning of the second stage")
     shading_start: float = option(
         0.5, "first value of the ambient and diffuse coefficients; 0 as published", minimum=0.0, maximum=1.0
+    )
+    specular_start: float = option(
+        0.5,
+        "first value of the specular coefficient, of 0 to 5; 2.5 as published",
+        minimum=1e-3,
+        maximum=4.999,
     )
     shading_lr: float = option(0.01, "learning rate of all attributes of shading", minimum=0.0, maximum=1.0)
     # Losses
@@ -51,7 +58,7 @@ SPEC = replace(
         "K. Tang, S. Yao, C. Wang: iVR-GS: Inverse Volume Rendering for Explorable Visualization via "
         "Editable 3D Gaussian Splatting. IEEE Transactions on Visualization and Computer Graphics 31(6), 2025"
     ),
-    version="2",
+    version="3",
     implementation="methods.ivr_gs.method:IvrGs",
     edits=frozenset({"palette", "opacity", "light", "shading"}),
     uses_alpha=(

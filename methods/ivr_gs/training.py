@@ -10,7 +10,7 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.scene import RGB, WHITE
-from econgs.anchors.shading import MIN_NORMAL, Factors
+from econgs.anchors.shading import MIN_NORMAL, Factors, raw_specular
 from econgs.losses import ssim
 from econgs.optim import Adam
 from econgs.splat.composite import MIN_ALPHA
@@ -92,7 +92,7 @@ class IvrTrainer(Trainer):
 
     def _begin_shading(self, geometry: dict[str, Tensor]) -> None:
         """A fresh optimiser for what the second stage learns."""
-        shading = first_shading(geometry["means"], self.options.shading_start)
+        shading = first_shading(geometry["means"], self.options)
         plain = {name: LEARNING_RATES[name] for name in ("log_scales", "quats")}
         rates = plain | {"means": 0.0, "logits": self.options.opacity_lr, "normals": NORMAL_RATE}
         rates |= dict.fromkeys(SHADING, self.options.shading_lr)
@@ -183,7 +183,7 @@ class IvrTrainer(Trainer):
             return Trainer.restored(state, options)
         now = {name: state.value(name) for name in (*GEOMETRY, *(SHADING if shading else ()))}
         if not shading:  # too short a budget for a second stage
-            now |= first_shading(now["means"], options.shading_start)
+            now |= first_shading(now["means"], options)
         (label,) = state.scenes
         if not finished:
             palette = torch.tensor(state.scalars["palette"], device=state.device)
@@ -219,17 +219,17 @@ class IvrTrainer(Trainer):
         self.normal_gradients = arrays["normal_gradients"].clone()
 
 
-def first_shading(means: Tensor, coefficient: float) -> dict[str, Tensor]:
-    """First shading attributes; ``coefficient`` is that of ambient and diffuse light."""
+def first_shading(means: Tensor, options: IvrOptions) -> dict[str, Tensor]:
+    """First shading attributes."""
 
     def full(value: float, width: int = 1) -> Tensor:
         return torch.full((len(means), width), value, device=means.device)
 
     return {
         "offset_color": full(0.0, 3),
-        "ambient": full(coefficient),
-        "diffuse": full(coefficient),
-        "specular": full(0.0),
+        "ambient": full(options.shading_start),
+        "diffuse": full(options.shading_start),
+        "specular": full(raw_specular(options.specular_start)),
         "shininess": full(FIRST_SHININESS),
     }
 

@@ -250,6 +250,22 @@ def test_a_minibatch_of_every_scene(tiny, scene):
     assert turns[:2] * 3 == turns
 
 
+def test_highlights_begin_as_small_as_chosen(scene):
+    """A highlight that no camera sees is never taken away, so it must not be there from the start."""
+
+    def coefficients(start):
+        trainer = Trainer([scene], options(specular_start=start), 10, 0, "cpu")
+        first, bias, second, second_bias = trainer.decoders.network("shading").tensors()
+        width = first.shape[1] - trainer.options.embedding
+        hidden = torch.relu(bias + first[:, width:] @ trainer.optimiser["0/embedding"])
+        return 5.0 * torch.sigmoid((second_bias + second @ hidden).view(7, -1)[5].detach())
+
+    small, published = coefficients(0.5), coefficients(2.5)
+    assert float(small.max()) < 0.8
+    odds = small / (5.0 - small), published / (5.0 - published)
+    torch.testing.assert_close(9.0 * odds[0], odds[1])  # 2.5 / 2.5 over 0.5 / 4.5
+
+
 def test_networks_are_as_wide_as_the_scene_asks_for(tiny, scene):
     def widths(points, **changed):
         cloud = np.random.default_rng(0).uniform(-0.5, 0.5, (points, 3))

@@ -110,6 +110,16 @@ def test_parts_of_the_loss_carry_their_weights(tiny, scene):
     assert set(found) == {"image", "offset colors", "smoothness", "opacity"}
 
 
+def test_shading_begins_as_chosen(scene):
+    options = fit.options(shading_start=0.3, specular_start=0.7, shading_lr=1e-6)
+    trainer = IvrTrainer(scene, options, 40, 0, "cpu")
+    while not trainer.shading:
+        trainer.step()
+    shown = trainer._shaded().coefficients.detach()
+    expected = torch.tensor([0.3, 0.3, 0.7]).expand(len(shown), 3)
+    torch.testing.assert_close(shown[:, :3], expected, atol=1e-4, rtol=0.0)
+
+
 def test_attributes_chosen_have_codebooks_and_the_others_none(tiny, scene, tmp_path):
     model = fit(scene, tiny.Recorder(), 20, quantised="scale + rotation_imaginary", codebook_size=16)
     again, ledger = saved(model, tmp_path / "a")
