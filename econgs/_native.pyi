@@ -51,6 +51,11 @@ def sh_backward(
 def photometric(
     x: Floats, y: Floats, absolute: float, structural: float, grad: OutFloats | None,
 ) -> tuple[float, float]: ...
+def view_loss(
+    color: Floats, alpha: Floats, truth: Floats, back: Floats, absolute: float, structural: float,
+    alpha_weight: float, vanishing: float, rescue: float, grad_color: OutFloats | None,
+    grad_alpha: OutFloats | None,
+) -> tuple[float, float, float]: ...
 def adam(
     params: Sequence[OutFloats], grads: Sequence[Floats], first: Sequence[OutFloats],
     second: Sequence[OutFloats], rates: Sequence[float], beta1: float, beta2: float, eps: float,

@@ -1,4 +1,4 @@
-"""The photometric loss of the 3DGS lineage: (1 − w) · L1 + w · (1 − SSIM)."""
+"""Losses of pictures: that of the 3DGS lineage, (1 − w) · L1 + w · (1 − SSIM), and that of alpha."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from datasets.scene import RGB
+from econgs.splat.composite import over
 from econgs.splat.rasterise import choose_backend, native
 
 WINDOW = 11  # taps of the Gaussian window of Wang et al. 2004
 SIGMA = 1.5
 C1 = 0.01**2
 C2 = 0.03**2
+VANISHING = 0.5
+"""Share of a view's alpha under which the loss of alpha has the weight :data:`RESCUE`."""
+RESCUE = 1.0
 
 
 def photometric_loss(
@@ -36,6 +41,57 @@ def photometric_loss(
     if ssim_weight == 0:
         return absolute
     return (1 - ssim_weight) * absolute + ssim_weight * (1 - torch_ssim(rendered, target))
+
+
+def view_losses(
+    colors: Tensor,
+    alpha: Tensor,
+    truth: Tensor,
+    background: RGB | Tensor,
+    *,
+    ssim_weight: float = 0.2,
+    alpha_weight: float = 0.0,
+    backend: str | None = None,
+) -> tuple[Tensor, Tensor]:
+    """The losses of a drawn picture against a view: of colors over a background, and of alpha.
+
+    The first is :func:`photometric_loss`. The second is the mean absolute error of alpha, times its weight:
+    an object of the background's color looks right without alpha. It counts more while most is missing: a
+    scene as pale as its background starts too dark, is dimmed for that, and once all opacities are negative
+    no gradient brings it back.
+
+    Args:
+        colors: (H, W, 3) premultiplied.
+        alpha: (H, W).
+        truth: (H, W, 4) premultiplied, constant.
+        background: color of the background.
+        ssim_weight: in [0, 1].
+        alpha_weight: at least 0. Above 0 it becomes :data:`RESCUE`, if that is more, while less than
+            :data:`VANISHING` of the view's alpha is drawn.
+        backend: as in :func:`econgs.splat.rasterise`.
+
+    Returns:
+        Two scalars; only their sum, or a multiple of it, may be differentiated where alpha has a weight.
+
+    Raises:
+        ValueError: the shapes differ, or are not those of images.
+    """
+    if truth.ndim != 3 or truth.shape[2] != 4 or alpha.shape != truth.shape[:2]:
+        raise ValueError(
+            f"alpha has shape {tuple(alpha.shape)} and the view {tuple(truth.shape)}; (height, width) and "
+            "(height, width, 4) are needed"
+        )
+    _check(colors, truth[..., :3])
+    back = torch.as_tensor(background, dtype=colors.dtype, device=colors.device)
+    if choose_backend(colors, backend) == "native":
+        weights = ssim_weight, alpha_weight, VANISHING, RESCUE
+        pair: tuple[Tensor, Tensor] = native().view_losses(colors, alpha, truth, back, weights)
+        return pair
+    target = over(truth[..., :3], truth[..., 3], back)
+    picture = photometric_loss(over(colors, alpha, back), target, ssim_weight, backend=backend)
+    if alpha_weight > 0.0 and float(alpha.detach().sum()) < VANISHING * float(truth[..., 3].sum()):
+        alpha_weight = max(alpha_weight, RESCUE)
+    return picture, alpha_weight * (alpha - truth[..., 3]).abs().mean()
 
 
 def ssim(rendered: Tensor, target: Tensor, *, backend: str | None = None) -> Tensor:

@@ -337,6 +337,37 @@ double photometric(const float* x, const float* y, int64_t height, int64_t width
   return sum / static_cast<double>(height * n);
 }
 
+ViewLoss view_loss(const float* color, const float* alpha, const float* truth, const float* back, int64_t height,
+                   int64_t width, float absolute, float structural, float alpha_weight, float vanishing,
+                   float rescue, float* grad_color, float* grad_alpha) {
+  const Kernels& use = kernels();
+  const int64_t pixels = height * width;
+  const Buffer memory(2 * 3 * pixels * sizeof(float));
+  float *const drawn = memory.as<float>(), *const target = drawn + 3 * pixels;
+  std::vector<double> sums(3 * height);
+  parallel_ranges(height, SSIM_BAND, [&](int64_t begin, int64_t end, int) {
+    for (int64_t row = begin; row < end; ++row) {
+      const int64_t at = row * width;
+      use.composite(color + 3 * at, alpha + at, truth + 4 * at, back, drawn + 3 * at, target + 3 * at, width);
+      use.alpha_sums(alpha + at, truth + 4 * at, width, &sums[3 * row]);
+    }
+  });
+  double total[3] = {0.0, 0.0, 0.0};
+  for (int64_t i = 0; i < 3 * height; ++i) total[i % 3] += sums[i];
+  const float weight = alpha_weight > 0.0f && total[0] < vanishing * total[1] ? std::max(alpha_weight, rescue)
+                                                                               : alpha_weight;
+  ViewLoss loss;
+  loss.alpha = weight * total[2] / static_cast<double>(pixels);
+  loss.absolute = photometric(drawn, target, height, width, 3, absolute, structural, grad_color, &loss.ssim);
+  if (grad_color)
+    parallel_ranges(height, SSIM_BAND, [&](int64_t begin, int64_t end, int) {
+      const int64_t at = begin * width;
+      use.alpha_gradient(grad_color + 3 * at, alpha + at, truth + 4 * at, back, weight / static_cast<float>(pixels),
+                         grad_alpha + at, (end - begin) * width);
+    });
+  return loss;
+}
+
 double reference_kernel() {
   constexpr int64_t PIECE = 16384, PIECES = 512;  // 32 MB
   Buffer memory(PIECE * PIECES * sizeof(float));

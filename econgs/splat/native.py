@@ -220,6 +220,47 @@ def ssim(rendered: Tensor, target: Tensor) -> Tensor:
     return value
 
 
+class _ViewLoss(torch.autograd.Function):
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any, colors: Tensor, alpha: Tensor, truth: Tensor, back: Tensor, weights: tuple[float, ...]
+    ) -> tuple[Tensor, Tensor]:
+        # As above: gradients, those of the sum of both losses, are computed here.
+        ctx.grads = ctx.both = None
+        if any(ctx.needs_input_grad):
+            ctx.grads = colors.new_empty(colors.shape), alpha.new_empty(alpha.shape)
+        images = (_plain(colors), _plain(alpha), _plain(truth), _plain(back))
+        structural, of_alpha, vanishing, rescue = weights
+        numbers = (1.0 - structural, -structural, of_alpha, vanishing, rescue)
+        arrays = (*map(_array, images), *numbers, *map(_array, ctx.grads or (None, None)))
+        absolute, ssim, distance = _native.view_loss(*arrays)
+        ctx.both = of_alpha > 0.0
+        picture = (1.0 - structural) * absolute + structural * (1.0 - ssim)
+        return colors.new_tensor(picture), alpha.new_tensor(distance)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, picture: Tensor, distance: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        factor = picture.item()
+        if ctx.both and distance.item() != factor:
+            raise RuntimeError("the two losses of a view have the gradient of their sum alone")
+        colors, alpha = ctx.grads
+        if factor != 1.0:
+            colors, alpha = colors * factor, alpha * factor
+        return colors, alpha, None, None, None
+
+
+def view_losses(
+    colors: Tensor, alpha: Tensor, truth: Tensor, back: Tensor, weights: tuple[float, ...]
+) -> tuple[Tensor, Tensor]:
+    """Native part of :func:`econgs.losses.view_losses`, over a background (3,).
+
+    The weights are those of SSIM and of alpha, the share of alpha under which the latter grows, and to what.
+    """
+    losses: tuple[Tensor, Tensor] = _ViewLoss.apply(colors, alpha, truth, back, weights)
+    return losses
+
+
 def adam_step(
     params: Sequence[Tensor],
     grads: Sequence[Tensor],

@@ -170,8 +170,7 @@ class Trainer(AnchorLoop):
         decoded = self._decode(scene, camera, positions, values)
         splats, offset = self.splat(decoded, camera)
         back = scene.source.train.background
-        parts = {"image": self.image_loss(splats.features, splats.alpha, truth, back)}
-        parts |= self.alpha_losses(splats.alpha, truth[..., 3], scene.transparent)
+        parts = self.view_losses(splats.features, splats.alpha, truth, back, scene.transparent)
         parts["scale"] = self._scale_loss(decoded.scales)
         if self.options.color_weight:
             parts["color"] = self._color_loss(scene, camera, positions, values.features)

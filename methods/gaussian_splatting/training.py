@@ -121,8 +121,7 @@ class Trainer(TrainingLoop):
     ) -> tuple[dict[str, torch.Tensor], torch.Tensor | None, torch.Tensor]:
         """Parts of the loss against a view (H, W, 4), screen offsets that densification reads, radii."""
         splats, offset = self._splat(self._colors(camera), camera)
-        image = self.image_loss(splats.features, splats.alpha, truth, back)
-        losses = {"image": image, **self.alpha_losses(splats.alpha, truth[..., 3], self.transparent)}
+        losses = self.view_losses(splats.features, splats.alpha, truth, back, self.transparent)
         return losses, offset, splats.radii
 
     def _splat(self, features: torch.Tensor, camera: Camera) -> tuple[SplatImages, torch.Tensor | None]:

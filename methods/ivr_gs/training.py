@@ -128,7 +128,7 @@ class IvrTrainer(Trainer):
         self, splats: SplatImages, camera: Camera, truth: Tensor, back: RGB | Tensor
     ) -> dict[str, Tensor]:
         """Losses of both stages: picture, mask and normals."""
-        losses = {"image": self.image_loss(splats.features[..., :3], splats.alpha, truth, back)}
+        losses = self.view_losses(splats.features[..., :3], splats.alpha, truth, back)
         weight = _SSIM_SHARE * self._weight("alpha")
         if weight:
             losses["alpha"] = weight * (1.0 - ssim(splats.alpha[..., None], truth[..., 3:].contiguous()))

@@ -180,8 +180,7 @@ class Trainer(AnchorLoop):
         if prepared.masks is not None:
             decoded = apply_masks(decoded, prepared.masks)
         splats, offset = self.splat(decoded, camera)
-        losses = {"image": self.image_loss(splats.features, splats.alpha, truth, background)}
-        losses |= self.alpha_losses(splats.alpha, truth[..., 3], self.transparent)
+        losses = self.view_losses(splats.features, splats.alpha, truth, background, self.transparent)
         if len(decoded.scales):
             losses["scale"] = self.options.scale_weight * decoded.scales.prod(dim=1).mean()
         losses |= prepared.losses

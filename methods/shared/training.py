@@ -15,10 +15,9 @@ from torch import Tensor
 
 from datasets.camera import pixel_size
 from datasets.scene import RGB, WHITE
-from econgs.losses import photometric_loss
+from econgs.losses import view_losses
 from econgs.optim import Adam
 from econgs.splat import LINEAGE, LowPass
-from econgs.splat.composite import over
 from methods.interface import Checkpoint, Diverged, Monitor, Refused, SceneInput
 from methods.shared.edits import Direction
 from methods.shared.rendering import Rendering
@@ -26,9 +25,6 @@ from methods.shared.splatting import SplattingOptions
 
 CHECK_EVERY = 100
 """Iterations between looks at whether parameters are finite."""
-VANISHING = 0.5
-"""Share of a view's alpha under which the loss of alpha has the weight :data:`RESCUE`."""
-RESCUE = 1.0
 _BACKGROUNDS: dict[str, RGB] = {"white": WHITE, "black": (0.0, 0.0, 0.0)}
 _LOGARITHMS = ("log_scales", "log_scalings")  # may be finite where their exponentials are not
 
@@ -232,35 +228,28 @@ class TrainingLoop(ABC):
         """
         return transparent and self.options.alpha_weight > 0.0
 
-    def alpha_losses(self, alpha: Tensor, truth: Tensor, transparent: bool) -> dict[str, Tensor]:
-        """The mean absolute error of alpha: an object of the background's color looks right without alpha.
-
-        It counts more while most is missing: a scene that is as pale as its background starts too dark, is
-        dimmed for that, and once all opacities are negative no gradient brings it back.
-
-        Args:
-            alpha: (H, W) drawn.
-            truth: (H, W) of the view.
-            transparent: as for :meth:`asks_alpha`.
-
-        Returns:
-            The weighted part of the loss by its name; empty if alpha is no target.
-        """
-        if not self.asks_alpha(transparent):
-            return {}
-        weight = self.options.alpha_weight
-        if float(alpha.detach().sum()) < VANISHING * float(truth.sum()):
-            weight = max(weight, RESCUE)
-        return {"alpha": weight * (alpha - truth).abs().mean()}
-
     def background_color(self) -> RGB | Tensor:
         """The background of this iteration."""
         return torch.rand(3, generator=self.generator) if self.background is None else self.background
 
-    def image_loss(self, colors: Tensor, alpha: Tensor, truth: Tensor, back: RGB | Tensor) -> Tensor:
-        """Loss of premultiplied colors (H, W, 3) against a view (H, W, 4), both over a background."""
-        target = over(truth[..., :3], truth[..., 3], back)
-        return photometric_loss(over(colors, alpha, back), target, self.options.ssim_weight)
+    def view_losses(
+        self, colors: Tensor, alpha: Tensor, truth: Tensor, back: RGB | Tensor, transparent: bool = False
+    ) -> dict[str, Tensor]:
+        """Parts of the loss of a drawn view by name: "image", and "alpha" where alpha is a target.
+
+        Args:
+            colors: (H, W, 3) premultiplied.
+            alpha: (H, W).
+            truth: (H, W, 4) of the view.
+            back: what both are composited on.
+            transparent: as for :meth:`asks_alpha`.
+        """
+        asked = self.asks_alpha(transparent)
+        weight = self.options.alpha_weight if asked else 0.0
+        image, distance = view_losses(
+            colors, alpha, truth, back, ssim_weight=self.options.ssim_weight, alpha_weight=weight
+        )
+        return {"image": image, "alpha": distance} if asked else {"image": image}
 
     def shuffled(self, count: int) -> list[int]:
         order: list[int] = torch.randperm(count, generator=self.generator).tolist()

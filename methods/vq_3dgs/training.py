@@ -75,8 +75,7 @@ class VqTrainer(Trainer):
             camera,
             low_pass=self.low_pass,
         )
-        image = self.image_loss(splats.features, splats.alpha, truth, back)
-        losses = {"image": image, **self.alpha_losses(splats.alpha, truth[..., 3], self.transparent)}
+        losses = self.view_losses(splats.features, splats.alpha, truth, back, self.transparent)
         return losses, None, splats.radii
 
     def _set_rates(self) -> None:

@@ -4,11 +4,13 @@
 
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <cmath>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -171,6 +173,25 @@ std::pair<double, double> photometric_checked(const In& x, const In& y, float ab
   return {mean, ssim};
 }
 
+std::tuple<double, double, double> view_loss_checked(const In& color, const In& alpha, const In& truth, const In& back,
+                                                     float absolute, float structural, float alpha_weight,
+                                                     float vanishing, float rescue, std::optional<Array> grad_color,
+                                                     std::optional<Array> grad_alpha) {
+  expect(color.ndim() == 3 && color.size() > 0, "colors must have shape (H, W, 3)");
+  const int64_t h = color.shape(0), w = color.shape(1);
+  expect(is(color, {h, w, 3}) && is(alpha, {h, w}) && is(truth, {h, w, 4}) && is(back, {3}) &&
+             (!grad_color || (is(*grad_color, {h, w, 3}) && grad_alpha && is(*grad_alpha, {h, w}))),
+         "colors (H, W, 3), alpha (H, W), a view (H, W, 4) and a background (3) are needed");
+  ViewLoss loss;
+  const float *const c = color.data(), *const a = alpha.data(), *const t = truth.data(), *const b = back.data();
+  float *const to_color = data_or_null(grad_color), *const to_alpha = data_or_null(grad_alpha);
+  {
+    nb::gil_scoped_release release;
+    loss = view_loss(c, a, t, b, h, w, absolute, structural, alpha_weight, vanishing, rescue, to_color, to_alpha);
+  }
+  return {loss.absolute, loss.ssim, loss.alpha};
+}
+
 void adam(const std::vector<Array>& params, const std::vector<In>& grads, const std::vector<Array>& first,
           const std::vector<Array>& second, const std::vector<double>& rates, double beta1, double beta2, double eps,
           int64_t step) {
@@ -252,6 +273,8 @@ NB_MODULE(_native, m) {
   m.def("sh_backward", sh_backward, "degree"_a, "means"_a, "position"_a, "first"_a, "rest"_a.none(), "colors"_a,
         "grad"_a, "grad_means"_a, "grad_first"_a, "grad_rest"_a.none());
   m.def("photometric", photometric_checked, "x"_a, "y"_a, "absolute"_a, "structural"_a, "grad"_a.none());
+  m.def("view_loss", view_loss_checked, "color"_a, "alpha"_a, "truth"_a, "back"_a, "absolute"_a, "structural"_a,
+        "alpha_weight"_a, "vanishing"_a, "rescue"_a, "grad_color"_a.none(), "grad_alpha"_a.none());
   m.def("adam", adam, "params"_a, "grads"_a, "first"_a, "second"_a, "rates"_a, "beta1"_a, "beta2"_a, "eps"_a, "step"_a);
   bind_decode(m);
   bind_hash_grid(m);

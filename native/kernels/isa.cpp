@@ -2,6 +2,7 @@
 // -DECONGS_ISA=<name> -DECONGS_LANES=<floats per vector> and that ISA's flags.
 #include "adam.h"
 #include "blend.h"
+#include "composite.h"
 #include "decoder_block.h"
 #include "project.h"
 #include "sh.h"
@@ -16,7 +17,8 @@ extern const econgs::Kernels kernels;
 const econgs::Kernels kernels = {STRING(ECONGS_ISA), LANES,           project,        project_backward,
                                  blend_scratch,      blend,           blend_backward, sh,
                                  sh_backward,        ssim_scratch,    ssim_rows,      ssim_map,
-                                 ssim_gradient,      absolute,        decode_scratch, decode_opacity,
-                                 decode_block,       decode_backward, adam,           reference};
+                                 ssim_gradient,      absolute,        composite,      alpha_sums,
+                                 alpha_gradient,     decode_scratch,  decode_opacity, decode_block,
+                                 decode_backward,    adam,            reference};
 
 }  // namespace ECONGS_ISA

@@ -121,6 +121,14 @@ struct Kernels {
   void (*ssim_gradient)(const float* x, const float* y, const float* partials, float* grad, int64_t n, int64_t height,
                         int64_t begin, int64_t end, float absolute, float structural);
   double (*absolute)(const float* x, const float* y, int64_t n);
+  // Pixels of a drawn picture (premultiplied color and alpha) and of a view (RGBA): both over a background; sums of
+  // alpha, of the view's alpha and of their distance; gradients by alpha from those by the composited colors and
+  // from the weight of the distance.
+  void (*composite)(const float* color, const float* alpha, const float* truth, const float* back, float* drawn,
+                    float* target, int64_t pixels);
+  void (*alpha_sums)(const float* alpha, const float* truth, int64_t pixels, double* sums);
+  void (*alpha_gradient)(const float* grad, const float* alpha, const float* truth, const float* back, float weight,
+                         float* to, int64_t pixels);
   // Decoding a block of anchors (see decoder_block.h).
   int64_t (*decode_scratch)(const DecodeShape&);
   int64_t (*decode_opacity)(const DecodeShape&, const DecodeInputs&, const DecodeView&, const DecodeWeights&,

@@ -76,7 +76,7 @@ def clocked(trainer: Trainer, spent: dict[str, float]) -> Iterator[None]:
 
         watch(training, "decode", "decode")
         watch(trainer, "splat", "rasterise")
-        watch(trainer, "image_loss", "loss")
+        watch(trainer, "view_losses", "loss")
         watch(torch.Tensor, "backward", "backward")
         watch(trainer.optimiser, "step", "optimiser")
         if trainer.coding is not None:

@@ -10,7 +10,7 @@ import torch
 from skimage.metrics import structural_similarity
 from torch.nn import functional
 
-from econgs.losses import photometric_loss, ssim
+from econgs.losses import photometric_loss, ssim, view_losses
 
 SIZES = [(37, 52, 3), (64, 64, 3), (16, 16, 1), (5, 7, 4), (1, 1, 3), (130, 20, 2)]
 
@@ -86,6 +86,47 @@ def test_loss_and_gradient_match_float64(
     assert splat.relative(mine.grad.double().cpu() / 3.0, exact.grad) < backend.tolerance
 
 
+@pytest.mark.parametrize("part", ["dense", "faint", "colors alone"])
+@pytest.mark.parametrize("size", [(37, 52), (5, 7), (1, 1), (130, 20)])
+def test_losses_of_a_view_match_float64(splat: Any, backend: Any, size: tuple[int, int], part: str) -> None:
+    """Colors over the background and alpha; where most alpha is missing, its error weighs more."""
+    random = np.random.default_rng(3)
+    strength, weight = {"dense": (0.9, 0.2), "faint": (0.1, 0.2), "colors alone": (0.9, 0.0)}[part]
+    alpha = random.uniform(0.0, strength, size)
+    alpha[size[0] // 2 + 1 :] = 0.0
+    truth = random.uniform(size=(*size, 4))
+    truth[..., :3] *= truth[..., 3:]
+    truth[size[0] // 2 + 1 :] = 0.0
+    exact = [torch.from_numpy(one.astype(np.float32)).double() for one in (alpha[..., None] * 0.7, alpha)]
+    exact[0] = exact[0].expand(*size, 3).contiguous()
+    target = torch.from_numpy(truth.astype(np.float32)).double()
+    weights = {"ssim_weight": 0.2, "alpha_weight": weight}
+    back = (1.0, 0.5, 0.25)
+    results = []
+    for given, view, name in (
+        (exact, target, "torch"),
+        ([one.float().to(backend.device) for one in exact], target.float().to(backend.device), backend.name),
+    ):
+        leaves = [one.clone().requires_grad_(True) for one in given]
+        losses = view_losses(*leaves, view, back, backend=name, **weights)
+        (2.0 * (losses[0] + losses[1]) if weight else 2.0 * losses[0]).backward()
+        results.append((losses, [one.grad.double().cpu() for one in leaves]))
+    (expected, gradients), (actual, mine) = results
+    for one, other in zip(actual, expected, strict=True):
+        assert one.item() == pytest.approx(other.item(), rel=2e-5, abs=2e-6)
+    for one, other in zip(mine, gradients, strict=True):
+        assert splat.relative(one, other) < backend.tolerance
+    distance = float((exact[1] - target[..., 3]).abs().mean())
+    assert float(expected[1]) == pytest.approx((1.0 if part == "faint" else weight) * distance)
+
+
+def test_losses_of_a_view_have_the_gradient_of_their_sum() -> None:
+    colors, alpha = torch.rand(4, 4, 3, requires_grad=True), torch.rand(4, 4, requires_grad=True)
+    picture, _ = view_losses(colors, alpha, torch.rand(4, 4, 4), (1.0, 1.0, 1.0), alpha_weight=0.1)
+    with pytest.raises(RuntimeError, match="gradient of their sum"):
+        picture.backward()
+
+
 def test_gradient_is_that_of_finite_differences() -> None:
     rendered, target = images((9, 8, 2))
     rendered = (rendered + 0.05).requires_grad_(True)
@@ -113,3 +154,5 @@ def test_shapes_must_agree() -> None:
     for wrong in (target[:4], target[..., 0], target[:0]):
         with pytest.raises(ValueError, match="image size"):
             photometric_loss(rendered, wrong)
+    with pytest.raises(ValueError, match="view"):
+        view_losses(rendered, target[..., 0], target, (1.0, 1.0, 1.0))

@@ -61,8 +61,9 @@ class Trainer(TrainingLoop):
         truth = torch.from_numpy(self.train.images[view]).to(self.device)  # (H, W, 4), premultiplied
         values = self.optimiser["logits"].sigmoid()
         splats = draw([blobs(self.positions, values, self.options.size)], self.train.cameras[view])
-        loss = self.image_loss(splats.features, splats.alpha, truth, self.train.background)
-        losses = self.numbers({"loss": loss})  # add parts of the loss here; raises Diverged on NaN
+        parts = self.view_losses(splats.features, splats.alpha, truth, self.train.background)
+        loss = parts["image"]  # add parts of the loss here
+        losses = self.numbers({"loss": loss})  # raises Diverged on NaN
         self.optimiser.zero_grad()
         loss.backward()
         self.optimiser.step()
