@@ -6,7 +6,7 @@ econgs.anchors.native and econgs.context.hash_grid.
 
 from collections.abc import Sequence
 
-from numpy import float32, float64, int32, int64
+from numpy import float32, float64, int32, int64, uint8
 from numpy.typing import NDArray
 
 Floats = NDArray[float32]
@@ -14,6 +14,7 @@ Doubles = NDArray[float64]
 Ints = NDArray[int32]
 Longs = NDArray[int64]
 OutFloats = NDArray[float32]  # written, as all that begins with Out
+OutBytes = NDArray[uint8]
 OutInts = NDArray[int32]
 OutLongs = NDArray[int64]
 
@@ -77,6 +78,13 @@ def decode_backward(
     quats: Floats | None, scales: Floats | None, opaque: Floats | None, colors: Floats | None,
     to_anchors: OutFloats | None, to_features: OutFloats, to_scalings: OutFloats, to_offsets: OutFloats,
     to_weights: Sequence[OutFloats], to_embedding: OutFloats, to_palette: OutFloats,
+) -> None: ...
+def visible_anchors(
+    pose: Floats, near: float, middle: Floats, anchors: Floats, scalings: Floats, shown: OutBytes,
+) -> None: ...
+def record_view(
+    gradients: OutFloats, draws: OutFloats, opacities: OutFloats, visits: OutFloats, rows: Longs,
+    opacity: Floats, slots: Longs, pixels: Floats, radii: Ints, half_width: float, half_height: float,
 ) -> None: ...
 def hash_grid(
     table: Floats, index: Ints, weights: Floats, rows: Longs | None, corners: Sequence[int],

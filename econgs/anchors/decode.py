@@ -183,16 +183,21 @@ def visible_anchors(camera: Camera, anchors: Tensor, scalings: Tensor) -> Tensor
         anchors: (N, 3).
         scalings: (N, 6) activated; the first three count.
     """
-    pose = torch.as_tensor(camera.world_to_camera, dtype=anchors.dtype, device=anchors.device)
-    local = torch.addmm(pose[:3, 3:], pose[:3, :3], anchors.T)
+    pose = torch.as_tensor(camera.world_to_camera[:3], dtype=anchors.dtype, device=anchors.device)
+    shifts = (camera.cx - 0.5 * camera.width) / camera.fx, (camera.cy - 0.5 * camera.height) / camera.fy
+    edges = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
+    if choose_backend(anchors) == "native":
+        from econgs.anchors import native
+
+        return native.visible_anchors(pose, camera.near, (*shifts, *edges), anchors, scalings)
+    local = torch.addmm(pose[:, 3:], pose[:, :3], anchors.T)
     depth = local[2]
     reach = 3.0 * scalings[:, :3].amax(1)
     # At the anchor's depth: its distance from the image's middle, and the largest distance that passes.
     inside = depth > camera.near
-    middle = ((camera.cx, camera.width, camera.fx), (camera.cy, camera.height, camera.fy))
-    for place, (center, pixels, focal) in zip(local, middle, strict=False):
-        apart = torch.add(place, depth, alpha=(center - 0.5 * pixels) / focal).abs()
-        inside &= apart <= torch.add(reach, depth, alpha=0.5 * pixels / focal)
+    for place, shift, edge in zip(local, shifts, edges, strict=False):
+        apart = torch.add(place, depth, alpha=shift).abs()
+        inside &= apart <= torch.add(reach, depth, alpha=edge)
     return inside
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from econgs.splat.rasterise import choose_backend
+
 LEVELS = 3
 HIERARCHY = 4
 
@@ -95,6 +97,13 @@ class AnchorStatistics:
             radii: (M,) radius in pixels; 0 for a Gaussian without a pixel.
             size: width and height of the view.
         """
+        if choose_backend(pixel_gradients) == "native":
+            from econgs.anchors import native
+
+            native.record_view(
+                list(vars(self).values()), visible, opacities, slots, pixel_gradients, radii, size
+            )
+            return
         offsets = self.gradients.shape[1]
         self.opacities.index_add_(0, visible, opacities.clamp_min(0.0).sum(1))
         self.visits.index_add_(0, visible, torch.ones_like(visible, dtype=self.visits.dtype))

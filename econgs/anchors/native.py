@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -68,6 +69,37 @@ class _Decode(torch.autograd.Function):
             to_x if needs[0] else None, to_f, to_s, to_o, to_weights, to_embedding, to_palette,
         )  # fmt: skip
         return (None,) * 5 + tuple(one if need else None for one, need in zip(outputs, needs, strict=True))
+
+
+def visible_anchors(
+    pose: Tensor, near: float, middle: Sequence[float], anchors: Tensor, scalings: Tensor
+) -> Tensor:
+    """Native part of :func:`econgs.anchors.decode.visible_anchors`.
+
+    The pose is (3, 4), world to camera; ``middle`` is the shift of the image's middle along x and y, then
+    half its size, all over the focal length.
+    """
+    shown = torch.empty(len(anchors), dtype=torch.uint8)
+    numbers = np.array(middle, dtype=np.float32)
+    arrays = (anchors.detach().contiguous().numpy(), scalings.detach().contiguous().numpy(), shown.numpy())
+    _native.visible_anchors(pose.contiguous().numpy(), near, numbers, *arrays)
+    return shown.view(torch.bool)
+
+
+def record_view(
+    statistics: Sequence[Tensor],
+    visible: Tensor,
+    opacities: Tensor,
+    slots: Tensor,
+    pixel_gradients: Tensor,
+    radii: Tensor,
+    size: tuple[int, int],
+) -> None:
+    """Native part of :meth:`econgs.anchors.growing.AnchorStatistics.record`; its fields come first."""
+    view = (visible, opacities, slots, pixel_gradients, radii)
+    arrays = (one.numpy() for one in (*statistics, *(one.detach().contiguous() for one in view)))
+    given: list[Any] = [*arrays, 0.5 * size[0], 0.5 * size[1]]
+    _native.record_view(*given)
 
 
 def decode(

@@ -262,6 +262,8 @@ class _AddNoise(torch.autograd.Function):
         flat = grad.flatten(1)
         if len(sample):
             flat = flat.index_add(0, sample, grad_sample)
+        if not ctx.needs_input_grad[1]:
+            return flat.view(grad.shape), None, None, None, None, None
         to_steps = torch.zeros_like(steps)
         if ctx.native:
             part = steps.new_empty((len(steps), groups))

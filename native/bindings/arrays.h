@@ -36,6 +36,7 @@ auto data_or_null(const std::optional<A>& array) -> decltype(array->data()) {
   return array ? array->data() : nullptr;
 }
 
+void bind_anchors(nb::module_&);
 void bind_decode(nb::module_&);
 void bind_hash_grid(nb::module_&);
 

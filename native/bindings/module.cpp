@@ -276,6 +276,7 @@ NB_MODULE(_native, m) {
   m.def("view_loss", view_loss_checked, "color"_a, "alpha"_a, "truth"_a, "back"_a, "absolute"_a, "structural"_a,
         "alpha_weight"_a, "vanishing"_a, "rescue"_a, "grad_color"_a.none(), "grad_alpha"_a.none());
   m.def("adam", adam, "params"_a, "grads"_a, "first"_a, "second"_a, "rates"_a, "beta1"_a, "beta2"_a, "eps"_a, "step"_a);
+  bind_anchors(m);
   bind_decode(m);
   bind_hash_grid(m);
 

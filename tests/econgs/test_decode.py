@@ -442,7 +442,11 @@ def test_decoded_gaussians_can_be_drawn(backend: str) -> None:
     assert features.grad.norm() > 0
 
 
-def test_visible_anchors_against_every_corner_of_the_frustum() -> None:
+@pytest.mark.parametrize("backend", ["native", "torch"])
+def test_visible_anchors_against_every_corner_of_the_frustum(
+    backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ECONGS_BACKEND", backend)
     camera = camera_of(80, 40)
     random = torch.Generator().manual_seed(1)
     anchors = 3.0 * (torch.rand(4000, 3, generator=random) - 0.5)

@@ -139,20 +139,23 @@ def test_faint_anchors_are_pruned_once_seen_often_enough():
     assert statistics.visits.tolist() == [100.0, 0.0, 80.0, 0.0]  # the judged that stay begin anew
 
 
-def test_record_counts_what_was_drawn():
+@pytest.mark.parametrize("backend", ["native", "torch"])
+def test_record_counts_what_was_drawn(backend, monkeypatch):
+    monkeypatch.setenv("ECONGS_BACKEND", backend)
     statistics = AnchorStatistics.zeros(3, 2, "cpu")
-    statistics.record(
-        visible=torch.tensor([0, 2]),
-        opacities=torch.tensor([[0.5, -0.5], [0.25, 0.25]]),
-        slots=torch.tensor([0, 2, 3]),
-        pixel_gradients=torch.tensor([[3.0, 0.0], [0.0, 2.0], [1.0, 1.0]]),
-        radii=torch.tensor([1, 4, 0], dtype=torch.int32),
-        size=(20, 10),
-    )
-    assert statistics.visits.tolist() == [1.0, 0.0, 1.0]
-    assert statistics.opacities.tolist() == [0.5, 0.0, 0.5]
-    assert statistics.draws.tolist() == [[1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]
-    assert statistics.gradients.tolist() == [[30.0, 0.0], [0.0, 0.0], [10.0, 0.0]]
+    for _ in range(2):
+        statistics.record(
+            visible=torch.tensor([0, 2]),
+            opacities=torch.tensor([[0.5, -0.5], [0.25, 0.25]]),
+            slots=torch.tensor([0, 2, 3]),
+            pixel_gradients=torch.tensor([[3.0, 0.0], [3.0, 8.0], [1.0, 1.0]]),
+            radii=torch.tensor([1, 4, 0], dtype=torch.int32),
+            size=(20, 10),
+        )
+    assert statistics.visits.tolist() == [2.0, 0.0, 2.0]
+    assert statistics.opacities.tolist() == [1.0, 0.0, 1.0]
+    assert statistics.draws.tolist() == [[2.0, 0.0], [0.0, 0.0], [2.0, 0.0]]
+    assert statistics.gradients.tolist() == [[60.0, 0.0], [0.0, 0.0], [100.0, 0.0]]
 
 
 def test_points_of_one_cell_make_one_anchor():

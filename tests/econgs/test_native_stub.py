@@ -7,7 +7,7 @@ from pathlib import Path
 import econgs._native as native
 
 STUB = Path(__file__).parents[2] / "econgs/_native.pyi"
-ARRAYS = {"float32": "Floats", "float64": "Doubles", "int32": "Ints", "int64": "Longs"}
+ARRAYS = {"float32": "Floats", "float64": "Doubles", "int32": "Ints", "int64": "Longs", "uint8": "Bytes"}
 
 
 def stub_spelling(signature: str) -> str:
