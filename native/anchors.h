@@ -12,7 +12,8 @@ struct AnchorView {
 };
 // shown: 1 for an anchor that lies deeper than `near` and whose circle of three times its largest offset scaling
 // meets the image, else 0.
-void visible_anchors(const AnchorView& view, const float* anchors, const float* scalings, int64_t count, uint8_t* shown);
+void visible_anchors(const AnchorView& view, const float* anchors, const float* scalings, int64_t count,
+                     uint8_t* shown);
 
 // Statistics of all anchors with K offsets each.
 struct AnchorStatistics {

@@ -338,8 +338,8 @@ double photometric(const float* x, const float* y, int64_t height, int64_t width
 }
 
 ViewLoss view_loss(const float* color, const float* alpha, const float* truth, const float* back, int64_t height,
-                   int64_t width, float absolute, float structural, float alpha_weight, float vanishing,
-                   float rescue, float* grad_color, float* grad_alpha) {
+                   int64_t width, float absolute, float structural, float alpha_weight, float vanishing, float rescue,
+                   float* grad_color, float* grad_alpha) {
   const Kernels& use = kernels();
   const int64_t pixels = height * width;
   const Buffer memory(2 * 3 * pixels * sizeof(float));
@@ -354,8 +354,8 @@ ViewLoss view_loss(const float* color, const float* alpha, const float* truth, c
   });
   double total[3] = {0.0, 0.0, 0.0};
   for (int64_t i = 0; i < 3 * height; ++i) total[i % 3] += sums[i];
-  const float weight = alpha_weight > 0.0f && total[0] < vanishing * total[1] ? std::max(alpha_weight, rescue)
-                                                                               : alpha_weight;
+  const float weight =
+      alpha_weight > 0.0f && total[0] < vanishing * total[1] ? std::max(alpha_weight, rescue) : alpha_weight;
   ViewLoss loss;
   loss.alpha = weight * total[2] / static_cast<double>(pixels);
   loss.absolute = photometric(drawn, target, height, width, 3, absolute, structural, grad_color, &loss.ssim);

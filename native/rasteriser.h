@@ -56,13 +56,14 @@ double photometric(const float* x, const float* y, int64_t height, int64_t width
                    float structural, float* grad, double* ssim);
 
 // A drawn picture against a view, both over a background: mean distance and SSIM of the colors, which the gradients
-// weigh as in `photometric`, and the mean distance of alpha, whose weight becomes `rescue` (if that is more) while less than `vanishing` of the view's alpha is drawn.
+// weigh as in `photometric`, and the mean distance of alpha, whose weight becomes `rescue` (if that is more) while less
+// than `vanishing` of the view's alpha is drawn.
 struct ViewLoss {
   double absolute, ssim, alpha;  // alpha: weighted
 };
 ViewLoss view_loss(const float* color, const float* alpha, const float* truth, const float* back, int64_t height,
-                   int64_t width, float absolute, float structural, float alpha_weight, float vanishing,
-                   float rescue, float* grad_color, float* grad_alpha);
+                   int64_t width, float absolute, float structural, float alpha_weight, float vanishing, float rescue,
+                   float* grad_color, float* grad_alpha);
 double reference_kernel();
 double bench_blend(int channels);
 
