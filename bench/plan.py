@@ -334,7 +334,7 @@ class Planner:
         budget = float(stress_of(stress).get("budget", 1.0))
         if ITERATIONS not in settings.overrides:
             budget *= self._preset.budget
-        iterations = max(1, round(budget * settings.iterations))
+        iterations = max(1, round(budget * settings.budget(len(scenes))))
         identity = {
             "kind": kind,
             "dataset": subset.name,

@@ -120,7 +120,8 @@ class MethodSpec:
         needs_volume: reads the volume itself, not only views and cloud.
         uses_alpha: how it uses the alpha of training views, for people.
         devices: "cpu", "cuda".
-        iterations: preset name -> training iterations per group; every one of :data:`PRESETS`, at least.
+        iterations: preset name -> training iterations of one scene; every one of :data:`PRESETS`, at least. A
+            group has as many, or more by :data:`methods.options.GROUP_BUDGET`.
         options: frozen dataclass whose fields are declared by :func:`option`.
         presets: preset name -> option values that differ from the defaults.
         rate_knobs: empty if the method has one size only.

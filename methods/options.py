@@ -14,6 +14,10 @@ from methods.interface import OPTION, MethodSpec, Option, OptionValue
 ITERATIONS = "iterations"
 """Settable for every method like an option: the budget, which a preset otherwise gives."""
 
+GROUP_BUDGET = "group_budget"
+"""An option of this name of a method that trains scenes together: a group of n scenes has n to this power
+times the iterations of one scene. Without such an option every group has those of one scene."""
+
 CONFIGURATION = "configuration"
 """Settable like an option where a method has configurations: the name of one."""
 
@@ -27,7 +31,7 @@ class Settings:
 
     Attributes:
         options: an instance of the spec's dataclass of options.
-        iterations: training iterations per group.
+        iterations: training iterations of a group of one scene.
         overrides: options that differ from the preset's, with "iterations" and "configuration".
         knob: the rate knob among them that needs a fit for each value; "" if there is none.
     """
@@ -36,6 +40,10 @@ class Settings:
     iterations: int
     overrides: dict[str, OptionValue]
     knob: str
+
+    def budget(self, scenes: int) -> float:
+        """Training iterations of a group of that many scenes; see :data:`GROUP_BUDGET`."""
+        return float(self.iterations * scenes ** getattr(self.options, GROUP_BUDGET, 0.0))
 
     @property
     def variant(self) -> str:

@@ -12,7 +12,7 @@ from datasets.camera import Camera
 from econgs.anchors.gaussians import ViewGaussians
 from econgs.splat import LowPass, rasterise
 
-VIEWS = 24
+VIEWS = 12
 """Training views that are asked, at most."""
 _HALVINGS = 6
 

@@ -39,8 +39,7 @@ def test_variants_of_a_suite_are_options_that_methods_have(name, monkeypatch):
     monkeypatch.setattr("bench.plan.subsets", lambda *_: [])
     suite = load_suite(name)
     planner = Planner(Selection(suite), {})
-    usual = name == "design"  # one of its variants is what the preset has
-    assert len(planner._settings) == len(suite.variants) - usual
+    assert len(planner._settings) == len(suite.variants)
 
 
 def test_stand_ins_take_the_place_of_missing_data_only():
@@ -93,6 +92,19 @@ def test_a_suite_may_run_several_choices_of_a_datasets_scenes(dataset, tmp_path)
     assert scenes_of("partition", jobs) == [("a", "b"), ("a", "b", "c")]
     assert sum(job.kind == "views" for job in jobs) == 3
     assert scenes_of("fit", plan(suite, scenes=("c",))) == [("c",)]
+
+
+def test_a_group_has_the_iterations_that_its_scenes_ask_for(dataset, tmp_path):
+    suite = suite_file(tmp_path, f'"{dataset}" = ["a", "b"]')
+
+    def iterations(**options):
+        jobs = plan(suite, methods=("fake-joint",), overrides={"fake-joint": options})
+        return [job.iterations for job in jobs if job.kind == "partition"]
+
+    assert iterations() == [20]
+    assert iterations(group_budget=1.0) == [40]
+    assert iterations(group_budget=0.5) == [28]
+    assert iterations(group_budget=1.0, iterations=7) == [14]
 
 
 def scenes_of(kind, jobs):

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from datasets.errors import DataError, UnknownName
 from methods import reference
+from methods.econgs.spec import SPEC as ECONGS
 from methods.gaussian_splatting.spec import SPEC, GaussianOptions
 from methods.interface import Option
 from methods.options import check, declared, parse_assignments, resolve
@@ -21,6 +22,13 @@ def test_preset_overlays_defaults_and_the_user_overlays_the_preset():
     assert (own.options.sh_rest_lr, own.iterations) == (0.002, 7_000)
     assert own.variant == "iterations=7000,sh_rest_lr=0.002", "what equals the preset is no variant"
     assert set(own.values) == set(declared(GaussianOptions))
+
+
+def test_a_group_has_the_iterations_of_its_scenes():
+    quick = resolve(ECONGS, "quick")
+    assert quick.budget(4) == 4 * quick.iterations
+    assert resolve(ECONGS, "quick", {"configuration": "paper"}).budget(4) == 1_600
+    assert resolve(SPEC, "quick").budget(4) == 1_200
 
 
 def test_declarations_carry_range_and_choices():

@@ -30,6 +30,7 @@ class Options:
     behaviour: Behaviour = option("good", "what it does wrong, in the fit")
     only: str = option("", "name of the one scene on which it does wrong")
     pace: float = option(0.0, "seconds per iteration", minimum=0.0)
+    group_budget: float = option(0.0, "power of the number of scenes that multiplies the iterations")
     file: str = option("", "if this file exists, all is well")
 
 
