@@ -275,15 +275,16 @@ def _verdicts(rungs: pd.DataFrame) -> str:
 def _of_method(rungs: pd.DataFrame) -> str:
     """All ladders of one method, the earliest break first."""
     (climbs,) = by_method(climbed(rungs)).values()
-    by_job = rungs.dropna(subset=["job"]).set_index("job")
     lines = []
     for climb in climbs:
         place = "" if climb["failure"] is None else f"`{climb['rung']}`"
         if climb["subject"]:
             place += f" on `{climb['subject']}`"
         level = ""
-        if climb["failure"] is not None and climb["job"] in by_job.index:
-            row = by_job.loc[climb["job"]]
+        # One job may be a rung of several ladders.
+        shown = rungs[(rungs["job"] == climb["job"]) & (rungs["ladder"] == climb["ladder"])]
+        if climb["failure"] is not None and len(shown):
+            row = shown.iloc[0]
             level = "" if pd.isna(row["psnr"]) else f"{row['psnr']:.2f}"
             level += "" if pd.isna(row["psnr_std"]) else f" ± {row['psnr_std']:.2f}"
         kind = ", ".join(filter(None, [climb["failure"], amount(climb)])) if place else "\N{EN DASH}"

@@ -27,6 +27,8 @@ RULE = (
 )
 _COLUMNS = 3
 _CELL, _GAP, _SPACE, _TEXT = 0.82, 0.04, 0.16, 0.13  # inches
+_CAPTION = 22
+"""Letters that fit under a picture."""
 _DPI = 120
 _LETTERS = 44  # letters of a line above three pictures
 
@@ -124,7 +126,7 @@ def draw_breaks(breaks: Sequence[Break]) -> Figure:
             axes.text(left, top, lines[at], fontsize=6.5, va="top", weight="bold", linespacing=1.1)
             shots = (
                 ("truth", breaks[at].truth),
-                (breaks[at].rung, breaks[at].broken),
+                (shorten(breaks[at].rung), breaks[at].broken),
                 ("as usual", breaks[at].usual),
             )
             for place, (name, picture) in enumerate(shots):
@@ -132,6 +134,11 @@ def draw_breaks(breaks: Sequence[Break]) -> Figure:
                     _show(axes, picture, left + place * (_CELL + _GAP), top + head, name)
         top += head + _CELL + _TEXT + _SPACE
     return figure
+
+
+def shorten(text: str) -> str:
+    """A caption that is no wider than its picture."""
+    return text if len(text) <= _CAPTION else f"{text[: _CAPTION - 1]}\N{HORIZONTAL ELLIPSIS}"
 
 
 def draw_flicker(pair: Flicker) -> Figure:
