@@ -19,7 +19,6 @@ void visible_anchors(const AnchorView& view, const float* anchors, const float* 
 struct AnchorStatistics {
   float *gradients, *draws;    // by anchor and offset
   float *opacities, *visits;   // by anchor
-  int64_t anchors;
   int offsets;
 };
 // Adds a view: `rows` are its anchors, `opacity` (rows x K) those of their Gaussians before culling; each splatted

@@ -349,7 +349,7 @@ ViewLoss view_loss(const float* color, const float* alpha, const float* truth, c
     for (int64_t row = begin; row < end; ++row) {
       const int64_t at = row * width;
       use.composite(color + 3 * at, alpha + at, truth + 4 * at, back, drawn + 3 * at, target + 3 * at, width);
-      use.alpha_sums(alpha + at, truth + 4 * at, width, &sums[3 * row]);
+      if (alpha_weight > 0.0f) use.alpha_sums(alpha + at, truth + 4 * at, width, &sums[3 * row]);
     }
   });
   double total[3] = {0.0, 0.0, 0.0};

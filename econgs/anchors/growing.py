@@ -100,10 +100,8 @@ class AnchorStatistics:
         if choose_backend(pixel_gradients) == "native":
             from econgs.anchors import native
 
-            native.record_view(
-                list(vars(self).values()), visible, opacities, slots, pixel_gradients, radii, size
-            )
-            return
+            view = (visible, opacities, slots, pixel_gradients, radii)
+            return native.record_view(vars(self).values(), view, size)
         offsets = self.gradients.shape[1]
         self.opacities.index_add_(0, visible, opacities.clamp_min(0.0).sum(1))
         self.visits.index_add_(0, visible, torch.ones_like(visible, dtype=self.visits.dtype))

@@ -5,7 +5,7 @@ Results and gradients do not depend on the number of threads.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -86,17 +86,8 @@ def visible_anchors(
     return shown.view(torch.bool)
 
 
-def record_view(
-    statistics: Sequence[Tensor],
-    visible: Tensor,
-    opacities: Tensor,
-    slots: Tensor,
-    pixel_gradients: Tensor,
-    radii: Tensor,
-    size: tuple[int, int],
-) -> None:
-    """Native part of :meth:`econgs.anchors.growing.AnchorStatistics.record`; its fields come first."""
-    view = (visible, opacities, slots, pixel_gradients, radii)
+def record_view(statistics: Iterable[Tensor], view: Iterable[Tensor], size: tuple[int, int]) -> None:
+    """Native part of :meth:`econgs.anchors.growing.AnchorStatistics.record`: its fields, its arguments."""
     arrays = (one.numpy() for one in (*statistics, *(one.detach().contiguous() for one in view)))
     given: list[Any] = [*arrays, 0.5 * size[0], 0.5 * size[1]]
     _native.record_view(*given)

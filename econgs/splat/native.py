@@ -226,7 +226,7 @@ class _ViewLoss(torch.autograd.Function):
         ctx: Any, colors: Tensor, alpha: Tensor, truth: Tensor, back: Tensor, weights: tuple[float, ...]
     ) -> tuple[Tensor, Tensor]:
         # As above: gradients, those of the sum of both losses, are computed here.
-        ctx.grads = ctx.both = None
+        ctx.grads = None
         if any(ctx.needs_input_grad):
             ctx.grads = colors.new_empty(colors.shape), alpha.new_empty(alpha.shape)
         images = (_plain(colors), _plain(alpha), _plain(truth), _plain(back))

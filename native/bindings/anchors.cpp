@@ -34,7 +34,7 @@ void record_checked(const Array& gradients, const Array& draws, const Array& opa
   expect(is(opacity, {v, k}) && is(pixels, {m, 2}) && is(radii, {m}), "a view of another size");
   for (int64_t i = 0; i < v; ++i) expect(rows.data()[i] >= 0 && rows.data()[i] < n, "an anchor that is not there");
   for (int64_t i = 0; i < m; ++i) expect(slots.data()[i] >= 0 && slots.data()[i] < v * k, "a slot that is not there");
-  const AnchorStatistics to = {gradients.data(), draws.data(), opacities.data(), visits.data(), n, static_cast<int>(k)};
+  const AnchorStatistics to = {gradients.data(), draws.data(), opacities.data(), visits.data(), static_cast<int>(k)};
   record_view(to, rows.data(), opacity.data(), v, slots.data(), pixels.data(), radii.data(), m, half_width,
               half_height);
 }

@@ -126,7 +126,7 @@ def draw_breaks(breaks: Sequence[Break]) -> Figure:
             axes.text(left, top, lines[at], fontsize=6.5, va="top", weight="bold", linespacing=1.1)
             shots = (
                 ("truth", breaks[at].truth),
-                (shorten(breaks[at].rung), breaks[at].broken),
+                (_caption(breaks[at].rung), breaks[at].broken),
                 ("as usual", breaks[at].usual),
             )
             for place, (name, picture) in enumerate(shots):
@@ -136,7 +136,7 @@ def draw_breaks(breaks: Sequence[Break]) -> Figure:
     return figure
 
 
-def shorten(text: str) -> str:
+def _caption(text: str) -> str:
     """A caption that is no wider than its picture."""
     return text if len(text) <= _CAPTION else f"{text[: _CAPTION - 1]}\N{HORIZONTAL ELLIPSIS}"
 
