@@ -72,6 +72,10 @@ def decode_finish(
     opacities: Floats, means: OutFloats, quats: OutFloats, scales: OutFloats, opaque: OutFloats,
     colors: OutFloats, slots: OutLongs,
 ) -> None: ...
+def shade(
+    means: Floats, normals: Floats, base: Floats, coefficients: Floats, eye: Floats, light: Floats | None,
+    colors: OutFloats,
+) -> None: ...
 def decode_backward(
     frame: DecodeFrame, anchors: Floats, features: Floats, scalings: Floats, offsets: Floats,
     weights: Sequence[Floats], embedding: Floats, opacities: Floats, means: Floats | None,

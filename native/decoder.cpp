@@ -243,4 +243,8 @@ void decode_backward(const DecodeFrame& frame, const DecodeInputs& in, const Net
   unpack(shape, sums, nets, weights);
 }
 
+void shade(const ShadeInputs& in, const DecodeView& view, int64_t count, float* colors) {
+  parallel_ranges(count, 4096, [&](int64_t begin, int64_t end, int) { kernels().shade(in, view, begin, end, colors); });
+}
+
 }  // namespace econgs

@@ -59,4 +59,7 @@ void decode_finish(DecodeFrame&, const DecodeInputs&, const float* opacities, co
 void decode_backward(const DecodeFrame&, const DecodeInputs&, const Networks&, const float* opacities,
                      const ConstDecodeOutputs& grad, const DecodeInputGradients&, const NetworkGradients&);
 
+// Colors (count x 3) of Gaussians whose attributes were decoded before.
+void shade(const ShadeInputs&, const DecodeView&, int64_t count, float* colors);
+
 }  // namespace econgs

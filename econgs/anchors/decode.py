@@ -13,8 +13,8 @@ from torch import Tensor, nn
 
 from datasets.camera import Camera
 from econgs.anchors.decoders import NETWORKS, Decoders
-from econgs.anchors.gaussians import ViewGaussians
-from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade, unit
+from econgs.anchors.gaussians import UnshadedGaussians, ViewGaussians
+from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, unit
 from econgs.splat.composite import scale_depth
 from econgs.splat.rasterise import choose_backend
 
@@ -91,8 +91,6 @@ def decode(
     else:
         refuse_non_finite(inputs, decoders)
         decoded = _torch_decode(*inputs.values(), decoders=decoders, eye=view, light=toward, factors=factors)
-    if factors.opacity == 1.0:
-        return decoded
     return replace(decoded, opacities=scale_depth(decoded.opacities, factors.opacity))
 
 
@@ -109,6 +107,49 @@ def _torch_decode(
     light: Tensor | None,
     factors: Factors,
 ) -> ViewGaussians:
+    ready, raw = _unshaded(anchors, features, scalings, offsets, embedding, decoders, eye)
+    if factors.opacity <= 0.0:
+        ready = ready.of(ready.slots[:0])
+    colors = ready.colors(palette, eye, light, factors, backend="torch")
+    return ViewGaussians(
+        ready.means, ready.quats, ready.scales, ready.opacities, colors, ready.slots, raw.detach()
+    )
+
+
+@torch.no_grad()
+def decode_unshaded(
+    anchors: Tensor,
+    features: Tensor,
+    scalings: Tensor,
+    offsets: Tensor,
+    decoders: Decoders,
+    embedding: Tensor,
+) -> UnshadedGaussians:
+    """What decoders that do not see the direction give for all views; arguments as for :func:`decode`.
+
+    Raises:
+        ValueError: the decoders see the direction, or NaN or infinity; the message names the tensor.
+    """
+    if decoders.view_direction:
+        raise ValueError("these decoders see the viewing direction: Gaussians differ from view to view")
+    inputs = {"anchors": anchors, "features": features, "scalings": scalings, "offsets": offsets}
+    refuse_non_finite(inputs, decoders)
+    if decoders.storage == "implicit":
+        offsets = decoders.implicit_offsets(features, embedding)
+    ready, _ = _unshaded(anchors, features, scalings, offsets, embedding, decoders, anchors.new_zeros(3))
+    return ready
+
+
+def _unshaded(
+    anchors: Tensor,
+    features: Tensor,
+    scalings: Tensor,
+    offsets: Tensor,
+    embedding: Tensor,
+    decoders: Decoders,
+    eye: Tensor,
+) -> tuple[UnshadedGaussians, Tensor]:
+    """The Gaussians with opacity > 0, and (N, K) opacities of all."""
     count, many = offsets.shape[:2]
     explicit = features[:, decoders.features :]
     inputs = features[:, : decoders.features]
@@ -128,8 +169,7 @@ def _torch_decode(
         return torch.addmm(network.second_bias, hidden[name], network.second_weight.T)
 
     raw = torch.tanh(outputs("opacity"))
-    visible = raw.detach() > 0.0 if factors.opacity > 0.0 else torch.zeros_like(raw, dtype=torch.bool)
-    slots = visible.reshape(-1).nonzero()[:, 0]
+    slots = (raw.detach() > 0.0).reshape(-1).nonzero()[:, 0]
     anchor = slots // many
 
     def by_slot_of(name: str) -> Tensor:
@@ -142,25 +182,22 @@ def _torch_decode(
             by_slot = by_slot.reshape(count * many, attributes)
         return by_slot.index_select(0, slots)
 
-    opacities = raw.reshape(-1).index_select(0, slots)
     scale = scalings.index_select(0, anchor)
     offset = offsets.reshape(-1, 3).index_select(0, slots)
-    means = anchors.index_select(0, anchor) + offset * scale[:, :3]
     covariance, shading, normals = by_slot_of("covariance"), by_slot_of("shading"), by_slot_of("normal")
     activate = torch.tanh if decoders.offset_color == "tanh" else torch.sigmoid
-    linear = shading[:, 3:5] * shading.new_tensor([factors.ambient, factors.diffuse])
-    ranges = shading.new_tensor([MAX_SPECULAR * factors.specular, MAX_SHININESS * factors.shininess])
-    coefficients = torch.cat([linear, torch.sigmoid(shading[:, 5:7]) * ranges], dim=1)
-    base = palette + activate(shading[:, :3])
-    return ViewGaussians(
-        means,
-        rotation(covariance[:, 3:]),
-        scale[:, 3:] * torch.sigmoid(covariance[:, :3]),
-        opacities,
-        shade(means, normals, base, coefficients, eye, light),
-        slots,
-        raw.detach(),
+    ranges = shading.new_tensor([MAX_SPECULAR, MAX_SHININESS])
+    ready = UnshadedGaussians(
+        means=anchors.index_select(0, anchor) + offset * scale[:, :3],
+        quats=rotation(covariance[:, 3:]),
+        scales=scale[:, 3:] * torch.sigmoid(covariance[:, :3]),
+        opacities=raw.reshape(-1).index_select(0, slots),
+        normals=normals,
+        offset_colors=activate(shading[:, :3]),
+        coefficients=torch.cat([shading[:, 3:5], torch.sigmoid(shading[:, 5:7]) * ranges], dim=1),
+        slots=slots,
     )
+    return ready, raw
 
 
 def rotation(quats: Tensor) -> Tensor:

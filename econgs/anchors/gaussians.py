@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
+from econgs.anchors.shading import Factors, shade
 from econgs.splat.low_pass import LINEAGE, LowPass
 from econgs.splat.rasterise import SplatImages, rasterise
 
@@ -43,6 +44,48 @@ class ViewGaussians(Gaussians):
 
     slots: Tensor
     raw_opacities: Tensor
+
+
+@dataclass(frozen=True)
+class UnshadedGaussians:
+    """Gaussians before they are shaded, which no edit and, unless decoders see it, no direction changes.
+
+    Attributes:
+        means, quats, scales, opacities: as of :class:`Gaussians`.
+        normals: (M, 3) of any length.
+        offset_colors: (M, 3), added to the palette color.
+        coefficients: (M, 4) k_a, k_d, k_s, β.
+        slots: (M,) int64, anchor * K + offset, ascending.
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    normals: Tensor
+    offset_colors: Tensor
+    coefficients: Tensor
+    slots: Tensor
+
+    def of(self, rows: Tensor) -> UnshadedGaussians:
+        """Some of the Gaussians, by their indices."""
+        return UnshadedGaussians(*(values.index_select(0, rows) for values in vars(self).values()))
+
+    def colors(
+        self,
+        palette: Tensor,
+        eye: Tensor,
+        light: Tensor | None,
+        factors: Factors,
+        backend: str | None = None,
+    ) -> Tensor:
+        """(M, 3) colors under edits; arguments as for :func:`econgs.anchors.shading.shade`."""
+        coefficients = self.coefficients
+        if factors != Factors(opacity=factors.opacity):
+            by = [factors.ambient, factors.diffuse, factors.specular, factors.shininess]
+            coefficients = coefficients * coefficients.new_tensor(by)
+        base = palette + self.offset_colors
+        return shade(self.means, self.normals, base, coefficients, eye, light, backend)
 
 
 def apply_masks(decoded: ViewGaussians, masks: Tensor) -> ViewGaussians:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from econgs.splat.rasterise import choose_backend
+
 MIN_NORMAL = 1e-3  # least divisor of a normal (iVR-GS)
 MIN_LENGTH = 1e-6  # shorter vectors have no direction: zero, without a gradient
 MIN_BASE = 1e-6  # least base of the power: the derivative of 0 ** shininess is NaN
@@ -58,6 +60,7 @@ def shade(
     coefficients: Tensor,
     eye: Tensor,
     light: Tensor | None,
+    backend: str | None = None,
 ) -> Tensor:
     """(M, 3) colors of Gaussians, in [0, 1].
 
@@ -72,7 +75,16 @@ def shade(
         coefficients: (M, 4) k_a, k_d, k_s, β.
         eye: (3,) camera centre.
         light: (3,) unit vector to the light; None: a headlight, l = h = v.
+        backend: "native" or "torch", as in :func:`econgs.splat.rasterise`; native has no gradients and is not
+            chosen where any are asked for.
     """
+    learns = torch.is_grad_enabled() and any(
+        one.requires_grad for one in (means, normals, base, coefficients)
+    )
+    if not learns and choose_backend(means, backend) == "native":
+        from econgs.anchors import native
+
+        return native.shade(means, normals, base, coefficients, eye, light)
     length = torch.linalg.vector_norm(normals, dim=-1, keepdim=True)
     normals = normals / length.clamp_min(MIN_NORMAL)
     view = unit(eye - means)

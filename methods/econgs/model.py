@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,14 @@ from torch import Tensor
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.scene import RGB
-from econgs.anchors.decode import decode, visible_anchors
+from econgs.anchors.decode import decode, decode_unshaded, visible_anchors
 from econgs.anchors.decoders import Decoders
-from econgs.anchors.gaussians import Gaussians
+from econgs.anchors.gaussians import Gaussians, UnshadedGaussians
 from econgs.context.arrays import Precision
 from econgs.context.container import Kind, overhead, read_container
 from econgs.context.model import Attributes
 from econgs.context.stream import GroupAttributes, SceneAttributes, encode_group
+from econgs.splat.composite import scale_depth
 from methods.interface import Edit
 from methods.shared.coding import placed, placed_anchors, stored_networks
 from methods.shared.edits import Direction, shading_edit, triple
@@ -56,6 +58,11 @@ class SceneAnchors:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    @cached_property
+    def unshaded(self) -> UnshadedGaussians:
+        """Gaussians for every view, where decoders do not see the direction."""
+        return decode_unshaded(self.positions, *self.values, self.decoders, self.embedding)
 
 
 class Group:
@@ -113,7 +120,9 @@ def decoders_metadata(decoders: Decoders, precision: Precision) -> dict[str, int
 
 
 class EcongsModel(SceneModel[SceneAnchors]):
-    """Groups of scenes, decoded for each view; shading is fused with decoding.
+    """Groups of scenes, decoded once and shaded for each view.
+
+    Decoders that see the direction decode for each view, shading included.
 
     Args:
         groups: at least one; no two scenes share a name.
@@ -124,6 +133,8 @@ class EcongsModel(SceneModel[SceneAnchors]):
     def __init__(self, groups: Sequence[Group]) -> None:
         self.groups = tuple(groups)
         super().__init__(scene for group in groups for scene in group.scenes.values())
+        if not any(scene.decoders.view_direction for scene in self._scenes.values()):
+            self.preparation = "shade"
 
     def bytes_estimate(self) -> int:
         """Bytes that :meth:`save` would write."""
@@ -152,14 +163,22 @@ class EcongsModel(SceneModel[SceneAnchors]):
     def gaussians(self, scene: SceneAnchors, camera: Camera, edit: Edit) -> Gaussians:
         """The shaded Gaussians of the anchors in view."""
         palette, light, factors = shading_edit(scene.name, scene.palette, scene.light, edit)
-        positions, values = scene.positions, scene.values
-        rows = visible_anchors(camera, positions, values.scalings).nonzero()[:, 0]
-        if len(rows) < len(positions):
-            positions, values = positions.index_select(0, rows), values.of(rows)
+        shown = visible_anchors(camera, scene.positions, scene.values.scalings)
         decoders, embedding = scene.decoders, scene.embedding
-        return decode(
-            positions, *values, decoders, embedding, palette, camera.position, light=light, factors=factors
-        )
+        if decoders.view_direction:
+            positions, values = scene.positions, scene.values
+            rows = shown.nonzero()[:, 0]
+            if len(rows) < len(positions):
+                positions, values = positions.index_select(0, rows), values.of(rows)
+            eye = camera.position
+            return decode(positions, *values, decoders, embedding, palette, eye, light=light, factors=factors)
+        ready = scene.unshaded
+        if not bool(shown.all()):
+            ready = ready.of(shown[ready.slots // decoders.offsets].nonzero()[:, 0])
+        toward = None if light is None else ready.means.new_tensor(light)
+        colors = ready.colors(palette, ready.means.new_tensor(camera.position), toward, factors)
+        opacities = scale_depth(ready.opacities, factors.opacity)
+        return Gaussians(ready.means, ready.quats, ready.scales, opacities, colors)
 
     @classmethod
     def load(cls, folder: Path, device: str) -> EcongsModel:

@@ -101,9 +101,7 @@ class SplatModel(SceneModel[SceneGaussians]):
         quats, scales, opacities = self._activated[scene.name]
         position = torch.as_tensor(camera.position, dtype=scene.means.dtype, device=scene.means.device)
         colors = spherical_harmonics(scene.sh_degree, scene.means, position, scene.sh_dc, scene.sh_rest)
-        return Gaussians(
-            scene.means, quats, scales, opacities if factor == 1.0 else scale_depth(opacities, factor), colors
-        )
+        return Gaussians(scene.means, quats, scales, scale_depth(opacities, factor), colors)
 
 
 class GaussianModel(SplatModel):

@@ -211,9 +211,7 @@ class IvrModel(SceneModel[ShadedGaussians]):
         eye = torch.as_tensor(camera.position, dtype=scene.means.dtype, device=scene.means.device)
         palette, light, factors = shading_edit(scene.name, scene.palette, scene.light, edit)
         colors = scene.colors(eye, palette, light, factors)
-        opacities = (
-            scene.opacities if factors.opacity == 1.0 else scale_depth(scene.opacities, factors.opacity)
-        )
+        opacities = scale_depth(scene.opacities, factors.opacity)
         return Gaussians(scene.means, scene.quats, scene.scales, opacities, colors)
 
     def write_size(self, folder: Path, rate: float | None) -> Mapping[str, Mapping[str, int]]:

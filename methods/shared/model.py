@@ -54,7 +54,7 @@ class SceneModel(ABC, Generic[S]):
     """
 
     method: ClassVar[str]
-    preparation: ClassVar[Literal["decode", "shade"]] = "decode"
+    preparation: Literal["decode", "shade"] = "decode"
     rendering: Rendering = Rendering()
 
     def __init__(self, scenes: Iterable[S]) -> None:

@@ -129,6 +129,24 @@ void backward_checked(const DecodeFrame& frame, const In& anchors, const In& fea
   decode_backward(frame, in, nets, t, grad, to, net_grads);
 }
 
+void shade_checked(const In& means, const In& normals, const In& base, const In& coefficients, const Vector3& eye,
+                   std::optional<Vector3> light, const Array& colors) {
+  const int64_t n = means.ndim() == 2 ? static_cast<int64_t>(means.shape(0)) : -1;
+  expect(n >= 0 && is(means, {n, 3}) && is(normals, {n, 3}) && is(base, {n, 3}) && is(coefficients, {n, 4}) &&
+             is(colors, {n, 3}),
+         "shade: attributes of different sizes");
+  DecodeView view = {};
+  for (int d = 0; d < 3; ++d) {
+    view.eye[d] = eye.data()[d];
+    view.light[d] = light ? light->data()[d] : 0.0f;
+  }
+  view.headlight = !light;
+  const ShadeInputs in = {means.data(), normals.data(), base.data(), coefficients.data()};
+  float* const to = colors.data();
+  nb::gil_scoped_release release;
+  shade(in, view, n, to);
+}
+
 }  // namespace
 
 void bind_decode(nb::module_& m) {
@@ -138,6 +156,8 @@ void bind_decode(nb::module_& m) {
         nb::rv_policy::take_ownership);
   m.def("decode_finish", finish_checked, "frame"_a, "anchors"_a, "features"_a, "scalings"_a, "offsets"_a, "opacities"_a,
         "means"_a, "quats"_a, "scales"_a, "opaque"_a, "colors"_a, "slots"_a);
+  m.def("shade", shade_checked, "means"_a, "normals"_a, "base"_a, "coefficients"_a, "eye"_a, "light"_a.none(),
+        "colors"_a);
   m.def("decode_backward", backward_checked, "frame"_a, "anchors"_a, "features"_a, "scalings"_a, "offsets"_a,
         "weights"_a, "embedding"_a, "opacities"_a, "means"_a.none(), "quats"_a.none(), "scales"_a.none(),
         "opaque"_a.none(), "colors"_a.none(), "to_anchors"_a.none(), "to_features"_a, "to_scalings"_a, "to_offsets"_a,

@@ -88,19 +88,8 @@ struct Shaded {
   vi lit;
 };
 
-INLINE Shaded shade(const float* raw, int64_t plane, V3 mean, const DecodeView& view) {
-  Shaded s;
-  const V3 color = load3(raw + RAW_COLOR * plane, plane);
-  const V3 offset = view.sigmoid_color ? V3{sigmoid(color.x), sigmoid(color.y), sigmoid(color.z)}
-                                       : V3{tanh(color.x), tanh(color.y), tanh(color.z)};
-  s.base = set3(view.palette) + offset;
-  s.ambient = load(raw + RAW_AMBIENT * plane) * view.ambient;
-  s.diffuse = load(raw + RAW_DIFFUSE * plane) * view.diffuse;
-  s.bounded_specular = sigmoid(load(raw + RAW_SPECULAR * plane));
-  s.bounded_shininess = sigmoid(load(raw + RAW_SHININESS * plane));
-  s.specular = s.bounded_specular * (MAX_SPECULAR * view.specular);
-  s.shininess = s.bounded_shininess * (MAX_SHININESS * view.shininess);
-  const V3 normal = load3(raw + RAW_NORMAL * plane, plane);
+// All but base, coefficients and the sigmoids, which are there.
+INLINE void light_up(Shaded& s, V3 normal, V3 mean, const DecodeView& view) {
   const vf length = sqrt(dot(normal, normal));
   s.normal_long = length >= MIN_NORMAL;
   s.normal_inverse = 1.0f / max(length, set(MIN_NORMAL));
@@ -121,6 +110,21 @@ INLINE Shaded shade(const float* raw, int64_t plane, V3 mean, const DecodeView& 
   s.peak = (exponent > -64.0f) & s.lit ? bounded_exp2(exponent) : vf{};
   const vf body = fma(s.diffuse, abs(s.toward), s.ambient), highlight = s.specular * s.peak;
   s.color = {fma(s.base.x, body, highlight), fma(s.base.y, body, highlight), fma(s.base.z, body, highlight)};
+}
+
+INLINE Shaded shade(const float* raw, int64_t plane, V3 mean, const DecodeView& view) {
+  Shaded s;
+  const V3 color = load3(raw + RAW_COLOR * plane, plane);
+  const V3 offset = view.sigmoid_color ? V3{sigmoid(color.x), sigmoid(color.y), sigmoid(color.z)}
+                                       : V3{tanh(color.x), tanh(color.y), tanh(color.z)};
+  s.base = set3(view.palette) + offset;
+  s.ambient = load(raw + RAW_AMBIENT * plane) * view.ambient;
+  s.diffuse = load(raw + RAW_DIFFUSE * plane) * view.diffuse;
+  s.bounded_specular = sigmoid(load(raw + RAW_SPECULAR * plane));
+  s.bounded_shininess = sigmoid(load(raw + RAW_SHININESS * plane));
+  s.specular = s.bounded_specular * (MAX_SPECULAR * view.specular);
+  s.shininess = s.bounded_shininess * (MAX_SHININESS * view.shininess);
+  light_up(s, load3(raw + RAW_NORMAL * plane, plane), mean, view);
   return s;
 }
 
@@ -131,6 +135,36 @@ INLINE V3 plain_color(const float* raw, int64_t plane) {
 }
 
 INLINE vf clamp01(vf x) { return min(max(x, vf{}), set(1.0f)); }
+
+// The transposed rows of up to LANES Gaussians, `width` floats each; lanes past the last row repeat it.
+template <int WIDTH>
+INLINE void columns_of(const float* rows, int count, float* columns) {
+  for (int l = 0; l < LANES; ++l)
+    for (int d = 0; d < WIDTH; ++d) columns[d * LANES + l] = rows[WIDTH * (l < count ? l : count - 1) + d];
+}
+
+// Colors of Gaussians [begin, end) from attributes after activation.
+static void shade_rows(const ShadeInputs& in, const DecodeView& view, int64_t begin, int64_t end, float* colors) {
+  const Flush flush;
+  for (int64_t i = begin; i < end; i += LANES) {
+    const int count = end - i < LANES ? (int)(end - i) : LANES;
+    float mean[3 * LANES], normal[3 * LANES], base[3 * LANES], coefficients[4 * LANES];
+    columns_of<3>(in.means + 3 * i, count, mean);
+    columns_of<3>(in.normals + 3 * i, count, normal);
+    columns_of<3>(in.base + 3 * i, count, base);
+    columns_of<4>(in.coefficients + 4 * i, count, coefficients);
+    Shaded s;
+    s.base = load3(base, LANES);
+    s.ambient = load(coefficients);
+    s.diffuse = load(coefficients + LANES);
+    s.specular = load(coefficients + 2 * LANES);
+    s.shininess = load(coefficients + 3 * LANES);
+    light_up(s, load3(normal, LANES), load3(mean, LANES), view);
+    const vf color[3] = {clamp01(s.color.x), clamp01(s.color.y), clamp01(s.color.z)};
+    for (int l = 0; l < count; ++l)
+      for (int d = 0; d < 3; ++d) colors[3 * (i + l) + d] = color[d][l];
+  }
+}
 
 // `runs` times K floats, and what spills over to the next whole vector.
 template <int VECTORS>

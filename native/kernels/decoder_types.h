@@ -43,6 +43,12 @@ struct DecodeView {
   float opacity, ambient, diffuse, specular, shininess;  // factors; of opacity only whether it is 0 counts
 };
 
+// Rows of Gaussians that are shaded apart from decoding: base is palette color + offset color, coefficients are k_a,
+// k_d, k_s and shininess, after activation and edits.
+struct ShadeInputs {
+  const float *means, *normals, *base, *coefficients;
+};
+
 // Weights as the kernels read them. Hidden unit j of network i is column i * hidden + j.
 struct DecodeWeights {
   const float* first_t;       // inputs x hidden_stride

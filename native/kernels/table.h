@@ -140,6 +140,8 @@ struct Kernels {
                           int64_t begin, int64_t end, const float* opacity, int64_t first, int64_t all,
                           const float* rows, const float* raw, const ConstDecodeOutputs&, const DecodeInputGradients&,
                           const DecodeGradients& sums, float* scratch);
+  // Colors of Gaussians [begin, end); of the view only eye and light count.
+  void (*shade)(const ShadeInputs&, const DecodeView&, int64_t begin, int64_t end, float* colors);
   void (*adam)(float* p, const float* g, float* m, float* v, int64_t n, const AdamRates&);
   void (*reference)(float* data, int64_t n, int rounds);
 };

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,10 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.errors import UnknownName
-from econgs.anchors.decode import decode, visible_anchors
+from econgs.anchors.decode import decode, decode_unshaded, visible_anchors
 from econgs.anchors.decoders import NETWORKS, Decoders
 from econgs.anchors.gaussians import ViewGaussians
-from econgs.anchors.shading import Factors
+from econgs.anchors.shading import Factors, shade
 from econgs.splat import SplatImages, rasterise
 
 from .conftest import ISAS, native_module, relative
@@ -343,6 +343,49 @@ def test_edits_do_what_they_say(backend: str) -> None:
     assert colored.colors[:, 0].max() > 0.1
     for name in ("means", "quats", "scales", "opacities", "slots"):
         assert torch.equal(getattr(colored, name), getattr(plain, name))
+
+
+def test_what_is_decoded_once_looks_the_same_from_everywhere(case: Case, backend: str) -> None:
+    case = replace(case, view_direction=False)
+    decoders, inputs = case.make()
+    palette, factors = inputs.pop("palette"), case.factors or Factors()
+    ready = decode_unshaded(**inputs, decoders=decoders)
+    light = None if case.light is None else torch.tensor(case.light)
+    for eye in (EYE, (2.0, -1.0, 0.5)):
+        want = decode(
+            **inputs, decoders=decoders, palette=palette, eye=eye, light=case.light, factors=case.factors
+        )
+        torch.testing.assert_close(ready.means, want.means, rtol=1e-5, atol=1e-6)
+        torch.testing.assert_close(ready.quats, want.quats, rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(ready.scales, want.scales, rtol=1e-5, atol=1e-7)
+        assert torch.equal(ready.slots, want.slots)
+        colors = ready.colors(palette, torch.tensor(eye), light, factors, backend)
+        torch.testing.assert_close(colors, want.colors, rtol=1e-4, atol=1e-5)
+
+
+def test_what_sees_the_direction_is_not_decoded_once() -> None:
+    decoders, inputs = CASES["paper"].make()
+    del inputs["palette"]
+    with pytest.raises(ValueError, match="viewing direction"):
+        decode_unshaded(**inputs, decoders=decoders)
+
+
+@needs_native
+@pytest.mark.parametrize("count", [0, 1, 15, 16, 17, 4097])
+def test_shading_rows_end_anywhere(count: int) -> None:
+    random = torch.Generator().manual_seed(count)
+    means, normals, base = (torch.randn((count, 3), generator=random) for _ in range(3))
+    coefficients = torch.rand((count, 4), generator=random) * torch.tensor([1.0, 1.0, 5.0, 50.0])
+    rows, eye = (means, normals, base, coefficients), torch.tensor(EYE)
+    want = shade(*(one.double() for one in rows), eye.double(), None)
+    torch.testing.assert_close(shade(*rows, eye, None, "native").double(), want, rtol=1e-4, atol=1e-5)
+
+
+def test_shading_with_gradients_is_that_of_torch() -> None:
+    means, normals, base = (torch.randn((9, 3)).requires_grad_(True) for _ in range(3))
+    colors = shade(means, normals, base, torch.rand((9, 4)), torch.tensor(EYE), None)
+    (gradient,) = torch.autograd.grad(colors.sum(), [base])
+    assert gradient.abs().sum() > 0
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
