@@ -10,11 +10,12 @@ from methods.shared.schedule import AnchorSchedule
 
 @dataclass(frozen=True)
 class Schedule(AnchorSchedule):
-    """The published schedule (two stages of 10,000 iterations), fitted to a budget.
+    """The published schedule, 20,000 iterations, fitted to a budget.
 
     Attributes:
         iterations: the budget of the whole group, one (scene, view) pair each.
         coding: whether there is a second stage with the context model.
+        context_share: share of the budget after which it begins (published: half).
         growth_stop_share: share of the budget after which no anchor grows (the paper leaves it open: half,
             where the context model begins, or three quarters).
     """
@@ -22,6 +23,11 @@ class Schedule(AnchorSchedule):
     published: ClassVar[int] = 20_000
     coding: bool = True
     growth_stop_share: float = 0.5
+    context_share: float = 0.5
+
+    @property
+    def context_start(self) -> int:
+        return max(1, round(self.context_share * self.iterations))
 
     @property
     def growth_stop(self) -> int:

@@ -87,10 +87,16 @@ class EcongsOptions(splatting.SplattingOptions):
     color_weight: float = option(
         0.01, "weight of offset colors squared, ten times as much beyond black and white", minimum=0.0
     )
+    feature_lr: float = option(
+        1e-2, "first learning rate of features; the last is a hundredth", minimum=0.0, maximum=1.0
+    )
     palette_lr: float = option(1e-4, "learning rate of palette colors", minimum=0.0, maximum=1.0)
     # Context model
     context: bool = option(True, "second stage with the context model")
-    rate_weight: float = option(1e-4, "weight of the estimated bits (lambda_e)", minimum=0.0, maximum=1.0)
+    context_start: float = option(
+        0.7, "share of the budget after which it begins", minimum=0.05, maximum=0.9
+    )
+    rate_weight: float = option(3e-4, "weight of the estimated bits (lambda_e)", minimum=0.0, maximum=1.0)
     grid: Literal["small", "hac"] = option("small", "size of the binary hash grids")
     context_hidden: int = option(
         0, "hidden units of the context model; 0: one per 100 first anchors, 4 to 50", minimum=0, maximum=256
@@ -131,7 +137,7 @@ SPEC = MethodSpec(
     uses_alpha="views are composited on the scene's background; alpha is also a target of its own",
     options=EcongsOptions,
     # So short a fit cannot train as many anchors: half of them, for 0.15 to 0.3 dB.
-    presets={"quick": {**splatting.QUICK, "growth_gradient": 6e-4}},
+    presets={"quick": {**splatting.QUICK, "growth_gradient": 6e-4, "feature_lr": 2e-2}},
     iterations={"quick": 500, "standard": 3_000, "paper": 10_000},
     configurations={
         "fair": Configuration(),
@@ -156,6 +162,9 @@ SPEC = MethodSpec(
                 "hidden": 50,
                 "context_hidden": 50,
                 "group_budget": 0.0,
+                "context_start": 0.5,
+                "rate_weight": 1e-4,
+                "feature_lr": 1e-2,
             },
             {"quick": 1_600, "standard": 8_000, "paper": 20_000},
         ),

@@ -44,7 +44,7 @@ DECODER_RATES: dict[str, Rate] = {
     "normal": (8e-3, 5e-5),
     "offset": (2e-3, 2e-5),
 }
-ANCHOR_RATES: dict[str, Rate] = {"features": (1e-2, 1e-4), "log_scalings": (1e-2, 1e-4)}
+SCALING_RATE: Rate = (1e-2, 1e-4)
 OFFSET_RATE: Rate = (1e-2, 1e-4)
 """Times the extent."""
 CONTEXT_RATE = (5e-3, 1e-5)
@@ -107,7 +107,7 @@ class Trainer(AnchorLoop):
     ) -> None:
         super().__init__(group, iterations, seed, device)
         self.options = options
-        self.schedule = Schedule(iterations, options.context, options.growth_stop)
+        self.schedule = make_schedule(iterations, options)
         starts = [starting_points(source, options, seed) for source in group]
         first = sum(len(points) for points, _ in starts)
         self.decoders = make_decoders(options, options.hidden or _units(first, 50, 25), self.generator).to(
@@ -315,8 +315,9 @@ class Trainer(AnchorLoop):
         rates = self.optimiser.rates
         for name in self.decoders.names:
             rates[name] = self.decayed(DECODER_RATES[name])
-        for parameter, rate in ANCHOR_RATES.items():
-            rates[scene.anchors.name(parameter)] = self.decayed(rate)
+        first = self.options.feature_lr
+        rates[scene.anchors.name("features")] = self.decayed((first, 0.01 * first))
+        rates[scene.anchors.name("log_scalings")] = self.decayed(SCALING_RATE)
         rates[scene.anchors.name("offsets")] = self.decayed(OFFSET_RATE) * scene.source.extent
         rates[f"{scene.key}/embedding"] = self.decayed(EMBEDDING_RATE)
         rates[f"{scene.key}/palette"] = self.options.palette_lr
@@ -360,7 +361,7 @@ class Trainer(AnchorLoop):
             for label, key, positions, embedding in zip(state.scenes, keys, places, embeddings, strict=True)
         )
         context = None
-        if Schedule(state.iterations, options.context).coded(state.iteration):
+        if make_schedule(state.iterations, options).coded(state.iteration):
             context = coded_context(state, ContextConfig.of(options, decoders.width, context_hidden))
         precision = options.decoder_precision
         group = GroupAttributes(
@@ -392,6 +393,12 @@ class Trainer(AnchorLoop):
     def resume(self, checkpoint: Checkpoint) -> None:
         super().resume(checkpoint)
         self.control.factor = float(checkpoint.scalars["rate_factor"])
+
+
+def make_schedule(iterations: int, options: EcongsOptions) -> Schedule:
+    """Phases of a fit."""
+    shares = options.growth_stop, options.context_start
+    return Schedule(iterations, options.context, *shares, decay=options.decay)
 
 
 def _units(anchors: int, per_unit: int, least: int) -> int:

@@ -64,6 +64,7 @@ class Trainer(TrainingLoop):
             sh_degree=self.options.sh_degree,
             resets=self.options.opacity_reset,
             early_reset=self.background == WHITE,
+            decay=self.options.decay,
         )
 
     def _start(self) -> tuple[dict[str, torch.Tensor], dict[str, float]]:

@@ -63,6 +63,6 @@ class IvrSchedule(Schedule):
         return not self.shaded(iteration) and super().prunes_large(iteration)
 
     def decayed(self, iteration: int, first: float, last: float) -> float:
-        """Log-linear decay from ``first`` to ``last`` over the first stage; ``last`` in the second."""
+        """From ``first`` to ``last`` over the first stage; ``last`` in the second."""
         whole = self.shading_start / self.iterations
         return super().decayed(min(self.iterations, round(iteration / whole)), first, last)

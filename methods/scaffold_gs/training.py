@@ -67,7 +67,7 @@ class Trainer(AnchorLoop):
     ) -> None:
         super().__init__([scene], iterations, seed, device)
         self.scene, self.options = scene, options
-        self.schedule = Schedule(iterations, self.quantised)
+        self.schedule = Schedule(iterations, self.quantised, decay=options.decay)
         points = torch.from_numpy(np.array(start_cloud(scene, options, seed).points, dtype=np.float32))
         voxel = options.voxel or median_neighbour_distance(points, 0.01 * scene.extent)
         self.anchors = AnchorSet(

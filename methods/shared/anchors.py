@@ -20,7 +20,7 @@ from methods.shared.schedule import AnchorSchedule
 from methods.shared.training import TrainingLoop, under
 
 Rate = tuple[float, float]
-"""First and last learning rate; between them it decays log-linearly over the budget."""
+"""First and last learning rate; the option ``decay`` says how it goes from one to the other."""
 
 
 class AnchorLoop(TrainingLoop):

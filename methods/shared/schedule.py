@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+Decay = Literal["linear", "exponential"]
 
 
 @dataclass(frozen=True)
@@ -13,12 +15,14 @@ class Proportional:
 
     Attributes:
         iterations: the budget.
+        decay: how learning rates go from the first to the last value.
         published: that of the published schedule.
         growth: published iterations between which primitives grow.
         longest_interval: published number of iterations from one growth event to the next.
     """
 
     iterations: int
+    decay: Decay = field(default="exponential", kw_only=True)
     published: ClassVar[int] = 30_000
     growth: ClassVar[tuple[int, int]]
     longest_interval: ClassVar[int] = 100
@@ -27,8 +31,10 @@ class Proportional:
         return max(1, round(published * self.iterations / self.published))
 
     def decayed(self, iteration: int, first: float, last: float) -> float:
-        """Log-linear decay from ``first`` to ``last`` over the budget."""
+        """From ``first`` to ``last`` over the budget."""
         t = min(1.0, iteration / self.iterations)
+        if self.decay == "linear":
+            return (1.0 - t) * first + t * last
         return math.exp((1.0 - t) * math.log(first) + t * math.log(last))
 
     @property

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from methods.interface import OptionValue, option
 
 
 @dataclass(frozen=True)
 class SplattingOptions:
-    """How projected Gaussians are filtered, which models keep with their files; whether alpha is a target."""
+    """Filters of projected Gaussians (models keep them with their files), learning rates, loss of alpha."""
 
     low_pass: float = option(
         0.03, "variance of the low-pass filter on projected Gaussians, px²", minimum=0.01, maximum=4.0
@@ -23,6 +24,9 @@ class SplattingOptions:
         minimum=0.0,
         maximum=4.0,
     )
+    decay: Literal["linear", "exponential"] = option(
+        "linear", "how learning rates with a last value go there from the first"
+    )
     alpha_weight: float = option(
         0.05,
         "weight of the mean absolute error of alpha, where training views are transparent anywhere",
@@ -34,6 +38,7 @@ PUBLISHED: dict[str, OptionValue] = {
     "low_pass": 0.3,
     "antialiased": False,
     "smoothing": 0.0,
+    "decay": "exponential",
     "alpha_weight": 0.0,
 }
 """Of 3DGS and what follows it."""
