@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -105,7 +105,7 @@ class Coding:
         rows: Tensor,
         total: int,
         iteration: int,
-        masks: Tensor | None = None,
+        masks: Callable[[Tensor], Tensor] | None = None,
     ) -> tuple[Attributes, Rate | None]:
         """Attributes for the decoders in training, and the rate in the phases with one.
 
@@ -115,7 +115,7 @@ class Coding:
             rows: indices of the visible anchors.
             total: number of anchors of all scenes.
             iteration: iteration; selects no noise, noise of the base steps, or the context model.
-            masks: (V, K) of 0 and 1; offsets with mask 0 cost nothing.
+            masks: indices (S,) of visible anchors -> (S, K) of 0 and 1; offsets with mask 0 cost nothing.
         """
         if not self.schedule.noisy(iteration):
             return values, None
@@ -128,7 +128,7 @@ class Coding:
             noisy = Noisy(rounded, rounded.of(context.sample).flat)
         else:
             noisy = self.model.perturb(values, context, self.noise)
-        share = None if masks is None else _shares(values, masks[context.sample])
+        share = None if masks is None else _shares(values, masks(context.sample))
         return _sizes(noisy.values), self.model.rate(noisy, context, anchors=total, share=share)
 
     def _plain(self, count: int) -> Context:

@@ -153,6 +153,19 @@ class Decoders(nn.Module):
         return offsets
 
     @torch.no_grad()
+    def shown(self, features: Tensor, embedding: Tensor) -> Tensor:
+        """(N, K) of 0 and 1: the Gaussians that are not culled, of decoders that do not see the direction.
+
+        Args:
+            features: (N, F).
+            embedding: (E,).
+        """
+        first, bias, second, second_bias = self.network("opacity").tensors()
+        width = self.features
+        hidden = torch.relu(torch.addmm(bias + first[:, width:] @ embedding, features, first[:, :width].T))
+        return (torch.addmm(second_bias, hidden, second.T) > 0.0).to(features.dtype)
+
+    @torch.no_grad()
     def _show_half(self) -> None:
         network = self.network("opacity")
         lowest_visible = self.offsets // 2

@@ -15,7 +15,8 @@ from enum import IntEnum
 from datasets.errors import DataError
 
 MAGIC = b"\x89ECONGS\n"
-VERSION = 1
+VERSIONS = (1, 2)
+"""In the second, offsets of Gaussians that decoders cull have no symbols."""
 MOST_SECTIONS = 4096
 LIMIT = (1 << 32) - 1  # bytes of a section
 _HEADER = struct.Struct("<8sHHQ")  # magic, version, sections, length of the whole
@@ -54,14 +55,14 @@ def overhead(sections: int) -> int:
     return _HEADER.size + sections * _ENTRY.size + _CHECK.size
 
 
-def write_container(sections: Sequence[Section]) -> bytes:
+def write_container(sections: Sequence[Section], version: int = VERSIONS[0]) -> bytes:
     """The bytes of a container."""
     if len(sections) > MOST_SECTIONS:
         raise ValueError(f"{len(sections)} sections; a container has at most {MOST_SECTIONS}")
     if any(len(one.payload) > LIMIT or one.scene > 65535 for one in sections):
         raise ValueError("a section of 4 GiB or more, or more than 65536 scenes")
     whole = overhead(len(sections)) + sum(len(one.payload) for one in sections)
-    head = _HEADER.pack(MAGIC, VERSION, len(sections), whole)
+    head = _HEADER.pack(MAGIC, version, len(sections), whole)
     for one in sections:
         head += _ENTRY.pack(one.kind, 0, one.scene, len(one.payload), zlib.crc32(one.payload))
     return b"".join([head, _CHECK.pack(zlib.crc32(head)), *(one.payload for one in sections)])
@@ -84,9 +85,11 @@ def read_container(data: bytes, what: str) -> list[Section]:
             what, "it is not a stream of this program (its first bytes differ)", "Name another file"
         )
     _, version, count, whole = _HEADER.unpack_from(data)
-    if version != VERSION:
+    if version not in VERSIONS:
         # The checksum cannot distinguish damage from the layout of a later version.
-        reason = f"it has format version {version}; this program reads version {VERSION}"
+        reason = (
+            f"it has format version {version}; this program reads versions {VERSIONS[0]} and {VERSIONS[1]}"
+        )
         raise DataError(what, reason, "Update the program, or encode it anew")
     if count > MOST_SECTIONS:
         raise DataError(what, f"it announces {count} sections, more than {MOST_SECTIONS}", ANEW)

@@ -18,9 +18,19 @@ import torch
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from econgs.context.arrays import Arrays, Precision, read_arrays, write_arrays
+from econgs.context.arrays import Arrays, Precision, read_arrays, round_arrays, write_arrays
 from econgs.context.coder import SYMBOL_LIMIT, Decoder, Encoder, read_bits, write_bits
-from econgs.context.container import ANEW, Kind, Reader, Section, overhead, read_container, write_container
+from econgs.context.container import (
+    ANEW,
+    VERSIONS,
+    Kind,
+    Reader,
+    Section,
+    overhead,
+    read_container,
+    write_container,
+)
+from econgs.context.culling import kept_offsets
 from econgs.context.hash_grid import GridConfig, interpolate, make_lookup
 from econgs.context.integer import Coding, IntegerHead, IntegerLayer, step_sizes, whole_values
 from econgs.context.model import MOST_ELEMENTS, ContextConfig, ContextModel
@@ -36,6 +46,8 @@ from econgs.context.symbols import (
 )
 
 ANCHORS_PER_BYTE = 4  # maximum number of anchors per byte of positions: bounds a reader's allocations
+_CONTEXT, _MASKS, _CULLING = 1, 2, 4
+_ALL_KINDS = (0, _CONTEXT, _MASKS, _CONTEXT | _MASKS, _CONTEXT | _CULLING)
 _PIECE = 8192  # anchors per lookup
 _KINDS = (Kind.FEATURES, Kind.SCALINGS, Kind.OFFSETS)
 _PARTS = {
@@ -139,6 +151,8 @@ class GroupAttributes:
         context: None stores attributes as plain float32.
         decoders: weights of the shared decoders by name, float32.
         metadata: JSON object (options for the renderer).
+        culling: whether offsets of Gaussians that the decoder ``opacity`` culls become 0 and take no bits
+            (:mod:`econgs.context.culling`); only with context and without masks.
     """
 
     scenes: tuple[SceneAttributes, ...]
@@ -146,6 +160,7 @@ class GroupAttributes:
     context: CodedContext | None = None
     decoders: Arrays = field(default_factory=dict)
     metadata: dict[str, Any] = field(default_factory=dict)
+    culling: bool = False
 
     @property
     def masked(self) -> bool:
@@ -175,12 +190,16 @@ class Encoded:
 
 @dataclass(frozen=True)
 class _Quantised:
-    """A scene in Morton order: position codes, symbols (N, D) and their coding (None without context)."""
+    """A scene in Morton order: position codes, symbols (N, D) and their coding (None without context).
+
+    Of the offsets, those that are present have symbols; None: all.
+    """
 
     scene: SceneAttributes
     codes: NDArray[np.int64]
     symbols: NDArray[np.int32] | None
     coding: Coding | None
+    present: Present | None
 
 
 def _quantise(scene: SceneAttributes, group: GroupAttributes) -> _Quantised:
@@ -202,7 +221,7 @@ def _quantise(scene: SceneAttributes, group: GroupAttributes) -> _Quantised:
         masks=masks,
     )
     if group.context is None:
-        return _Quantised(ordered, codes, None, None)
+        return _Quantised(ordered, codes, None, None, masks)
     coding = group.context.coding(codes, group.grid)
     steps = group.context.steps(coding)
     symbols = np.floor(ordered.values.astype(np.float64) / steps + 0.5)
@@ -213,9 +232,13 @@ def _quantise(scene: SceneAttributes, group: GroupAttributes) -> _Quantised:
             f"an attribute ({worst[1]}) is {ordered.values[worst]:g}, over 2^24 steps of {steps[worst]:g}",
             "Training has diverged, or the base step is too small",
         )
-    whole = symbols.astype(np.int32)
-    rounded = _with_values(ordered, whole.astype(np.float32) * steps, features.shape[1], offsets.shape[1])
-    return _Quantised(rounded, codes, whole, coding)
+    whole, (width, many) = symbols.astype(np.int32), (features.shape[1], offsets.shape[1])
+    if group.culling:
+        values = whole[:, :width].astype(np.float32) * steps[:, :width]
+        masks = kept_offsets(group.decoders, values, ordered.parameters)
+        whole[:, width + 6 :][~masks.repeat(3, 1)] = 0
+    rounded = _with_values(ordered, whole.astype(np.float32) * steps, width, many)
+    return _Quantised(rounded, codes, whole, coding, masks)
 
 
 def _with_values(
@@ -280,8 +303,12 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
     """
     if not group.scenes:
         raise DataError("stream", "a group without scenes", "Add at least one")
+    if group.culling and (group.context is None or group.masked):
+        raise DataError("stream", "culling without context, or with masks", "Choose one of them")
     if any((scene.masks is not None) != group.masked for scene in group.scenes):
         raise DataError("stream", "only some of the scenes have masks", "Give masks to all or to none")
+    if group.culling:  # the reader has no other decoders than these
+        group = replace(group, decoders=round_arrays(group.decoders, weights))
     shared = [Section(Kind.GROUP, 0, _write_group(group))]
     if group.context is not None:
         shared.append(Section(Kind.CONTEXT, 0, _write_context(group.context)))
@@ -299,7 +326,7 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
         sections.append(Section(Kind.POSITIONS, index, positions + padding))
         if quantised.scene.masks is not None:
             sections.append(Section(Kind.MASKS, index, write_masks(quantised.scene.masks)))
-        present_each = present_of(quantised.scene.masks)
+        present_each = present_of(quantised.present)
         for kind, columns, present in zip(_KINDS, columns_each, present_each, strict=True):
             payload, bits = _write_attributes(quantised, columns, present)
             sections.append(Section(kind, index, payload))
@@ -307,7 +334,8 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
     ledger = {"container": overhead(len(sections))}
     for one in sections:
         ledger[_PARTS[one.kind]] = ledger.get(_PARTS[one.kind], 0) + len(one.payload)
-    return Encoded(write_container(sections), ledger, ideal)
+    version = VERSIONS[int(group.culling)]
+    return Encoded(write_container(sections, version), ledger, ideal)
 
 
 def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
@@ -328,9 +356,9 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
         except KeyError:
             raise DataError(what, f"section {kind.name} of scene {scene} is missing", ANEW) from None
 
-    grid, coded, with_masks, count, width, many, metadata = _guarded(reader(Kind.GROUP), _read_group)
+    grid, kinds, count, width, many, metadata = _guarded(reader(Kind.GROUP), _read_group)
     context: CodedContext | None = None
-    if coded:
+    if kinds & _CONTEXT:
         context = _guarded(reader(Kind.CONTEXT), _read_context)
         if (context.config.features, context.config.offsets) != (width, many):
             raise DataError(what, "its context model is for other attributes", ANEW)
@@ -345,21 +373,35 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
         places = grid.positions(codes)
         coding = None if context is None else context.coding(codes, grid)
         masks: Present | None = None
-        if with_masks:
+        if kinds & _MASKS:
             masks = _guarded(reader(Kind.MASKS, index), partial(read_masks, anchors=anchors, many=many))
         read = partial(_read_attributes, coding=coding, anchors=anchors)
-        parts = [
-            _guarded(reader(kind, index), partial(read, columns=columns, present=present))
-            for kind, columns, present in zip(_KINDS, columns_of(width, many), present_of(masks), strict=True)
-        ]
+        steps = None if context is None or coding is None else context.steps(coding)
+        present, parts = masks, list[NDArray[Any]]()
+        for kind, columns in zip(_KINDS, columns_of(width, many), strict=True):
+            if kind == Kind.OFFSETS and kinds & _CULLING:
+                present = _kept(decoders, parts[0], parameters, many, what)
+            coded = None if kind != Kind.OFFSETS or present is None else present.repeat(3, 1)
+            part = _guarded(reader(kind, index), partial(read, columns=columns, present=coded))
+            parts.append(part if steps is None else part.astype(np.float32) * steps[:, columns])
         values = np.concatenate(parts, 1)
-        if context is not None and coding is not None:
-            values = values.astype(np.float32) * context.steps(coding)
         empty = SceneAttributes(name, places, none, none, none, parameters, masks)
         scenes.append(_with_values(empty, values, width, many))
     if sections:
         raise DataError(what, "it has sections that belong to nothing", ANEW)
-    return GroupAttributes(tuple(scenes), grid, context, decoders, metadata)
+    return GroupAttributes(tuple(scenes), grid, context, decoders, metadata, bool(kinds & _CULLING))
+
+
+def _kept(
+    decoders: Arrays, features: NDArray[np.float32], parameters: Arrays, many: int, what: str
+) -> Present:
+    try:
+        kept = kept_offsets(decoders, features, parameters)
+    except ValueError as error:
+        raise DataError(what, str(error), ANEW) from error
+    if kept.shape[1] != many:
+        raise DataError(what, "its decoders cull another number of Gaussians", ANEW)
+    return kept
 
 
 def _guarded(reader: Reader, read: Callable[[Reader], Any]) -> Any:
@@ -384,7 +426,7 @@ def _read_text(reader: Reader) -> str:
 
 def _write_group(group: GroupAttributes) -> bytes:
     first = group.scenes[0]
-    kinds = int(group.context is not None) + 2 * int(group.masked)
+    kinds = _CONTEXT * (group.context is not None) + _MASKS * group.masked + _CULLING * group.culling
     shape = (len(group.scenes), first.features.shape[1], first.offsets.shape[1], kinds)
     sizes = [*shape, *group.grid.extent]
     places = np.array([*group.grid.origin, *group.grid.cell], "<f8").tobytes()
@@ -395,13 +437,13 @@ def _write_group(group: GroupAttributes) -> bytes:
 def _read_group(reader: Reader) -> tuple:
     count, width, many, kinds, *extent = reader.unpack("7H")
     numbers = reader.unpack("6d")
-    if not (count and width and many and kinds < 4 and width + 6 + 3 * many <= MOST_ELEMENTS):
+    if not (count and width and many and kinds in _ALL_KINDS and width + 6 + 3 * many <= MOST_ELEMENTS):
         raise ValueError(f"no scenes, features or offsets, or more than {MOST_ELEMENTS} elements per anchor")
     grid = PositionGrid(numbers[:3], numbers[3:], tuple(extent))
     metadata = json.loads(_read_text(reader))
     if not isinstance(metadata, dict):
         raise ValueError("metadata is no object")
-    return grid, bool(kinds & 1), bool(kinds & 2), count, width, many, metadata
+    return grid, kinds, count, width, many, metadata
 
 
 def _write_context(context: CodedContext) -> bytes:

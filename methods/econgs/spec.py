@@ -93,9 +93,7 @@ class EcongsOptions(splatting.SplattingOptions):
     palette_lr: float = option(1e-4, "learning rate of palette colors", minimum=0.0, maximum=1.0)
     # Context model
     context: bool = option(True, "second stage with the context model")
-    context_start: float = option(
-        0.7, "share of the budget after which it begins", minimum=0.05, maximum=0.9
-    )
+    context_start: float = option(0.7, "share of the budget after which it begins", minimum=0.05, maximum=0.9)
     rate_weight: float = option(3e-4, "weight of the estimated bits (lambda_e)", minimum=0.0, maximum=1.0)
     grid: Literal["small", "hac"] = option("small", "size of the binary hash grids")
     context_hidden: int = option(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -166,7 +166,8 @@ class Trainer(AnchorLoop):
             values = values.of(rows)
         rate = None
         if self.coding is not None:
-            values, rate = self.coding.apply(anchors, values, rows, self.count, self.iteration)
+            masks = self._masks(scene, values) if culls(self.options) else None
+            values, rate = self.coding.apply(anchors, values, rows, self.count, self.iteration, masks)
         decoded = self._decode(scene, camera, positions, values)
         splats, offset = self.splat(decoded, camera)
         back = scene.source.train.background
@@ -220,6 +221,11 @@ class Trainer(AnchorLoop):
             camera.position,
             light=scene.light,
         )
+
+    def _masks(self, scene: _Scene, values: Attributes) -> Callable[[Tensor], Tensor]:
+        """The Gaussians of some of these anchors that are not culled: only they need offsets."""
+        embedding = self.optimiser[f"{scene.key}/embedding"]
+        return lambda rows: self.decoders.shown(values.features.index_select(0, rows), embedding)
 
     def _scale_loss(self, scales: Tensor) -> Tensor:
         """The regulariser of the product of scales, over the Gaussians drawn."""
@@ -381,6 +387,7 @@ class Trainer(AnchorLoop):
                     for label in state.scenes
                 },
             },
+            culling=context is not None and culls(options),
         )
         return EcongsModel([Group(round_group(group), state.device)])
 
@@ -393,6 +400,11 @@ class Trainer(AnchorLoop):
     def resume(self, checkpoint: Checkpoint) -> None:
         super().resume(checkpoint)
         self.control.factor = float(checkpoint.scalars["rate_factor"])
+
+
+def culls(options: EcongsOptions) -> bool:
+    """Whether an anchor shows the same of its Gaussians in every view, so that the others need no offsets."""
+    return not options.view_direction and options.storage == "hybrid"
 
 
 def make_schedule(iterations: int, options: EcongsOptions) -> Schedule:

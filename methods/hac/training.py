@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -63,8 +64,9 @@ class Trainer(scaffold_gs.Trainer):
         soft = self.optimiser[self.anchors.name(MASKS)].sigmoid()
         hard = (soft.detach() > LEAST_MASK).to(soft.dtype)
         masks = (hard + (soft - soft.detach())).index_select(0, rows)
+        masks_of = partial(masks.index_select, 0)
         total = len(self.anchors)
-        values, rate = self.coding.apply(self.anchors, values, rows, total, self.iteration, masks)
+        values, rate = self.coding.apply(self.anchors, values, rows, total, self.iteration, masks_of)
         losses: dict[str, Tensor] = {}
         if rate is not None and total:
             valid = float(hard.any(1).float().mean())

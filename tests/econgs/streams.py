@@ -95,6 +95,24 @@ def attribute_tensors(one: SceneAttributes) -> tuple[torch.Tensor, torch.Tensor,
     return tuple(torch.from_numpy(a.copy()) for a in (one.features, one.scalings, one.offsets))  # type: ignore[return-value]
 
 
+def with_culling(one: GroupAttributes) -> GroupAttributes:
+    """The group with a decoder that culls about half of its Gaussians."""
+    assert one.context is not None
+    random = np.random.default_rng(11)
+    config, embedding, hidden = one.context.config, 5, 7
+
+    def numbers(*shape: int) -> np.ndarray:
+        return (random.integers(-1000, 1001, shape) / 1024).astype(np.float32)
+
+    decoders = one.decoders | {
+        "opacity.first_weight": numbers(hidden, config.features + embedding),
+        "opacity.first_bias": numbers(hidden),
+        "opacity.second_weight": numbers(config.offsets, hidden),
+        "opacity.second_bias": 1.5 + numbers(config.offsets),
+    }
+    return replace(one, decoders=decoders, culling=True)
+
+
 def with_masks(one: GroupAttributes) -> GroupAttributes:
     """The group with about a third of its offsets masked, and all of one anchor's."""
     random = np.random.default_rng(9)

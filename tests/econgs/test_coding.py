@@ -1,5 +1,6 @@
 """Training under quantisation: what the grid of positions and the masks do to it."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -61,10 +62,11 @@ def test_masked_offsets_cost_nothing(iteration):
     )
 
     def bits(masks):
+        of = None if masks is None else partial(masks.index_select, 0)
         one = coding()
         one.place([anchors(places)])
         one.begin([values])
-        return one.apply(anchors(places), values, torch.arange(40), 40, iteration, masks)[1]
+        return one.apply(anchors(places), values, torch.arange(40), 40, iteration, of)[1]
 
     plain, whole = bits(None), bits(torch.ones(40, CONFIG.offsets))
     soft = torch.full((40, CONFIG.offsets), 0.5, requires_grad=True)

@@ -72,10 +72,10 @@ def test_foreign_files(data: bytes, reason: str) -> None:
 
 
 def test_other_versions() -> None:
-    for version in (0, 2, 65535):
+    for version in (0, 3, 65535):
         other = bytearray(DATA)
         struct.pack_into("<H", other, 8, version)
-        with pytest.raises(DataError, match=f"format version {version}; this program reads version 1"):
+        with pytest.raises(DataError, match=f"format version {version}; this program reads versions 1 and 2"):
             decode_group(bytes(other))
 
 

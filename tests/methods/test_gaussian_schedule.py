@@ -29,6 +29,8 @@ def test_rates_decay_over_the_fits_own_budget():
     schedule = Schedule(300)
     rates = [schedule.decayed(i, 1.0, 0.01) for i in (0, 150, 300, 400)]
     assert rates == pytest.approx([1.0, 0.1, 0.01, 0.01])
+    linear = [Schedule(300, decay="linear").decayed(i, 1.0, 0.01) for i in (0, 150, 300, 400)]
+    assert linear == pytest.approx([1.0, 0.505, 0.01, 0.01])
 
 
 @settings(deadline=None, max_examples=20)
