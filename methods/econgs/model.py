@@ -110,6 +110,8 @@ def _decoders(coded: GroupAttributes, device: str) -> Decoders:
         offset_color=sizes["offset_color"],
         storage=sizes["storage"],
     )
+    if not any(map(len, coded.scenes)):
+        return decoders.to(device)  # nothing to decode
     return stored_networks(decoders, coded, device)
 
 

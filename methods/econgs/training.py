@@ -366,17 +366,16 @@ class Trainer(AnchorLoop):
             )
             for label, key, positions, embedding in zip(state.scenes, keys, places, embeddings, strict=True)
         )
-        context = None
-        if make_schedule(state.iterations, options).coded(state.iteration):
+        context, anchors = None, sum(map(len, places))
+        if anchors and make_schedule(state.iterations, options).coded(state.iteration):
             context = coded_context(state, ContextConfig.of(options, decoders.width, context_hidden))
         precision = options.decoder_precision
+        weights = decoders.state_dict() if anchors else {}  # which nothing needs any more
         group = GroupAttributes(
             scenes,
             PositionGrid.lattice(options.voxel, np.concatenate(places)),
             context=context,
-            decoders=round_arrays(
-                {name: to_numpy(v) for name, v in decoders.state_dict().items()}, precision
-            ),
+            decoders=round_arrays({name: to_numpy(v) for name, v in weights.items()}, precision),
             metadata={
                 "decoders": decoders_metadata(decoders, precision),
                 "scenes": {

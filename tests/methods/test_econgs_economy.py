@@ -13,6 +13,7 @@ from hypothesis.extra.numpy import arrays
 from datasets.cloud import PointCloud
 from econgs.context.arrays import round_arrays, write_arrays
 from methods.econgs.control import RateControl
+from methods.econgs.model import EcongsModel
 from methods.econgs.rent import some_views, who_stays
 from methods.econgs.schedule import Schedule
 from methods.econgs.start import one_per_cell, starting_points
@@ -93,6 +94,22 @@ def test_anchors_that_add_nothing_go_and_the_picture_stays(tiny, scene):
     assert with_rent.count < without.count
     psnr = [one._psnr(one.model()) for one in (with_rent, without)]
     assert psnr[0] > psnr[1] - 0.5
+
+
+def test_an_empty_scene_takes_next_to_no_bytes(scene, tmp_path):
+    trainer = trained(scene, 40)
+    for anchors in trainer.sets:
+        anchors.keep(trainer.optimiser, torch.zeros(len(anchors), dtype=torch.bool))
+    trainer.place()
+    model = trainer.model()
+    ledger = model.save(tmp_path)
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) < 1024
+    assert sum(sum(parts.values()) for parts in ledger.values()) < 1024
+    back = EcongsModel.load(tmp_path, "cpu")
+    assert back.primitives() == 0
+    rgb, alpha = back.render(scene.train.cameras[0])
+    assert not alpha.any()
+    assert torch.equal(rgb, torch.tensor(scene.train.background).expand_as(rgb))
 
 
 def test_rate_control_moves_towards_its_target():
