@@ -74,8 +74,8 @@ class Past:
 
 
 def work(job: Job) -> float:
-    """Iterations times scenes: what the time of a job grows with, if all else stays."""
-    return float(len(job.scenes) * (job.iterations or 1))
+    """What a job's time grows with: a fit's iterations, which are of all its scenes together; else scenes."""
+    return float(job.iterations or len(job.scenes))
 
 
 def _likenesses(job: Job) -> list[tuple[Any, ...]]:

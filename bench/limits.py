@@ -69,9 +69,9 @@ class Limits:
             origin = f"{TIMES:g} times what jobs like it took here; --time-limit none lifts it"
             return Limit(seconds, origin)
         usual = spec.iterations.get(job.preset) if spec is not None else None
-        longer = (job.iterations or 0) / usual if usual else 1.0
+        budgets = (job.iterations or 0) / usual if usual else 1.0
         larger = job.request.width * job.request.height / CAP_PIXELS
-        cap = CAPS.get(job.preset, LONGEST_CAP) * len(job.scenes) * max(1.0, longer) * max(1.0, larger)
+        cap = CAPS.get(job.preset, LONGEST_CAP) * max(len(job.scenes), budgets) * max(1.0, larger)
         return Limit(cap, f"the default of preset {job.preset}; --time-limit none lifts it")
 
     def bytes(self) -> Limit:
