@@ -80,6 +80,7 @@ class _Scene:
             fallback=0.01 * source.extent,
             device=device,
         )
+        self.anchors.initial["log_scalings"][:, 3:] += math.log(options.start_scale)
         stored = decoders.initial_explicit(len(self.anchors), generator)
         self.anchors.initial["features"][:, decoders.features :] = stored.to(device)
         self.palette = torch.from_numpy(color)
@@ -122,7 +123,7 @@ class Trainer(AnchorLoop):
         self.rules = AnchorRules(
             voxel=options.voxel,
             init_factor=options.init_factor,
-            gradient=options.growth_gradient,
+            gradient=growth_threshold(group, options),
             offset_visits=self.schedule.visits(40.0),
             anchor_visits=self.schedule.visits(80.0),
             limit=options.max_anchors,
@@ -399,6 +400,18 @@ class Trainer(AnchorLoop):
     def resume(self, checkpoint: Checkpoint) -> None:
         super().resume(checkpoint)
         self.control.factor = float(checkpoint.scalars["rate_factor"])
+
+
+def growth_threshold(group: Sequence[SceneInput], options: EcongsOptions) -> float:
+    """Screen-space gradient (NDC) from which an offset grows an anchor.
+
+    A move by one pixel changes as many pixels at every resolution; over the mean of all pixels, and in NDC,
+    its gradient is inversely proportional to the width.
+    """
+    if not options.growth_width:
+        return options.growth_gradient
+    widths = [camera.width for scene in group for camera in scene.train.cameras]
+    return options.growth_gradient * options.growth_width / (sum(widths) / len(widths))
 
 
 def culls(options: EcongsOptions) -> bool:

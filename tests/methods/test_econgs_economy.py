@@ -17,7 +17,7 @@ from methods.econgs.model import EcongsModel
 from methods.econgs.rent import some_views, who_stays
 from methods.econgs.schedule import Schedule
 from methods.econgs.start import one_per_cell, starting_points
-from methods.econgs.training import Trainer
+from methods.econgs.training import Trainer, growth_threshold
 from methods.interface import Refused
 from tests.methods.conftest import Fits
 
@@ -110,6 +110,27 @@ def test_an_empty_scene_takes_next_to_no_bytes(scene, tmp_path):
     rgb, alpha = back.render(scene.train.cameras[0])
     assert not alpha.any()
     assert torch.equal(rgb, torch.tensor(scene.train.background).expand_as(rgb))
+
+
+def test_growth_follows_the_pixel(scene):
+    (width,) = {camera.width for camera in scene.train.cameras}
+    double = [camera.resized(2 * width, 2 * camera.height) for camera in scene.train.cameras]
+    large = replace(scene, train=replace(scene.train, cameras=double))
+    plain = options(growth_gradient=1.0, growth_width=width)
+    assert growth_threshold([scene], plain) == 1.0
+    assert growth_threshold([large], plain) == 0.5
+    assert growth_threshold([scene, large], plain) == pytest.approx(1 / 1.5)
+    assert growth_threshold([large], options(growth_gradient=1.0, growth_width=0)) == 1.0
+
+
+def test_gaussians_begin_smaller_than_what_lies_between_anchors(scene):
+    def scales(factor):
+        trainer = Trainer([scene], options(start_scale=factor), 10, 0, "cpu")
+        return trainer.optimiser[trainer.sets[0].name("log_scalings")].detach()
+
+    small, plain = scales(0.25), scales(1.0)
+    torch.testing.assert_close(small[:, 3:], plain[:, 3:] - math.log(4.0))
+    assert torch.equal(small[:, :3], plain[:, :3])
 
 
 def test_rate_control_moves_towards_its_target():
