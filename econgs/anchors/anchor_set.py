@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -29,6 +31,7 @@ class AnchorSet:
         features: F, values of an anchor's feature.
         offsets: K, Gaussians per anchor.
         fallback: scaling of a lone anchor, scene units.
+        scale: factor on the first scalings of Gaussian scales.
         masks: whether to train ``masks`` (N, K) too, one number per offset (HAC).
     """
 
@@ -41,6 +44,7 @@ class AnchorSet:
         features: int,
         offsets: int,
         fallback: float,
+        scale: float = 1.0,
         masks: bool = False,
         device: torch.device | str = "cpu",
     ) -> None:
@@ -50,6 +54,7 @@ class AnchorSet:
         self.offsets = offsets
         positions = lattice_anchors(points, voxel)
         log_scalings = neighbour_distances(positions, fallback).log()[:, None].repeat(1, 6)
+        log_scalings[:, 3:] += math.log(scale)
         count = len(positions)
         self.positions = positions.to(device)
         self.initial = {

@@ -24,12 +24,6 @@ class EcongsOptions(splatting.SplattingOptions):
         minimum=0.0,
         maximum=100.0,
     )
-    start_scale: float = option(
-        0.6,
-        "first scales of Gaussians, x half the distance to the nearest anchors",
-        minimum=0.01,
-        maximum=10.0,
-    )
     random_half_extent: float = option(
         0.5, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
     )
@@ -78,12 +72,12 @@ class EcongsOptions(splatting.SplattingOptions):
     voxel: float = option(0.001, "lattice of anchors, scene units", minimum=1e-5, maximum=0.1)
     init_factor: int = option(16, "coarsest growth cell, in lattice cells", minimum=16, maximum=4096)
     growth_gradient: float = option(
-        6e-4, "mean screen-space gradient (NDC) from which an offset grows an anchor", minimum=0.0
+        3e-4, "mean screen-space gradient (NDC) from which an offset grows an anchor", minimum=0.0
     )
-    growth_width: int = option(
-        200,
-        "width of views of that threshold; wider ones have a lower one in proportion; 0 = all the same",
-        minimum=0,
+    growth_adapts: bool = option(
+        True,
+        "that is for views 200 pixels wide and 3,000 iterations a scene; inversely proportional to the "
+        "width, and to the root of the iterations",
     )
     growth_stop: float = option(
         0.5, "share of the budget after which nothing grows", minimum=0.0, maximum=1.0
@@ -161,9 +155,8 @@ SPEC = MethodSpec(
                 "rent": 0.0,
                 "start_spacing": 0.0,
                 "features": 50,
-                "start_scale": 1.0,
                 "growth_gradient": 2e-4,
-                "growth_width": 0,
+                "growth_adapts": False,
                 "view_direction": True,
                 "direction_start": 1.0,
                 "specular_start": 2.5,

@@ -78,9 +78,9 @@ class _Scene:
             features=decoders.width,
             offsets=decoders.offsets,
             fallback=0.01 * source.extent,
+            scale=options.start_scale,
             device=device,
         )
-        self.anchors.initial["log_scalings"][:, 3:] += math.log(options.start_scale)
         stored = decoders.initial_explicit(len(self.anchors), generator)
         self.anchors.initial["features"][:, decoders.features :] = stored.to(device)
         self.palette = torch.from_numpy(color)
@@ -123,7 +123,7 @@ class Trainer(AnchorLoop):
         self.rules = AnchorRules(
             voxel=options.voxel,
             init_factor=options.init_factor,
-            gradient=growth_threshold(group, options),
+            gradient=growth_threshold(group, options, iterations),
             offset_visits=self.schedule.visits(40.0),
             anchor_visits=self.schedule.visits(80.0),
             limit=options.max_anchors,
@@ -402,16 +402,21 @@ class Trainer(AnchorLoop):
         self.control.factor = float(checkpoint.scalars["rate_factor"])
 
 
-def growth_threshold(group: Sequence[SceneInput], options: EcongsOptions) -> float:
+GROWTH_WIDTH, GROWTH_ITERATIONS = 200, 3_000
+"""Width of views and iterations per scene for which the option ``growth_gradient`` is meant."""
+
+
+def growth_threshold(group: Sequence[SceneInput], options: EcongsOptions, iterations: int) -> float:
     """Screen-space gradient (NDC) from which an offset grows an anchor.
 
     A move by one pixel changes as many pixels at every resolution; over the mean of all pixels, and in NDC,
-    its gradient is inversely proportional to the width.
+    its gradient is inversely proportional to the width. A shorter fit cannot train as many anchors.
     """
-    if not options.growth_width:
+    if not options.growth_adapts:
         return options.growth_gradient
     widths = [camera.width for scene in group for camera in scene.train.cameras]
-    return options.growth_gradient * options.growth_width / (sum(widths) / len(widths))
+    pixel = GROWTH_WIDTH * len(widths) / sum(widths)
+    return options.growth_gradient * pixel * math.sqrt(GROWTH_ITERATIONS * len(group) / iterations)
 
 
 def culls(options: EcongsOptions) -> bool:

@@ -35,11 +35,12 @@ def initial_parameters(
     limit = options.max_gaussians
     if 0 < limit < n:
         raise Refused(f"{n} initial points are more than max_gaussians = {limit}")
+    scales = options.start_scale * neighbour_distances(points, 0.01 * scene.extent)
     quats = torch.zeros((n, 4))
     quats[:, 0] = 1.0
     return {
         "means": points,
-        "log_scales": neighbour_distances(points, 0.01 * scene.extent).log()[:, None].repeat(1, 3),
+        "log_scales": scales.log()[:, None].repeat(1, 3),
         "quats": quats,
         "logits": torch.full((n,), INITIAL_OPACITY).logit(),
         "sh_dc": ((colors - 0.5) / SH_C0)[:, None],

@@ -77,6 +77,7 @@ class Trainer(AnchorLoop):
             features=options.features,
             offsets=options.offsets,
             fallback=0.01 * scene.extent,
+            scale=options.start_scale,
             masks=self.masks,
             device=device,
         )

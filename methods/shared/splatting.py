@@ -10,7 +10,7 @@ from methods.interface import OptionValue, option
 
 @dataclass(frozen=True)
 class SplattingOptions:
-    """Filters of projected Gaussians (models keep them with their files), learning rates, loss of alpha."""
+    """Filters, which models keep with their files; first scales; decay of learning rates; loss of alpha."""
 
     low_pass: float = option(
         0.03, "variance of the low-pass filter on projected Gaussians, px²", minimum=0.01, maximum=4.0
@@ -23,6 +23,9 @@ class SplattingOptions:
         "variance added to every Gaussian in the scene, px² of the training views at their mean distance",
         minimum=0.0,
         maximum=4.0,
+    )
+    start_scale: float = option(
+        0.6, "first scales of Gaussians, x what is published", minimum=0.01, maximum=10.0
     )
     decay: Literal["linear", "exponential"] = option(
         "linear", "how learning rates with a last value go there from the first"
@@ -38,6 +41,7 @@ PUBLISHED: dict[str, OptionValue] = {
     "low_pass": 0.3,
     "antialiased": False,
     "smoothing": 0.0,
+    "start_scale": 1.0,
     "decay": "exponential",
     "alpha_weight": 0.0,
 }

@@ -112,15 +112,19 @@ def test_an_empty_scene_takes_next_to_no_bytes(scene, tmp_path):
     assert torch.equal(rgb, torch.tensor(scene.train.background).expand_as(rgb))
 
 
-def test_growth_follows_the_pixel(scene):
-    (width,) = {camera.width for camera in scene.train.cameras}
-    double = [camera.resized(2 * width, 2 * camera.height) for camera in scene.train.cameras]
-    large = replace(scene, train=replace(scene.train, cameras=double))
-    plain = options(growth_gradient=1.0, growth_width=width)
-    assert growth_threshold([scene], plain) == 1.0
-    assert growth_threshold([large], plain) == 0.5
-    assert growth_threshold([scene, large], plain) == pytest.approx(1 / 1.5)
-    assert growth_threshold([large], options(growth_gradient=1.0, growth_width=0)) == 1.0
+def test_growth_follows_the_pixel_and_the_budget(scene):
+    one = options(growth_gradient=1.0)
+
+    def wide(width):
+        cameras = [camera.resized(width, width) for camera in scene.train.cameras]
+        return replace(scene, train=replace(scene.train, cameras=cameras))
+
+    small, large = wide(200), wide(400)
+    assert growth_threshold([small], one, 3_000) == 1.0
+    assert growth_threshold([large], one, 3_000) == 0.5
+    assert growth_threshold([small, large], one, 6_000) == pytest.approx(2 / 3)
+    assert growth_threshold([small], one, 12_000) == 0.5
+    assert growth_threshold([large], options(growth_gradient=1.0, growth_adapts=False), 500) == 1.0
 
 
 def test_gaussians_begin_smaller_than_what_lies_between_anchors(scene):

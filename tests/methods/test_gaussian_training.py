@@ -45,7 +45,7 @@ def test_start_from_the_cloud_takes_its_points_and_colors(tiny, scene):
     np.testing.assert_allclose(gaussians.means, [[0, 0, 0.1], [0.1, 0, 0]], atol=1e-7)
     np.testing.assert_allclose(gaussians.sh_dc[:, 0] * 0.28209479177387814 + 0.5, colors, atol=1e-6)
     np.testing.assert_allclose(gaussians.logits.sigmoid(), 0.1, atol=1e-6)
-    np.testing.assert_allclose(gaussians.log_scales.exp(), np.sqrt(0.02), rtol=1e-6)
+    np.testing.assert_allclose(gaussians.log_scales.exp(), 0.6 * np.sqrt(0.02), rtol=1e-6)
 
 
 def test_random_start_fills_its_cube(scene):
