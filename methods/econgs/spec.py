@@ -131,7 +131,7 @@ SPEC = MethodSpec(
     reference=(
         "K. Tang, C. Wang: ECoNGS: Efficient Compressive Neural Gaussian Splats for Volume Visualization"
     ),
-    version="4",
+    version="5",
     implementation="methods.econgs.method:Econgs",
     source=SHARED_SOURCE,
     joint=True,
@@ -140,7 +140,7 @@ SPEC = MethodSpec(
     uses_alpha="views are composited on the scene's background; alpha is also a target of its own",
     options=EcongsOptions,
     presets={"quick": {**splatting.QUICK, "feature_lr": 2e-2}},
-    iterations={"quick": 500, "standard": 3_000, "paper": 10_000},
+    iterations={"quick": 550, "standard": 2_500, "paper": 10_000},
     configurations={
         "fair": Configuration(),
         # What the paper states and what its code base implies where it is silent (docs/results/choices.md).
