@@ -71,6 +71,21 @@ def against_the_oracle(repeats: int) -> None:
             row(name, what, slow, fast, *ratios(slow, fast))
 
 
+def empty_pictures(repeats: int) -> None:
+    """What a picture costs by its pixels alone: one Gaussian in it, against filling its four channels."""
+    heading("One Gaussian against filling the picture with zeros", "size", "what", "splat", "fill", *RATIOS)
+    for size in (200, 400, 800):
+        tensors, camera = scene(1, size)
+        tensors["means"].zero_()  # in the middle
+        for what, backward in (("forward", False), ("forward + backward", True)):
+            ways = {
+                "splat": splatting(tensors, camera, "native", backward),
+                "fill": lambda size=size: torch.zeros(size, size, 4),
+            }
+            slow, fast = interleaved(ways, 10 * repeats).values()
+            row(f"{size}²", what, slow, fast, *ratios(slow, fast))
+
+
 def ratios(slow: Time, fast: Time) -> tuple[str, str]:
     return f"{slow.median / fast.median:.1f} x", f"{slow.shortest / fast.shortest:.1f} x"
 
@@ -186,6 +201,7 @@ def optimiser_share(repeats: int) -> None:
 
 SECTIONS = {
     "oracle": against_the_oracle,
+    "empty": empty_pictures,
     "blend": blend_share,
     "ssim": ssim,
     "isa": instruction_sets,
