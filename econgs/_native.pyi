@@ -34,6 +34,7 @@ def set_threads(count: int) -> None: ...
 def forward(
     means: Floats, quats: Floats, scales: Floats, opacities: Floats, features: Floats,
     offset: Floats | None, view: Doubles, near: float, low_pass: float, compensated: bool,
+    ray_power: float,
     image: OutFloats, alpha: OutFloats, depth: OutFloats, radii: OutInts, keep: bool,
 ) -> Frame: ...
 def backward(

@@ -391,7 +391,7 @@ double bench_blend(int channels) {
   std::vector<Entry> entries(COUNT);
   std::vector<uint64_t> blocks(COUNT);
   std::vector<int32_t> radii(COUNT);
-  View view = {{1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 16, 16, 8, 8, 0.2, 0.3, false, TILE, TILE};
+  View view = {{1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 16, 16, 8, 8, 0.2, 0.3, false, 0.0, TILE, TILE};
   for (int i = 0; i < COUNT; ++i) {
     means[3 * i] = static_cast<float>(i % 8) / 8 - 0.4375f;
     means[3 * i + 1] = static_cast<float>(i / 8) / 8 - 0.4375f;

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
+from econgs.splat.rays import along_rays
 from econgs.splat.splats import Splats
 
 TILE = 16
@@ -37,6 +38,8 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         means, None, quats, scales, pose[None], intrinsics[None], width, height,
         eps2d=low_pass.variance, near_plane=camera.near, calc_compensations=low_pass.compensated,
     )  # fmt: skip
+    if low_pass.ray_power:
+        opacities = along_rays(opacities, means, quats, scales, camera, low_pass.ray_power)
     if low_pass.compensated:
         opacities = opacities * shares[0]
     if screen_offset is not None:

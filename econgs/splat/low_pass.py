@@ -16,20 +16,27 @@ class LowPass:
             of the ratio of the determinants (Yu et al. 2024, Mip-Splatting).
         smoothing: added to the diagonal of the covariance in the scene, in squared scene units: a least size
             that does not depend on the view.
+        ray_power: optical depths are multiplied by this power of the length of the ray through the middle of
+            a Gaussian, over its mean radius (the cube root of the product of its scales): a sheet is darker
+            seen edge-on, as in a volume. 0: as dark from everywhere (published); 1: as a density would be.
 
     Raises:
-        ValueError: the variance is not above 0, the smoothing is negative, or one is not finite.
+        ValueError: the variance is not above 0, the smoothing is negative, the power is not within 0 to 1, or
+            one is not finite.
     """
 
     variance: float = 0.3
     compensated: bool = False
     smoothing: float = 0.0
+    ray_power: float = 0.0
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.variance) and self.variance > 0.0):
             raise ValueError(f"low-pass filter: variance {self.variance:g} must be finite and above 0")
         if not (math.isfinite(self.smoothing) and self.smoothing >= 0.0):
             raise ValueError(f"low-pass filter: smoothing {self.smoothing:g} must be finite and 0 or more")
+        if not 0.0 <= self.ray_power <= 1.0:
+            raise ValueError(f"low-pass filter: power of the ray {self.ray_power:g} must be 0 to 1")
 
 
 LINEAGE = LowPass()

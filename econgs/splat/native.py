@@ -113,7 +113,7 @@ class _Rasterise(torch.autograd.Function):
         radii = torch.empty(means.shape[0], dtype=torch.int32)
         keep = any(ctx.needs_input_grad[:6])
         outputs = (image, alpha, depth, radii)
-        settings = (near, low_pass.variance, low_pass.compensated)
+        settings = (near, low_pass.variance, low_pass.compensated, low_pass.ray_power)
         arrays = (*map(_array, (*inputs, offset)), view, *settings, *map(_array, outputs), keep)
         frame = _native.forward(*arrays)
         ctx.frame = frame if keep else None

@@ -21,6 +21,8 @@ from econgs.splat.splats import Splats
 TILE = 16  # pixels
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
+MIN_THROUGH = 1e-4  # least transmittance of a Gaussian whose depth is changed
+RAY_LIMIT = math.log(50.0)  # of the relative length of a ray
 CLAMP = 1.3  # the Jacobian is taken no further out than this many half fields of view
 
 
@@ -29,6 +31,7 @@ class Projected(NamedTuple):
 
     Attributes:
         share: factor on opacities; None for 1.
+        ray: factor on optical depths, before that; None for 1.
     """
 
     u: Tensor
@@ -39,6 +42,13 @@ class Projected(NamedTuple):
     c: Tensor
     det: Tensor
     share: Tensor | None
+    ray: Tensor | None
+
+    def opacities(self, opacities: Tensor) -> Tensor:
+        """Opacities of the middles, from those of the Gaussians."""
+        if self.ray is not None:
+            opacities = 1.0 - (1.0 - opacities).clamp_min(MIN_THROUGH) ** self.ray
+        return opacities if self.share is None else opacities * self.share
 
 
 def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -52,7 +62,7 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     # as gradients, whatever infinities its projection holds.
     offset = None if screen_offset is None else screen_offset[seen]
     visible = _project(means[seen], quats[seen], scales[seen], camera, offset, low_pass)
-    opacity = opacities[seen] if visible.share is None else opacities[seen] * visible.share
+    opacity = visible.opacities(opacities[seen])
     pairs, counts = _intersections(boxes, camera)
     columns = [visible.u, visible.v, visible.c / visible.det, -visible.b / visible.det]
     columns.append(visible.a / visible.det)
@@ -105,20 +115,30 @@ def _project(
     )
     # With M = J W R S the projected covariance is M Mᵀ + variance I. Its determinant is taken from the cross
     # product of M's rows (Cauchy-Binet): a c - b² cancels for needles.
-    first, second = (jacobian @ view @ _rotations(quats) * scales[:, None, :]).unbind(1)
+    to_image = jacobian @ view
+    first, second = (to_image @ rotations(quats) * scales[:, None, :]).unbind(1)
     aa, cc = (first * first).sum(-1), (second * second).sum(-1)
     cross = torch.linalg.cross(first, second)
     before, variance = (cross * cross).sum(-1), low_pass.variance
     det = before + variance * (aa + cc) + variance * variance
     share = (before / det).sqrt() if low_pass.compensated else None
+    ray = None
+    if low_pass.ray_power:
+        # The ray through the middle has the length vol |k1 x k2| / |m1 x m2|, with k the rows of J W.
+        across = torch.linalg.cross(*to_image.unbind(1)).square().sum(-1)
+        least = torch.finfo(means.dtype).tiny
+        volume, square = scales.prod(-1).clamp_min(least), before.clamp_min(least)
+        length = 2.0 / 3.0 * volume.log() + 0.5 * (across.log() - square.log())
+        ray = (low_pass.ray_power * length.clamp(-RAY_LIMIT, RAY_LIMIT)).exp()
 
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
     if screen_offset is not None:
         u, v = u + screen_offset[:, 0], v + screen_offset[:, 1]
-    return Projected(u, v, z, aa + variance, (first * second).sum(-1), cc + variance, det, share)
+    return Projected(u, v, z, aa + variance, (first * second).sum(-1), cc + variance, det, share, ray)
 
 
-def _rotations(quats: Tensor) -> Tensor:
+def rotations(quats: Tensor) -> Tensor:
+    """(N, 3, 3) rotations of quaternions of any length but zero."""
     w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -134,8 +154,7 @@ def _visible(splats: Projected, opacities: Tensor, camera: Camera) -> tuple[Tens
     The support is the ellipse on which alpha reaches 1/255; a Gaussian is visible if the ellipse's box holds
     a pixel centre. Boxes are inclusive: first and last column, first and last row.
     """
-    if splats.share is not None:
-        opacities = opacities * splats.share
+    opacities = splats.opacities(opacities)
     squared = 2.0 * torch.log(opacities / MIN_ALPHA).clamp(min=0)
     half_u, half_v = (squared * splats.a).sqrt(), (squared * splats.c).sqrt()
     lower = torch.stack([splats.u - half_u, splats.v - half_v], dim=-1) - 0.5

@@ -40,6 +40,8 @@ class Rendering:
             lines.append("compensated=true")
         if self.low_pass.smoothing:
             lines.append(f"smoothing={self.low_pass.smoothing!r}")
+        if self.low_pass.ray_power:
+            lines.append(f"ray_power={self.low_pass.ray_power!r}")
         if not lines:
             return 0
         text = "\n".join(lines).encode()
@@ -62,9 +64,9 @@ class Rendering:
             facts: dict[str, Any] = tomllib.loads(text.decode())
             units = float(facts.pop("units", 1.0))
             variance, compensated = facts.pop("low_pass", LINEAGE.variance), facts.pop("compensated", False)
-            smoothing = facts.pop("smoothing", 0.0)
+            smoothing, power = facts.pop("smoothing", 0.0), facts.pop("ray_power", 0.0)
             if facts or not (math.isfinite(units) and units > 0.0) or not isinstance(compensated, bool):
                 raise ValueError(f"units {units}, compensated {compensated}, {', '.join(facts)}")
-            return cls(units, LowPass(float(variance), compensated, float(smoothing)))
+            return cls(units, LowPass(float(variance), compensated, float(smoothing), float(power)))
         except (OSError, ValueError, TypeError) as error:
             raise DataError(file, f"cannot be used ({error})", "Save the model again") from error

@@ -24,6 +24,12 @@ class SplattingOptions:
         minimum=0.0,
         maximum=4.0,
     )
+    ray_power: float = option(
+        0.5,
+        "power of the ray's length in a Gaussian that multiplies its optical depth; 0 = not (published)",
+        minimum=0.0,
+        maximum=1.0,
+    )
     start_scale: float = option(
         0.6, "first scales of Gaussians, x what is published", minimum=0.01, maximum=10.0
     )
@@ -41,6 +47,7 @@ PUBLISHED: dict[str, OptionValue] = {
     "low_pass": 0.3,
     "antialiased": False,
     "smoothing": 0.0,
+    "ray_power": 0.0,
     "start_scale": 1.0,
     "decay": "exponential",
     "alpha_weight": 0.0,

@@ -291,7 +291,8 @@ def low_pass_of(options: Any, pixel: float) -> LowPass:
     """
     if not isinstance(options, SplattingOptions):
         return LINEAGE
-    return LowPass(options.low_pass, options.antialiased, options.smoothing * pixel**2)
+    smoothing = options.smoothing * pixel**2
+    return LowPass(options.low_pass, options.antialiased, smoothing, options.ray_power)
 
 
 def are_transparent(images: Tensor) -> bool:

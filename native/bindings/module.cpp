@@ -41,7 +41,8 @@ Inputs inputs(const In& means, const In& quats, const In& scales, const In& opac
   return {means.data(), quats.data(), scales.data(), opacities.data(), features.data(), shift, n, channels};
 }
 
-View view_of(const Doubles& numbers, double near, double low_pass, bool compensated, const Array& alpha) {
+View view_of(const Doubles& numbers, double near, double low_pass, bool compensated, double ray_power,
+             const Array& alpha) {
   View view;
   const double* const p = numbers.data();
   for (int i = 0; i < 3; ++i) {
@@ -55,7 +56,9 @@ View view_of(const Doubles& numbers, double near, double low_pass, bool compensa
   view.near = near;
   view.low_pass = low_pass;
   view.compensated = compensated;
+  view.ray_power = ray_power;
   expect(std::isfinite(low_pass) && low_pass > 0, "the variance of the low-pass filter must be above 0");
+  expect(ray_power >= 0 && ray_power <= 1, "the power of the ray must be 0 to 1");
   expect(alpha.ndim() == 2 && alpha.shape(0) >= 1 && alpha.shape(1) >= 1, "the image must have pixels");
   expect(alpha.shape(0) < (1 << 20) && alpha.shape(1) < (1 << 20), "the image is too large");
   view.height = static_cast<int>(alpha.shape(0));
@@ -68,9 +71,10 @@ View view_of(const Doubles& numbers, double near, double low_pass, bool compensa
 // The caller (Python) owns the frame.
 Frame* forward_checked(const In& means, const In& quats, const In& scales, const In& opacities, const In& features,
                        std::optional<In> offset, const Doubles& numbers, double near, double low_pass, bool compensated,
-                       const Array& image, const Array& alpha, const Array& depth, const Counts& radii, bool keep) {
+                       double ray_power, const Array& image, const Array& alpha, const Array& depth,
+                       const Counts& radii, bool keep) {
   const Inputs in = inputs(means, quats, scales, opacities, features, offset);
-  const View view = view_of(numbers, near, low_pass, compensated, alpha);
+  const View view = view_of(numbers, near, low_pass, compensated, ray_power, alpha);
   expect(is(depth, {view.height, view.width}) && is(image, {view.height, view.width, in.channels}) &&
              static_cast<int64_t>(radii.shape(0)) == in.count,
          "the outputs have other sizes than the inputs ask for");
@@ -263,8 +267,8 @@ NB_MODULE(_native, m) {
   m.def("set_threads", set_threads, "count"_a);
 
   m.def("forward", forward_checked, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "features"_a, "offset"_a.none(),
-        "view"_a, "near"_a, "low_pass"_a, "compensated"_a, "image"_a, "alpha"_a, "depth"_a, "radii"_a, "keep"_a,
-        nb::rv_policy::take_ownership);
+        "view"_a, "near"_a, "low_pass"_a, "compensated"_a, "ray_power"_a, "image"_a, "alpha"_a, "depth"_a, "radii"_a,
+        "keep"_a, nb::rv_policy::take_ownership);
   m.def("backward", backward_checked, "frame"_a, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "features"_a,
         "image"_a, "alpha"_a, "depth"_a, "grad_image"_a.none(), "grad_alpha"_a.none(), "grad_depth"_a.none(),
         "to_means"_a, "to_quats"_a, "to_scales"_a, "to_opacities"_a, "to_features"_a, "to_offset"_a.none(),

@@ -22,6 +22,26 @@ INLINE Vec3 cross(Vec3 a, Vec3 b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a
 INLINE vd dot(Vec3 a, Vec3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 INLINE Vec3 row(const double* m) { return {setd(m[0]), setd(m[1]), setd(m[2])}; }
 
+// Of positive normal doubles; relative error 1e-13.
+INLINE vd log2d(vd x) {
+  const vl bits = (vl)x - 0x3fe6a09e667f3bcdLL;  // sqrt(1/2)
+  const vd exponent = __builtin_convertvector(bits >> 52, vd);
+  const vd m = (vd)((bits & 0x000fffffffffffffLL) + 0x3fe6a09e667f3bcdLL) - 1.0;
+  const vd s = m / (m + 2.0), q = s * s;
+  vd p = setd(1.0 / 17.0);
+  for (int n = 15; n >= 1; n -= 2) p = p * q + 1.0 / n;
+  return exponent + 2.8853900817779268 * s * p;
+}
+
+// Of -1000 to 1000, beyond which it stays.
+INLINE vd exp2d(vd x) {
+  x = maxd(mind(x, setd(1000.0)), setd(-1000.0));
+  const vd whole = (x + 0x1.8p52) - 0x1.8p52, t = (x - whole) * 0.6931471805599453;
+  vd p = setd(1.0);
+  for (int n = 12; n >= 1; --n) p = 1.0 + t * p * (1.0 / n);
+  return p * (vd)((__builtin_convertvector(whole, vl) + 1023) << 52);
+}
+
 // DLANES Gaussians; lanes past the end repeat the last one.
 struct Batch {
   Vec3 mean, scale;
@@ -39,6 +59,10 @@ struct Geometry {
   Vec3 cross;                  // m1 x m2; its square is the determinant before the filter
   vd a, b, c, det, u, v;
   vd opacity;                  // after the filter
+  // Where the ray's length counts: k1 x k2 and its square, log2 of the relative length, its power, transmittance and
+  // opacity before the filter.
+  Vec3 across;
+  vd across2, length, ray, through, deep;
 };
 
 INLINE Batch gather(const Inputs& in, int64_t begin, int64_t end) {
@@ -63,6 +87,8 @@ INLINE Batch gather(const Inputs& in, int64_t begin, int64_t end) {
   g.z *= inverse;
   return g;
 }
+
+constexpr double MIN_VOLUME = 1e-60;
 
 INLINE Geometry geometry(const Batch& g, const View& view) {
   Geometry o;
@@ -91,7 +117,19 @@ INLINE Geometry geometry(const Batch& g, const View& view) {
   o.det = before + view.low_pass * (aa + cc) + view.low_pass * view.low_pass;
   o.a = aa + view.low_pass;
   o.c = cc + view.low_pass;
-  o.opacity = view.compensated ? g.opacity * sqrtd(before / o.det) : g.opacity;
+  o.deep = g.opacity;
+  if (view.ray_power > 0.0) {
+    // The ray through the middle has the length vol |k1 x k2| / |m1 x m2| in a Gaussian, over the mean radius
+    // vol^(1/3).
+    o.across = cross(o.k1, o.k2);
+    o.across2 = dot(o.across, o.across);
+    const vd volume = maxd(g.scale.x * g.scale.y * g.scale.z, setd(MIN_VOLUME));
+    o.length = (2.0 / 3.0) * log2d(volume) + 0.5 * (log2d(o.across2) - log2d(maxd(before, setd(MIN_VOLUME))));
+    o.ray = exp2d(view.ray_power * maxd(mind(o.length, setd(RAY_LIMIT)), setd(-RAY_LIMIT)));
+    o.through = maxd(1.0 - g.opacity, setd(MIN_THROUGH));
+    o.deep = 1.0 - exp2d(o.ray * log2d(o.through));
+  }
+  o.opacity = view.compensated ? o.deep * sqrtd(before / o.det) : o.deep;
   o.u = view.fx * tx + view.cx + g.off_u;
   o.v = view.fy * ty + view.cy + g.off_v;
   return o;
@@ -212,10 +250,25 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
       dm1 = dm1 + grown * cross(o.m2, o.cross) + lost * o.m1;
       dm2 = dm2 + grown * cross(o.cross, o.m1) + lost * o.m2;
     }
-    const Vec3 ds = o.r1 * dm1 + o.r2 * dm2;
+    vd deeper = {};  // gradient by the logarithm of the ray's length
+    if (view.ray_power > 0.0) {
+      const vl free = (o.length < RAY_LIMIT) & (o.length > -RAY_LIMIT);
+      const vd depth = -0.6931471805599453 * log2d(o.through) * o.ray;
+      deeper = free ? sum[SLOT_SUM] * (1.0 - o.deep) / o.deep * depth * view.ray_power : vd{};
+      const vd less = deeper * (-1.0 / dot(o.cross, o.cross));
+      dm1 = dm1 + less * cross(o.m2, o.cross);
+      dm2 = dm2 + less * cross(o.cross, o.m1);
+    }
+    Vec3 ds = o.r1 * dm1 + o.r2 * dm2;
     const Vec3 dr1 = g.scale * dm1, dr2 = g.scale * dm2;
     const Vec3 dc1 = dr1.x * o.k1 + dr2.x * o.k2, dc2 = dr1.y * o.k1 + dr2.y * o.k2, dc3 = dr1.z * o.k1 + dr2.z * o.k2;
-    const Vec3 dk1 = dr1.x * o.c1 + dr1.y * o.c2 + dr1.z * o.c3, dk2 = dr2.x * o.c1 + dr2.y * o.c2 + dr2.z * o.c3;
+    Vec3 dk1 = dr1.x * o.c1 + dr1.y * o.c2 + dr1.z * o.c3, dk2 = dr2.x * o.c1 + dr2.y * o.c2 + dr2.z * o.c3;
+    if (view.ray_power > 0.0) {
+      const vd wider = deeper / o.across2, larger = (2.0 / 3.0) * deeper;
+      dk1 = dk1 + wider * cross(o.k2, o.across);
+      dk2 = dk2 + wider * cross(o.across, o.k1);
+      ds = ds + Vec3{larger / g.scale.x, larger / g.scale.y, larger / g.scale.z};
+    }
 
     const vd near = 1.0 / o.local.z, fx = view.fx * near, fy = view.fy * near;
     const vd tx = o.local.x * near, ty = o.local.y * near;
@@ -239,6 +292,9 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
     dx = (dx - along * x) / g.norm;
     dy = (dy - along * y) / g.norm;
     dz = (dz - along * z) / g.norm;
+    vd to_opacity = 1.0 / g.opacity;
+    if (view.ray_power > 0.0)
+      to_opacity = 1.0 - g.opacity > MIN_THROUGH ? o.ray * (1.0 - o.deep) / (o.through * o.deep) : vd{};
     for (int l = 0; l < count; ++l) {
       const int64_t n = start + l;
       const bool visible = splats[n].opacity > 0.0f;
@@ -248,7 +304,7 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
       for (int k = 0; k < 3; ++k) out.scales[3 * n + k] = visible ? narrow(to_scale[k]) : 0.0f;
       for (int k = 0; k < 4; ++k) out.quats[4 * n + k] = visible ? narrow(to_quat[k]) : 0.0f;
       for (int k = 0; k < 2 && out.offset; ++k) out.offset[2 * n + k] = visible ? narrow(to_offset[k]) : 0.0f;
-      out.opacities[n] = visible ? (float)(sum[SLOT_SUM][l] / g.opacity[l]) : 0.0f;
+      out.opacities[n] = visible ? (float)(sum[SLOT_SUM][l] * to_opacity[l]) : 0.0f;
     }
   }
 }

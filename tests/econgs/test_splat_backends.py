@@ -31,6 +31,13 @@ SCENES: dict[str, dict[str, Any]] = {
     "one-pixel": {"size": (1, 1), "count": 60, "sigma": 0.1},
     "narrow-filter": {"low_pass": LowPass(0.05), "sigma": 0.02},
     "compensated": {"low_pass": LowPass(0.1, compensated=True), "sigma": 0.02, "opacity": (0.3, 1.0)},
+    "rays": {"low_pass": LowPass(ray_power=0.5), "stretch": 0.8, "sigma": 0.03},
+    "rays-near": {"low_pass": LowPass(ray_power=1.0), "position": (0.3, 0.4, 0.3), "fov": 1.2, "count": 120},
+    "rays-compensated": {
+        "low_pass": LowPass(0.1, True, ray_power=0.5),
+        "stretch": 0.4,
+        "opacity": (0.3, 1.0),
+    },
     "compensated-needles": {"low_pass": LowPass(compensated=True), "stretch": 0.8, "count": 150},
 }
 

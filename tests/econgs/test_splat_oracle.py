@@ -11,6 +11,8 @@ import torch
 
 from datasets.camera import Camera
 from econgs.splat import LINEAGE, LowPass, rasterise
+from econgs.splat.rays import along_rays
+from econgs.splat.torch_backend import _project
 
 SCENES = {
     "plain": {},
@@ -21,6 +23,8 @@ SCENES = {
     "tiny": {"sigma": 0.001, "size": (16, 16)},
     "narrow filter": {"low_pass": LowPass(0.05), "sigma": 0.01},
     "compensated": {"low_pass": LowPass(0.1, compensated=True), "sigma": 0.03, "opacity": (0.5, 1.0)},
+    "rays": {"low_pass": LowPass(ray_power=0.5), "stretch": 1.0, "position": (0.3, 0.4, 0.2), "fov": 1.6},
+    "rays, compensated": {"low_pass": LowPass(0.1, True, ray_power=1.0), "opacity": (0.5, 1.0), "shift": 9.0},
 }
 
 
@@ -50,7 +54,7 @@ def test_scenes_reach_every_rule(splat: Any) -> None:
     assert (abs(in_front[:, 0] / in_front[:, 2]) > 1.3 * camera.width / 2 / camera.fx).any()
 
 
-@pytest.mark.parametrize("low_pass", [LINEAGE, LowPass(0.8, compensated=True)])
+@pytest.mark.parametrize("low_pass", [LINEAGE, LowPass(0.8, compensated=True), LowPass(ray_power=0.7)])
 def test_gradients_are_those_of_finite_differences(splat: Any, low_pass: LowPass) -> None:
     scene = splat.make_scene(7, (18, 13), 2, seed=2, sigma=0.15, opacity=(0.3, 0.7), shift=1.0)
     inputs = [one.clone().requires_grad_(True) for one in scene.tensors.values()]
@@ -114,6 +118,8 @@ def test_a_filter_without_a_width_is_refused(number: float) -> None:
     if number:
         with pytest.raises(ValueError, match="smoothing"):
             LowPass(smoothing=number)
+        with pytest.raises(ValueError, match="power"):
+            LowPass(ray_power=number)
 
 
 def test_smoothing_adds_to_the_covariance_in_the_scene(splat: Any, backend: Any) -> None:
@@ -160,3 +166,42 @@ def test_a_compensated_gaussian_keeps_its_mass(backend: Any) -> None:
         ).alpha
         cut = 2.0 * np.pi * (variance + low_pass.variance) / 255.0  # of the mass, beyond alpha 1/255
         assert alpha.sum().item() == pytest.approx(2.0 * np.pi * opacity * variance - cut, rel=0.02)
+
+
+def test_a_sheet_is_darker_edge_on(backend: Any) -> None:
+    """By the length of the ray in it: a disk of radius r and thickness t is r / t times as deep."""
+    kind = {"dtype": torch.float32, "device": backend.device}
+    camera = Camera.with_fov(np.eye(4), 0.6, 65, 65)
+
+    def middle(quat: tuple[float, ...], power: float) -> float:
+        out = rasterise(
+            torch.tensor([[0.0, 0.0, 2.0]], **kind),
+            torch.tensor([quat], **kind),
+            torch.tensor([[0.2, 0.2, 0.05]], **kind),
+            torch.tensor([0.3], **kind),
+            torch.ones((1, 1), **kind),
+            camera,
+            low_pass=LowPass(1e-4, ray_power=power),
+            backend=backend.name,
+        )
+        return float(out.alpha[32, 32])
+
+    for power in (0.0, 0.5, 1.0):
+        face, edge = middle((1.0, 0.0, 0.0, 0.0), power), middle((0.5**0.5, 0.5**0.5, 0.0, 0.0), power)
+        mean = (0.2 * 0.2 * 0.05) ** (1 / 3)
+        assert face == pytest.approx(1 - 0.7 ** ((0.05 / mean) ** power), abs=1e-4)
+        assert edge == pytest.approx(1 - 0.7 ** ((0.2 / mean) ** power), abs=1e-4)
+
+
+def test_rays_of_one_rasteriser_are_those_of_another(splat: Any) -> None:
+    scene = splat.make_scene(200, stretch=1.0)
+    means, quats, scales, opacities = (
+        scene.tensors[name] for name in ("means", "quats", "scales", "opacities")
+    )
+    low_pass = LowPass(ray_power=0.6)
+    projected = _project(means, quats, scales, scene.camera, None, low_pass)
+    want = projected.opacities(opacities)
+    inside = (abs(projected.u - 32) < 60) & (abs(projected.v - 32) < 60)  # whose Jacobian is not clamped
+    actual = along_rays(opacities, means, quats, scales, scene.camera, 0.6)
+    assert inside.sum() > 100
+    torch.testing.assert_close(actual[inside], want[inside])

@@ -109,6 +109,8 @@ def test_a_damaged_file_is_an_error(tmp_path: Path) -> None:
         "low_pass=0",
         "compensated=2",
         "smoothing=-1",
+        "ray_power=1.5",
+        "ray_power=[]",
         "low_pass=[]",
         "x",
         "a=1",
@@ -127,15 +129,16 @@ def test_a_damaged_file_is_an_error(tmp_path: Path) -> None:
 def test_a_model_is_drawn_with_the_filter_of_its_fit(name: str, tmp_path: Path) -> None:
     spec = Registry().spec(name)
     subject = Subject(spec, load_method(spec), tmp_path, 16)
-    lineage = {"low_pass": 0.3, "antialiased": False, "smoothing": 0.0}
+    lineage = {"low_pass": 0.3, "antialiased": False, "smoothing": 0.0, "ray_power": 0.0}
     usual = subject.fit(**lineage)
     assert usual.rendering.low_pass == LINEAGE
-    for changed in ({"low_pass": 0.05}, {"antialiased": True}, {"smoothing": 0.5}):
+    for changed in ({"low_pass": 0.05}, {"antialiased": True}, {"smoothing": 0.5}, {"ray_power": 1.0}):
         model = subject.fit(**lineage | changed)
         low_pass = model.rendering.low_pass
         assert low_pass.variance == changed.get("low_pass", 0.3)
         assert low_pass.compensated == changed.get("antialiased", False)
         assert (low_pass.smoothing > 0.0) == ("smoothing" in changed)
+        assert low_pass.ray_power == changed.get("ray_power", 0.0)
         assert (pictures(model, 1.0) != pictures(usual, 1.0)).any()
         folder, _ = subject.saved(model, f"with {next(iter(changed))}")
         loaded = subject.method.load(folder, "cpu")
