@@ -25,7 +25,7 @@ class SplattingOptions:
         maximum=4.0,
     )
     ray_power: float = option(
-        0.5,
+        1.0,
         "power of the ray's length in a Gaussian that multiplies its optical depth; 0 = not (published)",
         minimum=0.0,
         maximum=1.0,
