@@ -109,16 +109,6 @@ def decode(
     return ViewGaussians(*outputs)
 
 
-def shade(
-    means: Tensor, normals: Tensor, base: Tensor, coefficients: Tensor, eye: Tensor, light: Tensor | None
-) -> Tensor:
-    """Native part of :func:`econgs.anchors.shading.shade`, without gradients."""
-    colors = torch.empty_like(means)
-    x, n, b, c = (one.detach().contiguous().numpy() for one in (means, normals, base, coefficients))
-    _native.shade(x, n, b, c, eye.numpy(), None if light is None else light.numpy(), colors.numpy())
-    return colors
-
-
 def decode_plain(
     inputs: Sequence[Tensor], weights: Sequence[Tensor], eye: Tensor, visible: bool
 ) -> ViewGaussians:

@@ -82,9 +82,9 @@ def shade(
         one.requires_grad for one in (means, normals, base, coefficients)
     )
     if not learns and choose_backend(means, backend) == "native":
-        from econgs.anchors import native
+        from econgs.anchors import native_shading
 
-        return native.shade(means, normals, base, coefficients, eye, light)
+        return native_shading.shade(means, normals, base, coefficients, eye, light)
     length = torch.linalg.vector_norm(normals, dim=-1, keepdim=True)
     normals = normals / length.clamp_min(MIN_NORMAL)
     view = unit(eye - means)
