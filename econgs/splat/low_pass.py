@@ -1,4 +1,4 @@
-"""Low-pass filters of Gaussians: on the image, so that none falls between pixels, and in the scene."""
+"""Between Gaussians and pixels: low-pass filters on the image and in the scene, and depth along a ray."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class LowPass:
-    """Filters of Gaussians.
+    """Filters of Gaussians, and how dark they are along a ray.
 
     Attributes:
         variance: added to the diagonal of the projected covariance, in px²; above 0.
