@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-import econgs.anchors.decode as decoding
+import econgs.anchors.gaussians as gaussians
 from econgs.anchors.colors import offset_colors
+from econgs.anchors.decode import decode
 from econgs.anchors.decoders import Decoders
 
 from .test_decode import EYE, Case
@@ -28,11 +29,9 @@ def test_offset_colors_are_those_of_decoding(monkeypatch, storage, activation, d
         arguments["base"] = base
         return base
 
-    monkeypatch.setattr(decoding, "shade", shade)
+    monkeypatch.setattr(gaussians, "shade", shade)
     anchors, features, scalings, offsets, embedding, palette = inputs.values()
-    decoded = decoding.decode(
-        anchors, features, scalings, offsets, decoders, embedding, palette, EYE, backend="torch"
-    )
+    decoded = decode(anchors, features, scalings, offsets, decoders, embedding, palette, EYE, backend="torch")
     colors = offset_colors(decoders, anchors, features, embedding, torch.tensor(EYE))
     by_slot = colors.transpose(1, 2).reshape(-1, 3)[decoded.slots]
     torch.testing.assert_close(by_slot, arguments["base"] - palette)
