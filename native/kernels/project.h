@@ -255,7 +255,7 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
       const vl free = (o.length < RAY_LIMIT) & (o.length > -RAY_LIMIT);
       const vd depth = -0.6931471805599453 * log2d(o.through) * o.ray;
       deeper = free ? sum[SLOT_SUM] * (1.0 - o.deep) / o.deep * depth * view.ray_power : vd{};
-      const vd less = deeper * (-1.0 / dot(o.cross, o.cross));
+      const vd less = deeper * (-1.0 / maxd(dot(o.cross, o.cross), setd(MIN_VOLUME)));
       dm1 = dm1 + less * cross(o.m2, o.cross);
       dm2 = dm2 + less * cross(o.cross, o.m1);
     }
@@ -267,7 +267,8 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
       const vd wider = deeper / o.across2, larger = (2.0 / 3.0) * deeper;
       dk1 = dk1 + wider * cross(o.k2, o.across);
       dk2 = dk2 + wider * cross(o.across, o.k1);
-      ds = ds + Vec3{larger / g.scale.x, larger / g.scale.y, larger / g.scale.z};
+      const vd least = setd(MIN_VOLUME);  // a scale of 0, whose length is held
+      ds = ds + Vec3{larger / maxd(g.scale.x, least), larger / maxd(g.scale.y, least), larger / maxd(g.scale.z, least)};
     }
 
     const vd near = 1.0 / o.local.z, fx = view.fx * near, fy = view.fy * near;

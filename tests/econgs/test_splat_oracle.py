@@ -193,6 +193,22 @@ def test_a_sheet_is_darker_edge_on(backend: Any) -> None:
         assert edge == pytest.approx(1 - 0.7 ** ((0.2 / mean) ** power), abs=1e-4)
 
 
+def test_a_gaussian_without_thickness_has_finite_gradients(splat: Any, backend: Any) -> None:
+    scene = splat.make_scene(30, sigma=0.1, opacity=(0.3, 0.7))
+    for flat in ([2], [1, 2], [0, 1, 2]):
+        leaves = {
+            name: one.to(torch.float32).to(backend.device).clone() for name, one in scene.tensors.items()
+        }
+        leaves["scales"][:, flat] = 0.0
+        for one in leaves.values():
+            one.requires_grad_(True)
+        out = rasterise(camera=scene.camera, low_pass=LowPass(ray_power=0.5), backend=backend.name, **leaves)
+        (out.features.sum() + out.alpha.sum()).backward()
+        assert out.alpha.max() > 0.0
+        for name, one in leaves.items():
+            assert torch.isfinite(one.grad).all(), (name, flat)
+
+
 def test_rays_of_one_rasteriser_are_those_of_another(splat: Any) -> None:
     scene = splat.make_scene(200, stretch=1.0)
     means, quats, scales, opacities = (
