@@ -145,10 +145,7 @@ class Decoders(nn.Module):
 
     def implicit_offsets(self, features: Tensor, embedding: Tensor) -> Tensor:
         """(N, K, 3) offsets as "implicit" decodes them, from features (N, F) and the embedding (E,)."""
-        first, bias, second, second_bias = self.network("offset").tensors()
-        width = self.features
-        hidden = torch.relu(torch.addmm(bias + first[:, width:] @ embedding, features, first[:, :width].T))
-        out = torch.addmm(second_bias, hidden, second.T).view(len(features), 3, self.offsets)
+        out = self._outputs("offset", features, embedding).view(len(features), 3, self.offsets)
         offsets: Tensor = out.transpose(1, 2).contiguous()
         return offsets
 
@@ -160,10 +157,14 @@ class Decoders(nn.Module):
             features: (N, F).
             embedding: (E,).
         """
-        first, bias, second, second_bias = self.network("opacity").tensors()
+        return (self._outputs("opacity", features, embedding) > 0.0).to(features.dtype)
+
+    def _outputs(self, name: str, features: Tensor, embedding: Tensor) -> Tensor:
+        """Outputs of a network whose inputs are the features alone, beside the embedding."""
+        first, bias, second, second_bias = self.network(name).tensors()
         width = self.features
         hidden = torch.relu(torch.addmm(bias + first[:, width:] @ embedding, features, first[:, :width].T))
-        return (torch.addmm(second_bias, hidden, second.T) > 0.0).to(features.dtype)
+        return torch.addmm(second_bias, hidden, second.T)
 
     @torch.no_grad()
     def _show_half(self) -> None:

@@ -107,8 +107,6 @@ def decode_colors(
         names = ("anchors", "features", "scalings", "offsets")
         refuse_non_finite(dict(zip(names, inputs, strict=True)), decoders)
         decoded = _torch_decode(*inputs, decoders, view, opacity > 0.0)
-    if opacity == 1.0:
-        return decoded
     return replace(decoded, opacities=scale_depth(decoded.opacities, opacity))
 
 

@@ -80,11 +80,7 @@ class UnshadedGaussians:
         backend: str | None = None,
     ) -> Tensor:
         """(M, 3) colors under edits; arguments as for :func:`econgs.anchors.shading.shade`."""
-        coefficients = self.coefficients
-        if factors != Factors(opacity=factors.opacity):
-            by = [factors.ambient, factors.diffuse, factors.specular, factors.shininess]
-            coefficients = coefficients * coefficients.new_tensor(by)
-        base = palette + self.offset_colors
+        base, coefficients = palette + self.offset_colors, factors.on(self.coefficients)
         return shade(self.means, self.normals, base, coefficients, eye, light, backend)
 
 

@@ -45,6 +45,11 @@ class Factors:
             if not 0.0 <= value < math.inf:
                 raise ValueError(f"the factor on {name} is {value}; it must be finite and at least 0")
 
+    def on(self, coefficients: Tensor) -> Tensor:
+        """(M, 4) k_a, k_d, k_s and β of Gaussians after the edit."""
+        by = [self.ambient, self.diffuse, self.specular, self.shininess]
+        return coefficients if by == [1.0] * 4 else coefficients * coefficients.new_tensor(by)
+
 
 def unit(vectors: Tensor) -> Tensor:
     """Vectors of length 1; those shorter than ``MIN_LENGTH`` become zero."""

@@ -78,12 +78,9 @@ class ShadedGaussians:
 
     def colors(self, eye: Tensor, palette: Tensor, light: Direction | None, factors: Factors) -> Tensor:
         """(N, 3) shaded colors, seen from ``eye``."""
-        coefficients = self.coefficients
-        if factors != Factors(opacity=factors.opacity):
-            by = [factors.ambient, factors.diffuse, factors.specular, factors.shininess]
-            coefficients = coefficients * coefficients.new_tensor(by)
         toward = None if light is None else self.means.new_tensor(light)
-        return shade(self.means, self.normals, palette + self.offsets, coefficients, eye, toward)
+        base, coefficients = palette + self.offsets, factors.on(self.coefficients)
+        return shade(self.means, self.normals, base, coefficients, eye, toward)
 
 
 def activated(raw: Mapping[str, Tensor]) -> dict[str, Tensor]:

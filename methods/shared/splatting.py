@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from methods.interface import OptionValue, option
+from methods.shared.schedule import Decay
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,7 @@ class SplattingOptions:
     start_scale: float = option(
         0.6, "first scales of Gaussians, x what is published", minimum=0.01, maximum=10.0
     )
-    decay: Literal["linear", "exponential"] = option(
-        "linear", "how learning rates with a last value go there from the first"
-    )
+    decay: Decay = option("linear", "how learning rates with a last value go there from the first")
     alpha_weight: float = option(
         0.05,
         "weight of the mean absolute error of alpha, where training views are transparent anywhere",

@@ -46,6 +46,16 @@ Networks networks_of(const DecodeShape& s, const std::vector<In>& weights, const
   return nets;
 }
 
+DecodeView lit_view(const Vector3& eye, const std::optional<Vector3>& light) {
+  DecodeView view = {};
+  for (int d = 0; d < 3; ++d) {
+    view.eye[d] = eye.data()[d];
+    view.light[d] = light ? light->data()[d] : 0.0f;
+  }
+  view.headlight = !light;
+  return view;
+}
+
 DecodeFrame* begin_checked(const In& anchors, const In& features, const In& scalings, const In& offsets,
                            const std::vector<In>& weights, const In& embedding, const Vector3& palette,
                            const Vector3& eye, std::optional<Vector3> light, const std::vector<float>& factors,
@@ -61,13 +71,8 @@ DecodeFrame* begin_checked(const In& anchors, const In& features, const In& scal
   const DecodeInputs in = inputs_of(shape, anchors, features, scalings, offsets);
   const Networks nets = networks_of(shape, weights, embedding);
   expect(is(opacities, {in.count, shape.offsets}), "opacities must have shape (N, K)");
-  DecodeView view = {};
-  for (int d = 0; d < 3; ++d) {
-    view.eye[d] = eye.data()[d];
-    view.palette[d] = palette.data()[d];
-    view.light[d] = light ? light->data()[d] : 0.0f;
-  }
-  view.headlight = !light;
+  DecodeView view = lit_view(eye, light);
+  for (int d = 0; d < 3; ++d) view.palette[d] = palette.data()[d];
   view.sigmoid_color = sigmoid_color;
   view.opacity = factors[0];
   view.ambient = factors[1];
@@ -135,12 +140,7 @@ void shade_checked(const In& means, const In& normals, const In& base, const In&
   expect(n >= 0 && is(means, {n, 3}) && is(normals, {n, 3}) && is(base, {n, 3}) && is(coefficients, {n, 4}) &&
              is(colors, {n, 3}),
          "shade: attributes of different sizes");
-  DecodeView view = {};
-  for (int d = 0; d < 3; ++d) {
-    view.eye[d] = eye.data()[d];
-    view.light[d] = light ? light->data()[d] : 0.0f;
-  }
-  view.headlight = !light;
+  const DecodeView view = lit_view(eye, light);
   const ShadeInputs in = {means.data(), normals.data(), base.data(), coefficients.data()};
   float* const to = colors.data();
   nb::gil_scoped_release release;
