@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
-from econgs.splat.rays import along_rays
+from econgs.splat.rays import deepen, relative_depths
 from econgs.splat.splats import Splats
+from econgs.splat.torch_backend import rotations
 
 TILE = 16
 
@@ -39,7 +40,7 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         eps2d=low_pass.variance, near_plane=camera.near, calc_compensations=low_pass.compensated,
     )  # fmt: skip
     if low_pass.ray_power:
-        opacities = along_rays(opacities, means, quats, scales, camera, low_pass.ray_power)
+        opacities = deepen(opacities, ray_factors(means, quats, scales, camera, low_pass.ray_power))
     if low_pass.compensated:
         opacities = opacities * shares[0]
     if screen_offset is not None:
@@ -60,6 +61,12 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         centres, conics, payload, opacities[None], width, height, TILE, offsets.reshape(1, down, across), flat
     )
     return image[0, ..., :-1], alpha[0, ..., 0], image[0, ..., -1], radius
+
+
+def ray_factors(means: Tensor, quats: Tensor, scales: Tensor, camera: Camera, power: float) -> Tensor:
+    """N factors on optical depths in a view; see ``ray_power`` of :class:`econgs.splat.LowPass`."""
+    rays = torch.nn.functional.normalize(means - means.new_tensor(camera.position), dim=1)
+    return relative_depths(torch.einsum("nij,ni->nj", rotations(quats), rays), scales) ** power
 
 
 def _extents(

@@ -16,9 +16,9 @@ class LowPass:
             of the ratio of the determinants (Yu et al. 2024, Mip-Splatting).
         smoothing: added to the diagonal of the covariance in the scene, in squared scene units: a least size
             that does not depend on the view.
-        ray_power: optical depths are multiplied by this power of the length of the ray through the middle of
-            a Gaussian, over its mean radius (the cube root of the product of its scales): a sheet is darker
-            seen edge-on, as in a volume. 0: as dark from everywhere (published); 1: as a density would be.
+        ray_power: optical depths are multiplied by this power of a Gaussian's mean area (of the projections
+            along its axes; root of the mean square) over its area across the ray: a sheet is darker seen
+            edge-on, as in a volume. 0: as dark from everywhere (published); 1: a density of constant mass.
 
     Raises:
         ValueError: the variance is not above 0, the smoothing is negative, the power is not within 0 to 1, or

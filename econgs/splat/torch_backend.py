@@ -16,13 +16,12 @@ from torch import Tensor
 from datasets.camera import Camera
 from econgs.splat.composite import MIN_ALPHA
 from econgs.splat.low_pass import LowPass
+from econgs.splat.rays import deepen, relative_depths
 from econgs.splat.splats import Splats
 
 TILE = 16  # pixels
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
-MIN_THROUGH = 1e-4  # least transmittance of a Gaussian whose depth is changed
-RAY_LIMIT = math.log(50.0)  # of the relative length of a ray
 CLAMP = 1.3  # the Jacobian is taken no further out than this many half fields of view
 
 
@@ -47,7 +46,7 @@ class Projected(NamedTuple):
     def opacities(self, opacities: Tensor) -> Tensor:
         """Opacities of the middles, from those of the Gaussians."""
         if self.ray is not None:
-            opacities = 1.0 - (1.0 - opacities).clamp_min(MIN_THROUGH) ** self.ray
+            opacities = deepen(opacities, self.ray)
         return opacities if self.share is None else opacities * self.share
 
 
@@ -116,7 +115,8 @@ def _project(
     # With M = J W R S the projected covariance is M Mᵀ + variance I. Its determinant is taken from the cross
     # product of M's rows (Cauchy-Binet): a c - b² cancels for needles.
     to_image = jacobian @ view
-    first, second = (to_image @ rotations(quats) * scales[:, None, :]).unbind(1)
+    turns = rotations(quats)
+    first, second = (to_image @ turns * scales[:, None, :]).unbind(1)
     aa, cc = (first * first).sum(-1), (second * second).sum(-1)
     cross = torch.linalg.cross(first, second)
     before, variance = (cross * cross).sum(-1), low_pass.variance
@@ -124,12 +124,9 @@ def _project(
     share = (before / det).sqrt() if low_pass.compensated else None
     ray = None
     if low_pass.ray_power:
-        # The ray through the middle has the length vol |k1 x k2| / |m1 x m2|, with k the rows of J W.
-        across = torch.linalg.cross(*to_image.unbind(1)).square().sum(-1)
-        least = torch.finfo(means.dtype).tiny
-        volume, square = scales.prod(-1).clamp_min(least), before.clamp_min(least)
-        length = 2.0 / 3.0 * volume.log() + 0.5 * (across.log() - square.log())
-        ray = (low_pass.ray_power * length.clamp(-RAY_LIMIT, RAY_LIMIT)).exp()
+        direction = torch.stack([slope_x, slope_y, torch.ones_like(z)], dim=1)  # as the Jacobian has it
+        direction = torch.nn.functional.normalize(direction, dim=1) @ view
+        ray = relative_depths(torch.einsum("nij,ni->nj", turns, direction), scales) ** low_pass.ray_power
 
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
     if screen_offset is not None:

@@ -131,7 +131,7 @@ SPEC = MethodSpec(
     reference=(
         "K. Tang, C. Wang: ECoNGS: Efficient Compressive Neural Gaussian Splats for Volume Visualization"
     ),
-    version="5",
+    version="6",
     implementation="methods.econgs.method:Econgs",
     source=SHARED_SOURCE,
     joint=True,

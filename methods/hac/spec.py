@@ -32,7 +32,7 @@ SPEC = replace(
         "Y. Chen, Q. Wu, W. Lin, M. Harandi, J. Cai: HAC: Hash-grid Assisted Context for 3D Gaussian "
         "Splatting Compression. ECCV 2024"
     ),
-    version="3",
+    version="4",
     implementation="methods.hac.method:Hac",
     options=HacOptions,
     rate_knobs=(RateKnob("rate_weight", (5e-4, 1e-3, 2e-3, 3e-3, 4e-3), refit=True),),

@@ -59,10 +59,10 @@ struct Geometry {
   Vec3 cross;                  // m1 x m2; its square is the determinant before the filter
   vd a, b, c, det, u, v;
   vd opacity;                  // after the filter
-  // Where the ray's length counts: k1 x k2 and its square, log2 of the relative length, its power, transmittance and
-  // opacity before the filter.
-  Vec3 across;
-  vd across2, length, ray, through, deep;
+  // Where areas count: k1 x k2 and its square, squares of the scales, sum of squared areas, log2 of the relative depth,
+  // its power, transmittance and opacity before the filter.
+  Vec3 across, squares;
+  vd across2, areas, depth, ray, through, deep;
 };
 
 INLINE Batch gather(const Inputs& in, int64_t begin, int64_t end) {
@@ -88,7 +88,7 @@ INLINE Batch gather(const Inputs& in, int64_t begin, int64_t end) {
   return g;
 }
 
-constexpr double MIN_VOLUME = 1e-60;
+constexpr double MIN_AREAS = 1e-60;
 
 INLINE Geometry geometry(const Batch& g, const View& view) {
   Geometry o;
@@ -119,13 +119,14 @@ INLINE Geometry geometry(const Batch& g, const View& view) {
   o.c = cc + view.low_pass;
   o.deep = g.opacity;
   if (view.ray_power > 0.0) {
-    // The ray through the middle has the length vol |k1 x k2| / |m1 x m2| in a Gaussian, over the mean radius
-    // vol^(1/3).
+    // Across the ray, a Gaussian has the area |m1 x m2| / |k1 x k2|; across its axes, the products of two scales.
     o.across = cross(o.k1, o.k2);
     o.across2 = dot(o.across, o.across);
-    const vd volume = maxd(g.scale.x * g.scale.y * g.scale.z, setd(MIN_VOLUME));
-    o.length = (2.0 / 3.0) * log2d(volume) + 0.5 * (log2d(o.across2) - log2d(maxd(before, setd(MIN_VOLUME))));
-    o.ray = exp2d(view.ray_power * maxd(mind(o.length, setd(RAY_LIMIT)), setd(-RAY_LIMIT)));
+    o.squares = g.scale * g.scale;
+    o.areas = o.squares.y * o.squares.z + o.squares.x * (o.squares.y + o.squares.z);
+    o.depth =
+        0.5 * (log2d(maxd(o.areas * (1.0 / 3.0), setd(MIN_AREAS))) - log2d(maxd(before / o.across2, setd(MIN_AREAS))));
+    o.ray = exp2d(view.ray_power * mind(o.depth, setd(MAX_DEPTH)));
     o.through = maxd(1.0 - g.opacity, setd(MIN_THROUGH));
     o.deep = 1.0 - exp2d(o.ray * log2d(o.through));
   }
@@ -250,12 +251,11 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
       dm1 = dm1 + grown * cross(o.m2, o.cross) + lost * o.m1;
       dm2 = dm2 + grown * cross(o.cross, o.m1) + lost * o.m2;
     }
-    vd deeper = {};  // gradient by the logarithm of the ray's length
+    vd deeper = {};  // gradient by the logarithm of the relative depth
     if (view.ray_power > 0.0) {
-      const vl free = (o.length < RAY_LIMIT) & (o.length > -RAY_LIMIT);
       const vd depth = -0.6931471805599453 * log2d(o.through) * o.ray;
-      deeper = free ? sum[SLOT_SUM] * (1.0 - o.deep) / o.deep * depth * view.ray_power : vd{};
-      const vd less = deeper * (-1.0 / maxd(dot(o.cross, o.cross), setd(MIN_VOLUME)));
+      deeper = o.depth < MAX_DEPTH ? sum[SLOT_SUM] * (1.0 - o.deep) / o.deep * depth * view.ray_power : vd{};
+      const vd less = deeper * (-1.0 / maxd(dot(o.cross, o.cross), setd(MIN_AREAS)));
       dm1 = dm1 + less * cross(o.m2, o.cross);
       dm2 = dm2 + less * cross(o.cross, o.m1);
     }
@@ -264,11 +264,11 @@ static void project_backward(const Inputs& in, const View& view, const Splat* sp
     const Vec3 dc1 = dr1.x * o.k1 + dr2.x * o.k2, dc2 = dr1.y * o.k1 + dr2.y * o.k2, dc3 = dr1.z * o.k1 + dr2.z * o.k2;
     Vec3 dk1 = dr1.x * o.c1 + dr1.y * o.c2 + dr1.z * o.c3, dk2 = dr2.x * o.c1 + dr2.y * o.c2 + dr2.z * o.c3;
     if (view.ray_power > 0.0) {
-      const vd wider = deeper / o.across2, larger = (2.0 / 3.0) * deeper;
+      const vd wider = deeper / o.across2, larger = deeper / maxd(o.areas, setd(MIN_AREAS));
       dk1 = dk1 + wider * cross(o.k2, o.across);
       dk2 = dk2 + wider * cross(o.across, o.k1);
-      const vd least = setd(MIN_VOLUME);  // a scale of 0, whose length is held
-      ds = ds + Vec3{larger / maxd(g.scale.x, least), larger / maxd(g.scale.y, least), larger / maxd(g.scale.z, least)};
+      const Vec3& q2 = o.squares;
+      ds = ds + larger * (g.scale * Vec3{q2.y + q2.z, q2.x + q2.z, q2.x + q2.y});
     }
 
     const vd near = 1.0 / o.local.z, fx = view.fx * near, fy = view.fy * near;

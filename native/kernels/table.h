@@ -16,14 +16,14 @@ constexpr float MIN_ALPHA = 1.0f / 255.0f;
 constexpr float MIN_TRANSMITTANCE = 1e-4f;
 constexpr double CLAMP = 1.3;                // of half a field of view, for the Jacobian
 constexpr double MIN_THROUGH = 1e-4;         // least transmittance of a Gaussian whose depth is changed
-constexpr double RAY_LIMIT = 5.643856189774724;  // log2 of the largest relative length of a ray, 50
+constexpr double MAX_DEPTH = 5.643856189774724;  // log2 of the largest relative depth of a Gaussian, 50
 
 struct View {
   double rotation[9], translation[3];  // world to camera
   double fx, fy, cx, cy, near;
   double low_pass;  // px^2, added to the diagonal of the projected covariance
   bool compensated;  // opacities shrink so that the filter keeps a Gaussian's mass
-  double ray_power;  // optical depths are multiplied by this power of the ray's length through a Gaussian; 0: not
+  double ray_power;  // power of the relative depth of Gaussians along a ray, by which optical depths grow; 0: not
   int width, height;
 };
 

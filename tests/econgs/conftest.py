@@ -144,10 +144,11 @@ def brute_force(scene: Scene) -> Reference:
         covariance = before + scene.low_pass.variance * np.eye(2)
         opacity = data["opacities"][one]
         if power := scene.low_pass.ray_power:
-            # The part of the ray (clamped as the Jacobian) from the middle to the surface at one deviation.
+            # The part of the ray (clamped as the Jacobian) from the middle to the surface at one deviation,
+            # over that of a mean direction: the mean of the inverse squares.
             ray = turn.T @ np.array([sx, sy, 1.0]) / np.sqrt(sx**2 + sy**2 + 1.0)
             length = 1.0 / np.linalg.norm(np.linalg.solve(axes, ray))
-            relative = np.clip(length / np.prod(data["scales"][one]) ** (1 / 3), 0.02, 50.0)
+            relative = min(length * np.sqrt((data["scales"][one] ** -2.0).mean()), 50.0)
             opacity = 1.0 - max(1.0 - opacity, 1e-4) ** relative**power
         if scene.low_pass.compensated:
             opacity *= np.sqrt(max(np.linalg.det(before), 0.0) / np.linalg.det(covariance))

@@ -11,7 +11,8 @@ import torch
 
 from datasets.camera import Camera
 from econgs.splat import LINEAGE, LowPass, rasterise
-from econgs.splat.rays import along_rays
+from econgs.splat.gsplat_backend import ray_factors
+from econgs.splat.rays import deepen
 from econgs.splat.torch_backend import _project
 
 SCENES = {
@@ -169,7 +170,7 @@ def test_a_compensated_gaussian_keeps_its_mass(backend: Any) -> None:
 
 
 def test_a_sheet_is_darker_edge_on(backend: Any) -> None:
-    """By the length of the ray in it: a disk of radius r and thickness t is r / t times as deep."""
+    """By the area across the ray: a disk of radius r and thickness t is r / t times as deep."""
     kind = {"dtype": torch.float32, "device": backend.device}
     camera = Camera.with_fov(np.eye(4), 0.6, 65, 65)
 
@@ -188,9 +189,10 @@ def test_a_sheet_is_darker_edge_on(backend: Any) -> None:
 
     for power in (0.0, 0.5, 1.0):
         face, edge = middle((1.0, 0.0, 0.0, 0.0), power), middle((0.5**0.5, 0.5**0.5, 0.0, 0.0), power)
-        mean = (0.2 * 0.2 * 0.05) ** (1 / 3)
-        assert face == pytest.approx(1 - 0.7 ** ((0.05 / mean) ** power), abs=1e-4)
-        assert edge == pytest.approx(1 - 0.7 ** ((0.2 / mean) ** power), abs=1e-4)
+        front, side = 0.2 * 0.2, 0.2 * 0.05
+        mean = ((front**2 + 2 * side**2) / 3) ** 0.5
+        assert face == pytest.approx(1 - 0.7 ** ((mean / front) ** power), abs=1e-4)
+        assert edge == pytest.approx(1 - 0.7 ** ((mean / side) ** power), abs=1e-4)
 
 
 def test_a_gaussian_without_thickness_has_finite_gradients(splat: Any, backend: Any) -> None:
@@ -218,6 +220,6 @@ def test_rays_of_one_rasteriser_are_those_of_another(splat: Any) -> None:
     projected = _project(means, quats, scales, scene.camera, None, low_pass)
     want = projected.opacities(opacities)
     inside = (abs(projected.u - 32) < 60) & (abs(projected.v - 32) < 60)  # whose Jacobian is not clamped
-    actual = along_rays(opacities, means, quats, scales, scene.camera, 0.6)
+    actual = deepen(opacities, ray_factors(means, quats, scales, scene.camera, 0.6))
     assert inside.sum() > 100
     torch.testing.assert_close(actual[inside], want[inside])
