@@ -15,8 +15,8 @@ from enum import IntEnum
 from datasets.errors import DataError
 
 MAGIC = b"\x89ECONGS\n"
-VERSIONS = (1, 2)
-"""In the second, offsets of Gaussians that decoders cull have no symbols."""
+VERSIONS = (1, 2, 3)
+"""Since the second, offsets of culled Gaussians may have no symbols; in the third, positions are plain."""
 MOST_SECTIONS = 4096
 LIMIT = (1 << 32) - 1  # bytes of a section
 _HEADER = struct.Struct("<8sHHQ")  # magic, version, sections, length of the whole
@@ -87,9 +87,8 @@ def read_container(data: bytes, what: str) -> list[Section]:
     _, version, count, whole = _HEADER.unpack_from(data)
     if version not in VERSIONS:
         # The checksum cannot distinguish damage from the layout of a later version.
-        reason = (
-            f"it has format version {version}; this program reads versions {VERSIONS[0]} and {VERSIONS[1]}"
-        )
+        known = f"versions {VERSIONS[0]} to {VERSIONS[-1]}"
+        reason = f"it has format version {version}; this program reads {known}"
         raise DataError(what, reason, "Update the program, or encode it anew")
     if count > MOST_SECTIONS:
         raise DataError(what, f"it announces {count} sections, more than {MOST_SECTIONS}", ANEW)

@@ -47,7 +47,7 @@ class PositionGrid:
 
     @classmethod
     def box(cls, low: ArrayLike, high: ArrayLike) -> PositionGrid:
-        """Grid of 16 bits per axis in a box (as in the paper)."""
+        """Grid of 16 bits per axis in a box (as HAC stores positions)."""
         first, last = (np.asarray(one, np.float64).reshape(3) for one in (low, high))
         sizes = np.maximum(last - first, 1e-9) / EXTENT_LIMIT
         return cls(_three(first), _three(sizes), (EXTENT_LIMIT,) * 3)
@@ -249,6 +249,30 @@ def decode_positions(data: bytes, count: int, grid: PositionGrid) -> Codes:
     codes = unmorton(np.repeat(unique, counts))
     if (codes > np.asarray(grid.extent)).any():
         raise ValueError("a position outside its grid")
+    return codes
+
+
+def write_plain_positions(codes: Codes, grid: PositionGrid) -> bytes:
+    """The positions of (N, 3) codes as float32, not coded."""
+    return grid.positions(codes).astype("<f4").tobytes()
+
+
+def read_plain_positions(data: bytes, count: int, grid: PositionGrid) -> Codes:
+    """(count, 3) codes in Morton order.
+
+    Raises:
+        ValueError: the data are not ``count`` positions of this grid in Morton order.
+    """
+    if len(data) != 12 * count:
+        raise ValueError(f"{len(data)} bytes where {count} positions were announced")
+    positions = np.frombuffer(data, "<f4").reshape(count, 3)
+    if not np.isfinite(positions).all():
+        raise ValueError("a value that is not finite")
+    codes = grid.codes(positions)
+    if (grid.positions(codes) != positions).any():
+        raise ValueError("a position off its grid")
+    if (np.diff(morton(codes)) < 0).any():
+        raise ValueError("positions out of order")
     return codes
 
 

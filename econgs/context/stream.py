@@ -34,7 +34,14 @@ from econgs.context.culling import kept_offsets
 from econgs.context.hash_grid import GridConfig, interpolate, make_lookup
 from econgs.context.integer import Coding, IntegerHead, IntegerLayer, step_sizes, whole_values
 from econgs.context.model import MOST_ELEMENTS, ContextConfig, ContextModel
-from econgs.context.positions import PositionGrid, decode_positions, encode_positions, morton_order
+from econgs.context.positions import (
+    PositionGrid,
+    decode_positions,
+    encode_positions,
+    morton_order,
+    read_plain_positions,
+    write_plain_positions,
+)
 from econgs.context.symbols import (
     Present,
     columns_of,
@@ -46,8 +53,9 @@ from econgs.context.symbols import (
 )
 
 ANCHORS_PER_BYTE = 4  # maximum number of anchors per byte of positions: bounds a reader's allocations
-_CONTEXT, _MASKS, _CULLING = 1, 2, 4
-_ALL_KINDS = (0, _CONTEXT, _MASKS, _CONTEXT | _MASKS, _CONTEXT | _CULLING)
+_CONTEXT, _MASKS, _CULLING, _PLAIN_POSITIONS = 1, 2, 4, 8
+_CODED_KINDS = (0, _CONTEXT, _MASKS, _CONTEXT | _MASKS, _CONTEXT | _CULLING)
+_ALL_KINDS = (*_CODED_KINDS, *(kinds | _PLAIN_POSITIONS for kinds in _CODED_KINDS))
 _PIECE = 8192  # anchors per lookup
 _KINDS = (Kind.FEATURES, Kind.SCALINGS, Kind.OFFSETS)
 _PARTS = {
@@ -153,6 +161,7 @@ class GroupAttributes:
         metadata: JSON object (options for the renderer).
         culling: whether offsets of Gaussians that the decoder ``opacity`` culls become 0 and take no bits
             (:mod:`econgs.context.culling`); only with context and without masks.
+        plain_positions: whether positions are stored as float32, not coded.
     """
 
     scenes: tuple[SceneAttributes, ...]
@@ -161,6 +170,7 @@ class GroupAttributes:
     decoders: Arrays = field(default_factory=dict)
     metadata: dict[str, Any] = field(default_factory=dict)
     culling: bool = False
+    plain_positions: bool = False
 
     @property
     def masked(self) -> bool:
@@ -318,7 +328,8 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
     columns_each = columns_of(group.scenes[0].features.shape[1], group.scenes[0].offsets.shape[1])
     for index, scene in enumerate(group.scenes):
         quantised = _quantise(scene, group)
-        positions = encode_positions(quantised.codes, group.grid) if len(scene) else b""
+        write = write_plain_positions if group.plain_positions else encode_positions
+        positions = write(quantised.codes, group.grid) if len(scene) else b""
         padding = bytes(max(-(-len(scene) // ANCHORS_PER_BYTE) - len(positions), 0))
         header = _text(scene.name) + np.array([len(scene), len(positions)], "<u4").tobytes()
         header += write_arrays(scene.parameters, "float32")
@@ -334,7 +345,7 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
     ledger = {"container": overhead(len(sections))}
     for one in sections:
         ledger[_PARTS[one.kind]] = ledger.get(_PARTS[one.kind], 0) + len(one.payload)
-    version = VERSIONS[int(group.culling)]
+    version = VERSIONS[2 if group.plain_positions else int(group.culling)]
     return Encoded(write_container(sections, version), ledger, ideal)
 
 
@@ -368,7 +379,9 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
     for index in range(count):
         name, anchors, length, parameters = _guarded(reader(Kind.SCENE, index), _read_scene)
         place = reader(Kind.POSITIONS, index)
-        codes = _guarded(place, partial(_read_positions, anchors=anchors, length=length, grid=grid))
+        decode = read_plain_positions if kinds & _PLAIN_POSITIONS else decode_positions
+        read_places = partial(_read_positions, anchors=anchors, length=length, grid=grid, decode=decode)
+        codes = _guarded(place, read_places)
         none = np.empty((0, 0), np.float32)
         places = grid.positions(codes)
         coding = None if context is None else context.coding(codes, grid)
@@ -389,7 +402,8 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
         scenes.append(_with_values(empty, values, width, many))
     if sections:
         raise DataError(what, "it has sections that belong to nothing", ANEW)
-    return GroupAttributes(tuple(scenes), grid, context, decoders, metadata, bool(kinds & _CULLING))
+    flags = bool(kinds & _CULLING), bool(kinds & _PLAIN_POSITIONS)
+    return GroupAttributes(tuple(scenes), grid, context, decoders, metadata, *flags)
 
 
 def _kept(
@@ -427,6 +441,7 @@ def _read_text(reader: Reader) -> str:
 def _write_group(group: GroupAttributes) -> bytes:
     first = group.scenes[0]
     kinds = _CONTEXT * (group.context is not None) + _MASKS * group.masked + _CULLING * group.culling
+    kinds += _PLAIN_POSITIONS * group.plain_positions
     shape = (len(group.scenes), first.features.shape[1], first.offsets.shape[1], kinds)
     sizes = [*shape, *group.grid.extent]
     places = np.array([*group.grid.origin, *group.grid.cell], "<f8").tobytes()
@@ -500,7 +515,13 @@ def _read_scene(reader: Reader) -> tuple[str, int, int, Arrays]:
     return name, anchors, length, read_arrays(reader)
 
 
-def _read_positions(reader: Reader, anchors: int, length: int, grid: PositionGrid) -> NDArray[np.int64]:
+def _read_positions(
+    reader: Reader,
+    anchors: int,
+    length: int,
+    grid: PositionGrid,
+    decode: Callable[[bytes, int, PositionGrid], NDArray[np.int64]],
+) -> NDArray[np.int64]:
     payload = reader.rest()
     if anchors > ANCHORS_PER_BYTE * len(payload) or length > len(payload):
         raise ValueError(f"{anchors} anchors in {len(payload)} bytes")
@@ -508,7 +529,7 @@ def _read_positions(reader: Reader, anchors: int, length: int, grid: PositionGri
         raise ValueError("its padding is not zero")
     if anchors == 0:
         return np.zeros((0, 3), np.int64)
-    return decode_positions(payload[:length], anchors, grid)
+    return decode(payload[:length], anchors, grid)
 
 
 def _write_attributes(quantised: _Quantised, columns: slice, present: Present | None) -> tuple[bytes, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from econgs.context.stream import (
     encode_group,
     round_group,
 )
-from tests.econgs.streams import arrays_of, attribute_tensors, group, with_masks
+from tests.econgs.streams import arrays_of, attribute_tensors, group, with_culling, with_masks
 
 GOLDEN = Path(__file__).parent / "data" / "golden_v1.econgs"
 GOLDEN_SHA = "00772faa9b7de7b958d9b7003b75236f6ec82daf4bd92738df5230133f9cfebc"
@@ -79,6 +80,17 @@ def test_masked_offsets_are_zero_and_cost_nothing() -> None:
     assert encoded.ledger["features"] == whole.ledger["features"]
     assert "masks" not in whole.ledger
     assert encode_group(decoded).data == encoded.data
+
+
+@pytest.mark.parametrize("of", [group, lambda: with_masks(group()), lambda: with_culling(group())])
+def test_plain_positions_are_three_floats_and_change_nothing_else(of: Callable[[], GroupAttributes]) -> None:
+    coded, plain = (encode_group(replace(of(), plain_positions=plain)) for plain in (False, True))
+    assert plain.data[8] == 3
+    assert plain.ledger["positions"] == 12 * sum(map(len, of().scenes))
+    assert {part for part in coded.ledger if coded.ledger[part] != plain.ledger[part]} == {"positions"}
+    decoded = decode_group(plain.data)
+    same(decoded, decode_group(coded.data))
+    assert encode_group(decoded).data == plain.data
 
 
 def test_masks_of_some_scenes_only_and_of_another_shape_are_refused() -> None:

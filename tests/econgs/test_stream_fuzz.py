@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import tracemalloc
 import zlib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -72,10 +73,10 @@ def test_foreign_files(data: bytes, reason: str) -> None:
 
 
 def test_other_versions() -> None:
-    for version in (0, 3, 65535):
+    for version in (0, 4, 65535):
         other = bytearray(DATA)
         struct.pack_into("<H", other, 8, version)
-        with pytest.raises(DataError, match=f"format version {version}; this program reads versions 1 and 2"):
+        with pytest.raises(DataError, match=f"format version {version}; this program reads versions 1 to 3"):
             decode_group(bytes(other))
 
 
@@ -205,3 +206,28 @@ def test_plain_attributes_of_wrong_length() -> None:
 def test_too_much_for_a_container() -> None:
     with pytest.raises(ValueError, match="at most"):
         write_container([Section(Kind.SCENE, i, b"") for i in range(5000)])
+
+
+def test_plain_positions_that_are_none() -> None:
+    plain = read_container(encode_group(replace(group((30,)), plain_positions=True)).data, "plain")
+    (scene,) = [one for one in plain if one.kind == Kind.SCENE]
+    (whole,) = [
+        np.frombuffer(one.payload, "<f4").reshape(30, 3) for one in plain if one.kind == Kind.POSITIONS
+    ]
+
+    def with_first(value: float) -> bytes:
+        changed = whole.copy()
+        changed[0, 0] = value
+        return changed.tobytes()
+
+    for payload, reason in (
+        (whole[:-1].tobytes(), "30 positions were announced"),
+        (with_first(np.nan), "not finite"),
+        (with_first(whole[0, 0] + 1e-5), "off its grid"),
+        (with_first(1e30), "off its grid"),
+        (whole[::-1].tobytes(), "out of order"),
+    ):
+        header = scene.payload[:11] + struct.pack("<I", len(payload)) + scene.payload[15:]
+        new = {Kind.SCENE: header, Kind.POSITIONS: payload}
+        changed = [Section(one.kind, one.scene, new.get(one.kind, one.payload)) for one in plain]
+        assert reason in str(refused(write_container(changed)))
