@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from econgs.anchors.growing import AnchorRules, AnchorStatistics, grow, lattice_anchors, prunable
+from econgs.anchors.scalings import Activation, activated, logarithms, of_logarithms
 from econgs.optim import Adam
 from econgs.points import neighbour_distances
 
@@ -20,9 +21,9 @@ SCALE_CAP = 0.05
 class AnchorSet:
     """Anchors of one scene. Their parameters live in an optimiser under ``<key>/<parameter>``.
 
-    Parameters: ``features`` (N, F), zero at first; ``log_scalings`` (N, 6), the logarithm of three factors of
-    offsets and three of Gaussian scales; ``offsets`` (N, K, 3), zero at first. Positions lie on the lattice
-    of ``voxel`` and are constant (Scaffold-GS).
+    Parameters: ``features`` (N, F), zero at first; ``log_scalings`` (N, 6), three factors of offsets and
+    three of Gaussian scales before activation; ``offsets`` (N, K, 3), zero at first. Positions lie on the
+    lattice of ``voxel`` and are constant (Scaffold-GS).
 
     Args:
         key: distinguishes the scenes of one optimiser.
@@ -32,6 +33,7 @@ class AnchorSet:
         offsets: K, Gaussians per anchor.
         fallback: scaling of a lone anchor, scene units.
         scale: factor on the first scalings of Gaussian scales.
+        activation: of scalings.
         masks: whether to train ``masks`` (N, K) too, one number per offset (HAC).
     """
 
@@ -45,12 +47,14 @@ class AnchorSet:
         offsets: int,
         fallback: float,
         scale: float = 1.0,
+        activation: Activation = "exp",
         masks: bool = False,
         device: torch.device | str = "cpu",
     ) -> None:
         self.parameters = (*PARAMETERS, MASKS) if masks else PARAMETERS
         self.key = key
         self.voxel = voxel
+        self.activation = activation
         self.offsets = offsets
         positions = lattice_anchors(points, voxel)
         log_scalings = neighbour_distances(positions, fallback).log()[:, None].repeat(1, 6)
@@ -59,7 +63,7 @@ class AnchorSet:
         self.positions = positions.to(device)
         self.initial = {
             "features": torch.zeros((count, features), device=device),
-            "log_scalings": log_scalings.to(device),
+            "log_scalings": of_logarithms(log_scalings, activation).to(device),
             "offsets": torch.zeros((count, offsets, 3), device=device),
         }
         if masks:
@@ -68,6 +72,10 @@ class AnchorSet:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    def scalings(self, optimiser: Adam) -> Tensor:
+        """(N, 6) activated scalings."""
+        return activated(optimiser[self.name("log_scalings")], self.activation)
 
     def name(self, parameter: str) -> str:
         """Name of one of its parameters in the optimiser."""
@@ -103,14 +111,15 @@ class AnchorSet:
         Returns:
             Whether the limit prevented some additions.
         """
-        features, log_scalings, offsets = (optimiser[self.name(parameter)] for parameter in PARAMETERS)
+        features, raw_scalings, offsets = (optimiser[self.name(parameter)] for parameter in PARAMETERS)
+        log_scalings = logarithms(raw_scalings, self.activation)
         places = offsets if decoded_offsets is None else decoded_offsets
         new_anchors = grow(self.positions, log_scalings, features, places, self.statistics, rules, generator)
         added = len(new_anchors.anchors)
         if added:
             new = {
                 "features": new_anchors.features,
-                "log_scalings": new_anchors.log_scalings,
+                "log_scalings": of_logarithms(new_anchors.log_scalings, self.activation),
                 "offsets": offsets.new_zeros((added, *offsets.shape[1:])),
                 MASKS: offsets.new_full((added, self.offsets), FIRST_MASK),
             }

@@ -46,6 +46,7 @@ class Coding:
         generator: CPU generator of noise and samples.
         margin: margin of the grid of positions round the anchors, as a share of their box: the grid stays
             while they grow within it. 0: each growth event makes a new grid.
+        sample: share of the visible anchors whose bits count in an iteration.
     """
 
     def __init__(
@@ -56,10 +57,12 @@ class Coding:
         device: torch.device | str,
         *,
         margin: float = 0.0,
+        sample: float = 0.05,
     ) -> None:
         self.schedule = schedule
         self.generator = generator
         self.margin = margin
+        self.sample = sample
         self.model = ContextModel(config, generator).to(device)
         self.noise = Noise(generator=generator, device=device)
         self._base = torch.tensor([config.steps], device=device)
@@ -122,7 +125,8 @@ class Coding:
         if not self.schedule.coded(iteration):
             return _sizes(self.model.perturb(values, self._plain(len(rows)), self.noise).values), None
         exact = self.model.coder_exact = self.schedule.exact(iteration)
-        context = self.model(self.lookup(anchors), rows, draw_sample(len(rows), self.generator))
+        sample = draw_sample(len(rows), self.generator, self.sample)
+        context = self.model(self.lookup(anchors), rows, sample)
         if exact:
             rounded = self.model.round(values, context.steps)
             noisy = Noisy(rounded, rounded.of(context.sample).flat)

@@ -276,7 +276,12 @@ class _AddNoise(torch.autograd.Function):
 
 
 def draw_sample(count: int, generator: torch.Generator, share: float = 0.05) -> Tensor:
-    """Random sample (with replacement) of ``count`` visible anchors for the rate, at least 16."""
+    """Random sample (with replacement) of ``count`` visible anchors for the rate, at least 16.
+
+    A share of 1 takes each of them once.
+    """
+    if share >= 1.0:
+        return torch.arange(count)
     many = max(round(share * count), min(count, 16))
     return torch.randint(max(count, 1), (many,), generator=generator)
 

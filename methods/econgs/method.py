@@ -31,6 +31,7 @@ class Econgs(TrainerMethod):
         empty = [scene.name for scene in scenes if len(scene.cloud) == 0]
         if empty:
             raise Refused(f"no initial cloud to compare scene {empty[0]!r} by; set joint=false")
-        distances = chamfer_distances([scene.cloud.points for scene in scenes], direction=options.chamfer)
+        clouds = [scene.cloud.points for scene in scenes]
+        distances = chamfer_distances(clouds, direction=options.chamfer, sample=options.chamfer_points)
         groups = cluster(distances, units_of(scenes) * options.threshold, options.linkage)
         return fit_to_memory([[scenes[i] for i in group] for group in groups], options)

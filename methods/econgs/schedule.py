@@ -18,12 +18,16 @@ class Schedule(AnchorSchedule):
         context_share: share of the budget after which it begins (published: half).
         growth_stop_share: share of the budget after which no anchor grows (the paper leaves it open: half,
             where the context model begins, or three quarters).
+        rounding_share: share of the budget, at its end, with rounded attributes.
+        growth_pauses: whether nothing grows while the noise is new (HAC).
     """
 
     published: ClassVar[int] = 20_000
     coding: bool = True
     growth_stop_share: float = 0.5
     context_share: float = 0.5
+    rounding_share: float = 0.05
+    growth_pauses: bool = True
 
     @property
     def context_start(self) -> int:
@@ -32,6 +36,14 @@ class Schedule(AnchorSchedule):
     @property
     def growth_stop(self) -> int:
         return max(1, round(self.growth_stop_share * self.iterations))
+
+    @property
+    def rounding_start(self) -> int:
+        return self._scaled(round((1.0 - self.rounding_share) * self.published))
+
+    @property
+    def rest(self) -> range:
+        return super().rest if self.growth_pauses else range(0)
 
     def settles_rent(self, iteration: int) -> bool:
         """Whether anchors that add nothing go before this iteration: nothing grows after the first time."""

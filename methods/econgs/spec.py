@@ -32,6 +32,9 @@ class EcongsOptions(splatting.SplattingOptions):
     threshold: float = option(0.01, "Chamfer distance up to which clusters of scenes merge", minimum=0.0)
     linkage: Literal["average", "single", "complete"] = option("average", "linkage of the clustering")
     chamfer: Literal["mean", "sum"] = option("mean", "how the two directions of the Chamfer distance combine")
+    chamfer_points: int = option(
+        512, "points of each cloud that look for their nearest in the others", minimum=1, maximum=10_000_000
+    )
     group_budget: float = option(
         1.0,
         "a group of n scenes has n to this power times the iterations of one scene",
@@ -69,6 +72,7 @@ class EcongsOptions(splatting.SplattingOptions):
     specular_start: float = option(
         0.5, "first value of the specular coefficient, of 0 to 5", minimum=1e-3, maximum=4.999
     )
+    scaling_activation: Literal["exp", "sigmoid"] = option("exp", "activation of an anchor's scalings")
     voxel: float = option(0.001, "lattice of anchors, scene units", minimum=1e-5, maximum=0.1)
     init_factor: int = option(16, "coarsest growth cell, in lattice cells", minimum=16, maximum=4096)
     growth_gradient: float = option(
@@ -82,6 +86,7 @@ class EcongsOptions(splatting.SplattingOptions):
     growth_stop: float = option(
         0.5, "share of the budget after which nothing grows", minimum=0.0, maximum=1.0
     )
+    growth_pauses: bool = option(True, "nothing grows while the quantisation noise is new, as in HAC")
     max_anchors: int = option(200_000, "growth of a scene stops at this number; 0 = no limit", minimum=0)
     # Losses
     ssim_weight: float = option(0.2, "weight of 1 - SSIM against L1", minimum=0.0, maximum=1.0)
@@ -95,11 +100,26 @@ class EcongsOptions(splatting.SplattingOptions):
     feature_lr: float = option(
         1e-2, "first learning rate of features; the last is a hundredth", minimum=0.0, maximum=1.0
     )
+    decoder_rates: Literal["lineage", "stated"] = option(
+        "lineage",
+        "learning rates of the decoders of opacity and covariance: as in Scaffold-GS; 0.01, as the paper "
+        "states for opacity, scaling and rotation",
+    )
     palette_lr: float = option(1e-4, "learning rate of palette colors", minimum=0.0, maximum=1.0)
     # Context model
     context: bool = option(True, "second stage with the context model")
     context_start: float = option(0.7, "share of the budget after which it begins", minimum=0.05, maximum=0.9)
     rate_weight: float = option(3e-4, "weight of the estimated bits (lambda_e)", minimum=0.0, maximum=1.0)
+    rate_sample: float = option(
+        0.05, "share of the visible anchors whose bits count in an iteration", minimum=0.001, maximum=1.0
+    )
+    rounding: float = option(
+        0.05,
+        "share of the budget, at its end, that trains on attributes rounded as the coder rounds them, "
+        "without noise",
+        minimum=0.0,
+        maximum=0.5,
+    )
     grid: Literal["small", "hac"] = option("small", "size of the binary hash grids")
     context_hidden: int = option(
         0, "hidden units of the context model; 0: one per 100 first anchors, 4 to 50", minimum=0, maximum=256
@@ -107,6 +127,7 @@ class EcongsOptions(splatting.SplattingOptions):
     feature_step: float = option(0.1, "quantisation step Q of features", minimum=1e-6)
     scaling_step: float = option(0.001, "quantisation step Q of scalings", minimum=1e-8)
     offset_step: float = option(0.2, "quantisation step Q of offsets", minimum=1e-6)
+    positions: Literal["coded", "float32"] = option("coded", "stored form of anchor positions")
     decoder_precision: Literal["float32", "float16", "int8"] = option(
         "int8", "precision of stored decoder weights"
     )
@@ -168,6 +189,13 @@ SPEC = MethodSpec(
                 "hidden": 50,
                 "context_hidden": 50,
                 "group_budget": 0.0,
+                "chamfer_points": 10_000,
+                "scaling_activation": "sigmoid",
+                "growth_pauses": False,
+                "decoder_rates": "stated",
+                "rate_sample": 1.0,
+                "rounding": 0.0,
+                "positions": "float32",
                 "context_start": 0.5,
                 "rate_weight": 1e-4,
                 "feature_lr": 1e-2,

@@ -19,6 +19,7 @@ from econgs.anchors.decoders import Decoders
 from econgs.anchors.folding import fold_embeddings
 from econgs.anchors.gaussians import ViewGaussians, draw
 from econgs.anchors.growing import AnchorRules
+from econgs.anchors.scalings import activated
 from econgs.anchors.shading import raw_specular
 from econgs.context.arrays import round_arrays
 from econgs.context.model import Attributes, ContextConfig
@@ -44,6 +45,8 @@ DECODER_RATES: dict[str, Rate] = {
     "normal": (8e-3, 5e-5),
     "offset": (2e-3, 2e-5),
 }
+STATED_RATES: dict[str, Rate] = {"opacity": (1e-2, 1e-4), "covariance": (1e-2, 1e-4)}
+"""Of the networks that decode what the paper's sentence on learning rates names."""
 SCALING_RATE: Rate = (1e-2, 1e-4)
 OFFSET_RATE: Rate = (1e-2, 1e-4)
 """Times the extent."""
@@ -79,6 +82,7 @@ class _Scene:
             offsets=decoders.offsets,
             fallback=0.01 * source.extent,
             scale=options.start_scale,
+            activation=options.scaling_activation,
             device=device,
         )
         stored = decoders.initial_explicit(len(self.anchors), generator)
@@ -140,7 +144,7 @@ class Trainer(AnchorLoop):
         self.context_hidden = options.context_hidden or _units(first, 100, 4)
         if self.schedule.coding:
             config = ContextConfig.of(options, self.decoders.width, self.context_hidden)
-            self.coding = Coding(config, self.schedule, self.generator, device)
+            self.coding = Coding(config, self.schedule, self.generator, device, sample=options.rate_sample)
             groups |= self.coding.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
         self.control = RateControl(options.target_bytes * len(self.scenes), options.target_psnr)
@@ -320,8 +324,9 @@ class Trainer(AnchorLoop):
 
     def _set_rates(self, scene: _Scene) -> None:
         rates = self.optimiser.rates
+        stated = STATED_RATES if self.options.decoder_rates == "stated" else {}
         for name in self.decoders.names:
-            rates[name] = self.decayed(DECODER_RATES[name])
+            rates[name] = self.decayed((DECODER_RATES | stated)[name])
         first = self.options.feature_lr
         rates[scene.anchors.name("features")] = self.decayed((first, 0.01 * first))
         rates[scene.anchors.name("log_scalings")] = self.decayed(SCALING_RATE)
@@ -358,7 +363,7 @@ class Trainer(AnchorLoop):
                 label.name,
                 positions,
                 features=to_numpy(state.value(f"{key}/features")),
-                scalings=to_numpy(state.value(f"{key}/log_scalings").exp()),
+                scalings=to_numpy(activated(state.value(f"{key}/log_scalings"), options.scaling_activation)),
                 offsets=to_numpy(state.value(f"{key}/offsets")),
                 parameters={
                     "palette": to_numpy(state.value(f"{key}/palette")),
@@ -388,6 +393,7 @@ class Trainer(AnchorLoop):
                 },
             },
             culling=context is not None and culls(options),
+            plain_positions=options.positions == "float32",
         )
         return EcongsModel([Group(round_group(group), state.device)])
 
@@ -426,8 +432,15 @@ def culls(options: EcongsOptions) -> bool:
 
 def make_schedule(iterations: int, options: EcongsOptions) -> Schedule:
     """Phases of a fit."""
-    shares = options.growth_stop, options.context_start
-    return Schedule(iterations, options.context, *shares, decay=options.decay)
+    return Schedule(
+        iterations,
+        options.context,
+        options.growth_stop,
+        options.context_start,
+        options.rounding,
+        options.growth_pauses,
+        decay=options.decay,
+    )
 
 
 def _units(anchors: int, per_unit: int, least: int) -> int:

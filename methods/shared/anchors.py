@@ -55,8 +55,8 @@ class AnchorLoop(TrainingLoop):
 
     def attributes(self, anchors: AnchorSet) -> Attributes:
         """Attributes as they are optimised, scalings activated."""
-        features, log_scalings, offsets = (self.optimiser[anchors.name(one)] for one in PARAMETERS)
-        return Attributes(features, log_scalings.exp(), offsets)
+        features, _, offsets = (self.optimiser[anchors.name(one)] for one in PARAMETERS)
+        return Attributes(features, anchors.scalings(self.optimiser), offsets)
 
     def splat(self, decoded: ViewGaussians, camera: Camera) -> tuple[SplatImages, Tensor | None]:
         """Gaussians drawn, and their screen offsets while growth reads the gradients of these."""

@@ -19,8 +19,8 @@ def anchors(positions, voxel=0.01):
     return SimpleNamespace(key="a", voxel=voxel, positions=positions, __len__=lambda: len(positions))
 
 
-def coding(margin=0.0):
-    return Coding(CONFIG, ALWAYS, torch.Generator().manual_seed(1), "cpu", margin=margin)
+def coding(**more):
+    return Coding(CONFIG, ALWAYS, torch.Generator().manual_seed(1), "cpu", **more)
 
 
 CORNERS = [[0.0, 0.0, 0.0], [1.0, 0.5, 0.2]]
@@ -49,6 +49,23 @@ def test_without_a_margin_it_is_that_of_the_anchors():
     assert one.grid.extent == (100, 50, 20)
     one.place([anchors(CORNERS[:1])])
     assert one.grid.extent == (1, 1, 1)
+
+
+def test_the_bits_of_every_visible_anchor_may_count():
+    values = Attributes(torch.zeros(9, CONFIG.features), torch.ones(9, 6), torch.zeros(9, CONFIG.offsets, 3))
+    values.features[3] = 50.0
+    places = [[0.1 * i, 0.0, 0.0] for i in range(9)]
+
+    def bits(rows):
+        one = coding(sample=1.0)
+        one.place([anchors(places)])
+        one.begin([values])
+        return one.apply(anchors(places), values.of(rows), rows, 9, 2)[1].attributes
+
+    rows = torch.arange(9)
+    each = torch.stack([bits(row[None]) for row in rows])
+    assert each.max() > 1.5 * each.min()
+    torch.testing.assert_close(bits(rows), each.mean())
 
 
 @pytest.mark.parametrize("iteration", [1, 2])
