@@ -29,6 +29,14 @@ A block begins with ``<!-- KIND`` and a description in TOML, and ends with ``<!-
     show        "breaks": the first break of each method on each ladder; "verdicts": where each method breaks
                 first, in a sentence; "flicker": that of each method on each scene
 
+``departures``  every option by which the configuration "paper" of a method differs, and what taking it back
+changes. Keys:
+
+    method, preset  whose options
+    suite       the suite whose variants take them back, one or a few together
+    bundles     as above; none: nothing is measured yet
+    where       as above
+
 ``index``    what each bundle holds; ``commands``: every command of ``bench`` with its options.
 """
 
@@ -48,7 +56,10 @@ import pandas as pd
 
 from bench.__main__ import parser
 from bench.store import Store
+from bench.suites import load_suite
 from bench.tables import build_tables
+from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
+from methods.registry import Registry
 from reports.charts import svg
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
@@ -59,7 +70,9 @@ from reports.tables.protocols import by_scene_choice
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
-BLOCK = re.compile(r"(<!-- (table|chart|ladders|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S)
+BLOCK = re.compile(
+    r"(<!-- (table|chart|ladders|departures|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S
+)
 METHODS = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")
 BY_ITSELF = "kind == 'basic' and rate.isna()"
 
@@ -312,6 +325,79 @@ def _flicker(rungs: pd.DataFrame) -> str:
     return _markdown(["flicker [1/255]", *(f"`{scene}`" for scene in scenes)], lines)
 
 
+def departures(description: str) -> str:
+    """The options of the configuration "paper", and what each is worth, as Markdown."""
+    block = tomllib.loads(description)
+    method, preset = block["method"], block["preset"]
+    spec = Registry().spec(method)
+    ours, theirs = (resolve(spec, preset, {CONFIGURATION: name}) for name in ("fair", "paper"))
+    here = {ITERATIONS: ours.iterations, **ours.values}
+    paper = {ITERATIONS: theirs.iterations, **theirs.values}
+    meaning = {ITERATIONS: "budget of a group of one scene"}
+    meaning |= {name: option.doc for name, option in declared(spec.options).items()}
+    variants = [one[method] for one in load_suite(block["suite"]).variants if one]
+    labels = [resolve(spec, preset, variant).variant for variant in variants]
+    results = _measured(block, ["", *labels])
+    worth = {label: _worth(results, label) for label in labels}
+    leaders: dict[str, str] = {}  # the option that stands for its variant
+    cells = [["**default**", "", "", "", *_absolute(results)]]
+    for name in (name for name in here if here[name] != paper[name]):
+        label = next((one for one, given in zip(labels, variants, strict=True) if name in given), "")
+        numbers = worth.get(label, [DASH] * len(WORTH))
+        if (leader := leaders.setdefault(label, name)) != name and label:
+            numbers = [f"with `{leader}`", *[""] * (len(WORTH) - 1)]
+        values = [written(side[name]) for side in (here, paper)]
+        cells.append([f"`{name}`", *values, _escaped(meaning[name]), *numbers])
+    whole = resolve(spec, preset, {CONFIGURATION: "paper"}).variant
+    cells.append([f"`{whole}`", "", "", "all of them", *worth.get(whole, [DASH] * len(WORTH))])
+    titles = ["option", "here", "paper", "meaning", *(title for title, _ in WORTH)]
+    return _markdown(titles, cells) + "\n" + _departure_conditions(results, spec.version)
+
+
+DASH = "\N{EN DASH}"
+WORTH = (("PSNR [dB]", "psnr"), ("size", "mib"), ("training", "seconds"))
+"""Title of a column and name in VALUES: a difference of PSNR, and factors."""
+
+
+def _measured(block: dict[str, Any], variants: list[str]) -> pd.DataFrame:
+    """Rows of these variants; none without bundles."""
+    if not block["bundles"]:
+        return pd.DataFrame(columns=["variant"])
+    results = by_scene_choice(tables(tuple(block["bundles"]))["results"])
+    results = results.query(block.get("where", BY_ITSELF), engine="python")
+    return results[(results["method"] == block["method"]) & results["variant"].isin(variants)]
+
+
+def _means(results: pd.DataFrame, variant: str) -> list[float | None]:
+    rows = results[results["variant"] == variant]
+    return [_number(rows if len(rows) else None, VALUES[name], False)[1] for _, name in WORTH]
+
+
+def _absolute(results: pd.DataFrame) -> list[str]:
+    """PSNR, size and training time of the defaults."""
+    units = ("{:.2f}", "{:,.2f} MiB", "{:,.0f} s")
+    numbers = zip(units, _means(results, ""), strict=True)
+    return [DASH if number is None else unit.format(number) for unit, number in numbers]
+
+
+def _worth(results: pd.DataFrame, variant: str) -> list[str]:
+    """What a variant changes: PSNR by a difference, size and training time by factors."""
+    psnr, *others = zip(_means(results, variant), _means(results, ""), strict=True)
+    factors = [
+        DASH if None in (one, base) else f"\N{MULTIPLICATION SIGN}{one / base:.2f}" for one, base in others
+    ]
+    return [_change(*psnr), *factors]
+
+
+def _departure_conditions(results: pd.DataFrame, today: str) -> str:
+    if results.empty:
+        return "*Not measured yet.*\n"
+    versions = sorted(set(results["method_version"].dropna()))
+    if versions == [today]:
+        return _conditions(results)
+    return f"{_conditions(results)}\n*Measured with version {', '.join(versions)}; today's is {today}.*\n"
+
+
 def index(_: str) -> str:
     """What each bundle holds, as Markdown."""
     titles = ["bundle", "MB", "rows", "datasets", "methods", "presets", "seeds"]
@@ -359,6 +445,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "table": table,
     "chart": chart,
     "ladders": ladders_of,
+    "departures": departures,
     "index": index,
     "commands": commands,
 }

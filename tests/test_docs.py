@@ -9,6 +9,8 @@ from types import ModuleType
 
 import pytest
 
+from methods.econgs.spec import SPEC
+from methods.options import declared, resolve
 from reports.schema import frame
 from tests.reports.tables.test_ladders import table as rungs
 
@@ -83,3 +85,67 @@ def test_a_block_of_ladders(generate, monkeypatch, show, line) -> None:
     lines = generate.ladders_of(f'bundles = ["b"]\nshow = "{show}"\n').splitlines()
     assert line in lines
     assert lines[-1] == "*preset quick; 8²; training views 4; seed 0; P.*"
+
+
+BLOCK = 'method = "econgs"\npreset = "quick"\nsuite = "departures"\nbundles = ["b"]\n'
+
+
+def _departures(generate, monkeypatch, *rows) -> list[str]:
+    usual = {"method": "econgs", "kind": "basic", "variant": "", "preset": "quick", "width": 8, "height": 8,
+             "train_views": 4, "seed": 0, "fit_processor": "P", "method_version": SPEC.version,
+             "psnr": 30.0, "size_bytes": 2**20, "train_seconds": 100.0}  # fmt: skip
+    results = frame("results", [usual | row for row in rows])
+    monkeypatch.setattr(generate, "tables", lambda bundles: {"results": results})
+    return generate.departures(BLOCK).splitlines()
+
+
+def test_departures_join_options_with_what_was_measured(generate, monkeypatch) -> None:
+    others = (
+        {"method": "hac", "psnr": 1.0},
+        {"kind": "edited", "psnr": 1.0},
+        {"variant": "rent=1", "psnr": 1.0},
+    )
+    lines = _departures(
+        generate,
+        monkeypatch,
+        {},
+        {"variant": "start_spacing=0", "psnr": 31.0, "size_bytes": 3 * 2**20, "train_seconds": 150.0},
+        {"variant": "growth_adapts=false,growth_gradient=0.0002", "psnr": 29.75},
+        {"variant": "configuration=paper", "size_bytes": 2**19},
+        *others,
+    )
+    cells = {
+        line.split(" | ")[0].strip("| "): line.strip("| ").split(" | ") for line in lines[2:] if "|" in line
+    }
+    assert lines[2] == "| **default** |  |  |  | 30.00 | 1.00 MiB | 100 s |"
+    doc = declared(SPEC.options)["start_spacing"].doc
+    assert cells["`start_spacing`"] == [
+        "`start_spacing`",
+        "3",
+        "0",
+        doc,
+        "+1.00",
+        "\N{MULTIPLICATION SIGN}3.00",
+        "\N{MULTIPLICATION SIGN}1.50",
+    ]
+    assert cells["`growth_gradient`"][1:3] == ["0.0003", "0.0002"]
+    assert cells["`growth_gradient`"][4:] == ["\N{MINUS SIGN}0.25", *["\N{MULTIPLICATION SIGN}1.00"] * 2]
+    assert cells["`growth_adapts`"][4] == "with `growth_gradient`"
+    assert cells["`features`"][4:] == ["\N{EN DASH}"] * 3
+    assert cells["`configuration=paper`"][4:] == [
+        "0",
+        "\N{MULTIPLICATION SIGN}0.50",
+        "\N{MULTIPLICATION SIGN}1.00",
+    ]
+    ours, theirs = (resolve(SPEC, "quick", {"configuration": name}).values for name in ("fair", "paper"))
+    names = [f"`{name}`" for name in ours if ours[name] != theirs[name]]
+    assert list(cells) == ["**default**", "`iterations`", *names, "`configuration=paper`"]
+    assert lines[-1] == "*preset quick; 8²; training views 4; seed 0; P.*"
+
+
+def test_departures_say_what_was_measured_with_another_version_or_not_at_all(generate, monkeypatch) -> None:
+    lines = _departures(generate, monkeypatch, {"method_version": "0"})
+    assert lines[-1] == f"*Measured with version 0; today's is {SPEC.version}.*"
+    none = generate.departures(BLOCK.replace('"b"', "")).splitlines()
+    assert none[-1] == "*Not measured yet.*"
+    assert none[2] == "| **default** |  |  |  | \N{EN DASH} | \N{EN DASH} | \N{EN DASH} |"

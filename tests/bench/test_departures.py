@@ -6,8 +6,10 @@ from methods.options import resolve
 
 
 def test_every_departure_is_taken_back() -> None:
-    variants = [dict(one["econgs"]) for one in load_suite("departures").variants if one]
+    suite = load_suite("departures")
+    variants = [dict(one["econgs"]) for one in suite.variants if one]
     assert {"configuration": "paper"} in variants
     taken = {name: value for one in variants for name, value in one.items() if name != "configuration"}
-    ours, theirs = (vars(resolve(SPEC, "quick", {"configuration": one}).options) for one in ("fair", "paper"))
+    settings = [resolve(SPEC, suite.preset, {"configuration": one}) for one in ("fair", "paper")]
+    ours, theirs = ({"iterations": one.iterations, **one.values} for one in settings)
     assert taken == {name: value for name, value in theirs.items() if value != ours[name]}
