@@ -102,6 +102,9 @@ VALUES = {
     "groups": Value("groups", "group", 1, "nunique", ".0f"),
     "scenes": Value("scenes", "scene", 1, "nunique", ".0f"),
 }
+DASH = "\N{EN DASH}"
+WORTH = (("PSNR [dB]", "psnr"), ("size", "mib"), ("training", "seconds"))
+"""Columns of a block of departures: title, and name in VALUES: a difference of PSNR, and factors."""
 
 
 @cache
@@ -352,11 +355,6 @@ def departures(description: str) -> str:
     cells.append([f"`{whole}`", "", "", "all of them", *worth.get(whole, [DASH] * len(WORTH))])
     titles = ["option", "here", "paper", "meaning", *(title for title, _ in WORTH)]
     return _markdown(titles, cells) + "\n" + _departure_conditions(results, spec.version)
-
-
-DASH = "\N{EN DASH}"
-WORTH = (("PSNR [dB]", "psnr"), ("size", "mib"), ("training", "seconds"))
-"""Title of a column and name in VALUES: a difference of PSNR, and factors."""
 
 
 def _measured(block: dict[str, Any], variants: list[str]) -> pd.DataFrame:
