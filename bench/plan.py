@@ -1,4 +1,5 @@
-"""From a selection to the job graph: views → (partition →) fit → encode → measure, and dvr on its own.
+"""From a selection to the job graph: views → (partition →) fit → encode → measure; dvr and complexity on
+their own.
 
 Planning reads the data, so that bad input ends a run before its first job, and the records of finished
 partitions. The groups of a joint method follow from its partition job, so the executor plans again after it.
@@ -186,6 +187,9 @@ class Planner:
             if self._selection.suite.dvr and subset.kind == "volume":
                 for name in (*subset.hashes, *subset.compositions):
                     yield self._of_scene("dvr", subset, name)
+            if self._selection.suite.parsimony and subset.kind == "volume":
+                for name in subset.hashes:
+                    yield self._of_scene("complexity", subset, name)
             if self._settings and subset.source not in climbed:
                 yield from self._of_case(_Case(subset, "", self._settings), self._seeds, store)
         for case in self._cases:
@@ -272,6 +276,9 @@ class Planner:
             identity["edit"] = edit
         if (sampled := self._selection.suite.sampled) != SAMPLED:
             identity["sampled"] = sampled
+        prunable = self._selection.suite.parsimony and not (composition or edit or stress)
+        if prunable:
+            identity["prunable"] = True
         return _after(
             encodes[0],
             identity,
@@ -283,6 +290,7 @@ class Planner:
             group=",".join(encode.group for encode in encodes),
             metrics=dict(self._metrics),
             sampled=sampled,
+            prunable=prunable,
         )
 
     def _edited_views(self, subset: Subset) -> dict[tuple[str, str], Job]:
@@ -295,8 +303,10 @@ class Planner:
         }
 
     def _of_scene(self, kind: str, subset: Subset, name: str, edit: str = "", stress: str = "") -> Job:
-        """A job about a scene or composition without a method: its views, or the cost of rendering it."""
-        identity = {"kind": kind, "scene": subset.content(name), "request": subset.request.model_dump()}
+        """A job about a scene or composition without a method: its views, cost of rendering or complexity."""
+        identity: dict[str, Any] = {"kind": kind, "scene": subset.content(name)}
+        if kind != "complexity":
+            identity["request"] = subset.request.model_dump()
         if edit:
             identity["edit"] = edit
         if stress:

@@ -16,7 +16,7 @@ SCHEMA = 3
 READABLE = (2, SCHEMA)
 """Schemas that :mod:`bench.migration` reads."""
 
-Kind = Literal["views", "dvr", "partition", "fit", "encode", "measure"]
+Kind = Literal["views", "dvr", "complexity", "partition", "fit", "encode", "measure"]
 Status = Literal["ok", "failed", "oom", "timeout", "diverged", "refused"]
 Value = bool | int | float | str
 
@@ -55,6 +55,7 @@ class Job(_Model):
         knob: the rate knob among the overrides, "" if there is none.
         cloud_points: points of the initial cloud.
         sampled: number of primitives per scene whose attributes the record keeps (measure only).
+        prunable: whether to find out what the model could do without (measure only).
     """
 
     kind: Kind
@@ -83,6 +84,7 @@ class Job(_Model):
     cloud_points: int = 10_000
     metrics: dict[str, str] = Field(default_factory=dict)
     sampled: int = SAMPLED
+    prunable: bool = False
 
     @property
     def id(self) -> str:
@@ -231,6 +233,19 @@ class DvrResult(FrameTimes):
     backend: str
 
 
+class ComplexityResult(_Model):
+    """The volume of a scene as its transfer function shows it: 8-bit RGBA, coded without loss.
+
+    Attributes:
+        lossless_bytes: None for scenes of isosurfaces, which classify no volume.
+        coder: what coded it.
+    """
+
+    voxels: int
+    lossless_bytes: int | None
+    coder: str
+
+
 class PartitionResult(_Model):
     """Groups of scenes, by name."""
 
@@ -281,6 +296,18 @@ class ViewResult(_Model):
     render_file: str
 
 
+class PruningResult(_Model):
+    """What a model could do without.
+
+    Attributes:
+        gaussians: those that any training view splats.
+        shares: column of :data:`reports.schema.PRUNED` -> share of them that can go.
+    """
+
+    gaussians: int
+    shares: dict[str, float]
+
+
 class MeasureResult(FrameTimes):
     """Measurements of the loaded model, by a process of their own.
 
@@ -288,6 +315,7 @@ class MeasureResult(FrameTimes):
         missing: metric -> why it could not be computed.
         flicker: see :class:`bench.metrics.flicker.Flicker`; None where views are not neighbouring frames.
         features: attribute -> rows of some primitives; empty if the method does not expose attributes.
+        pruning: None where the job does not ask for it, or the model tells no Gaussians apart.
     """
 
     load_seconds: float
@@ -298,6 +326,7 @@ class MeasureResult(FrameTimes):
     views: list[ViewResult]
     flicker: float | None = None
     features: dict[str, list[list[float]]] = Field(default_factory=dict)
+    pruning: PruningResult | None = None
 
 
 class Record(_Model):
@@ -325,6 +354,7 @@ class Record(_Model):
     provenance: Provenance | None = None
     views: ViewsResult | None = None
     dvr: DvrResult | None = None
+    complexity: ComplexityResult | None = None
     partition: PartitionResult | None = None
     fit: FitResult | None = None
     encode: EncodeResult | None = None

@@ -64,6 +64,8 @@ class Suite:
         methods: names. Methods in ``optional`` run where they are registered.
         compositions: compositions of the scenes that are measured: names, "all", or none.
         dvr: time direct volume rendering of each scene, and its memory.
+        parsimony: find out how many bytes the classified volume of each scene takes without loss, and what
+            each model could do without.
         variants: sets of options, method -> option -> value; {} is the presets' own.
         rates: "default" (each method's own size) or "all" (the rate knobs' values).
         edits: changes of each basic scene, as "opacity=0.5 light=1,0,0". Models are edited and measured
@@ -86,6 +88,7 @@ class Suite:
     rates: str = "default"
     compositions: Literal["all"] | tuple[str, ...] = ()
     dvr: bool = False
+    parsimony: bool = False
     stand_ins: Mapping[str, str] = field(default_factory=dict)
     train_views: tuple[int, ...] = ()
     edits: tuple[str, ...] = ()
@@ -157,6 +160,7 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
             rates=str(data.get("rates", "default")),
             compositions="all" if compositions == "all" else tuple(compositions),
             dvr=bool(data.get("dvr", False)),
+            parsimony=bool(data.get("parsimony", False)),
             stand_ins={str(name): str(other) for name, other in data.get("stand_ins", {}).items()},
             train_views=tuple(int(count) for count in data.get("train_views", ())),
             edits=tuple(str(edit) for edit in data.get("edits", ())),

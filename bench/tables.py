@@ -198,6 +198,7 @@ def _facts(record: Record, lineage: Lineage, versions: Mapping[str, str]) -> dic
         "features": _features(record),
         "scenes": _scenes(record),
         "dvr": [_dvr(record)] if record.job.kind == "dvr" else [],
+        "complexity": [record.complexity.model_dump()] if record.complexity is not None else [],
     }
 
 
@@ -287,6 +288,7 @@ def _measured(measured: MeasureResult) -> Row:
         "reference_seconds": measured.reference_seconds,
         "identical_views": sum(view.identical for view in measured.views),
         "flicker": measured.flicker,
+        **({"gaussians": measured.pruning.gaussians, **measured.pruning.shares} if measured.pruning else {}),
     }
 
 

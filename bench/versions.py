@@ -13,6 +13,9 @@ from typing import Any
 from bench.lineage import Lineage
 from bench.records import Job, Record
 
+_ROWS = ("measure", "dvr", "complexity")
+"""Kinds of jobs that are a row each."""
+
 
 def is_stale(fits: Iterable[Record], versions: Mapping[str, str]) -> bool:
     """Whether any of some fits was made by a version of its method other than the current one.
@@ -92,13 +95,11 @@ def _newest_rows(records: list[Record], choices: Mapping[str, int]) -> list[Reco
     best: dict[tuple[Any, ...], Record] = {}
     for record in records:
         job = record.job
-        if job.kind in ("measure", "dvr"):
+        if job.kind in _ROWS:
             choice = choices.get(job.id, 0)
             row = (job.kind, *_cell(job), choice, job.subject, bool(job.composition), job.edit, job.rate)
             rival = best.get(row)
             if rival is None or (record.ok, record.finished) > (rival.ok, rival.finished):
                 best[row] = record
     newest = {record.job.id for record in best.values()}
-    return [
-        record for record in records if record.job.kind not in ("measure", "dvr") or record.job.id in newest
-    ]
+    return [record for record in records if record.job.kind not in _ROWS or record.job.id in newest]

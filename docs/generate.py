@@ -37,6 +37,13 @@ changes. Keys:
     bundles     as above; none: nothing is measured yet
     where       as above
 
+``economy``  what models spend on scenes, a row per scene and a column per method. Keys:
+
+    bundles     as above
+    show        "bytes", "primitives": for ``level`` dB; "gains": dB per added KiB along the curve;
+                "prunable": percent of Gaussians that can go at ``level`` dB of loss
+    level       of :data:`reports.charts.economy.LEVELS`, or a value of :data:`reports.schema.PRUNED`
+
 ``index``    what each bundle holds; ``commands``: every command of ``bench`` with its options.
 """
 
@@ -60,18 +67,19 @@ from bench.suites import load_suite
 from bench.tables import build_tables
 from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
 from methods.registry import Registry
-from reports.charts import svg
+from reports.charts import economy, svg
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.conclusions.ladders import amount, by_method, verdict
-from reports.style import TITLES
+from reports.schema import PRUNED
+from reports.style import MISSING, TITLES
 from reports.tables.ladders import climbed, held, ladders
 from reports.tables.protocols import by_scene_choice
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
 BLOCK = re.compile(
-    r"(<!-- (table|chart|ladders|departures|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S
+    r"(<!-- (table|chart|ladders|departures|economy|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S
 )
 METHODS = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")
 BY_ITSELF = "kind == 'basic' and rate.isna()"
@@ -99,6 +107,8 @@ VALUES = {
     "mib": Value("size [MiB]", "size_bytes", 2**-20, "sum", ",.2f"),
     "mib_scene": Value("size per scene [MiB]", "size_bytes", 2**-20, "mean", ",.3f"),
     "primitives": Value("primitives", "primitives", 1, "sum", ",.0f"),
+    "gaussians": Value("Gaussians", "gaussians", 1, "sum", ",.0f"),
+    "prunable": Value("can go at 0.1 dB [%]", "prunable_010", 100, "mean", ".1f"),
     "groups": Value("groups", "group", 1, "nunique", ".0f"),
     "scenes": Value("scenes", "scene", 1, "nunique", ".0f"),
 }
@@ -396,6 +406,39 @@ def _departure_conditions(results: pd.DataFrame, today: str) -> str:
     return f"{_conditions(results)}\n*Measured with version {', '.join(versions)}; today's is {today}.*\n"
 
 
+def economy_of(description: str) -> str:
+    """What models spend on scenes, as Markdown, and a line with the conditions."""
+    block = tomllib.loads(description)
+    report = Report(tables(tuple(block["bundles"]))).of_defaults
+    rows = report.economies
+    if not economy.told(rows):
+        raise SystemExit(f"nothing of the kind for {block}")
+    show, level = block["show"], float(block.get("level", 0.0))
+    texts: dict[str, Callable[[economy.Economy], str]] = {
+        "bytes": lambda one: one.bytes_text(level),
+        "primitives": lambda one: one.primitives_text(level),
+        "gains": economy.Economy.gains_text,
+        "prunable": lambda one: one.prunable_text({drop: name for name, drop in PRUNED.items()}[level]),
+    }
+    names = {
+        "bytes": f"KiB for {level:g} dB",
+        "primitives": f"primitives for {level:g} dB",
+        "gains": "dB per KiB",
+        "prunable": f"can go at {level:g} dB [%]",
+    }
+    titles = [TITLES[method] for method in METHODS]
+    titles = [title for title in titles if any(one.model.title == title for one in rows)]
+    lines = []
+    for scene in dict.fromkeys(one.scene for one in rows):
+        own = {one.model.title: one for one in rows if one.scene == scene}
+        volume = next(iter(own.values())).volume
+        cells = [texts[show](own[title]) if title in own else MISSING for title in titles]
+        lines.append([f"`{scene}`", MISSING if volume is None else f"{volume / economy.KIB:,.1f}", *cells])
+    usual = report.results.query(BY_ITSELF, engine="python")
+    heads = [names[show], "volume [KiB]", *titles]
+    return f"{_markdown(heads, lines)}\n{_conditions(usual[usual['variant'] == ''])}"
+
+
 def index(_: str) -> str:
     """What each bundle holds, as Markdown."""
     titles = ["bundle", "MB", "rows", "datasets", "methods", "presets", "seeds"]
@@ -444,6 +487,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "chart": chart,
     "ladders": ladders_of,
     "departures": departures,
+    "economy": economy_of,
     "index": index,
     "commands": commands,
 }

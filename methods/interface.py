@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from datasets.scene import RGB, BasicScene
     from datasets.views import ViewSet
     from datasets.volume import Volume
+    from econgs.splat.splats import Splats
 
 OptionValue = bool | int | float | str
 OPTION = "option"  # where the metadata of a dataclass field hold its Option
@@ -297,6 +298,14 @@ class HasAttributes(Protocol):
 
     def attributes(self, scene: str, count: int) -> Mapping[str, torch.Tensor]:
         """Attribute -> (n, d) values of at most ``count`` primitives of a scene, spread evenly over them."""
+
+
+@runtime_checkable
+class HasGaussians(Protocol):
+    """A model of Gaussians that are told apart, so that some can be left out."""
+
+    def splats(self, scene: str, camera: Camera) -> tuple[Splats, torch.Tensor]:
+        """What is splatted of a scene in a view, and (M,) the number of each, the same in every view."""
 
 
 class Method(Protocol):

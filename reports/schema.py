@@ -25,6 +25,9 @@ COVERAGE = ("missing", "excess")
 """Metrics of alpha alone. Every measurement takes them, but a measure job's key does not name them: they came
 later, and records without them are worth the same."""
 
+PRUNED = {"prunable_005": 0.05, "prunable_010": 0.1, "prunable_050": 0.5}
+"""Column of `results` -> the loss of PSNR in dB that it allows."""
+
 
 def _fixed(digits: int) -> Callable[[Any], str]:
     return lambda value: f"{value:.{digits}f}"
@@ -179,7 +182,7 @@ COLUMNS: dict[str, Column] = _declare(
     Column("source", _T, "hash of the method's source code at the fit"),
     # A job's outcome.
     Column("job", _T, "identifier of the job"),
-    Column("step", _T, "`views`, `dvr`, `partition`, `fit`, `encode` or `measure`"),
+    Column("step", _T, "`views`, `dvr`, `complexity`, `partition`, `fit`, `encode` or `measure`"),
     Column("status", _T, "`ok`, `failed`, `oom`, `timeout`, `diverged` or `refused`", "Status", write=str,
            default="ok"),
     Column("reason", _T, "why the job has no result, or why metrics are missing", "Reason", write=str),
@@ -220,6 +223,14 @@ COLUMNS: dict[str, Column] = _declare(
     Column("standalone_bytes", _W, "own part and the whole shared part; of a composition, the shared part of "
            "each group once", "Files for this scene alone", unit="bytes", write=mib),
     Column("primitives", _W, "primitives of the scene", "Primitives", write=lambda value: f"{int(value):,}"),
+    Column("gaussians", _W, "Gaussians that the model splats in any training view", "Gaussians",
+           write=lambda value: f"{int(value):,}"),
+    *(
+        Column(name, _F, "share of these Gaussians that can be left out, those of the least blending weights "
+               f"over the training views first, until PSNR is {drop:g} dB lower", f"Prunable at {drop:g} dB",
+               write="{:.1%}".format)
+        for name, drop in PRUNED.items()
+    ),
     Column("part", _T, "name of a part; of a frame: `frame`, `decode`, `shade`, `rasterise`"),
     Column("bytes", _W, "bytes of the part", unit="bytes"),
     # Time and memory.
@@ -274,6 +285,11 @@ COLUMNS: dict[str, Column] = _declare(
     Column("variables", _T, "variables of the volume, joined by `;`", "Variables", write=significant),
     Column("dtype", _T, "type of a voxel in memory"),
     Column("volume_bytes", _W, "size of all variables in memory", unit="bytes"),
+    Column("voxels", _W, "voxels of the volume", "Voxels", write=lambda value: f"{int(value):,}"),
+    Column("lossless_bytes", _W, "bytes of the volume as the transfer function shows it, coded without loss: "
+           "8-bit color and opacity of the reference length, no color where that opacity is 0; null for "
+           "isosurfaces", "Lossless volume", unit="bytes", write=mib),
+    Column("coder", _T, "what coded it"),
     Column("ms_per_view", _F, "median time of a view per launch, after warm-up", "ms per view", write=_three),
     Column("ms_p05", _F, "5th percentile of the same", "5 %", write=_three),
     Column("ms_p95", _F, "95th percentile of the same", "95 %", write=_three),
@@ -343,7 +359,7 @@ TABLES: dict[str, Table] = {
          "identical_views", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "train_seconds",
          "group_seconds", "partition_seconds", "encode_seconds", "cpu_seconds", "load_seconds", "fps",
          "fps_p05", "fps_p95", "reference_seconds", "fit_reference_seconds", "peak_host_bytes",
-         "peak_device_bytes", "group_peak_host_bytes"),
+         "peak_device_bytes", "group_peak_host_bytes", "gaussians", *PRUNED),
     ),
     "views": Table(
         "A measured view of a model.", _MEASURED,
@@ -388,6 +404,11 @@ TABLES: dict[str, Table] = {
         ("job", "status", "reason", "nx", "ny", "nz", "variables", "dtype", "volume_bytes", "ms_per_view",
          "ms_p05", "ms_p95", "fps", "load_seconds", "setup_seconds", "peak_host_bytes", "peak_device_bytes",
          "renderer", "version", "backend", "reference_seconds"),
+    ),
+    "complexity": Table(
+        "Bytes that a scene's classified volume takes without loss, in suites that ask for them.",
+        ("dataset", "scene"),
+        ("job", "voxels", "lossless_bytes", "coder"),
     ),
     "rungs": Table(
         "A measurement that is a rung of a ladder, ladders in the order of their suite; the first rung is "

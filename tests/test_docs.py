@@ -11,7 +11,7 @@ import pytest
 
 from methods.econgs.spec import SPEC
 from methods.options import declared, resolve
-from reports.schema import frame
+from reports.schema import TABLES, frame
 from tests.reports.tables.test_ladders import table as rungs
 
 ROOT = Path(__file__).parents[1]
@@ -149,3 +149,36 @@ def test_departures_say_what_was_measured_with_another_version_or_not_at_all(gen
     none = generate.departures(BLOCK.replace('"b"', "")).splitlines()
     assert none[-1] == "*Not measured yet.*"
     assert none[2] == "| **default** |  |  |  | \N{EN DASH} | \N{EN DASH} | \N{EN DASH} |"
+
+
+@pytest.mark.parametrize(
+    ("asks", "line"),
+    [
+        (
+            'show = "bytes"\nlevel = 35',
+            "| `vortex/tf0` | 10.0 | \N{EN DASH} | 2.5 (0.25 \N{MULTIPLICATION SIGN}) |",
+        ),
+        ('show = "primitives"\nlevel = 30', "| `vortex/tf0` | 10.0 | \N{LESS-THAN OR EQUAL TO} 9 | 8 |"),
+        ('show = "gains"', "| `vortex/tf0` | 10.0 | \N{EN DASH} | 2.7 |"),
+        ('show = "prunable"\nlevel = 0.1', "| `vortex/tf0` | 10.0 | \N{EN DASH} | 12.5 |"),
+    ],
+)
+def test_a_block_of_economy(generate, monkeypatch, asks, line) -> None:
+    usual = {"dataset": "vortex", "scene": "tf0", "kind": "basic", "preset": "quick", "split": "test",
+             "seed": 0, "status": "ok", "width": 8, "height": 8, "train_views": 4, "fit_processor": "P",
+             "variant": "", "base": "", "stale": False}  # fmt: skip
+    results = [
+        usual | {"job": "a", "method": "3dgs", "psnr": 31.0, "size_bytes": 4096, "primitives": 9},
+        usual | {"job": "b", "method": "hac", "psnr": 40.0, "size_bytes": 5120, "primitives": 8,
+                 "gaussians": 16, "prunable_010": 0.125},
+        usual | {"job": "c", "method": "hac", "variant": "rate_weight=1", "knob_value": 1.0, "psnr": 30.0,
+                 "size_bytes": 1280, "primitives": 8},
+    ]  # fmt: skip
+    tables = {name: frame(name) for name in TABLES} | {
+        "results": frame("results", results),
+        "complexity": frame("complexity", [{"dataset": "vortex", "scene": "tf0", "lossless_bytes": 10240}]),
+    }
+    monkeypatch.setattr(generate, "tables", lambda bundles: tables)
+    lines = generate.economy_of(f'bundles = ["b"]\n{asks}\n').splitlines()
+    assert line in lines
+    assert lines[-1] == "*preset quick; 8²; training views 4; seed 0; P.*"

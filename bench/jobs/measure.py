@@ -13,16 +13,18 @@ import numpy as np
 from bench.edits import edit_of
 from bench.jobs.context import Context
 from bench.monitor import as_numpy
-from bench.records import MeasureResult, ViewResult
+from bench.records import MeasureResult, PruningResult, ViewResult
 from bench.stress import stress_of
 from bench.timing import median_timings, synchronise, time_frames
 from datasets.memory import peak_host_bytes
 from datasets.units import camera_in_units
-from methods.interface import HasAttributes, Method, Model, Refused
+from methods.interface import HasAttributes, HasGaussians, Method, Model, Refused
 from reports.schema import COVERAGE
 
 if TYPE_CHECKING:
+    from datasets.camera import Camera
     from datasets.scene import RGB
+    from datasets.views import ViewSet
 
 
 def run(context: Context) -> MeasureResult:
@@ -111,7 +113,22 @@ def run(context: Context) -> MeasureResult:
         views=rows,
         flicker=None if flicker is None else flicker.mean,
         features=_attributes(model, scenes, job.sampled),
+        pruning=_pruning(context, model, cameras, views) if job.prunable else None,
     )
+
+
+def _pruning(
+    context: Context, model: Model, cameras: Sequence[Camera], views: ViewSet
+) -> PruningResult | None:
+    """What the model of a basic scene could do without; None where it tells no Gaussians apart."""
+    if not isinstance(model, HasGaussians):
+        return None
+    from bench.pruning import pruning
+
+    context.report(stage="pruning")
+    scene = context.job.subject
+    training = context.truth(scene).cameras("train" if context.job.split == "val" else "trainval")
+    return pruning(model, scene, training, cameras, views)
 
 
 def _attributes(model: Model, scenes: Sequence[str], sampled: int) -> dict[str, list[list[float]]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -24,6 +24,7 @@ class Gaussians:
         scales: (M, 3).
         opacities: (M,) in [0, 1].
         colors: (M, 3) shaded, in [0, 1].
+        slots: (M,) int64, the number of each in its scene, the same in every view; None: 0 to M - 1.
     """
 
     means: Tensor
@@ -31,6 +32,7 @@ class Gaussians:
     scales: Tensor
     opacities: Tensor
     colors: Tensor
+    slots: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,14 @@ class ViewGaussians(Gaussians):
         raw_opacities: (N, K) tanh outputs of all Gaussians, also culled ones, without history; for pruning.
     """
 
-    slots: Tensor
-    raw_opacities: Tensor
+    slots: Tensor = field()
+    raw_opacities: Tensor = field()
+
+    def of_rows(self, rows: Tensor, offsets: int) -> ViewGaussians:
+        """The same with the slots of a scene, of which these anchors are some rows."""
+        anchors = self.slots.div(offsets, rounding_mode="floor")
+        slots = rows.index_select(0, anchors) * offsets + self.slots.remainder(offsets)
+        return replace(self, slots=slots)
 
 
 @dataclass(frozen=True)

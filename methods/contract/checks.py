@@ -8,6 +8,7 @@ with what is wrong.
 from __future__ import annotations
 
 import json
+import math
 import signal
 import subprocess
 import sys
@@ -25,6 +26,8 @@ from safetensors.torch import load, save
 
 from datasets.camera import Camera
 from datasets.errors import DataError
+from econgs.splat.composite import over
+from econgs.splat.rasterise import rasterise
 from methods.contract.scene import away, cameras, tiny_scene
 from methods.failures import Failure, Fault, failure
 from methods.interface import (
@@ -32,6 +35,7 @@ from methods.interface import (
     Budget,
     Checkpoint,
     Edit,
+    HasGaussians,
     Method,
     MethodSpec,
     Model,
@@ -320,6 +324,28 @@ def _elsewhere(done: subprocess.CompletedProcess[str], file: Path) -> Broken:
     return Broken(f"{problem}:\n{done.stderr[-2000:]}", Failure("harness"))
 
 
+def told_apart(subject: Subject) -> str:
+    """The Gaussians of a view give its picture, and each keeps its number where fewer are in view."""
+    model, _ = subject.first()
+    if not isinstance(model, HasGaussians):
+        return "no Gaussians"
+    camera, (scene,) = subject.camera, model.scenes
+    with torch.inference_mode():
+        views = [(one, *model.splats(scene, one)) for one in (camera, replace(camera, width=6, height=6))]
+        for view, splats, numbers in views:
+            images = rasterise(*splats[:5], view, low_pass=splats.low_pass)
+            picture = over(images.features, images.alpha, subject.scene.train.background)
+            pair = picture.clamp(0.0, 1.0).cpu(), images.alpha.clamp(0.0, 1.0).cpu()
+            _same(pair, _picture(model, view), "what is splatted")
+            expect(len(numbers.unique()) == len(numbers), "two Gaussians of a view have one number")
+    (_, whole, every), (_, part, some) = views
+    places = dict(zip(every.tolist(), whole.means.tolist(), strict=True))
+    for number, place in zip(some.tolist(), part.means.tolist(), strict=True):
+        known = places.get(number, place)  # what fades with the direction may be missing
+        expect(math.dist(known, place) <= TOLERANCE, f"Gaussian {number} is another one in another view")
+    return f"{len(every)} Gaussians, {len(some)} in a corner"
+
+
 def edits(subject: Subject) -> str:
     """Declared edits change the picture, the others are refused, and so are bad values and names."""
     model, _ = subject.first()
@@ -554,6 +580,7 @@ CHECKS: tuple[Callable[[Subject], str], ...] = (
     partition,
     fit,
     saved_and_loaded,
+    told_apart,
     edits,
     nothing_visible,
     deterministic,

@@ -173,14 +173,17 @@ class EcongsModel(SceneModel[SceneAnchors]):
             if len(rows) < len(positions):
                 positions, values = positions.index_select(0, rows), values.of(rows)
             eye = camera.position
-            return decode(positions, *values, decoders, embedding, palette, eye, light=light, factors=factors)
+            decoded = decode(
+                positions, *values, decoders, embedding, palette, eye, light=light, factors=factors
+            )
+            return decoded if len(rows) == len(scene) else decoded.of_rows(rows, decoders.offsets)
         ready = scene.unshaded
         if not bool(shown.all()):
             ready = ready.of(shown[ready.slots // decoders.offsets].nonzero()[:, 0])
         toward = None if light is None else ready.means.new_tensor(light)
         colors = ready.colors(palette, ready.means.new_tensor(camera.position), toward, factors)
         opacities = scale_depth(ready.opacities, factors.opacity)
-        return Gaussians(ready.means, ready.quats, ready.scales, opacities, colors)
+        return Gaussians(ready.means, ready.quats, ready.scales, opacities, colors, ready.slots)
 
     @classmethod
     def load(cls, folder: Path, device: str) -> EcongsModel:

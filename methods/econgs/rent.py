@@ -10,7 +10,9 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from econgs.anchors.gaussians import ViewGaussians
-from econgs.splat import LowPass, rasterise
+from econgs.splat import LowPass
+from econgs.splat.splats import Splats
+from econgs.splat.weights import blending_weights
 
 VIEWS = 12
 """Training views that are asked, at most."""
@@ -33,8 +35,7 @@ def contributions(
 ) -> Tensor:
     """(N,) by how much each anchor's Gaussians weigh in the pixels of these views, summed.
 
-    The weight of a Gaussian in a pixel is its share of the blended color; its sum over pixels is the
-    derivative of the picture's sum with respect to the Gaussian's color.
+    See :func:`econgs.splat.weights.blending_weights`.
     """
     weights = torch.zeros(anchors, device=device)
     every = torch.ones(anchors, dtype=torch.bool, device=device)
@@ -43,11 +44,9 @@ def contributions(
             decoded, owner = decode(camera, every)
         if not len(owner):
             continue
-        gray = torch.ones_like(decoded.colors[:, :1]).requires_grad_(True)
-        geometry = (decoded.means, decoded.quats, decoded.scales, decoded.opacities)
-        rasterise(*geometry, gray, camera, low_pass=low_pass).features.sum().backward()  # type: ignore[no-untyped-call]
-        if gray.grad is not None:
-            weights.index_add_(0, owner, gray.grad[:, 0])
+        fields = (decoded.means, decoded.quats, decoded.scales, decoded.opacities, decoded.colors)
+        splats = Splats(*fields, camera, low_pass=low_pass)
+        weights.index_add_(0, owner, blending_weights(splats))
     return weights
 
 

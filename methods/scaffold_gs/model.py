@@ -65,7 +65,9 @@ class AnchorModel(SceneModel[SceneAnchors]):
         decoded = decode_colors(
             scene.positions[rows], *scene.values.of(rows), scene.decoders, camera.position, opacity=factor
         )
-        return decoded if scene.masks is None else apply_masks(decoded, scene.masks[rows])
+        if scene.masks is not None:
+            decoded = apply_masks(decoded, scene.masks[rows])
+        return decoded if len(rows) == len(scene) else decoded.of_rows(rows, scene.decoders.offsets)
 
 
 # --------------------------------------------------------------------------- Scaffold-GS's own folder

@@ -17,6 +17,7 @@ from datasets.scene import RGB
 from datasets.units import camera_in_units
 from econgs.anchors.gaussians import Gaussians, draw
 from econgs.splat.composite import over
+from econgs.splat.splats import Splats
 from methods.interface import Edit, Refused, edits_by_scene
 from methods.shared.rendering import Rendering
 
@@ -146,6 +147,16 @@ class SceneModel(ABC, Generic[S]):
             splats = draw(parts, camera, low_pass=self.rendering.low_pass)
             rgb = over(splats.features, splats.alpha, back)
             return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
+
+    def splats(self, scene: str, camera: Camera) -> tuple[Splats, Tensor]:
+        """What is splatted of a scene; see :class:`methods.interface.HasGaussians`."""
+        camera = self._in_units(camera)
+        own = self.gaussians(self.scene(scene), camera, Edit())
+        slots = own.slots
+        if slots is None:
+            slots = torch.arange(len(own.means), device=own.means.device)
+        fields = (own.means, own.quats, own.scales, own.opacities, own.colors)
+        return Splats(*fields, camera, low_pass=self.rendering.low_pass), slots
 
     def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
         """Seconds of one frame of scenes (default: all) by part."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from reports.charts import data, features, rate_distortion, training
+from reports.charts import data, economy, features, rate_distortion, training
 from reports.charts.chart import (
     GRAY,
     INK,
@@ -23,6 +23,7 @@ from reports.charts.chart import (
 )
 from reports.charts.labels import text_width
 from reports.charts.parts import colors
+from reports.schema import PRUNED
 from reports.style import OTHERS, OTHERS_NAME, PALETTE, Look, Model, legend_entries, looks, mib
 
 Panels = Mapping[str, Sequence[training.Curve]]
@@ -138,6 +139,67 @@ def lines(
         )
     crowded = any(len(curves) > MOST_LABELS for curves in panels.values())
     return Chart(parts, legend_of(panels, models) if crowded else {})
+
+
+def needs(rows: Sequence[economy.Economy], models: list[Model]) -> Chart:
+    """Bytes of a model for a quality over those of the volume without loss (log), a panel per quality.
+
+    A line joins the scenes of a model; marks are faint where its smallest size is above the quality.
+    """
+    panels = []
+    for level in economy.LEVELS:
+        title = f"{level:g} dB"
+        own = [
+            (one, need.bytes / economy.KIB, need.bound)
+            for one in rows
+            if (need := one.needs[level]) is not None
+        ]
+        panels += _over_volume(own, title, f"model for {title} [KiB]", models, log_y=True)
+    return Chart(panels, _legend_of_economies(rows, models))
+
+
+def prunable(rows: Sequence[economy.Economy], models: list[Model]) -> Chart:
+    """Share of Gaussians that could go over the bytes of the volume without loss (log)."""
+    column = economy.DROP
+    own = [(one, 100.0 * one.prunable[column], False) for one in rows if column in one.prunable]
+    title = f"Gaussians that could go at {PRUNED[column]:g} dB"
+    return Chart(_over_volume(own, title, "share [%]", models), _legend_of_economies(rows, models))
+
+
+def _over_volume(
+    spots: Sequence[tuple[economy.Economy, float, bool]],
+    title: str,
+    y: str,
+    models: list[Model],
+    *,
+    log_y: bool = False,
+) -> list[Panel]:
+    """A panel of values, which may be bounds, over the bytes of volumes; none without any."""
+    known = [(one, one.volume / economy.KIB, value, bound) for one, value, bound in spots if one.volume]
+    if not known:
+        return []
+    known.sort(key=lambda spot: spot[1])
+    styles = looks({one.model: one.first for one, *_ in known}, models)
+    series = []
+    for each, look in styles.items():
+        every = [spot for spot in known if spot[0].model == each]
+        _, across, up, _ = zip(*every, strict=True)
+        series.append(Series("", across, up, look._replace(dash="solid"), line=1.6))
+        for bound in (False, True):
+            if own := [spot for spot in every if spot[3] == bound]:
+                scenes, across, up, _ = zip(*own, strict=True)
+                names = [one.scene + (", at most" if bound else "") for one in scenes]
+                opacity = 0.35 if bound else 1.0
+                series.append(Series(each.title, across, up, look, mark=7.0, opacity=opacity, names=names))
+    values = [value for _, _, value, _ in known]
+    upright = log_axis(values, y) if log_y else linear_axis(values, y, start=0.0)
+    x = log_axis([volume for _, volume, *_ in known], "classified volume without loss [KiB]")
+    return [Panel(title, x, upright, series)]
+
+
+def _legend_of_economies(rows: Sequence[economy.Economy], models: list[Model]) -> dict[str, Look]:
+    """A name for each model."""
+    return {each.title: look for each, look in looks({one.model: one.first for one in rows}, models).items()}
 
 
 def legend_of(panels: Panels, models: list[Model]) -> dict[str, Look]:

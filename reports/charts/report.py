@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reports.charts import rate_distortion
+from reports.charts import economy, rate_distortion
 from reports.conclusions.answers import answers
 from reports.conclusions.contest import contests
 from reports.schema import frame
@@ -23,6 +23,7 @@ from reports.tables.ranks import ranks
 if TYPE_CHECKING:
     import pandas as pd
 
+    from reports.charts.economy import Economy
     from reports.charts.rate_distortion import Curve, Difference
     from reports.conclusions.answers import Answer
     from reports.conclusions.contest import Contest
@@ -131,6 +132,11 @@ class Report:
     @cached_property
     def curves(self) -> dict[str, list[Curve]]:
         return rate_distortion.curves(self.at_shared_seeds)
+
+    @cached_property
+    def economies(self) -> list[Economy]:
+        complexity = self.stored["complexity"] if "complexity" in self.stored else frame("complexity")
+        return economy.economies(self.at_shared_seeds, complexity)
 
     @cached_property
     def differences(self) -> list[Difference]:

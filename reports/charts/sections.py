@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from reports.charts import data, features, kinds, rate_distortion, stability_sections, training
 from reports.charts.chart import Chart, Panel
 from reports.charts.decision import decisions
+from reports.charts.economy_section import economy_section
 from reports.charts.elements import Section, card, cards, legend, rest, table
 from reports.charts.ladders import ladders_section
 from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, mib, models, seconds
@@ -72,6 +73,7 @@ def chart_sections(report: Report) -> Iterator[Section]:
         ladders_section,
         stability_sections.stability_section,
         stability_sections.complexity_section,
+        economy_section,
         _anytime,
         _convergence,
         _losses,

@@ -1,0 +1,57 @@
+"""The complexity job: how many bytes the classified volume of a scene takes without loss."""
+
+from __future__ import annotations
+
+import lzma
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.jobs.context import Context
+from bench.records import ComplexityResult
+from datasets.catalogue import open_dataset
+from datasets.transfer import TransferFunction
+from datasets.volume import Volume
+
+CODER = "LZMA2, preset 6, of differences along x (liblzma)"
+_FILTERS: list[dict[str, Any]] = [
+    {"id": lzma.FILTER_DELTA, "dist": 4},
+    {"id": lzma.FILTER_LZMA2, "preset": 6},
+]
+
+
+def run(context: Context) -> ComplexityResult:
+    """Code the volume as the transfer function shows it; isosurfaces classify none."""
+    job = context.job
+    dataset = open_dataset(job.dataset)
+    context.report(stage="loading")
+    scene = dataset.scene(job.subject)
+    volume = dataset.volume(scene.variable)
+    context.report(stage="coding")
+    return ComplexityResult(
+        voxels=int(volume.values.size),
+        lossless_bytes=None if scene.transfer is None else coded_bytes(volume, scene.transfer),
+        coder=CODER,
+    )
+
+
+def coded_bytes(volume: Volume, transfer: TransferFunction) -> int:
+    """Bytes of the classified volume, x fastest, coded by :data:`CODER`; slice by slice, without a copy."""
+    coder = lzma.LZMACompressor(lzma.FORMAT_RAW, filters=_FILTERS)
+    count = 0
+    for z, values in enumerate(volume.values):
+        colors = classified(volume.normalise(values), transfer)
+        if volume.mask is not None:
+            colors[~volume.mask[z]] = 0
+        count += len(coder.compress(colors.tobytes()))
+    return count + len(coder.flush())
+
+
+def classified(values: NDArray[np.floating], transfer: TransferFunction) -> NDArray[np.uint8]:
+    """values.shape + (4,): color and opacity of the reference length in 8 bits, no color without opacity."""
+    shown = transfer.classify(values)
+    shown[..., 3] = -np.expm1(-shown[..., 3] * transfer.reference_length)
+    colors: NDArray[np.uint8] = np.rint(255.0 * shown).astype(np.uint8)
+    colors[colors[..., 3] == 0] = 0
+    return colors
