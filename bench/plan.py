@@ -276,7 +276,8 @@ class Planner:
             identity["edit"] = edit
         if (sampled := self._selection.suite.sampled) != SAMPLED:
             identity["sampled"] = sampled
-        prunable = self._selection.suite.parsimony and not (composition or edit or stress)
+        usual = encodes[0].rate is None and not (encodes[0].knob or composition or edit or stress)
+        prunable = self._selection.suite.parsimony and usual
         if prunable:
             identity["prunable"] = True
         return _after(

@@ -65,7 +65,7 @@ class Suite:
         compositions: compositions of the scenes that are measured: names, "all", or none.
         dvr: time direct volume rendering of each scene, and its memory.
         parsimony: find out how many bytes the classified volume of each scene takes without loss, and what
-            each model could do without.
+            each model of the usual rate could do without.
         variants: sets of options, method -> option -> value; {} is the presets' own.
         rates: "default" (each method's own size) or "all" (the rate knobs' values).
         edits: changes of each basic scene, as "opacity=0.5 light=1,0,0". Models are edited and measured

@@ -249,13 +249,16 @@ def _growth(economies: Sequence[Economy], level: float) -> str:
 
 
 def _spare(economies: Sequence[Economy]) -> str:
-    shares: dict[str, list[float]] = {}
+    """On the scenes that all methods have, so that means compare."""
+    shares: dict[str, dict[str, float]] = {}
     for one in economies:
         if DROP in one.prunable:
-            shares.setdefault(one.model.title, []).append(one.prunable[DROP])
-    if not shares:
+            shares.setdefault(one.model.title, {})[one.scene] = one.prunable[DROP]
+    scenes = set.intersection(*map(set, shares.values())) if shares else set()
+    if not scenes:
         return ""
-    means = {name: float(np.mean(values)) for name, values in shares.items()}
+    means = {name: float(np.mean([own[scene] for scene in scenes])) for name, own in shares.items()}
     ordered = sorted(means, key=means.__getitem__, reverse=True)
     names = ", ".join(f"{name} {100 * means[name]:.0f} %" for name in ordered)
-    return f"Share of Gaussians that could go at {PRUNED[DROP]:g} dB, mean over scenes: {names}."
+    where = "one scene" if len(scenes) == 1 else f"mean over {len(scenes)} scenes"
+    return f"Share of Gaussians that could go at {PRUNED[DROP]:g} dB, {where}: {names}."

@@ -55,3 +55,15 @@ def test_a_suite_asks_for_it_and_it_is_the_same_at_any_preset(tmp_path):
     assert keys[6] == keys[12] != keys[8] == set()
     assert {job.prunable for job in jobs[6] if job.kind == "measure"} == {True}
     assert {job.prunable for job in jobs[8] if job.kind == "measure"} == {False}
+
+
+def test_models_of_other_rates_are_not_asked_what_could_go(tmp_path):
+    path = tmp_path / "rates.toml"
+    path.write_text(
+        'title = "t"\nmethods = ["hac", "vq-3dgs"]\npreset = "quick"\nrates = "all"\nparsimony = true\n'
+        '[datasets]\n"argon_bubble_like@32" = []\n'
+    )
+    measures = [job for job in plan(str(path)) if job.kind == "measure"]
+    asked = {(job.scenes, job.method) for job in measures if job.prunable}
+    assert len(asked) == sum(job.prunable for job in measures) < len(measures)
+    assert asked == {(job.scenes, job.method) for job in measures}

@@ -90,7 +90,7 @@ def test_the_conclusion_names_who_is_cheapest_who_grows_and_who_has_to_spare(spe
     assert economy.conclusion(Report(spent).economies) == (
         "Fewest bytes for 35 dB, of the sizes measured, on 3 scenes that several methods reach it on: HAC on "
         "3. Where the volume takes ten times the bytes, models for 35 dB take so many times: HAC 10. Share "
-        "of Gaussians that could go at 0.1 dB, mean over scenes: 3DGS 50 %, HAC 25 %."
+        "of Gaussians that could go at 0.1 dB, mean over 3 scenes: 3DGS 50 %, HAC 25 %."
     )
 
 
