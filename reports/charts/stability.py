@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from reports.charts.rate_distortion import at_default_rates
 from reports.charts.training import Curve
 from reports.style import MIB, label, model
 from reports.tables.columns import places
@@ -117,11 +118,13 @@ def by_complexity(results: pd.DataFrame, what: str) -> dict[str, list[Curve]]:
 
     A family are datasets whose names differ in their last number alone, as blobs_1, blobs_8, blobs_64: what
     that number counts is what the scene holds. Values are means over scenes and seeds; incomplete sets are
-    left out.
+    left out, and so are other rates of a method that has its default.
     """
     if results.empty or what not in results:
         return {}
-    basic = results[results["kind"] == "basic"]
+    basic = at_default_rates(results[results["kind"] == "basic"])
+    usual = basic["rate"].isna()
+    basic = basic[usual | ~basic["method"].isin(basic.loc[usual, "method"])]
     panels: dict[str, list[Curve]] = {}
     for family, members in families(basic["dataset"].unique()).items():
         rows = basic[basic["dataset"].isin(members)]

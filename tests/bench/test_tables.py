@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from bench.migration import migrated
-from bench.records import SCHEMA, Record
+from bench.records import SCHEMA, PruningResult, Record
 from bench.tables import stored_tables
 from methods.gaussian_splatting.spec import SPEC
 from methods.interface import RateKnob, option
 from methods.options import label, resolve
 from reports.charts.rate_distortion import at_default_rates, curves
-from reports.schema import joined, read_tables
+from reports.schema import PRUNED, joined, read_tables
 from tests.bench.test_versions import version
 
 MEASURED = sorted((Path(__file__).parents[2] / "reports" / "measured").glob("*.zip"))
@@ -83,3 +83,17 @@ def test_a_record_of_this_schema_stays_as_it_is():
     record = version(1, 1)[0]
     assert record.schema_version == SCHEMA
     assert migrated(record) is record
+
+
+def test_what_could_go_is_in_the_results_of_models_that_were_asked(spec):
+    records = [one for one in fitted(spec, 1) if one.job.scenes == ("a",) or one.measure is None]
+    asked = PruningResult(gaussians=8, shares=dict.fromkeys(PRUNED, 0.5))
+    plain, pruned = (
+        joined(stored_tables(
+            one.model_copy(update={"measure": one.measure.model_copy(update={"pruning": pruning})})
+            if one.measure else one for one in records
+        ))["results"] for pruning in (None, asked)
+    )  # fmt: skip
+    columns = ["gaussians", *PRUNED]
+    assert plain[columns].isna().all(axis=None)
+    assert pruned[columns].iloc[0].tolist() == [8, 0.5, 0.5, 0.5]

@@ -96,6 +96,17 @@ def test_what_is_spent_over_complexity(maker) -> None:
     assert psnr[0].y == [31.0, 38.0, 94.0]
 
 
+def test_other_rates_are_no_lines_over_complexity(maker) -> None:
+    for count in (1, 8, 64):
+        maker.run(dataset=f"blobs_{count}", method="vq-3dgs")
+        maker.run(dataset=f"blobs_{count}", method="vq-3dgs", rate=16.0)
+        maker.run(dataset=f"blobs_{count}", method="hac")
+        maker.run(dataset=f"blobs_{count}", method="hac", variant="rate_weight=0.5")
+        maker.run(dataset=f"blobs_{count}", method="ivr-gs", rate=16.0)
+    lines = stability.by_complexity(maker.tables()["results"], "psnr")["blobs"]
+    assert [line.title for line in lines] == ["VQ-3DGS", "HAC", "iVR-GS @ 16"]
+
+
 def test_page_and_files_show_both(few, maker, tmp_path) -> None:
     for count in (1, 8, 64):
         maker.run(dataset=f"blobs_{count}")
