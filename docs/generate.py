@@ -103,6 +103,7 @@ VALUES = {
     "excess": Value("excess alpha [%]", "excess", 100, "mean", ".1f"),
     "fps": Value("FPS", "fps", 1, "mean", ",.0f"),
     "seconds": Value("training [s]", "train_seconds", 1, "sum", ",.0f"),
+    "cpu": Value("processor time of training [s]", "cpu_seconds", 1, "sum", ",.0f"),
     "minutes": Value("training [min]", "train_seconds", 1 / 60, "sum", ",.1f"),
     "mib": Value("size [MiB]", "size_bytes", 2**-20, "sum", ",.2f"),
     "mib_scene": Value("size per scene [MiB]", "size_bytes", 2**-20, "mean", ",.3f"),
