@@ -114,7 +114,7 @@ VALUES = {
     "scenes": Value("scenes", "scene", 1, "nunique", ".0f"),
 }
 DASH = "\N{EN DASH}"
-WORTH = (("PSNR [dB]", "psnr"), ("size", "mib"), ("training", "seconds"))
+WORTH = (("PSNR [dB]", "psnr"), ("size", "mib"), ("processor time", "cpu"))
 """Columns of a block of departures: title, and name in VALUES: a difference of PSNR, and factors."""
 
 

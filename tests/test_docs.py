@@ -93,7 +93,7 @@ BLOCK = 'method = "econgs"\npreset = "quick"\nsuite = "departures"\nbundles = ["
 def _departures(generate, monkeypatch, *rows) -> list[str]:
     usual = {"method": "econgs", "kind": "basic", "variant": "", "preset": "quick", "width": 8, "height": 8,
              "train_views": 4, "seed": 0, "fit_processor": "P", "method_version": SPEC.version,
-             "psnr": 30.0, "size_bytes": 2**20, "train_seconds": 100.0}  # fmt: skip
+             "psnr": 30.0, "size_bytes": 2**20, "cpu_seconds": 100.0}  # fmt: skip
     results = frame("results", [usual | row for row in rows])
     monkeypatch.setattr(generate, "tables", lambda bundles: {"results": results})
     return generate.departures(BLOCK).splitlines()
@@ -109,7 +109,7 @@ def test_departures_join_options_with_what_was_measured(generate, monkeypatch) -
         generate,
         monkeypatch,
         {},
-        {"variant": "start_spacing=0", "psnr": 31.0, "size_bytes": 3 * 2**20, "train_seconds": 150.0},
+        {"variant": "start_spacing=0", "psnr": 31.0, "size_bytes": 3 * 2**20, "cpu_seconds": 150.0},
         {"variant": "growth_adapts=false,growth_gradient=0.0002", "psnr": 29.75},
         {"variant": "configuration=paper", "size_bytes": 2**19},
         *others,
