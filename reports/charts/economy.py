@@ -35,7 +35,7 @@ class Need:
 
     Attributes:
         bytes: of the model.
-        primitives: of the model.
+        primitives: of the model; NaN where its row does not say.
         bound: the smallest model is above that quality: these are its, and less may do.
     """
 
@@ -84,7 +84,9 @@ class Economy:
     def primitives_text(self, level: float) -> str:
         """As "1,234"."""
         need = self.needs[level]
-        return MISSING if need is None else f"{_bound(need)}{need.primitives:,.0f}"
+        if need is None or math.isnan(need.primitives):
+            return MISSING
+        return f"{_bound(need)}{need.primitives:,.0f}"
 
     def gains_text(self) -> str:
         """As "0.12, 0.01"."""
@@ -174,7 +176,9 @@ def need(curve: Curve, level: float) -> Need | None:
 
 
 def _primitives(point: Point) -> float:
-    return float(point.row["primitives"])
+    """NaN where the row does not say."""
+    primitives = point.row["primitives"]
+    return math.nan if primitives is None else float(primitives)
 
 
 def _between(low: float, high: float, share: float) -> float:
