@@ -412,7 +412,7 @@ def economy_of(description: str) -> str:
     block = tomllib.loads(description)
     report = Report(tables(tuple(block["bundles"]))).of_defaults
     rows = report.economies
-    if not economy.told(rows):
+    if not economy.has_facts(rows):
         raise SystemExit(f"nothing of the kind for {block}")
     show, level = block["show"], float(block.get("level", 0.0))
     texts: dict[str, Callable[[economy.Economy], str]] = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -24,7 +24,7 @@ class Gaussians:
         scales: (M, 3).
         opacities: (M,) in [0, 1].
         colors: (M, 3) shaded, in [0, 1].
-        slots: (M,) int64, the number of each in its scene, the same in every view; None: 0 to M - 1.
+        slots: (M,) int64, the number of each; None: 0 to M - 1.
     """
 
     means: Tensor
@@ -34,6 +34,11 @@ class Gaussians:
     colors: Tensor
     slots: Tensor | None = None
 
+    @property
+    def numbers(self) -> Tensor:
+        """(M,) int64, the number of each in its scene, the same in every view."""
+        return torch.arange(len(self.means), device=self.means.device) if self.slots is None else self.slots
+
 
 @dataclass(frozen=True)
 class ViewGaussians(Gaussians):
@@ -42,16 +47,20 @@ class ViewGaussians(Gaussians):
     Attributes:
         slots: (M,) int64, anchor * K + offset, ascending.
         raw_opacities: (N, K) tanh outputs of all Gaussians, also culled ones, without history; for pruning.
+        rows: (N,) int64, the rows of these anchors in their scene; None: they are all of it.
     """
 
-    slots: Tensor = field()
-    raw_opacities: Tensor = field()
+    slots: Tensor = field()  # not None, as the base has it
+    raw_opacities: Tensor
+    rows: Tensor | None = None
 
-    def of_rows(self, rows: Tensor, offsets: int) -> ViewGaussians:
-        """The same with the slots of a scene, of which these anchors are some rows."""
+    @property
+    def numbers(self) -> Tensor:
+        if self.rows is None:
+            return self.slots
+        offsets = self.raw_opacities.shape[1]
         anchors = self.slots.div(offsets, rounding_mode="floor")
-        slots = rows.index_select(0, anchors) * offsets + self.slots.remainder(offsets)
-        return replace(self, slots=slots)
+        return self.rows.index_select(0, anchors) * offsets + self.slots.remainder(offsets)
 
 
 @dataclass(frozen=True)

@@ -324,7 +324,7 @@ def _elsewhere(done: subprocess.CompletedProcess[str], file: Path) -> Broken:
     return Broken(f"{problem}:\n{done.stderr[-2000:]}", Failure("harness"))
 
 
-def told_apart(subject: Subject) -> str:
+def numbering(subject: Subject) -> str:
     """The Gaussians of a view give its picture, and each keeps its number where fewer are in view."""
     model, _ = subject.first()
     if not isinstance(model, HasGaussians):
@@ -580,7 +580,7 @@ CHECKS: tuple[Callable[[Subject], str], ...] = (
     partition,
     fit,
     saved_and_loaded,
-    told_apart,
+    numbering,
     edits,
     nothing_visible,
     deterministic,

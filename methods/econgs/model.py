@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -176,7 +176,7 @@ class EcongsModel(SceneModel[SceneAnchors]):
             decoded = decode(
                 positions, *values, decoders, embedding, palette, eye, light=light, factors=factors
             )
-            return decoded if len(rows) == len(scene) else decoded.of_rows(rows, decoders.offsets)
+            return decoded if len(rows) == len(scene) else replace(decoded, rows=rows)
         ready = scene.unshaded
         if not bool(shown.all()):
             ready = ready.of(shown[ready.slots // decoders.offsets].nonzero()[:, 0])

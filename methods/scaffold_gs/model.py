@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from urllib.parse import quote
 
@@ -67,7 +67,7 @@ class AnchorModel(SceneModel[SceneAnchors]):
         )
         if scene.masks is not None:
             decoded = apply_masks(decoded, scene.masks[rows])
-        return decoded if len(rows) == len(scene) else decoded.of_rows(rows, scene.decoders.offsets)
+        return decoded if len(rows) == len(scene) else replace(decoded, rows=rows)
 
 
 # --------------------------------------------------------------------------- Scaffold-GS's own folder

@@ -152,11 +152,8 @@ class SceneModel(ABC, Generic[S]):
         """What is splatted of a scene; see :class:`methods.interface.HasGaussians`."""
         camera = self._in_units(camera)
         own = self.gaussians(self.scene(scene), camera, Edit())
-        slots = own.slots
-        if slots is None:
-            slots = torch.arange(len(own.means), device=own.means.device)
         fields = (own.means, own.quats, own.scales, own.opacities, own.colors)
-        return Splats(*fields, camera, low_pass=self.rendering.low_pass), slots
+        return Splats(*fields, camera, low_pass=self.rendering.low_pass), own.numbers
 
     def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
         """Seconds of one frame of scenes (default: all) by part."""

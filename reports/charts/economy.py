@@ -196,7 +196,7 @@ def gains(curve: Curve) -> tuple[float, ...]:
     )
 
 
-def told(economies: Iterable[Economy]) -> bool:
+def has_facts(economies: Iterable[Economy]) -> bool:
     """Whether a suite asked for anything of these that is not a rate-distortion curve."""
     return any(one.volume is not None or one.gaussians is not None for one in economies)
 

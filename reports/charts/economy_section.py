@@ -31,7 +31,7 @@ _NOTE = (
 def economy_section(report: Report) -> Section | None:
     """Bytes and primitives for a quality, the worth of a KiB, and what could go."""
     rows = report.economies
-    if not economy.told(rows):
+    if not economy.has_facts(rows):
         return None
     charts = {}
     if (needs := kinds.needs(rows, report.models)).panels:
