@@ -12,7 +12,8 @@ from datasets.edits import Edit
 from datasets.errors import DataError
 from datasets.names import unknown
 
-KINDS = tuple(field.name for field in fields(Edit))
+KINDS = tuple(field.name for field in fields(Edit) if field.name != "transfer")
+"""Edits that a text can write; a transfer function is none of them."""
 
 
 def parse_edits(texts: Iterable[str]) -> dict[str, Edit]:

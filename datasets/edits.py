@@ -28,6 +28,7 @@ class Edit:
         opacity: factor on opacity, >= 0.
         light: unit vector from the object to the light, or "headlight".
         ambient, diffuse, specular, shininess: factors on the trained coefficients, >= 0.
+        transfer: another transfer function on the same variable; the other changes come on top of it.
     """
 
     palette: RGB | None = None
@@ -37,6 +38,7 @@ class Edit:
     diffuse: float | None = None
     specular: float | None = None
     shininess: float | None = None
+    transfer: TransferFunction | None = None
 
 
 def edited(scene: BasicScene, edit: Edit) -> BasicScene:
@@ -47,11 +49,14 @@ def edited(scene: BasicScene, edit: Edit) -> BasicScene:
       this way; a scene of one color takes exactly the new color.
     * Opacity: factor on the opacities of the transfer function (they stay below 1) or of the isosurfaces.
     * Light: the new direction, and factors on its coefficients.
+    * Transfer function: the new one, before the palette and the opacity of the edit change it.
 
     Raises:
         DataError: the scene does not allow the edit, or a value is out of range.
     """
     _check(scene, edit)
+    if edit.transfer is not None:
+        scene = replace(scene, transfer=edit.transfer)
     if edit.palette is not None:
         r, g, b = (new - old for new, old in zip(edit.palette, mean_color(scene), strict=True))
         scene = _changed(scene, lambda part: _recolor(part, (r, g, b)))
@@ -111,6 +116,8 @@ def _check(scene: BasicScene, edit: Edit) -> None:
         )
     if isinstance(edit.light, tuple) and abs(math.hypot(*edit.light) - 1.0) > 1e-3:
         raise DataError(what, f"the light {edit.light} is no unit vector", "Divide it by its length")
+    if edit.transfer is not None and scene.transfer is None:
+        raise DataError(what, "it shows isosurfaces, no transfer function", "Edit its palette or opacity")
     lit = (edit.light, edit.ambient, edit.diffuse, edit.specular, edit.shininess)
     if scene.light is None and any(x is not None for x in lit):
         raise DataError(what, "the scene is unshaded", "Edit its palette or opacity only")

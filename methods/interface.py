@@ -139,7 +139,7 @@ class MethodSpec:
     source: tuple[str, ...] = ()
     joint: bool = False
     composable: bool = False
-    edits: frozenset[Literal["palette", "opacity", "light", "shading"]] = frozenset()
+    edits: frozenset[Literal["palette", "opacity", "light", "shading", "transfer"]] = frozenset()
     needs_volume: bool = False
     devices: tuple[str, ...] = ("cpu", "cuda")
     options: type[Any] = NoOptions

@@ -26,6 +26,7 @@ from safetensors.torch import load, save
 
 from datasets.camera import Camera
 from datasets.errors import DataError
+from datasets.transfer import Bump, TransferFunction
 from econgs.splat.composite import over
 from econgs.splat.rasterise import rasterise
 from methods.contract.scene import away, cameras, tiny_scene
@@ -48,11 +49,13 @@ from methods.options import CONFIGURATION, declared, resolve
 from methods.registry import check_spec
 
 TOLERANCE = 1e-6  # of colors and alpha: a model must not depend on the process that renders it
+_OTHER_BUMP = Bump("other", 0.1, 0.3, 0.5, 0.8, (0.1, 0.8, 0.2), 0.6)
 EDITS: Mapping[str, tuple[Edit, ...]] = {
     "palette": (Edit(palette=(0.9, 0.1, 0.1)),),
     "opacity": (Edit(opacity=0.3),),
     "light": (Edit(light=(0.0, 0.6, 0.8)),),
     "shading": (Edit(ambient=0.5), Edit(diffuse=0.5), Edit(specular=3.0), Edit(shininess=0.5)),
+    "transfer": (Edit(transfer=TransferFunction("other", (_OTHER_BUMP,), 0.05)),),
 }
 
 

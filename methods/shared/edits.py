@@ -49,6 +49,8 @@ def shading_edit(
     Raises:
         Refused: a value out of range.
     """
+    if edit.transfer is not None:
+        raise Refused(f"the transfer function of scene {name!r} is part of its model: it cannot be edited")
     numbers = {
         part: 1.0 if value is None else float(value)
         for part in ("opacity", "ambient", "diffuse", "specular", "shininess")

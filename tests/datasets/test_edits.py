@@ -61,6 +61,14 @@ def test_light_and_its_coefficients():
     assert new == Light((1.0, 0.0, 0.0), 0.8, 0.25, 0.0, 30.0, "phong")
 
 
+def test_a_transfer_function_is_replaced_before_other_changes():
+    other = TransferFunction("o", TWO.transfer.bumps, 0.02)
+    assert edited(ONE, Edit(transfer=other)).transfer == other
+    both = edited(ONE, Edit(transfer=other, opacity=0.5)).transfer
+    assert [b.opacity for b in both.bumps] == [0.25, 0.375]
+    assert both.reference_length == 0.02
+
+
 def test_an_edit_of_nothing_is_the_scene_itself():
     assert edited(TWO, Edit()) == TWO
 
@@ -74,6 +82,7 @@ def test_an_edit_of_nothing_is_the_scene_itself():
         (ONE, Edit(palette=(1.2, 0.0, 0.0)), "palette"),
         (ONE, Edit(light=(1.0, 1.0, 0.0)), "no unit vector"),
         (scene((0.2, 0.3, 0.4, 0.5, (0.2, 0.4, 0.6), 0.5), light=None), Edit(ambient=2.0), "unshaded"),
+        (scene(isosurfaces=(Isosurface("a", 0.3, (0.5, 0.5, 0.5)),)), Edit(transfer=ONE.transfer), "isosurfaces"),
         (scene(views_folder="somewhere"), Edit(opacity=0.5), "rendered elsewhere"),
         (scene(), Edit(palette=(0.5, 0.5, 0.5)), "no transfer function"),
     ],
