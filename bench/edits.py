@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
+from itertools import cycle
 from typing import Any
 
 from datasets.edits import Edit
@@ -44,6 +45,35 @@ def edit_of(scene: str, text: str) -> dict[str, Edit]:
     return parse_edits(f"{scene}.{part}" for part in text.split())
 
 
+def edits_of(scenes: Sequence[str], text: str) -> dict[str, Edit]:
+    """Scene -> its edit, for a text like "opacity=0.5 | palette=#ff8800 | light=1,0,0".
+
+    The first part is for the first scene, the second for the second, and after the last one the first again.
+
+    Raises:
+        DataError, UnknownName: as :func:`parse_edits`.
+    """
+    parts = text.split("|")
+    edits: dict[str, Edit] = {}
+    for scene, part in zip(scenes, cycle(parts), strict=False):
+        edits |= edit_of(scene, part)
+    return edits
+
+
+def text_of(edit: Edit) -> str:
+    """An edit in the form that :func:`edit_of` reads: colors of 8 bits, numbers of four digits."""
+    values = ((kind, getattr(edit, kind)) for kind in KINDS)
+    return " ".join(f"{kind}={_text(kind, value)}" for kind, value in values if value is not None)
+
+
+def _text(kind: str, value: Any) -> str:
+    if kind == "palette":
+        return "#" + "".join(f"{round(255 * channel):02x}" for channel in value)
+    if isinstance(value, tuple):
+        return ",".join(f"{number:.4g}" for number in value)
+    return value if isinstance(value, str) else f"{value:.4g}"
+
+
 def _value(text: str, kind: str, value: str) -> Any:
     if kind == "palette":
         if not re.fullmatch(r"#[0-9a-fA-F]{6}", value):
@@ -60,6 +90,10 @@ def _value(text: str, kind: str, value: str) -> Any:
         if len(numbers) != 3 or not 0.0 < length < math.inf:
             raise DataError(f"--edit {text}", f"{value!r} is no direction", "Write headlight, or x,y,z")
         return tuple(number / length for number in numbers)
+    if kind == "shift":
+        if len(numbers) != 1 or not math.isfinite(numbers[0]):
+            raise DataError(f"--edit {text}", f"{value!r} is no number of widths", "Write 0.5 or -0.5")
+        return numbers[0]
     if len(numbers) != 1 or not math.isfinite(numbers[0]) or numbers[0] < 0.0:
         raise DataError(f"--edit {text}", f"{value!r} is no factor", "Give a number of at least 0")
     return numbers[0]

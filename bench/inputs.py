@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.edits import edit_of
+from bench.edits import edit_of, edits_of
 from bench.records import Request, hash_of
 from bench.stress import part_of, stress_of
 from bench.suites import ViewPreset
 from datasets.catalogue.entries import built_in, own_files
-from datasets.edits import edited
+from datasets.edits import Edit, changes_transfer, edited
 from datasets.errors import DataError
 from datasets.ground_truth.model import MODEL_VERSION
 from datasets.readers.naming import split
 from datasets.render_views import views_of, volume_digest
 from datasets.scene import Dataset
-from datasets.stress import narrowed
 from datasets.transfer import TransferFunction
+from datasets.unseen import transfer_distance
 from datasets.views import Split, ViewRequest, ViewSet
 
 _BINS = 128  # of a recorded transfer function
@@ -94,8 +94,24 @@ def view_size(preset: ViewPreset, native: tuple[int, int] | None) -> tuple[int, 
 def views(
     dataset: Dataset, scene: str, request: Request, split: Split, edit: str = "", stress: str = ""
 ) -> ViewSet:
-    """Ground-truth views of a basic scene (edited or not) or of a composition; cached if possible."""
-    return views_of(dataset, scene, view_request(request, split, stress), edit=edit_of(scene, edit))
+    """Ground-truth views of a basic scene or of a composition, edited or not; cached if possible."""
+    edits = _edits(dataset, scene, edit)
+    return views_of(dataset, scene, view_request(request, split, stress), edit=edits)
+
+
+def _edits(dataset: Dataset, scene: str, edit: str) -> dict[str, Edit]:
+    return edits_of([part.name for part in dataset.parts(scene)], edit)
+
+
+def edit_distance(dataset: Dataset, scene: str, edit: str) -> float | None:
+    """Distance of a scene's or composition's transfer functions from the edited ones; None without an edit
+    of their opacities or values.
+    """
+    parts, changes = dataset.parts(scene), _edits(dataset, scene, edit)
+    if not any(changes_transfer(change) or change.opacity is not None for change in changes.values()):
+        return None
+    after = [edited(part, changes[part.name]) if part.name in changes else part for part in parts]
+    return transfer_distance(parts, after)
 
 
 def stressed(dataset: Dataset, scene_name: str, stress: str) -> Dataset:
@@ -107,11 +123,9 @@ def stressed(dataset: Dataset, scene_name: str, stress: str) -> Dataset:
     values = stress_of(part_of(stress, "truth"))
     if not values:
         return dataset
-    frame, width = dataset.frame, values.pop("width", None)
+    frame = dataset.frame
     edits = edit_of(scene_name, " ".join(f"{name}={value}" for name, value in values.items()))
-    scene = dataset.scene(scene_name)
-    scene = edited(scene, edits[scene_name]) if edits else scene
-    scene = scene if width is None else narrowed(scene, width)
+    scene = edited(dataset.scene(scene_name), edits[scene_name])
     scenes = tuple(scene if one.name == scene_name else one for one in dataset.scenes)
     return replace(dataset, scenes=scenes, framing=None if frame is None else lambda _: frame)
 
@@ -124,13 +138,13 @@ def transfer_table(transfer: TransferFunction, entries: int) -> NDArray[np.float
 
 
 def transfer_summary(dataset: Dataset, scene: str, edit: str = "") -> dict[str, dict[str, list[list[float]]]]:
-    """Basic scene -> its transfer function and isosurfaces, for a scene (edited or not) or a composition.
+    """Basic scene -> its transfer function and isosurfaces, for a scene or a composition, edited or not.
 
     "transfer": color and opacity (of the reference length) of :data:`_BINS` equal bins of normalised values,
     at the highest opacity in each; "levels": normalised value and color of each isosurface. Empty for scenes
     that were rendered elsewhere.
     """
-    changes = edit_of(scene, edit)
+    changes = _edits(dataset, scene, edit)
     summary = {}
     for part in dataset.parts(scene) if dataset.kind == "volume" else ():
         scene_part = edited(part, changes[part.name]) if part.name in changes else part

@@ -13,13 +13,16 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
+from bench.edits import edit_of, text_of
 from bench.metrics import METRICS
 from bench.records import Job, hash_of
 from bench.selection import Selection, Subset, subset_of_scene, subsets, usual_sources
 from bench.store import Store
 from bench.stress import part_of, stress_of
 from bench.suites import SAMPLED
+from datasets.edits import changes_transfer
 from datasets.names import unknown
+from datasets.unseen import recipe
 from methods.interface import MethodSpec
 from methods.options import ITERATIONS, Settings, resolve
 from methods.registry import Registry
@@ -223,10 +226,11 @@ class Planner:
                 after = {"partition": partition.key if partition else None}
                 needs = (partition.id,) if partition else ()
                 fits = [training("fit", group, needs, after) for group in groups]
-                yield from self._of_fits(fits, replace(case, subset=subset), tested, edited, rates)
+                yield from self._of_fits(spec, fits, replace(case, subset=subset), tested, edited, rates)
 
     def _of_fits(
         self,
+        spec: MethodSpec,
         fits: list[Job],
         case: _Case,
         views: dict[str, Job],
@@ -244,13 +248,17 @@ class Planner:
                 for scene in fit.scenes:
                     encodes[scene, rate] = encode
                     yield self._measure([encode], (scene,), views[scene], stress=case.stress)
-                    for edit in self._selection.suite.edits if rate is None else ():
-                        if (scene, edit) in edited:
-                            yield self._measure([encode], (scene,), edited[scene, edit], edit=edit)
+        for (name, edit), truth in edited.items() if fits else ():
+            parts = case.subset.compositions.get(name)
+            if parts is not None:
+                yield self._measure(_of(encodes, parts, None), parts, truth, name, edit)
+                continue
+            mixed = _recipe(case.subset, name, edit, spec)
+            models = _of(encodes, mixed or (name,), None)
+            yield self._measure(models, (name,), truth, edit=edit, recipe=mixed)
         for name, parts in case.subset.compositions.items() if fits else ():
             for rate in rates:
-                models = list({encodes[part, rate].id: encodes[part, rate] for part in parts}.values())
-                yield self._measure(models, parts, views[name], name)
+                yield self._measure(_of(encodes, parts, rate), parts, views[name], name)
 
     def _measure(
         self,
@@ -260,6 +268,7 @@ class Planner:
         composition: str = "",
         edit: str = "",
         stress: str = "",
+        recipe: Mapping[str, str] = MappingProxyType({}),
     ) -> Job:
         """The measurement of a basic scene, edited or not, or of the scenes of a composition together."""
         identity: dict[str, Any] = {
@@ -274,6 +283,8 @@ class Planner:
             identity |= {"encode": encodes[0].key, "scene": scenes[0]}
         if edit:
             identity["edit"] = edit
+        if recipe:
+            identity |= {"encodes": [encode.key for encode in encodes], "recipe": dict(recipe)}
         if (sampled := self._selection.suite.sampled) != SAMPLED:
             identity["sampled"] = sampled
         usual = encodes[0].rate is None and not (encodes[0].knob or composition or edit or stress)
@@ -287,6 +298,7 @@ class Planner:
             scenes=scenes,
             composition=composition,
             edit=edit,
+            recipe=dict(recipe),
             stress=stress,
             group=",".join(encode.group for encode in encodes),
             metrics=dict(self._metrics),
@@ -295,13 +307,13 @@ class Planner:
         )
 
     def _edited_views(self, subset: Subset) -> dict[tuple[str, str], Job]:
-        """Scene and edit -> the views of the edited scene, where scenes can be rendered."""
-        edits = self._selection.suite.edits if subset.kind == "volume" else ()
-        return {
-            (scene, edit): self._of_scene("views", subset, scene, edit)
-            for scene in subset.hashes
-            for edit in edits
-        }
+        """Scene or composition, and edit -> the views of the edited one, where scenes can be rendered."""
+        if subset.kind != "volume":
+            return {}
+        suite = self._selection.suite
+        wanted = [(scene, edit) for scene in subset.hashes for edit in suite.edits]
+        wanted += [(name, chain) for name in subset.compositions for chain in suite.chains]
+        return {(name, edit): self._of_scene("views", subset, name, edit) for name, edit in wanted}
 
     def _of_scene(self, kind: str, subset: Subset, name: str, edit: str = "", stress: str = "") -> Job:
         """A job about a scene or composition without a method: its views, cost of rendering or complexity."""
@@ -422,6 +434,26 @@ def _groups(partition: Job, store: Store | None) -> list[list[str]]:
     if record is not None and not record.ok:
         return [list(partition.scenes)]  # its failure is the failure of every scene
     return record.partition.groups if record is not None and record.partition is not None else []
+
+
+def _recipe(subset: Subset, name: str, text: str, spec: MethodSpec) -> dict[str, str]:
+    """The trained scenes that stand for an edited scene, and their edits; {}: the method makes the edit."""
+    edit = edit_of(name, text)[name]
+    if "transfer" in spec.edits or not changes_transfer(edit) or "opacity" not in spec.edits:
+        return {}
+    scene = next(one for one in subset.scenes if one.name == name)
+    trained = [one for one in subset.scenes if one.variable == scene.variable]
+    if not spec.composable:
+        trained = [scene]
+    found = recipe(scene, edit, trained, palette="palette" in spec.edits)
+    return {one: text_of(change) for one, change in found.items()}
+
+
+def _of(
+    encodes: Mapping[tuple[str, float | None], Job], scenes: Iterable[str], rate: float | None
+) -> list[Job]:
+    """The models at a rate that hold some scenes, each once."""
+    return list({encodes[scene, rate].id: encodes[scene, rate] for scene in scenes}.values())
 
 
 def _after(job: Job, identity: dict[str, Any], **changes: Any) -> Job:

@@ -43,7 +43,10 @@ class Job(_Model):
         scenes: basic scenes of the job: one (or those of a composition) for views, dvr and measure, a group
             for fit and encode, all of the dataset for partition.
         composition: name of the composition that the scenes make up, "" for a basic scene.
-        edit: change of a basic scene before rendering (views, measure), as "opacity=0.5".
+        edit: change before rendering (views, measure), as "opacity=0.5"; of a composition, changes of its
+            scenes in turn, as "opacity=0.5 | opacity=2".
+        recipe: scenes whose models are rendered together for a basic scene, and the edit of each, where a
+            method cannot make the edit (measure only); empty: it makes the edit.
         stress: harder conditions that decide the job (:mod:`bench.stress`), as "noise=8"; of measure, all
             that decide the jobs before it as well.
         group: label of the scenes that were fitted together; labels of several groups (measure of a
@@ -67,6 +70,7 @@ class Job(_Model):
     scenes: tuple[str, ...]
     composition: str = ""
     edit: str = ""
+    recipe: dict[str, str] = Field(default_factory=dict)
     stress: str = ""
     group: str = ""
     request: Request
@@ -94,6 +98,11 @@ class Job(_Model):
     def subject(self) -> str:
         """Name of the composition, or of the first basic scene."""
         return self.composition or self.scenes[0]
+
+    @property
+    def rendered(self) -> tuple[str, ...]:
+        """The scenes whose models are rendered together."""
+        return tuple(self.recipe) or self.scenes
 
     @property
     def title(self) -> str:
@@ -180,6 +189,8 @@ class ViewsResult(_Model):
         render_seconds: time that this job waited for the views.
         cost: split -> cost of rendering its views (:attr:`datasets.views.ViewSet.cost`), renderer and
             version among it; empty for pre-rendered views.
+        distance: distance in [0, 1] of the transfer functions from those before the edit
+            (:func:`datasets.unseen.transfer_distance`); None without an edit of them.
         transfer: part -> its transfer function and isosurfaces (:func:`bench.inputs.transfer_summary`);
             empty for pre-rendered views.
     """
@@ -189,6 +200,7 @@ class ViewsResult(_Model):
     truth: dict[str, list[str]]
     render_seconds: float
     cost: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    distance: float | None = None
     transfer: dict[str, dict[str, list[list[float]]]] = Field(default_factory=dict)
 
 

@@ -12,7 +12,7 @@ from bench.suites import Suite, ViewPreset
 from datasets.catalogue import list_datasets, open_dataset
 from datasets.errors import DataError, UnknownName
 from datasets.names import unknown
-from datasets.scene import Dataset
+from datasets.scene import BasicScene, Dataset
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class Subset:
         hashes: basic scene -> content hash, in the order of the dataset.
         compositions: composition -> its basic scenes, all of which are in ``hashes``.
         request: the views of each scene.
+        scenes: definitions of the basic scenes, in the order of ``hashes``.
     """
 
     source: str
@@ -55,6 +56,7 @@ class Subset:
     hashes: Mapping[str, str]
     compositions: Mapping[str, tuple[str, ...]]
     request: Request
+    scenes: tuple[BasicScene, ...] = ()
 
     def content(self, name: str) -> str:
         """Content hash of a basic scene or of a composition."""
@@ -164,6 +166,7 @@ def _subset(
         {scene: inputs.fingerprint(dataset, scene) for scene in scenes},
         compositions,
         inputs.request(dataset, scenes[0], preset),
+        tuple(dataset.scene(scene) for scene in scenes),
     )
 
 

@@ -64,7 +64,6 @@ def _edit(name: str) -> Kind:
 
 KINDS: dict[str, Kind] = {
     **{name: _edit(name) for name in EDITS},
-    "width": Kind("truth", "factor on the width of every bump, 0.001 to 1", _number(1e-3, 1.0)),
     "views": Kind("input", "number of training views, 2 or more, spread out", _number(2, whole=True)),
     "cameras": Kind(
         "input", "training cameras of one `hemisphere` or one `ring`", _choice("hemisphere", "ring")

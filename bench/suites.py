@@ -69,7 +69,10 @@ class Suite:
         variants: sets of options, method -> option -> value; {} is the presets' own.
         rates: "default" (each method's own size) or "all" (the rate knobs' values).
         edits: changes of each basic scene, as "opacity=0.5 light=1,0,0". Models are edited and measured
-            against the ground truth of the changed scene; scenes of pre-rendered views have none.
+            against the ground truth of the changed scene; scenes of pre-rendered views have none. Where an
+            edit changes a transfer function and a method cannot do that, the trained scenes that come nearest
+            are rendered together (:func:`datasets.unseen.recipe`).
+        chains: changes of each composition, for its scenes in turn, as "opacity=0.5 | opacity=2".
         sampled: primitives of each scene whose attributes are recorded.
         ladders: runs under more and more stress, beside the usual ones.
         repeats: further seeds of a rung on which a method breaks, and of the first rung beside it.
@@ -92,6 +95,7 @@ class Suite:
     stand_ins: Mapping[str, str] = field(default_factory=dict)
     train_views: tuple[int, ...] = ()
     edits: tuple[str, ...] = ()
+    chains: tuple[str, ...] = ()
     sampled: int = SAMPLED
     ladders: tuple[Ladder, ...] = ()
     repeats: tuple[int, ...] = ()
@@ -164,6 +168,7 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
             stand_ins={str(name): str(other) for name, other in data.get("stand_ins", {}).items()},
             train_views=tuple(int(count) for count in data.get("train_views", ())),
             edits=tuple(str(edit) for edit in data.get("edits", ())),
+            chains=tuple(str(chain) for chain in data.get("chains", ())),
             sampled=int(data.get("sampled", SAMPLED)),
             ladders=tuple(ladder_of(table, str(path)) for table in data.get("ladders", ())),
             repeats=tuple(int(seed) for seed in data.get("repeats", ())),
@@ -192,6 +197,11 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
     for edit in suite.edits:
         if not edit_of("scene", edit):
             raise DataError(path, "an edit that changes nothing", 'Write edits = ["opacity=0.5"]')
+    for chain in suite.chains:
+        if not any(edit_of("scene", part) for part in chain.split("|")):
+            raise DataError(
+                path, "a chain that changes nothing", 'Write chains = ["opacity=0.5 | opacity=2"]'
+            )
     for ladder in suite.ladders:
         for name in ladder.datasets:
             if name not in suite.datasets:

@@ -140,7 +140,7 @@ def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
         "dataset": job.dataset_name,
         "procedural": is_procedural(job.dataset),
         "scene": f"{job.subject} {job.edit}".strip(),
-        "kind": "composed" if job.composition else "edited" if job.edit else "basic",
+        "kind": "edited" if job.edit else "composed" if job.composition else "basic",
         "edit": job.edit,
         "stress": job.stress,
         "members": json.dumps(job.scenes),
@@ -267,6 +267,8 @@ def _result(record: Record, lineage: Lineage, versions: Mapping[str, str]) -> Ro
         "reason": record.reason,
         "stage": record.stage,
         "stale": is_stale(fits, versions),
+        "recipe": json.dumps(record.job.recipe) if record.job.recipe else "",
+        "distance": next((one.views.distance for one in lineage.needed(record, "views") if one.views), None),
         "fit_reference_seconds": _largest(fit.fit.reference_seconds for fit in fits if fit.fit is not None),
         **_costs(record.job, models),
         **_memory(record, fits),
@@ -320,7 +322,7 @@ def _cost(job: Job, model: Model) -> dict[str, float]:
     if model.encode is None or model.encode.encode is None:
         return {}
     encode, group = model.encode.encode, model.encode.job.scenes
-    scenes = [scene for scene in job.scenes if scene in group]
+    scenes = [scene for scene in job.rendered if scene in group]
     cost: dict[str, float] = {"encode_seconds": encode.seconds, **_sizes(scenes, group, encode)}
     if model.fit is not None and model.fit.fit is not None:
         cost |= _times(len(scenes), len(group), encode, model.fit.fit, model.partition)

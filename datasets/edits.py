@@ -12,7 +12,7 @@ from datasets.errors import DataError
 
 if TYPE_CHECKING:
     from datasets.scene import RGB, BasicScene, Light
-    from datasets.transfer import TransferFunction
+    from datasets.transfer import Bump, TransferFunction
 
 _OPAQUE = 0.9999
 """Opacity of bumps stays below 1, where extinction would be infinite."""
@@ -29,6 +29,8 @@ class Edit:
         light: unit vector from the object to the light, or "headlight".
         ambient, diffuse, specular, shininess: factors on the trained coefficients, >= 0.
         transfer: another transfer function on the same variable; the other changes come on top of it.
+        shift: every bump moves along the values by this many of its own widths; negative: to lower values.
+        width: factor on the width of every bump, around the middle of its plateau, > 0.
     """
 
     palette: RGB | None = None
@@ -39,6 +41,8 @@ class Edit:
     specular: float | None = None
     shininess: float | None = None
     transfer: TransferFunction | None = None
+    shift: float | None = None
+    width: float | None = None
 
 
 def edited(scene: BasicScene, edit: Edit) -> BasicScene:
@@ -49,7 +53,8 @@ def edited(scene: BasicScene, edit: Edit) -> BasicScene:
       this way; a scene of one color takes exactly the new color.
     * Opacity: factor on the opacities of the transfer function (they stay below 1) or of the isosurfaces.
     * Light: the new direction, and factors on its coefficients.
-    * Transfer function: the new one, before the palette and the opacity of the edit change it.
+    * Transfer function: the new one, then the widths of its bumps, then their places, then palette and
+      opacity. Corners of bumps stay in [0, 1].
 
     Raises:
         DataError: the scene does not allow the edit, or a value is out of range.
@@ -57,6 +62,12 @@ def edited(scene: BasicScene, edit: Edit) -> BasicScene:
     _check(scene, edit)
     if edit.transfer is not None:
         scene = replace(scene, transfer=edit.transfer)
+    if edit.width is not None:
+        width = edit.width
+        scene = _changed(scene, lambda bump: _widened(bump, width))
+    if edit.shift is not None:
+        shift = edit.shift
+        scene = _changed(scene, lambda bump: _shifted(bump, shift))
     if edit.palette is not None:
         r, g, b = (new - old for new, old in zip(edit.palette, mean_color(scene), strict=True))
         scene = _changed(scene, lambda part: _recolor(part, (r, g, b)))
@@ -66,6 +77,11 @@ def edited(scene: BasicScene, edit: Edit) -> BasicScene:
     if scene.light is not None:
         scene = replace(scene, light=_relight(scene.light, edit))
     return scene
+
+
+def changes_transfer(edit: Edit) -> bool:
+    """Whether other values are visible after an edit than before."""
+    return any(change is not None for change in (edit.transfer, edit.shift, edit.width))
 
 
 def mean_color(scene: BasicScene) -> RGB:
@@ -116,8 +132,13 @@ def _check(scene: BasicScene, edit: Edit) -> None:
         )
     if isinstance(edit.light, tuple) and abs(math.hypot(*edit.light) - 1.0) > 1e-3:
         raise DataError(what, f"the light {edit.light} is no unit vector", "Divide it by its length")
-    if edit.transfer is not None and scene.transfer is None:
-        raise DataError(what, "it shows isosurfaces, no transfer function", "Edit its palette or opacity")
+    moves = (edit.transfer, edit.shift, edit.width)
+    if scene.transfer is None and any(x is not None for x in moves):
+        raise DataError(what, "it has no transfer function", "Edit its palette or opacity")
+    if edit.shift is not None and not math.isfinite(edit.shift):
+        raise DataError(what, f"the shift is {edit.shift}", "Give a finite number of widths")
+    if edit.width is not None and not (math.isfinite(edit.width) and edit.width > 0.0):
+        raise DataError(what, f"the factor on the width is {edit.width}", "Give a number above 0")
     lit = (edit.light, edit.ambient, edit.diffuse, edit.specular, edit.shininess)
     if scene.light is None and any(x is not None for x in lit):
         raise DataError(what, "the scene is unshaded", "Edit its palette or opacity only")
@@ -135,6 +156,23 @@ def _changed(scene: BasicScene, change: Callable[[Any], Any]) -> BasicScene:
         return replace(scene, isosurfaces=tuple(change(surface) for surface in scene.isosurfaces))
     transfer = _transfer(scene)
     return replace(scene, transfer=replace(transfer, bumps=tuple(change(bump) for bump in transfer.bumps)))
+
+
+def _widened(bump: Bump, factor: float) -> Bump:
+    middle = 0.5 * (bump.rise + bump.fall)
+    return _with_corners(bump, lambda corner: middle + factor * (corner - middle))
+
+
+def _shifted(bump: Bump, widths: float) -> Bump:
+    by = widths * (bump.end - bump.start)
+    return _with_corners(bump, lambda corner: corner + by)
+
+
+def _with_corners(bump: Bump, place: Callable[[float], float]) -> Bump:
+    start, rise, fall, end = (
+        min(max(place(corner), 0.0), 1.0) for corner in (bump.start, bump.rise, bump.fall, bump.end)
+    )
+    return replace(bump, start=start, rise=rise, fall=fall, end=end)
 
 
 def _recolor(part: Any, shift: RGB) -> Any:

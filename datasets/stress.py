@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from datasets.camera import Camera
 from datasets.cloud import PointCloud, random_cloud
 from datasets.errors import DataError
-from datasets.scene import BasicScene
-from datasets.transfer import Bump
 
 Side = Literal["hemisphere", "ring"]
 RING = 20.0
@@ -23,33 +21,6 @@ OUTLIERS = 0.1
 """Share of outliers among the points of a cloud."""
 OUTLIER_REACH = 10.0
 """Half-side of the outliers' cube / radius of what the cameras see."""
-
-
-def narrowed(scene: BasicScene, factor: float) -> BasicScene:
-    """The scene with each bump of its transfer function narrowed around the middle of its plateau.
-
-    Args:
-        scene: with a transfer function.
-        factor: new width / old width, > 0; corners stay in [0, 1].
-
-    Raises:
-        DataError: the scene has no transfer function.
-    """
-    if scene.transfer is None:
-        raise DataError(
-            f"scene {scene.name}", "it has no transfer function to narrow", "Name a scene with bumps"
-        )
-    bumps = tuple(_narrowed(bump, factor) for bump in scene.transfer.bumps)
-    return replace(scene, transfer=replace(scene.transfer, bumps=bumps))
-
-
-def _narrowed(bump: Bump, factor: float) -> Bump:
-    middle = 0.5 * (bump.rise + bump.fall)
-    start, rise, fall, end = (
-        min(max(middle + factor * (corner - middle), 0.0), 1.0)
-        for corner in (bump.start, bump.rise, bump.fall, bump.end)
-    )
-    return replace(bump, start=start, rise=rise, fall=fall, end=end)
 
 
 def spread_out(cameras: Sequence[Camera], count: int) -> list[int]:

@@ -149,6 +149,10 @@ COLUMNS: dict[str, Column] = _declare(
            "of the changed scene; `composed`: scenes of a composition rendered together, from the models of "
            "all groups that hold them. Kinds are never summed or averaged together", default="basic"),
     Column("edit", _T, "the change of an edited scene, as `opacity=0.5 light=1,0,0`; else empty", default=""),
+    Column("recipe", _T, "JSON: the trained scenes whose models were rendered together for an edited scene, "
+           "and the edit of each, where the method cannot make the edit; else empty", default=""),
+    Column("distance", _F, "distance in [0, 1] of an edited scene's transfer functions from those before the "
+           "edit; null where the edit changes none", "Distance"),
     Column("stress", _T, "harder conditions of the run, as `noise=8`; else empty", "Stress", write=str,
            default=""),
     Column("members", _T, "JSON: basic scenes that the job is about"),
@@ -355,11 +359,11 @@ TABLES: dict[str, Table] = {
         "composition are sums over its scenes or groups; `load_seconds` and `fps` are measured; memory is "
         "the maximum. A method that cannot make an edit, or cannot render models of several groups together, "
         "has a row with status `refused`.", _RESULT,
-        ("job", "status", "reason", "omissions", "stage", "stale", *METRICS, *COVERAGE, "flicker",
-         "identical_views", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "train_seconds",
-         "group_seconds", "partition_seconds", "encode_seconds", "cpu_seconds", "load_seconds", "fps",
-         "fps_p05", "fps_p95", "reference_seconds", "fit_reference_seconds", "peak_host_bytes",
-         "peak_device_bytes", "group_peak_host_bytes", "gaussians", *PRUNED),
+        ("job", "status", "reason", "omissions", "stage", "stale", "recipe", "distance", *METRICS, *COVERAGE,
+         "flicker", "identical_views", "size_bytes", "group_bytes", "standalone_bytes", "primitives",
+         "train_seconds", "group_seconds", "partition_seconds", "encode_seconds", "cpu_seconds",
+         "load_seconds", "fps", "fps_p05", "fps_p95", "reference_seconds", "fit_reference_seconds",
+         "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes", "gaussians", *PRUNED),
     ),
     "views": Table(
         "A measured view of a model.", _MEASURED,

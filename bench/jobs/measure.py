@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.edits import edit_of
+from bench.edits import edit_of, edits_of
 from bench.jobs.context import Context
 from bench.monitor import as_numpy
 from bench.records import MeasureResult, PruningResult, ViewResult
@@ -36,7 +36,7 @@ def run(context: Context) -> MeasureResult:
         Refused: the scenes are in several models and the method cannot render those together, or it cannot
             make the edit.
     """
-    job, scenes = context.job, list(context.job.scenes)
+    job, scenes = context.job, list(context.job.rendered)
     encodes = context.inputs("encode")
     if context.spec is not None and len(encodes) > 1 and not context.spec.composable:
         raise Refused(f"{job.method} cannot render models of several groups together ({job.group})")
@@ -45,7 +45,11 @@ def run(context: Context) -> MeasureResult:
     truth = context.truth(job.subject)
     units = stress_of(job.stress).get("units", 1.0)
     cameras = [camera_in_units(camera, units) for camera in truth.cameras(job.split)]
-    edit = edit_of(job.subject, job.edit)
+    edit = edits_of(job.scenes, job.edit)
+    if job.recipe:
+        edit = {}
+        for scene, text in job.recipe.items():
+            edit |= edit_of(scene, text)
     background = views_job.views.background
     method = context.method()
 

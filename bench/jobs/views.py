@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from bench.inputs import stressed, transfer_summary, views
+from bench.inputs import edit_distance, stressed, transfer_summary, views
 from bench.jobs.context import Context
 from bench.jobs.truth import write_truth
 from bench.records import ViewsResult
@@ -52,5 +52,6 @@ def run(context: Context) -> ViewsResult:
         truth={job.split: names},
         render_seconds=seconds,
         cost={split: dict(one.cost) for split, one in sets.items() if one.cost is not None},
+        distance=edit_distance(dataset, job.subject, job.edit),
         transfer=transfer_summary(dataset, job.subject, job.edit),
     )

@@ -55,7 +55,11 @@ EDITS: Mapping[str, tuple[Edit, ...]] = {
     "opacity": (Edit(opacity=0.3),),
     "light": (Edit(light=(0.0, 0.6, 0.8)),),
     "shading": (Edit(ambient=0.5), Edit(diffuse=0.5), Edit(specular=3.0), Edit(shininess=0.5)),
-    "transfer": (Edit(transfer=TransferFunction("other", (_OTHER_BUMP,), 0.05)),),
+    "transfer": (
+        Edit(transfer=TransferFunction("other", (_OTHER_BUMP,), 0.05)),
+        Edit(shift=0.5),
+        Edit(width=2.0),
+    ),
 }
 
 

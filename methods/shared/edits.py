@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import torch
 
+from datasets.edits import changes_transfer
 from econgs.anchors.shading import Factors
 from methods.interface import Edit, Refused
 
@@ -49,7 +50,7 @@ def shading_edit(
     Raises:
         Refused: a value out of range.
     """
-    if edit.transfer is not None:
+    if changes_transfer(edit):
         raise Refused(f"the transfer function of scene {name!r} is part of its model: it cannot be edited")
     numbers = {
         part: 1.0 if value is None else float(value)

@@ -12,6 +12,7 @@ from reports.page.scenes import block, figure, heading
 from reports.pictures.panels import Panel, choose, in_view, models
 from reports.pictures.transfer import beside
 from reports.style import MISSING, label
+from reports.tables.edited import with_bases
 from reports.tables.protocols import conditions
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def quality(results: pd.DataFrame) -> Iterator[tuple[str, list[str], list[list[s
 
     A mean needs all scenes and seeds. Otherwise the cell has the statuses of the runs.
     """
-    for (dataset, *_), rows in _runs(results).groupby(_KEYS, dropna=False, sort=False):
+    for (dataset, *_), rows in _runs(results).groupby([*_KEYS, "joint"], dropna=False, sort=False):
         edits = [str(edit) for edit in rows["edit"].fillna("").unique() if edit]
         if not edits:
             continue
@@ -101,10 +102,8 @@ def sequences(tables: dict[str, pd.DataFrame], root: Path) -> Iterator[tuple[str
 
 
 def _runs(results: pd.DataFrame) -> pd.DataFrame:
-    """The rows of scenes and edited scenes; a column `base` has the scene without its edit."""
-    runs = results[results["kind"].isin(["basic", "edited"])]
-    pairs = zip(runs["scene"], runs["edit"].fillna(""), strict=True)
-    return runs.assign(base=[scene.removesuffix(f" {edit}") if edit else scene for scene, edit in pairs])
+    """The rows of scenes, compositions and edited ones; a column `base` has them without their edit."""
+    return with_bases(results[results["kind"].isin(["basic", "composed", "edited"])])
 
 
 def _mean(rows: pd.DataFrame, scenes: set[str]) -> str:

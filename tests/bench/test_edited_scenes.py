@@ -15,10 +15,10 @@ EDITS = 'edits = ["palette=#ff0000", "opacity=0.5 light=1,0,0"]'
 def test_every_scene_is_measured_as_it_is_and_edited(suite) -> None:
     jobs = {job.id: job for job in plan(suite(EDITS))}
     measured = [job for job in jobs.values() if job.kind == "measure"]
-    assert [(job.subject, job.edit) for job in measured] == [
+    assert sorted((job.subject, job.edit) for job in measured) == [
         (scene, edit)
-        for scene in ("shock", "bubble")
-        for edit in ("", "palette=#ff0000", "opacity=0.5 light=1,0,0")
+        for scene in ("bubble", "shock")
+        for edit in ("", "opacity=0.5 light=1,0,0", "palette=#ff0000")
     ]
     for job in measured:
         (views,) = [jobs[name] for name in job.needs if name.startswith("views-")]
@@ -28,9 +28,24 @@ def test_every_scene_is_measured_as_it_is_and_edited(suite) -> None:
     assert {job.id for job in jobs.values() if not job.edit} == {job.id for job in plan(suite())}
 
 
-def test_compositions_are_not_edited(suite) -> None:
-    jobs = plan(suite('compositions = "all"\n' + EDITS))
-    assert not any(job.edit and job.composition for job in jobs)
+def test_compositions_have_edits_of_their_own(suite) -> None:
+    chains = 'chains = ["opacity=0.5 | palette=#00ff00"]\ncompositions = "all"\n'
+    jobs = {job.id: job for job in plan(suite(chains + EDITS))}
+    (measured,) = [job for job in jobs.values() if job.kind == "measure" and job.edit and job.composition]
+    assert measured.edit == "opacity=0.5 | palette=#00ff00"
+    (views,) = [jobs[name] for name in measured.needs if name.startswith("views-")]
+    assert (views.composition, views.edit) == (measured.composition, measured.edit)
+    assert len([name for name in measured.needs if name.startswith("encode-")]) == len(measured.scenes)
+
+
+def test_a_moved_bump_is_shown_by_the_trained_scenes_that_come_nearest(suite) -> None:
+    jobs = plan(suite('edits = ["shift=0.5"]'), methods=("3dgs",))
+    for job in (job for job in jobs if job.kind == "measure" and job.edit):
+        assert job.recipe, "3DGS cannot move a bump"
+        assert job.rendered == tuple(job.recipe)
+        assert len([name for name in job.needs if name.startswith("encode-")]) == len(job.recipe)
+        assert all(text.startswith("opacity=") for text in job.recipe.values())
+    assert not any(job.recipe for job in jobs if not job.edit)
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,16 @@ def test_a_transfer_function_is_replaced_before_other_changes():
     assert both.reference_length == 0.02
 
 
+def test_bumps_move_by_their_own_widths_and_keep_their_middle():
+    (bump,) = edited(ONE, Edit(shift=-0.5)).transfer.bumps
+    assert (bump.start, bump.rise, bump.fall, bump.end) == pytest.approx((0.05, 0.15, 0.25, 0.35))
+    (bump,) = edited(ONE, Edit(width=0.5)).transfer.bumps
+    assert (bump.start, bump.rise, bump.fall, bump.end) == pytest.approx((0.275, 0.325, 0.375, 0.425))
+    both = edited(ONE, Edit(shift=1.0, width=2.0)).transfer.bumps[0]  # widened, then moved by the new width
+    assert (both.start, both.end) == pytest.approx((0.65, 1.0))  # clipped
+    assert edited(ONE, Edit(shift=9.0)).transfer.bumps[0].start == 1.0
+
+
 def test_an_edit_of_nothing_is_the_scene_itself():
     assert edited(TWO, Edit()) == TWO
 
@@ -82,7 +92,13 @@ def test_an_edit_of_nothing_is_the_scene_itself():
         (ONE, Edit(palette=(1.2, 0.0, 0.0)), "palette"),
         (ONE, Edit(light=(1.0, 1.0, 0.0)), "no unit vector"),
         (scene((0.2, 0.3, 0.4, 0.5, (0.2, 0.4, 0.6), 0.5), light=None), Edit(ambient=2.0), "unshaded"),
-        (scene(isosurfaces=(Isosurface("a", 0.3, (0.5, 0.5, 0.5)),)), Edit(transfer=ONE.transfer), "isosurfaces"),
+        (
+            scene(isosurfaces=(Isosurface("a", 0.3, (0.5, 0.5, 0.5)),)),
+            Edit(transfer=ONE.transfer),
+            "no transfer function",
+        ),
+        (ONE, Edit(shift=float("inf")), "the shift is inf"),
+        (ONE, Edit(width=0.0), "factor on the width is 0"),
         (scene(views_folder="somewhere"), Edit(opacity=0.5), "rendered elsewhere"),
         (scene(), Edit(palette=(0.5, 0.5, 0.5)), "no transfer function"),
     ],

@@ -104,13 +104,3 @@ def test_other_units_are_the_same_picture() -> None:
     values = np.linspace(0, 1, 50)
     small, large = (one.transfer.classify(values)[:, 3] for one in (scene, bigger))
     assert large == pytest.approx(small / 10.0)
-
-
-def test_narrow_bumps_keep_their_middle() -> None:
-    scene = open_dataset("vortices").scene("cores")
-    for old, new in zip(scene.transfer.bumps, stress.narrowed(scene, 0.1).transfer.bumps, strict=True):
-        assert new.start <= new.rise <= new.fall <= new.end
-        assert new.rise + new.fall == pytest.approx(old.rise + old.fall)
-        assert new.end - new.start == pytest.approx(0.1 * (old.end - old.start))
-    with pytest.raises(DataError, match="no transfer function"):
-        stress.narrowed(replace(scene, transfer=None), 0.1)
