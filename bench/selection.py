@@ -140,7 +140,7 @@ def subset_of_scene(selection: Selection, preset: ViewPreset, place: str) -> Sub
 def _available(suite: Suite) -> set[str]:
     """Those of a suite's datasets that have data here; what is no catalogue name is taken as a path."""
     lacking = {info.name for info in list_datasets() if not info.available} if suite.stand_ins else set()
-    return set(suite.datasets) - lacking
+    return {name for name in suite.datasets if lacking.isdisjoint(name.split("+"))}
 
 
 def _subset(

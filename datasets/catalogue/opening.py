@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datasets.catalogue import entries
+from datasets.catalogue.entries import is_joined
 from datasets.errors import DataError
 from datasets.names import unknown
 
@@ -29,7 +31,8 @@ def open_dataset(
         name_or_path: "vis_male"; "vortices" or "vortices@128"; a TOML file with scenes of your own; a volume
             file, which gets automatic transfer functions ("PATH:variable=T,step=3,resolution=256" selects a
             part of it); a folder of slices or DICOM files, or a Zarr store; or a folder with
-            ``transforms_train.json``, in itself or in one subfolder per scene.
+            ``transforms_train.json``, in itself or in one subfolder per scene. "beetle+argon_bubble" joins
+            sets of the catalogue, so that one model can learn scenes of both.
         data_dirs: folders to search instead of ``BENCH_DATA`` and the user's data folder.
         resolution: samples per axis of a procedural volume (default 64).
 
@@ -38,6 +41,8 @@ def open_dataset(
         DataError: its files are missing or unusable.
     """
     text = str(name_or_path)
+    if not isinstance(name_or_path, Path) and is_joined(text):
+        return _joined(text, [open_dataset(part, data_dirs) for part in text.split("+")])
     base, _, at = text.partition("@")
     if base in entries.names() and not isinstance(name_or_path, Path):
         table = entries.entry(base)
@@ -65,6 +70,38 @@ def open_dataset(
     if exists or "/" in text or suffix_of(split(text)[0]) or path.suffix:
         return file_dataset(text)
     raise unknown("dataset", text, entries.names())
+
+
+def _joined(name: str, members: Sequence[Dataset]) -> Dataset:
+    """The scenes of several datasets as "DATASET.SCENE"; each keeps its own box and views."""
+    from datasets.scene import Dataset
+
+    for member in members:
+        if member.kind != "volume" or member.framing is not None:
+            what = "was rendered elsewhere" if member.kind != "volume" else "has a frame of its own"
+            raise DataError(name, f"{member.name} {what}", "Join volumes of `bench list datasets`")
+    if len({member.name for member in members}) < len(members):
+        raise DataError(name, "names a dataset twice", "Name each once")
+    return Dataset(
+        name,
+        " + ".join(member.title for member in members),
+        "volume",
+        tuple(
+            replace(scene, name=f"{member.name}.{scene.name}", variable=f"{member.name}.{scene.variable}")
+            for member in members
+            for scene in member.scenes
+        ),
+        {
+            f"{member.name}.{composition}": tuple(f"{member.name}.{scene}" for scene in scenes)
+            for member in members
+            for composition, scenes in member.compositions.items()
+        },
+        {
+            f"{member.name}.{variable}": volume
+            for member in members
+            for variable, volume in member.volumes.items()
+        },
+    )
 
 
 def _resolution(text: str, at: str) -> int:

@@ -13,6 +13,7 @@ from skimage.morphology import convex_hull_image
 from datasets.auto_transfer import automatic_scenes
 from datasets.camera import Camera
 from datasets.catalogue import entries, open_dataset
+from datasets.errors import DataError, UnknownName
 from datasets.render_views import views_of
 from datasets.scene import Dataset
 from datasets.view_cache import ViewCache
@@ -104,3 +105,27 @@ def test_automatic_scenes(data_folder: Path, cache: ViewCache, name: str) -> Non
         for count in (1, 3):
             one = replace(dataset, scenes=automatic_scenes(volume, count), compositions={})
             _check_all(one, cache, 0.002)
+
+
+def test_joined_sets_keep_their_boxes_and_names():
+    joined = open_dataset("beetle_like@16+vortices@16")
+    first, second = open_dataset("beetle_like@16"), open_dataset("vortices@16")
+    assert [scene.name for scene in joined.scenes] == [
+        f"{one.name}.{scene.name}" for one in (first, second) for scene in one.scenes
+    ]
+    for scene in joined.scenes:
+        member, _, name = scene.name.rpartition(".")
+        alone = open_dataset(member)
+        own = alone.scene(name)
+        assert (scene.transfer, scene.light, scene.isosurfaces) == (own.transfer, own.light, own.isosurfaces)
+        ours, theirs = joined.volume(scene.variable), alone.volume(own.variable)
+        assert ours.extent == pytest.approx(theirs.extent)
+        np.testing.assert_array_equal(ours.values, theirs.values)
+    assert all(name.startswith("vortices@16.") for name in joined.compositions)
+
+
+def test_joined_sets_must_be_different_volumes_of_the_catalogue():
+    with pytest.raises(DataError, match="names a dataset twice"):
+        open_dataset("vortices@16+vortices@16")
+    with pytest.raises(UnknownName):
+        open_dataset("vortices+nothing_like_it")
