@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates
 from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkSMPTools
 from vtkmodules.vtkCommonDataModel import vtkImageData, vtkPolyData
-from vtkmodules.vtkFiltersCore import vtkClipPolyData, vtkFlyingEdges3D
+from vtkmodules.vtkFiltersCore import vtkClipPolyData, vtkFlyingEdges3D, vtkTriangleFilter
 
 from datasets.ground_truth.model import LEVEL_MARGIN, index_transform
 from datasets.scene import Isosurface
@@ -88,8 +88,10 @@ def extracted(volume: Volume, surfaces: Sequence[Isosurface]) -> Iterator[Mesh]:
             clip = vtkClipPolyData()
             clip.SetInputData(found)
             clip.SetValue(0.5)
-            clip.Update()
-            found = clip.GetOutput()
+            triangles = vtkTriangleFilter()
+            triangles.SetInputConnection(clip.GetOutputPort())
+            triangles.Update()
+            found = triangles.GetOutput()
         yield _mesh(found)
 
 
