@@ -37,7 +37,52 @@ class Scene(Protocol):
 S = TypeVar("S", bound=Scene)
 
 
-class SceneModel(ABC, Generic[S]):
+class NamedScenes(Generic[S]):
+    """The part of a :class:`methods.interface.Model` that knows its scenes by name.
+
+    Args:
+        scenes: at least one, with distinct names, on one device.
+
+    Raises:
+        Refused: two scenes have the same name.
+    """
+
+    def __init__(self, scenes: Iterable[S]) -> None:
+        pairs = [(scene.name, scene) for scene in scenes]
+        self._scenes = dict(pairs)
+        if len(self._scenes) != len(pairs):
+            raise Refused("two of the scenes to compose have the same name")
+
+    @classmethod
+    def join(cls, models: Sequence[Any]) -> Any:
+        """One model of the scenes of several, of at least one."""
+        return cls(model.scene(name) for model in models for name in model.scenes)
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the scenes it holds."""
+        return tuple(self._scenes)
+
+    def scene(self, name: str) -> S:
+        """A scene of the model.
+
+        Raises:
+            UnknownName: it does not hold that scene.
+        """
+        if name not in self._scenes:
+            raise unknown("scene", name, self._scenes, of="this model")
+        return self._scenes[name]
+
+    def chosen(self, names: Sequence[str] | None) -> list[S]:
+        """The scenes of those names; None: all."""
+        return [self.scene(name) for name in (self.scenes if names is None else names)]
+
+    def primitives(self, scene: str | None = None) -> int:
+        """Number of primitives of one scene or of all."""
+        return sum(map(len, self.chosen(None if scene is None else (scene,))))
+
+
+class SceneModel(NamedScenes[S], ABC):
     """A :class:`methods.interface.Model` of scenes; their Gaussians are concatenated and sorted once.
 
     A method's model adds ``gaussians``, ``write`` (``write_size``, if it has several), ``load`` and ``join``.
@@ -57,12 +102,6 @@ class SceneModel(ABC, Generic[S]):
     method: ClassVar[str]
     preparation: Literal["decode", "shade"] = "decode"
     rendering: Rendering = Rendering()
-
-    def __init__(self, scenes: Iterable[S]) -> None:
-        pairs = [(scene.name, scene) for scene in scenes]
-        self._scenes = dict(pairs)
-        if len(self._scenes) != len(pairs):
-            raise Refused("two of the scenes to compose have the same name")
 
     @abstractmethod
     def gaussians(self, scene: S, camera: Camera, edit: Edit) -> Gaussians:
@@ -106,30 +145,6 @@ class SceneModel(ABC, Generic[S]):
         """
         raise NotImplementedError
 
-    @classmethod
-    def join(cls, models: Sequence[Any]) -> Any:
-        """One model of the scenes of several, of at least one."""
-        return cls(model.scene(name) for model in models for name in model.scenes)
-
-    @property
-    def scenes(self) -> tuple[str, ...]:
-        """Names of the scenes it holds."""
-        return tuple(self._scenes)
-
-    def scene(self, name: str) -> S:
-        """A scene of the model.
-
-        Raises:
-            UnknownName: it does not hold that scene.
-        """
-        if name not in self._scenes:
-            raise unknown("scene", name, self._scenes, of="this model")
-        return self._scenes[name]
-
-    def primitives(self, scene: str | None = None) -> int:
-        """Number of primitives of one scene or of all."""
-        return sum(len(self.scene(name)) for name in (self.scenes if scene is None else (scene,)))
-
     def render(
         self,
         camera: Camera,
@@ -138,7 +153,7 @@ class SceneModel(ABC, Generic[S]):
         background: RGB | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Render scenes together; see :class:`methods.interface.Model`."""
-        subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
+        subset = self.chosen(scenes)
         back = subset[0].background if background is None else background
         edits = edits_by_scene(edit, [scene.name for scene in subset])
         with torch.inference_mode():
@@ -157,7 +172,7 @@ class SceneModel(ABC, Generic[S]):
 
     def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
         """Seconds of one frame of scenes (default: all) by part."""
-        subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
+        subset = self.chosen(scenes)
         with torch.inference_mode():
             camera = self._in_units(camera)
             start = seconds()

@@ -1,0 +1,1 @@
+"""Isosurfaces as triangle meshes: flying edges, decimation, Draco, drawn by VTK."""
