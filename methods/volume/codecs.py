@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import Any
 
@@ -81,7 +82,8 @@ class Zfp(Codec):
         zfp = _imagecodecs()
         stream = bytes(zfp.zfp_encode(values, mode="a", level=bound))
         if not self.bounded:
-            stream = bytes(zfp.zfp_encode(values, mode="r", level=8 * len(stream) / values.size))
+            padded = math.prod(-(-n // 4) * 4 for n in values.shape)
+            stream = bytes(zfp.zfp_encode(values, mode="r", level=8 * len(stream) / padded))
         return stream
 
     def restore(self, stream: bytes, shape: tuple[int, ...]) -> Grid:

@@ -94,9 +94,7 @@ class VolumeMethod(ABC):
         """The model of scenes, each on the volume of that number."""
         codec = self.codec(options)
         stored = [one.stored(codec, options.error_bound) for one in samples]
-        return VolumeModel(
-            (VolumeScene(scene, stored[i], samples[i]) for scene, i in scenes), codec, device
-        )
+        return VolumeModel((VolumeScene(scene, stored[i], samples[i]) for scene, i in scenes), codec, device)
 
 
 class Sz3Method(VolumeMethod):

@@ -113,7 +113,10 @@ class VolumeModel:
                 shared[part] = shared.get(part, 0) + count
         ledger = {"": shared}
         for scene in scenes:
-            about = {"volume": scene.stored.file, "scene": definitions().dump_python(scene.scene, mode="json")}
+            about = {
+                "volume": scene.stored.file,
+                "scene": definitions().dump_python(scene.scene, mode="json"),
+            }
             text = json.dumps(about, separators=(",", ":"))
             data = json.dumps({**about, "crc32": zlib.crc32(text.encode())}, separators=(",", ":")).encode()
             (folder / f"{quote(scene.name, safe=' ')}{_SUFFIX}").write_bytes(data)
