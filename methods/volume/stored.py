@@ -164,8 +164,10 @@ def read(data: bytes, codec: Codec, what: str) -> StoredVolume:
             bits = np.frombuffer(zlib.decompress(packed), np.uint8)
             mask = np.unpackbits(bits, count=values.size).astype(bool).reshape(values.shape)
         if header["exact"]:
-            whole = np.rint(values.astype(np.float64) * (high - low) + low)
-            volume = Volume(name, whole.astype(header["dtype"]), (x, y, z), (low, high), what, mask)
+            values *= np.float32(high - low)
+            values += np.float32(low)
+            whole = np.rint(values, out=values).astype(header["dtype"])
+            volume = Volume(name, whole, (x, y, z), (low, high), what, mask)
         else:
             volume = Volume(name, values, (x, y, z), (0.0, 1.0), what, mask)
     except (ValueError, KeyError, TypeError, RuntimeError, struct.error, zlib.error) as error:
