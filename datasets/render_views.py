@@ -6,7 +6,7 @@ import hashlib
 import json
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache as once
 from importlib.metadata import version
@@ -136,6 +136,35 @@ def live_renderer(
     return LiveRenderer(lambda camera: draw((camera,))[0], work.cameras, seconds, work._renderer())
 
 
+def marcher_of(
+    volumes: Sequence[Volume],
+    backend: probe.Backend,
+    settings: MarchSettings = MarchSettings(),  # noqa: B008  (frozen)
+) -> Marcher:
+    """The ray marcher that draws the ground truth, on volumes of one grid and box.
+
+    Args:
+        volumes: at least one.
+        backend: of :func:`datasets.ground_truth.probe.find_backend`; without one it is the reference marcher.
+        settings: step and table size.
+
+    Raises:
+        DataError: the volumes differ in grid or box.
+    """
+    if backend.name == "none":
+        if backend.reason:
+            _notice(backend.reason)
+        import torch
+
+        from datasets.ground_truth.reference import ReferenceMarcher
+
+        return ReferenceMarcher(volumes, settings, torch.float32)
+    probe.activate(backend)
+    from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
+
+    return MitsubaMarcher(volumes, settings)
+
+
 def volume_digest(volume: Volume) -> str:
     """Content hash of a volume's values, type, spacing, range, mask and vertices; computed once."""
     if volume not in _digests:
@@ -194,7 +223,7 @@ class _Work:
     def set_up(self) -> tuple[Draw, float]:
         """The function that draws views of this scene, and the seconds until it was ready."""
         start = time.perf_counter()
-        draw = self._marcher().prepare(self.layers)
+        draw = marcher_of(self.volumes, self.backend, self.settings).prepare(self.layers)
         if self.backend.name != "none":
             draw(self.cameras[:1])  # compiles the kernel
         return draw, time.perf_counter() - start
@@ -216,20 +245,6 @@ class _Work:
             "height": images.shape[1],
         }
         return images, record
-
-    def _marcher(self) -> Marcher:
-        if self.backend.name == "none":
-            if self.backend.reason:
-                _notice(self.backend.reason)
-            import torch
-
-            from datasets.ground_truth.reference import ReferenceMarcher
-
-            return ReferenceMarcher(self.volumes, self.settings, torch.float32)
-        probe.activate(self.backend)
-        from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
-
-        return MitsubaMarcher(self.volumes, self.settings)
 
     def _renderer(self) -> dict[str, Any]:
         if self.backend.name == "none":

@@ -67,13 +67,16 @@ class Backend:
 
 
 @cache
-def find_backend() -> Backend:
+def find_backend(cuda: bool = True) -> Backend:
     """The backend to use, CUDA first; the first call on a machine takes about a second, later ones none.
+
+    Args:
+        cuda: whether it may be CUDA.
 
     Raises:
         DataError: a candidate could not be tried, so that nothing is decided.
     """
-    if _has_cuda_driver() and not _trial_failure("cuda", ""):
+    if cuda and _has_cuda_driver() and not _trial_failure("cuda", ""):
         return Backend("cuda")
     choice = os.environ.get("DRJIT_LIBLLVM_PATH", "")
     candidates = [choice] if choice else libllvm_candidates()
@@ -87,12 +90,18 @@ def find_backend() -> Backend:
 
 
 def activate(backend: Backend) -> None:
-    """Import Mitsuba and set its variant for a backend of :func:`find_backend`."""
+    """Import Mitsuba and set its variant for a backend of :func:`find_backend`.
+
+    It has as many threads as the native kernels, where ECONGS_THREADS sets their number.
+    """
     if backend.library:
         os.environ["DRJIT_LIBLLVM_PATH"] = backend.library  # read when Dr.Jit initialises LLVM
+    import drjit
     import mitsuba
 
     mitsuba.set_variant(f"{backend.name}_ad_rgb")
+    if threads := os.environ.get("ECONGS_THREADS"):
+        drjit.set_thread_count(int(threads))
 
 
 def libllvm_candidates() -> list[str]:

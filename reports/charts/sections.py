@@ -14,6 +14,7 @@ from reports.charts.economy_section import economy_section
 from reports.charts.elements import Section, card, cards, legend, rest, table
 from reports.charts.ladders import ladders_section
 from reports.charts.unseen import unseen_section
+from reports.charts.volumes import volumes_section
 from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, mib, models, seconds
 from reports.tables import confidence
 from reports.tables.columns import records
@@ -71,6 +72,7 @@ def chart_sections(report: Report) -> Iterator[Section]:
         _confidence,
         _rate_distortion,
         _tradeoffs,
+        volumes_section,
         ladders_section,
         stability_sections.stability_section,
         stability_sections.complexity_section,

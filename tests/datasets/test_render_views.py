@@ -276,6 +276,26 @@ def test_a_trial_that_decides_nothing_is_an_error_and_no_other_renderer(
     probe.find_backend.cache_clear()
 
 
+def test_cuda_is_left_alone_where_it_is_not_asked_for(monkeypatch):
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "libLLVM.so")
+    monkeypatch.setattr(probe, "_has_cuda_driver", lambda: True)
+    monkeypatch.setattr(probe, "_trial_failure", lambda backend, library: "")
+    probe.find_backend.cache_clear()
+    assert probe.find_backend() == probe.Backend("cuda")
+    assert probe.find_backend(cuda=False) == probe.Backend("llvm", "libLLVM.so")
+    probe.find_backend.cache_clear()
+
+
+def test_the_marcher_has_the_threads_of_the_native_kernels():
+    code = (
+        "from datasets.ground_truth import probe\n"
+        "probe.activate(probe.find_backend(cuda=False))\n"
+        "import drjit\n"
+        "print(drjit.thread_count())\n"
+    )
+    assert [output_of(code, ECONGS_THREADS=str(n)).strip() for n in (1, 3)] == ["1", "3"]
+
+
 def test_a_libllvm_that_aborts_is_survived(tmp_path):
     found = [p for p in probe.libllvm_candidates() if "libLLVM-15" in p or "libLLVM-16" in p]
     if not found:

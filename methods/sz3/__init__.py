@@ -1,0 +1,1 @@
+"""The volume, compressed by SZ3, drawn by the ray marcher."""

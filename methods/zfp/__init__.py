@@ -1,0 +1,1 @@
+"""The volume, compressed by zfp, drawn by the ray marcher."""
