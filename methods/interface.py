@@ -119,6 +119,7 @@ class MethodSpec:
         composable: models of several groups render together.
         edits: which parts of :class:`Edit` it honours.
         needs_volume: reads the volume itself, not only views and cloud.
+        volume_scenes: kinds of scenes that a method which reads the volume takes; it must refuse the others.
         uses_alpha: how it uses the alpha of training views, for people.
         devices: "cpu", "cuda".
         iterations: preset name -> training iterations of one scene; every one of :data:`PRESETS`, at least. A
@@ -141,6 +142,7 @@ class MethodSpec:
     composable: bool = False
     edits: frozenset[Literal["palette", "opacity", "light", "shading", "transfer"]] = frozenset()
     needs_volume: bool = False
+    volume_scenes: frozenset[Literal["transfer", "isosurfaces"]] = frozenset({"transfer", "isosurfaces"})
     devices: tuple[str, ...] = ("cpu", "cuda")
     options: type[Any] = NoOptions
     presets: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)

@@ -59,6 +59,10 @@ EDITS: Mapping[str, tuple[Edit, ...]] = {
 }
 
 
+KINDS: frozenset[Literal["transfer", "isosurfaces"]] = frozenset({"transfer", "isosurfaces"})
+"""What scenes with a volume show of it."""
+
+
 class Broken(AssertionError):
     """A promise of the contract is broken.
 
@@ -141,7 +145,9 @@ class Subject:
 
     def tiny(self, name: str, turn: float = 0.0) -> SceneInput:
         """The tiny scene; it has a volume only if the method says that it reads one."""
-        return tiny_scene(name, turn, volume=self.spec.needs_volume)
+        if not self.spec.needs_volume:
+            return tiny_scene(name, turn)
+        return tiny_scene(name, turn, "transfer" if "transfer" in self.spec.volume_scenes else "isosurfaces")
 
     def fit(
         self,
@@ -564,10 +570,20 @@ def bad_files(subject: Subject) -> str:
 
 
 def refusals(subject: Subject) -> str:
-    """A scene without training views is refused; one point and one view are not too few."""
+    """A scene that cannot be learned is refused; one point and one view are not too few.
+
+    Without training views there is nothing to learn, unless the method reads the volume. Such a method
+    refuses the kinds of scenes that it does not take.
+    """
     scene, train = subject.scene, subject.scene.train
-    blind = replace(scene, train=replace(train, cameras=(), images=train.images[:0]))
-    _refused("a scene without training views", lambda: subject.fit([blind], iterations=2))
+    if subject.spec.needs_volume:
+        others = KINDS - subject.spec.volume_scenes
+        unfit = {f"a scene of {kind}": tiny_scene("tiny", volume=kind) for kind in sorted(others)}
+    else:
+        blind = replace(train, cameras=(), images=train.images[:0])
+        unfit = {"a scene without training views": replace(scene, train=blind)}
+    for what, other in unfit.items():
+        _refused(what, partial(subject.fit, [other], iterations=2))
     cloud = replace(scene.cloud, points=scene.cloud.points[:1], colors=scene.cloud.colors[:1])
     single = replace(
         scene, cloud=cloud, train=replace(train, cameras=train.cameras[:1], images=train.images[:1])
@@ -575,7 +591,7 @@ def refusals(subject: Subject) -> str:
     model = subject.fit([single], iterations=min(20, subject.iterations))
     for camera in cameras(2):
         expect(bool(torch.isfinite(_picture(model, camera)[0]).all()), "one point and one view give NaN")
-    return "no views refused; one point and one view trained"
+    return f"{', '.join(unfit) or 'nothing'} refused; one point and one view trained"
 
 
 CHECKS: tuple[Callable[[Subject], str], ...] = (

@@ -1,17 +1,22 @@
-"""The contract kit's scene: a few Gaussians, rendered by the torch oracle."""
+"""The contract kit's scenes: a few Gaussians, rendered by the torch oracle, and a volume of them."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from datasets.camera import Camera
 from datasets.cloud import PointCloud
-from datasets.scene import BasicScene
+from datasets.ground_truth.model import Layer
+from datasets.ground_truth.reference import ReferenceMarcher
+from datasets.scene import BasicScene, Isosurface
+from datasets.transfer import Bump, TransferFunction
 from datasets.views import ViewSet
 from datasets.volume import Volume
 from econgs.splat.rasterise import rasterise
@@ -21,6 +26,18 @@ SIZE = 32
 COUNT = 24
 _DISTANCE = 3.0
 _GOLDEN = 2.399963  # radians between neighbours on a spiral
+_BUMPS = (
+    Bump("outer", 0.1, 0.2, 0.3, 0.5, (0.2, 0.5, 0.9), 0.2),
+    Bump("inner", 0.4, 0.6, 1.0, 1.0, (0.9, 0.4, 0.1), 0.7),
+)
+_SHOWN: dict[str, Any] = {
+    "transfer": TransferFunction("tiny", _BUMPS, 0.05),
+    "isosurfaces": (
+        Isosurface("outer", 0.2, (0.2, 0.5, 0.9), 0.4),
+        Isosurface("inner", 0.5, (0.9, 0.4, 0.1)),
+    ),
+}
+"""What scenes show of the tiny volume."""
 
 
 def look_at(position: tuple[float, float, float], size: int = SIZE, fov: float = 0.5) -> Camera:
@@ -80,21 +97,38 @@ def tiny_volume(turn: float = 0.0, size: int = 24) -> Volume:
     return Volume("density", values.numpy(), (1.0, 1.0, 1.0), (0.0, float(values.max())), "contract")
 
 
-def tiny_scene(name: str, turn: float = 0.0, volume: bool = False) -> SceneInput:
-    """Twelve training and three validation views of 32 x 32 pixels; a cloud of noisy gray points."""
+def tiny_scene(
+    name: str, turn: float = 0.0, volume: Literal["transfer", "isosurfaces"] | None = None
+) -> SceneInput:
+    """Twelve training and three validation views of 32 x 32 pixels; a cloud of noisy gray points.
+
+    Args:
+        name: the scene's name.
+        turn: angle in radians about z.
+        volume: what is shown of the tiny volume; None: the Gaussians, of which there is no volume.
+    """
     gaussians = tiny_gaussians(turn)
+    scene = BasicScene(name)
+    if volume is not None:
+        field = tiny_volume(turn)
+        scene = BasicScene(name, field.name, **{volume: _SHOWN[volume]})
+        marcher, layers = ReferenceMarcher(field, dtype=torch.float32), (Layer.of(scene, field),)
+
+    def image(camera: Camera) -> NDArray[np.float32]:
+        splats = rasterise(**gaussians, camera=camera, backend="torch")  # type: ignore[arg-type]
+        picture: NDArray[np.float32] = torch.cat([splats.features, splats.alpha[..., None]], dim=-1).numpy()
+        return picture
 
     def views(path: tuple[Camera, ...]) -> ViewSet:
-        images = []
-        for camera in path:
-            splats = rasterise(**gaussians, camera=camera, backend="torch")  # type: ignore[arg-type]
-            images.append(torch.cat([splats.features, splats.alpha[..., None]], dim=-1).numpy())
-        return ViewSet(path, np.stack(images).astype(np.float32), (1.0, 1.0, 1.0), "contract")
+        images = (
+            np.stack([image(camera) for camera in path]) if volume is None else marcher.compose(path, layers)
+        )
+        return ViewSet(path, images.astype(np.float32), (1.0, 1.0, 1.0), "contract")
 
     jitter = 0.03 * torch.randn((4 * COUNT, 3), generator=torch.Generator().manual_seed(8))
     points = (gaussians["means"].repeat(4, 1) + jitter).numpy()
     return SceneInput(
-        scene=BasicScene(name),
+        scene=scene,
         train=views(cameras(12)),
         validation=views(cameras(3, phase=1.0)),
         cloud=PointCloud(points, np.full_like(points, 0.5)),

@@ -100,8 +100,8 @@ def test_damaged_truth_is_an_error_that_names_the_file(tmp_path, name, damage) -
 def test_a_method_that_reads_volumes_refuses_scenes_that_have_only_views():
     reads = replace(SPEC, needs_volume=True)
     with pytest.raises(Refused, match="scene 'there' has only views"):
-        refuse_without_volume(reads, [tiny_scene("here", volume=True), tiny_scene("there")])
-    refuse_without_volume(reads, [tiny_scene("here", volume=True)])
+        refuse_without_volume(reads, [tiny_scene("here", volume="transfer"), tiny_scene("there")])
+    refuse_without_volume(reads, [tiny_scene("here", volume="transfer")])
     refuse_without_volume(SPEC, [tiny_scene("there")])
 
 

@@ -42,11 +42,15 @@ def test_built_in_methods_keep_the_contract(subject, check):
 
 
 def test_another_seed_gives_another_model(subject):
+    if subject.spec.needs_volume:
+        return  # chance has no part in it
     one, other = (subject.saved(subject.fit(iterations=8, seed=seed), f"seed{seed}")[0] for seed in (7, 8))
     assert files_of(one) != files_of(other)
 
 
 def test_views_that_are_not_finite_are_called_diverged(subject):
+    if subject.spec.needs_volume:
+        return  # it does not learn from them
     train = subject.scene.train
     broken = dataclasses.replace(train, images=np.full_like(train.images, np.nan))
     with pytest.raises(Diverged, match=r"image loss.*iteration 1"):
@@ -149,6 +153,12 @@ KNOB = RateKnob("size", (4.0, 8.0), refit=False)
         (Amnesiac(), {}, "restored", "other files"),
         (Whimsical(), {}, "deterministic", "two fits differ"),
         (Gullible(), {}, "bad_files", "not refused"),
+        (
+            GaussianSplatting(),
+            {"needs_volume": True, "volume_scenes": frozenset({"isosurfaces"})},
+            "refusals",
+            "a scene of transfer: not refused",
+        ),
     ],
 )
 def test_a_broken_promise_is_caught(tmp_path, method, changed, check, words):
@@ -165,8 +175,12 @@ def test_only_a_method_that_reads_volumes_gets_one(tmp_path):
             return super().fit(group, *arguments)
 
     assert Subject(PLAIN, GaussianSplatting(), tmp_path / "a", 2).scene.volume is None
-    reading = Subject(dataclasses.replace(PLAIN, needs_volume=True), Reader(), tmp_path / "b", 2)
+    reads = dataclasses.replace(PLAIN, needs_volume=True)
+    reading = Subject(reads, Reader(), tmp_path / "b", 2)
     assert reading.fit().primitives() > 0
+    assert reading.scene.scene.transfer is not None
+    surfaces = dataclasses.replace(reads, volume_scenes=frozenset({"isosurfaces"}))
+    assert len(Subject(surfaces, Reader(), tmp_path / "c", 2).scene.scene.isosurfaces) == 2
 
 
 def test_no_check_stops_the_others(tmp_path):
