@@ -176,6 +176,7 @@ class SceneInput:
         cloud: initial points with colors, in scene space.
         extent: 1.1 x the greatest distance of a training camera from the mean camera centre.
         volume: reads the scene's volume; None for pre-rendered scenes.
+        units: units of the volume's box / units of all coordinates: other than 1 where a fit has its own.
     """
 
     scene: BasicScene
@@ -184,6 +185,7 @@ class SceneInput:
     cloud: PointCloud
     extent: float
     volume: Callable[[], Volume] | None = None
+    units: float = 1.0
 
     @property
     def name(self) -> str:

@@ -63,7 +63,8 @@ EDITS: Mapping[str, tuple[Edit, ...]] = {
 }
 
 
-KINDS: frozenset[Literal["transfer", "isosurfaces"]] = frozenset({"transfer", "isosurfaces"})
+Kind = Literal["transfer", "isosurfaces"]
+KINDS: frozenset[Kind] = frozenset({"transfer", "isosurfaces"})
 """What scenes with a volume show of it."""
 
 
@@ -147,11 +148,17 @@ class Subject:
         self.stops = sorted({max(1, iterations * part // 8) for part in (1, 3, 5, 7)} | {iterations})
         self._first: tuple[Model, Recorder] | None = None
 
-    def tiny(self, name: str, turn: float = 0.0) -> SceneInput:
+    def tiny(self, name: str, turn: float = 0.0, swapped: bool = False) -> SceneInput:
         """The tiny scene; it has a volume only if the method says that it reads one."""
         if not self.spec.needs_volume:
             return tiny_scene(name, turn)
-        return tiny_scene(name, turn, "transfer" if "transfer" in self.spec.volume_scenes else "isosurfaces")
+        kind: Kind = "transfer" if "transfer" in self.spec.volume_scenes else "isosurfaces"
+        return tiny_scene(name, turn, kind, swapped)
+
+    def pair(self) -> list[SceneInput]:
+        """Two scenes of a group; those of a volume show the same one in other colors."""
+        reads = self.spec.needs_volume
+        return [self.tiny("tiny"), self.tiny("other", turn=0.0 if reads else 1.0, swapped=reads)]
 
     def fit(
         self,
@@ -463,7 +470,7 @@ def joint(subject: Subject) -> str:
     """A method that is joint fits two scenes as one group, saves, loads and resumes them."""
     if not subject.spec.joint:
         return "each scene on its own"
-    pair = [subject.tiny("tiny"), subject.tiny("other", turn=1.0)]
+    pair = subject.pair()
     stop = subject.stops[len(subject.stops) // 2]
     recorder = Recorder([stop, subject.iterations])
     try:

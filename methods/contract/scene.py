@@ -97,8 +97,21 @@ def tiny_volume(turn: float = 0.0, size: int = 24) -> Volume:
     return Volume("density", values.numpy(), (1.0, 1.0, 1.0), (0.0, float(values.max())), "contract")
 
 
+def _swapped(scene: BasicScene) -> BasicScene:
+    """The scene with its two colors in the other order."""
+    if scene.transfer is None:
+        one, two = scene.isosurfaces
+        return replace(scene, isosurfaces=(replace(one, color=two.color), replace(two, color=one.color)))
+    low, high = scene.transfer.bumps
+    bumps = (replace(low, color=high.color), replace(high, color=low.color))
+    return replace(scene, transfer=replace(scene.transfer, bumps=bumps))
+
+
 def tiny_scene(
-    name: str, turn: float = 0.0, volume: Literal["transfer", "isosurfaces"] | None = None
+    name: str,
+    turn: float = 0.0,
+    volume: Literal["transfer", "isosurfaces"] | None = None,
+    swapped: bool = False,
 ) -> SceneInput:
     """Twelve training and three validation views of 32 x 32 pixels; a cloud of noisy gray points.
 
@@ -106,12 +119,15 @@ def tiny_scene(
         name: the scene's name.
         turn: angle in radians about z.
         volume: what is shown of the tiny volume; None: the Gaussians, of which there is no volume.
+        swapped: the two colors of what is shown of the volume change places.
     """
     gaussians = tiny_gaussians(turn)
     scene = BasicScene(name)
     if volume is not None:
         field = tiny_volume(turn)
         scene = BasicScene(name, field.name, **{volume: _SHOWN[volume]})
+        if swapped:
+            scene = _swapped(scene)
         marcher, layers = ReferenceMarcher(field, dtype=torch.float32), (Layer.of(scene, field),)
 
     def image(camera: Camera) -> NDArray[np.float32]:

@@ -111,6 +111,10 @@ class SceneModel(NamedScenes[S], ABC):
             Refused: an edit that the method cannot make.
         """
 
+    def together(self, scenes: Sequence[S], camera: Camera, edits: Mapping[str, Edit]) -> list[Gaussians]:
+        """The Gaussians of scenes that are shown together: those of each, unless scenes share some."""
+        return [self.gaussians(scene, camera, edits.get(scene.name, Edit())) for scene in scenes]
+
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
         """Write every file; see :class:`methods.interface.Model`.
 
@@ -158,7 +162,7 @@ class SceneModel(NamedScenes[S], ABC):
         edits = edits_by_scene(edit, [scene.name for scene in subset])
         with torch.inference_mode():
             camera = self._in_units(camera)
-            parts = [self.gaussians(scene, camera, edits.get(scene.name, Edit())) for scene in subset]
+            parts = self.together(subset, camera, edits)
             splats = draw(parts, camera, low_pass=self.rendering.low_pass)
             rgb = over(splats.features, splats.alpha, back)
             return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
@@ -176,7 +180,7 @@ class SceneModel(NamedScenes[S], ABC):
         with torch.inference_mode():
             camera = self._in_units(camera)
             start = seconds()
-            parts = [self.gaussians(scene, camera, Edit()) for scene in subset]
+            parts = self.together(subset, camera, {})
             middle = seconds()
             draw(parts, camera, low_pass=self.rendering.low_pass)
             times = {self.preparation: middle - start, "rasterise": seconds() - middle}

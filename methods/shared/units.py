@@ -27,7 +27,7 @@ def units_of(group: Sequence[SceneInput]) -> float:
 
 
 def in_units(scene: SceneInput, units: float) -> SceneInput:
-    """The scene with all coordinates multiplied by ``units``; its volume has no units of its own."""
+    """The scene with all coordinates multiplied by ``units``; its volume stays as it is."""
     if units == 1.0:
         return scene
     return replace(
@@ -37,4 +37,5 @@ def in_units(scene: SceneInput, units: float) -> SceneInput:
         validation=views_in_units(scene.validation, units),
         cloud=cloud_in_units(scene.cloud, units),
         extent=units * scene.extent,
+        units=scene.units / units,
     )

@@ -24,6 +24,7 @@ SMALL = {
     "econgs": {**ANCHORS, "hidden": 16, "embedding": 4},
     "vq-3dgs": {"max_gaussians": 300},
     "ivr-gs": {"max_gaussians": 300},
+    "veg": {"max_gaussians": 300, "background": "random"},
 }
 """Small models; growth at every occasion and random backgrounds, so that resuming has more to keep."""
 

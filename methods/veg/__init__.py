@@ -1,0 +1,1 @@
+"""VEG: Gaussians that carry a scalar, shown through any transfer function (Dyken et al.)."""
