@@ -28,7 +28,9 @@ class McmcOptions(HarmonicsOptions):
         0.01, "weight of the mean scale in the loss, in units of scenes of the published extent", minimum=0.0
     )
     noise_rate: float = option(
-        5e5, "noise of positions, x their learning rate, in units of scenes of the published extent", minimum=0.0
+        5e5,
+        "noise of positions, x their learning rate, in units of scenes of the published extent",
+        minimum=0.0,
     )
 
 

@@ -113,5 +113,7 @@ class McmcTrainer(HarmonicsTrainer):
         now = self.optimiser
         # Covariance is a length squared and the rate of positions a length: two of the three are divided out.
         rate = self.options.noise_rate * now.rates["means"] * (PUBLISHED_EXTENT / self.scene.extent) ** 2
-        step = noise(now["log_scales"], now["quats"], now["logits"], self.options.dead_opacity, self.generator)
+        step = noise(
+            now["log_scales"], now["quats"], now["logits"], self.options.dead_opacity, self.generator
+        )
         now["means"].add_(step, alpha=rate)
