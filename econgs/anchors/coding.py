@@ -82,7 +82,7 @@ class Coding:
 
     def groups(self) -> dict[str, Sequence[Tensor]]:
         """Parameters of the second stage for the optimiser."""
-        groups = {"grid": [self.model.grid.table], "head": self.model.head}
+        groups: dict[str, Sequence[Tensor]] = {"grid": [self.model.grid.table], "head": self.model.head}
         if self.model.intra is not None:
             groups["intra"] = list(self.model.intra.parameters())
         return groups

@@ -190,7 +190,7 @@ def read_residuals(decoder: Decoder, tables: NDArray[np.uint16]) -> NDArray[np.i
 
 
 def write_escapes(encoder: Encoder, numbers: NDArray) -> float:
-    """Code whole numbers of at most 30 bits: the lengths of all in zigzag, then those of each length; their bits."""
+    """Code whole numbers of at most 30 bits, in zigzag: all lengths, then numbers by length; their bits."""
     if not len(numbers):
         return 0.0
     values = _zigzag(numbers)

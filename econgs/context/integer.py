@@ -137,9 +137,12 @@ class Normals(NamedTuple):
 
     @classmethod
     def of(cls, means: Ints, spreads: Ints, logits: Ints, step: Ints, log: Ints) -> Normals:
-        """From outputs (N, F) of 2⁻¹⁶; means and spreads in units of Q.
+        """From outputs of 2⁻¹⁶.
 
         Args:
+            means: (N, F) in units of Q.
+            spreads: (N, F) logarithms to base 2, in the same units.
+            logits: (N, F).
             step: (N, 1) 2¹⁶ q / Q.
             log: (N, 1) its logarithm to base 2, 2⁻¹⁶.
         """
@@ -205,8 +208,8 @@ class IntegerHead:
     """The head of the context model: looked-up values → coding parameters of each attribute.
 
     The rows of ``second`` are D means in units of Q (the group's base step), D logarithms to base 2 of the
-    spreads in the same units, and G refinements of the step. Where features are mixtures, one logit per feature
-    follows.
+    spreads in the same units, and G refinements of the step. Where features are mixtures, one logit per
+    feature follows.
 
     Attributes:
         first, second: the two layers.

@@ -1,8 +1,9 @@
 """Coding of symbols under mixtures of two normal distributions, in whole numbers (HAC++'s features).
 
-A table per pair of distributions would be one per symbol. Instead a symbol is found by halving a window that holds
-both distributions: each half is a flag, whose frequency is the half's share of the mixture's mass. Masses are
-differences of one whole-number distribution function, so writer and reader agree on every machine.
+Tables, as of a single distribution, would be nearly as many as symbols. Instead a symbol is found by halving
+a window that holds both distributions: each half is a flag, whose frequency is the half's share of the
+mixture's mass. Masses are differences of one whole-number distribution function, so writer and reader agree
+on every machine.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ def first_weight(logits: Ints) -> Ints:
     """
     sixteenth = 16 - 4
     index = np.clip((logits + (1 << (sixteenth - 1))) >> sixteenth, -REFINEMENT_LIMIT, REFINEMENT_LIMIT - 1)
-    return step_table()[index + REFINEMENT_LIMIT]
+    weights: Ints = step_table()[index + REFINEMENT_LIMIT]
+    return weights
 
 
 @dataclass(frozen=True)

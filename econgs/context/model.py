@@ -223,9 +223,10 @@ def mixture_bits(values: Tensor, normals: Sequence[Distribution], weight: Tensor
     """As :func:`normal_bits`, under mixtures of two normal distributions.
 
     Args:
-        values, step: (M, F).
+        values: (M, F).
         normals: the two.
         weight: (M, F) of the first.
+        step: (M, F).
     """
 
     def probability(of: Distribution) -> Tensor:
@@ -252,36 +253,41 @@ class IntraAnchor(nn.Module):
         self.widths = tuple(widths)
         self.free = nn.Parameter(torch.zeros(3 * self.widths[0]))
         before = [sum(self.widths[:chunk]) for chunk in range(1, len(self.widths))]
-        self.first = nn.ModuleList(nn.Linear(one, INTRA_HIDDEN) for one in before)
-        self.second = nn.ModuleList(nn.Linear(INTRA_HIDDEN, 3 * one) for one in self.widths[1:])
-        with torch.no_grad():
-            for layers, share in ((self.first, 1.0), (self.second, 0.1)):
-                for layer in layers:
-                    bound = share * layer.in_features**-0.5
-                    layer.weight.uniform_(-bound, bound, generator=generator)
-                    layer.bias.zero_()
+
+        def weights(rows: int, inputs: int, share: float) -> Tensor:
+            bound = share * inputs**-0.5
+            return torch.empty(rows, inputs).uniform_(-bound, bound, generator=generator)
+
+        after = self.widths[1:]
+        self.first = nn.ParameterList([weights(INTRA_HIDDEN, one, 1.0) for one in before])
+        self.first_bias = nn.ParameterList([torch.zeros(INTRA_HIDDEN) for _ in before])
+        self.second = nn.ParameterList([weights(3 * one, INTRA_HIDDEN, 0.1) for one in after])
+        self.second_bias = nn.ParameterList([torch.zeros(3 * one) for one in after])
+
+    def layers(self) -> list[tuple[Tensor, Tensor, Tensor, Tensor]]:
+        """Weights and biases of both layers of each later chunk."""
+        return list(zip(self.first, self.first_bias, self.second, self.second_bias, strict=True))
 
     @torch.no_grad()
     def start(self, mean: Tensor, log: Tensor) -> None:
         """Set all biases to the mean and the logarithm of the spread (F,) of each channel."""
-        biases = [self.free, *(layer.bias for layer in self.second)]
+        biases = [self.free, *self.second_bias]
         for bias, *parts in zip(biases, mean.split(self.widths), log.split(self.widths), strict=True):
             bias.copy_(torch.cat([*parts, torch.zeros_like(parts[0])]))
 
     def forward(self, values: Tensor, exact: bool) -> tuple[Tensor, Tensor, Tensor]:
-        """Means, logarithms and logits (M, F) from features (M, F), in their units.
+        """Means, logarithms and logits (M, F).
 
         Args:
+            values: (M, F) features, in the units of the context model.
             exact: whether weights are rounded as in the coder.
         """
-        outputs, before = [self.free.expand(len(values), -1)], 0
-        for width, first, second in zip(self.widths, self.first, self.second, strict=False):
-            before += width
-            weights = first.weight, second.weight
+        outputs = [self.free.expand(len(values), -1)]
+        for first, first_bias, second, second_bias in self.layers():
             if exact:
-                weights = rounded_weight(weights[0]), rounded_weight(weights[1])
-            hidden = functional.linear(values[:, :before], weights[0], first.bias).relu()
-            outputs.append(functional.linear(hidden, weights[1], second.bias))
+                first, second = rounded_weight(first), rounded_weight(second)
+            hidden = functional.linear(values[:, : first.shape[1]], first, first_bias).relu()
+            outputs.append(functional.linear(hidden, second, second_bias))
         parts = zip(*(one.chunk(3, 1) for one in outputs), strict=True)
         means, logs, logits = (torch.cat(part, 1) for part in parts)
         return means, logs, logits
@@ -616,19 +622,20 @@ class ContextModel(nn.Module):
         if self.intra is None:
             return None
         units = self.unit[: self.config.features]
-        scales = [torch.cat([part, torch.ones_like(part), torch.ones_like(part)]) for part in
-                  units.split(self.intra.widths)]  # fmt: skip
-        whole = (self.intra.free * scales[0]).double() * (1 << ACTIVATION_BITS)
+        scales = [torch.cat([one, torch.ones_like(one).repeat(2)]) for one in units.split(self.intra.widths)]
+        free = (self.intra.free * scales[0]).double() * (1 << ACTIVATION_BITS)
         layers = tuple(
             (
-                IntegerLayer.of(first.weight, first.bias),
-                IntegerLayer.of(second.weight * scale[:, None], second.bias * scale),
+                IntegerLayer.of(first, first_bias),
+                IntegerLayer.of(second * scale[:, None], second_bias * scale),
             )
-            for first, second, scale in zip(self.intra.first, self.intra.second, scales[1:], strict=True)
+            for (first, first_bias, second, second_bias), scale in zip(
+                self.intra.layers(), scales[1:], strict=True
+            )
         )
         return IntegerIntra(
             self.intra.widths,
             units.log2().round().to(torch.int8).cpu().numpy(),
-            whole.round().clamp(-OUTPUT_LIMIT, OUTPUT_LIMIT).to(torch.int32).cpu().numpy(),
+            free.round().clamp(-OUTPUT_LIMIT, OUTPUT_LIMIT).to(torch.int32).cpu().numpy(),
             layers,
         )

@@ -505,7 +505,7 @@ def _read_context(reader: Reader, mixtures: bool) -> CodedContext:
     levels = reader.unpack(f"{volume + planes}H")
     grid = GridConfig(levels[:volume], levels[volume:], volume_log2, planes_log2, values)
     chunk, between = reader.unpack("2H") if mixtures else (0, 0)
-    if mixtures and not (0 < chunk and (0 < between <= MOST_INPUTS or chunk >= features)):
+    if mixtures and not (chunk and (0 < between <= MOST_INPUTS or chunk >= features)):
         raise ValueError(f"chunks of {chunk} features with {between} hidden units between them")
     steps = reader.unpack("4f")
     config = ContextConfig(features, offsets, steps, grid, hidden, chunk)

@@ -28,7 +28,7 @@ def _signed_binomials() -> Tensor:
 
 
 def shared_opacity(opacities: Tensor, copies: Tensor, least: float) -> tuple[Tensor, Tensor]:
-    """Opacity of each of N coincident copies that together look like one Gaussian, and the factor on its scales.
+    """Opacity of each of N coincident copies that look like one Gaussian, and the factor on its scales.
 
     At the centre, (1 - o')^N = 1 - o. Along a line through it, the integral of the copies' joint opacity
     1 - (1 - o' g)^N, with g the Gaussian, equals that of o g: integrated, the binomial theorem gives
@@ -58,7 +58,9 @@ def noise(
     """(N, 3) normal noise, of covariance S = the square of each Gaussian's own, for the transparent only.
 
     Args:
-        log_scales, quats, logits: of N Gaussians.
+        log_scales: (N, 3).
+        quats: (N, 4).
+        logits: (N,) opacities before the sigmoid.
         dead_opacity: where the gate is one half.
         generator: CPU generator.
     """

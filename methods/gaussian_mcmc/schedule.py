@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from methods.gaussian_splatting import schedule
 
 LEAST_INTERVAL = 10
-"""Iterations between two relocations, at least: what has just moved must have been seen before it is judged."""
+"""Least number of iterations between relocations: what has just moved must be seen before it is judged."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Schedule(schedule.Schedule):
     def growth_interval(self) -> int:
         """Iterations between relocations: in a short budget fewer, so that there are as many as published.
 
-        Each event adds a twentieth at most: with the published interval, a short fit would never reach its cap.
+        Each event adds a twentieth: at the published interval, a short fit would never reach its cap.
         """
         return min(super().growth_interval, max(LEAST_INTERVAL, self._scaled(self.longest_interval)))
 

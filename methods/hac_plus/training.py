@@ -1,4 +1,4 @@
-"""Training HAC++: HAC with mixtures for features, and a rate that pays for the anchors and offsets that stay."""
+"""Training HAC++: HAC with mixtures for features, and masks that learn from the rate."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class Trainer(hac.Trainer):
     def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
         """As in HAC, but bits are those of a sample of all anchors, visible or not.
 
-        Each bit is weighted by the mask of its anchor, those of offsets also by their own: masks learn from what
-        they would save.
+        Each bit is weighted by the mask of its anchor, those of offsets also by their own: masks learn from
+        what they would save.
         """
         if not self.schedule.coded(self.iteration):
             return super().prepare(values, rows)
@@ -72,7 +72,7 @@ class Trainer(hac.Trainer):
         return Prepared(shown, masks.index_select(0, rows), losses)
 
     def _masks(self) -> tuple[Tensor, Tensor, Tensor]:
-        """(N, K) masks and (N,) those of anchors, 0 or 1 with straight-through gradients; the masks' sigmoids.
+        """(N, K) masks and (N,) those of anchors, 0 or 1 with straight-through gradients; (N, K) sigmoids.
 
         An anchor is there if one of its offsets is; its gradient is that of the mean of its masks.
         """

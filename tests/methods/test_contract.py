@@ -21,7 +21,9 @@ SMALL = {
     "3dgs": {"background": "random"},
     "scaffold-gs": {**ANCHORS, "background": "random"},
     "hac": {**ANCHORS, "background": "random", "grid": "small", "context_hidden": 24},
+    "hac-plus": {**ANCHORS, "background": "random", "grid": "small", "context_hidden": 24},
     "econgs": {**ANCHORS, "hidden": 16, "embedding": 4},
+    "3dgs-mcmc": {"cap": 300, "background": "random"},
     "vq-3dgs": {"max_gaussians": 300},
     "ivr-gs": {"max_gaussians": 300},
 }

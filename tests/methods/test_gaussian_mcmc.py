@@ -66,8 +66,8 @@ def drawn(opacity, scale, copies, low_pass):
 def test_copies_look_like_their_source(copies):
     """In the published rasteriser: at the centre and summed over its row.
 
-    With opacities that follow the ray's length (the default here) a smaller copy has the same opacity only
-    where all of its axes shrink alike, as they do here, and the filter takes more of it: the sums differ more.
+    The identity holds without a filter on the image. That of the defaults here also takes opacity from
+    copies, which are smaller, so that sums differ more.
     """
     shared, factor = (float(v) for v in shared_opacity(torch.tensor([0.8]), torch.tensor([copies]), 0.005))
     for low_pass, tolerance in ((LINEAGE, 0.01), (LowPass(0.03, True, 0.0, 1.0), 0.03)):
@@ -169,10 +169,9 @@ def test_a_cloud_larger_than_the_cap_is_thinned_at_random(scene):
 
 def test_a_fit_approaches_views_that_it_never_saw(tiny, scene):
     recorder = tiny.Recorder(checkpoint_at=[1])
-    model = fit(scene, recorder, 300)
-    assert tiny.psnr(model, scene.validation) > max(
-        26.0, tiny.psnr(recorder.models[0], scene.validation) + 6.0
-    )
+    model = fit(scene, recorder, 300, start_scale=10.0)  # few steps: from the size of 3DGS's first Gaussians
+    before, after = (tiny.psnr(one, scene.validation) for one in (recorder.models[0], model))
+    assert after > max(26.0, before + 6.0)
 
 
 def test_nothing_drawn_and_all_dead_change_nothing(tiny, scene):
