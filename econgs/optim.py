@@ -101,6 +101,18 @@ class Adam:
         zeros = torch.zeros_like(values)
         self._replace(name, values.detach().clone(), zeros, zeros.clone())
 
+    @torch.no_grad()
+    def write(self, name: str, rows: Tensor, values: Tensor) -> None:
+        """Set some rows (indices, each once) of a group's values; moments stay."""
+        self[name][rows] = values
+
+    @torch.no_grad()
+    def forget(self, rows: Tensor, names: Sequence[str]) -> None:
+        """Clear the moments of some rows (indices) of the named groups."""
+        for name in names:
+            self.first[name][0][rows] = 0.0
+            self.second[name][0][rows] = 0.0
+
     def state(self) -> dict[str, Tensor]:
         """Parameters, moments and step counts as plain tensors ``group/place/part``, for a checkpoint."""
         saved = {}

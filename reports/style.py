@@ -22,7 +22,8 @@ MISSING = "\N{EN DASH}"
 TITLES = {
     "3dgs": "3DGS", "econgs": "ECoNGS", "scaffold-gs": "Scaffold-GS", "hac": "HAC", "ivr-gs": "iVR-GS",
     "vq-3dgs": "VQ-3DGS", "plenoxels": "Plenoxels", "ccnerf": "CCNeRF", "veg": "VEG",
-    "triangle-mesh": "Triangle mesh", "sz3": "SZ3 volume", "zfp": "zfp volume",
+    "mesh": "Triangle mesh", "sz3": "SZ3 volume", "zfp": "zfp volume", "3dgs-mcmc": "3DGS-MCMC",
+    "hac-plus": "HAC++", "3dgs-coded": "3DGS, coded",
 }  # fmt: skip
 
 

@@ -82,7 +82,10 @@ class Coding:
 
     def groups(self) -> dict[str, Sequence[Tensor]]:
         """Parameters of the second stage for the optimiser."""
-        return {"grid": [self.model.grid.table], "head": self.model.head}
+        groups: dict[str, Sequence[Tensor]] = {"grid": [self.model.grid.table], "head": self.model.head}
+        if self.model.intra is not None:
+            groups["intra"] = list(self.model.intra.parameters())
+        return groups
 
     @torch.no_grad()
     def begin(self, values: Sequence[Attributes]) -> None:
@@ -109,6 +112,9 @@ class Coding:
         total: int,
         iteration: int,
         masks: Callable[[Tensor], Tensor] | None = None,
+        *,
+        sample: Tensor | None = None,
+        weights: Callable[[Tensor], Tensor] | None = None,
     ) -> tuple[Attributes, Rate | None]:
         """Attributes for the decoders in training, and the rate in the phases with one.
 
@@ -119,13 +125,16 @@ class Coding:
             total: number of anchors of all scenes.
             iteration: iteration; selects no noise, noise of the base steps, or the context model.
             masks: indices (S,) of visible anchors -> (S, K) of 0 and 1; offsets with mask 0 cost nothing.
+            sample: (S,) those of the rows whose bits count; default: a random share of them.
+            weights: indices (S,) of visible anchors -> (S,) weights of all bits of an anchor; default 1.
         """
         if not self.schedule.noisy(iteration):
             return values, None
         if not self.schedule.coded(iteration):
             return _sizes(self.model.perturb(values, self._plain(len(rows)), self.noise).values), None
         exact = self.model.coder_exact = self.schedule.exact(iteration)
-        sample = draw_sample(len(rows), self.generator, self.sample)
+        if sample is None:
+            sample = draw_sample(len(rows), self.generator, self.sample)
         context = self.model(self.lookup(anchors), rows, sample)
         if exact:
             rounded = self.model.round(values, context.steps)
@@ -133,6 +142,9 @@ class Coding:
         else:
             noisy = self.model.perturb(values, context, self.noise)
         share = None if masks is None else _shares(values, masks(context.sample))
+        if weights is not None:
+            each = weights(context.sample)[:, None]
+            share = each.expand(-1, self.model.config.total) if share is None else share * each
         return _sizes(noisy.values), self.model.rate(noisy, context, anchors=total, share=share)
 
     def _plain(self, count: int) -> Context:

@@ -165,14 +165,7 @@ def write_residuals(encoder: Encoder, residuals: NDArray[np.int32], tables: NDAr
     for values, many in raw:
         encoder.raw(values, many)
         bits += many * len(values)
-    if escaped.any():
-        values = _zigzag(sorted_residuals[escaped])
-        lengths = _lengths(values)
-        bits += float((5 + lengths).sum())
-        encoder.raw(lengths, 5)
-        for length in np.unique(lengths):
-            encoder.raw(values[lengths == length], int(length))
-    return bits
+    return bits + write_escapes(encoder, sorted_residuals[escaped])
 
 
 def read_residuals(decoder: Decoder, tables: NDArray[np.uint16]) -> NDArray[np.int32]:
@@ -190,19 +183,37 @@ def read_residuals(decoder: Decoder, tables: NDArray[np.uint16]) -> NDArray[np.i
     for places, bits in raw:
         regular = np.flatnonzero(~escaped[places]) + places.start
         sorted_residuals[regular] |= decoder.raw(len(regular), bits).astype(np.int32)
-    if escaped.any():
-        lengths = decoder.raw(int(escaped.sum()), 5)
-        values = np.zeros(len(lengths), np.int64)
-        for length in np.unique(lengths):
-            at = lengths == length
-            values[at] = decoder.raw(int(at.sum()), int(length))
-        sorted_residuals[escaped] = (values >> 1) ^ -(values & 1)
+    sorted_residuals[escaped] = read_escapes(decoder, int(escaped.sum()))
     residuals = np.empty_like(sorted_residuals)
     residuals[order] = sorted_residuals
     return residuals
 
 
-def _zigzag(values: NDArray[np.int32]) -> NDArray[np.int64]:
+def write_escapes(encoder: Encoder, numbers: NDArray) -> float:
+    """Code whole numbers of at most 30 bits, in zigzag: all lengths, then numbers by length; their bits."""
+    if not len(numbers):
+        return 0.0
+    values = _zigzag(numbers)
+    lengths = _lengths(values)
+    encoder.raw(lengths, 5)
+    for length in np.unique(lengths):
+        encoder.raw(values[lengths == length], int(length))
+    return float((5 + lengths).sum())
+
+
+def read_escapes(decoder: Decoder, count: int) -> NDArray[np.int64]:
+    """Inverse of :func:`write_escapes`."""
+    if not count:
+        return np.zeros(0, np.int64)
+    lengths = decoder.raw(count, 5)
+    values = np.zeros(count, np.int64)
+    for length in np.unique(lengths):
+        at = lengths == length
+        values[at] = decoder.raw(int(at.sum()), int(length))
+    return (values >> 1) ^ -(values & 1)
+
+
+def _zigzag(values: NDArray) -> NDArray[np.int64]:
     wide = values.astype(np.int64)
     return (wide << 1) ^ (wide >> 63)
 
@@ -223,6 +234,18 @@ def read_bits(decoder: Decoder, count: int, share: int) -> NDArray[np.bool_]:
     """Inverse of :func:`write_bits`."""
     if not 1 <= share <= 65535:
         raise ValueError("a frequency of ones outside 1 to 65535")
+    return decoder.symbols(count, _bit_model(share)).astype(np.bool_)
+
+
+def write_bits_at(encoder: Encoder, plus: NDArray[np.bool_], share: int) -> float:
+    """Code bits at a frequency of ones (2⁻¹⁶) that the reader knows; their cross-entropy in bits."""
+    encoder.symbols(plus, _bit_model(share))
+    ones = int(plus.sum())
+    return float(ones * (16 - np.log2(share)) + (plus.size - ones) * (16 - np.log2(65536 - share)))
+
+
+def read_bits_at(decoder: Decoder, count: int, share: int) -> NDArray[np.bool_]:
+    """Inverse of :func:`write_bits_at`."""
     return decoder.symbols(count, _bit_model(share)).astype(np.bool_)
 
 

@@ -15,8 +15,9 @@ from enum import IntEnum
 from datasets.errors import DataError
 
 MAGIC = b"\x89ECONGS\n"
-VERSIONS = (1, 2, 3)
-"""Since the second, offsets of culled Gaussians may have no symbols; in the third, positions are plain."""
+VERSIONS = (1, 2, 3, 4)
+"""Since the second, offsets of culled Gaussians may have no symbols; in the third, positions are plain; in
+the fourth, features are mixtures."""
 MOST_SECTIONS = 4096
 LIMIT = (1 << 32) - 1  # bytes of a section
 _HEADER = struct.Struct("<8sHHQ")  # magic, version, sections, length of the whole

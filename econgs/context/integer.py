@@ -9,7 +9,9 @@ Values in int64 make all products in int64, as a reference.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -120,6 +122,33 @@ class IntegerLayer:
         return np.clip(sums, -OUTPUT_LIMIT, OUTPUT_LIMIT, out=sums)
 
 
+class Normals(NamedTuple):
+    """One of the two normal distributions of each feature of N anchors (:mod:`econgs.context.mixture`).
+
+    Attributes:
+        parts: (N, F) means, in sixteenths of a step.
+        spreads: (N, F) indices of the table of spreads.
+        logits: (N, F) of its weight, 2⁻¹⁶.
+    """
+
+    parts: Ints
+    spreads: Ints
+    logits: Ints
+
+    @classmethod
+    def of(cls, means: Ints, spreads: Ints, logits: Ints, step: Ints, log: Ints) -> Normals:
+        """From outputs of 2⁻¹⁶.
+
+        Args:
+            means: (N, F) in units of Q.
+            spreads: (N, F) logarithms to base 2, in the same units.
+            logits: (N, F).
+            step: (N, 1) 2¹⁶ q / Q.
+            log: (N, 1) its logarithm to base 2, 2⁻¹⁶.
+        """
+        return cls(_mean_parts(means, step), _spread_index(spreads, log), logits)
+
+
 @dataclass(frozen=True)
 class Coding:
     """Coding parameters of the attributes of N anchors.
@@ -136,11 +165,51 @@ class Coding:
 
 
 @dataclass(frozen=True)
+class MixedCoding(Coding):
+    """Coding parameters where features are mixtures; their columns of ``center`` and ``table`` are not used.
+
+    Attributes:
+        logs: (N, 1) logarithm to base 2 of the features' steps, 2⁻¹⁶.
+        normals: what the position says of the features.
+    """
+
+    logs: Ints
+    normals: Normals
+
+
+def joined(pieces: Sequence[Coding]) -> Coding:
+    """Coding parameters of all anchors from those of pieces, of at least one."""
+    steps, center, table = (
+        np.concatenate(part)
+        for part in zip(*((one.steps, one.center, one.table) for one in pieces), strict=True)
+    )
+    mixed = [one for one in pieces if isinstance(one, MixedCoding)]
+    if not mixed:
+        return Coding(steps, center, table)
+    normals = Normals(*(np.concatenate(part) for part in zip(*(one.normals for one in mixed), strict=True)))
+    return MixedCoding(steps, center, table, np.concatenate([one.logs for one in mixed]), normals)
+
+
+def _mean_parts(means: Ints, step: Ints) -> Ints:
+    """Means in sixteenths of a step, rounded half up: mean / q = output / step."""
+    parts = (2 * MEAN_PARTS * means + step) // (2 * step)
+    return np.clip(parts, -MEAN_LIMIT, MEAN_LIMIT, out=parts)
+
+
+def _spread_index(spreads: Ints, log: Ints) -> Ints:
+    """Indices of spreads: log2(sigma / q) in eighths, rounded half up."""
+    eighth = ACTIVATION_BITS - 3
+    index = ((spreads - log + (1 << (eighth - 1))) >> eighth) - SPREAD_OCTAVES[0] * SPREAD_PER_OCTAVE
+    return np.clip(index, 0, SPREADS - 1, out=index)
+
+
+@dataclass(frozen=True)
 class IntegerHead:
     """The head of the context model: looked-up values → coding parameters of each attribute.
 
     The rows of ``second`` are D means in units of Q (the group's base step), D logarithms to base 2 of the
-    spreads in the same units, and G refinements of the step.
+    spreads in the same units, and G refinements of the step. Where features are mixtures, one logit per
+    feature follows.
 
     Attributes:
         first, second: the two layers.
@@ -161,7 +230,7 @@ class IntegerHead:
         np.clip(hidden, 0, HIDDEN_LIMIT, out=hidden)
         outputs = self.second(hidden.astype(values.dtype, copy=False), ACTIVATION_BITS)
         total, groups = sum(self.widths), len(self.widths)
-        refinements = outputs[:, 2 * total :]
+        refinements = outputs[:, 2 * total : 2 * total + groups]
         half = 1 << (ACTIVATION_BITS - 6)  # 1/32 is 2^11 units of 2^-16
         index = np.clip(
             (refinements + half) >> (ACTIVATION_BITS - 5), -REFINEMENT_LIMIT, REFINEMENT_LIMIT - 1
@@ -175,17 +244,70 @@ class IntegerHead:
             columns = slice(at, at + self.widths[group])
             at = columns.stop
             step, log = steps[:, group, None], logs[:, group, None]
-            # mean / q = output / step; in sixteenths, rounded half up
-            parts = (2 * MEAN_PARTS * outputs[:, columns] + step) // (2 * step)
-            np.clip(parts, -MEAN_LIMIT, MEAN_LIMIT, out=parts)
+            parts = _mean_parts(outputs[:, columns], step)
             near = (parts + MEAN_PARTS // 2) >> 4
-            spreads = outputs[:, total + columns.start : total + columns.stop] - log
-            eighth = ACTIVATION_BITS - 3
-            spreads = ((spreads + (1 << (eighth - 1))) >> eighth) - SPREAD_OCTAVES[0] * SPREAD_PER_OCTAVE
-            np.clip(spreads, 0, SPREADS - 1, out=spreads)
+            spreads = _spread_index(outputs[:, total + columns.start : total + columns.stop], log)
             center[:, columns] = near
             table[:, columns] = table_index(spreads, parts - MEAN_PARTS * near)
-        return Coding(steps, center, table)
+        logits = outputs[:, 2 * total + groups :]
+        if not logits.shape[1]:
+            return Coding(steps, center, table)
+        width, log = self.widths[0], logs[:, :1]
+        means, spreads = outputs[:, :width], outputs[:, total : total + width]
+        normals = Normals.of(means, spreads, logits, steps[:, :1], log)
+        return MixedCoding(steps, center, table, log, normals)
+
+
+@dataclass(frozen=True)
+class IntegerIntra:
+    """What features say of later ones of the same anchor: chunks of channels, each from all chunks before it.
+
+    A chunk's outputs are w means in units of Q, w logarithms to base 2 of the spreads in the same units, and
+    w logits; those of the first chunk are numbers that nothing enters.
+
+    Attributes:
+        widths: (chunks,) channels w of each.
+        units: (F,) int8; a channel enters in units of Q times 2 to this power.
+        free: (3 w,) int32 outputs of the first chunk, 2⁻¹⁶.
+        layers: two for every later chunk.
+    """
+
+    widths: tuple[int, ...]
+    units: NDArray[np.int8]
+    free: NDArray[np.int32]
+    layers: tuple[tuple[IntegerLayer, IntegerLayer], ...]
+
+    def checked(self) -> IntegerIntra:
+        """Itself.
+
+        Raises:
+            ValueError: numbers outside the range of what training makes.
+        """
+        low, high = EXPONENT_RANGE
+        if (self.units < low).any() or (self.units > high).any() or (self.free == -(1 << 31)).any():
+            raise ValueError("units or first outputs out of range")
+        return self
+
+    def __call__(self, chunk: int, symbols: Ints, step: Ints, log: Ints) -> Normals:
+        """Distributions of a chunk.
+
+        Args:
+            chunk: its number.
+            symbols: (N, channels before it).
+            step: (N, 1) 2¹⁶ q / Q.
+            log: (N, 1) its logarithm to base 2, 2⁻¹⁶.
+        """
+        if chunk == 0:
+            outputs = self.free.astype(np.int64)[None].repeat(len(step), 0)
+        else:
+            first, second = self.layers[chunk - 1]
+            units = self.units[: symbols.shape[1]].astype(np.int64)
+            values = (symbols * step << np.maximum(-units, 0)) >> np.maximum(units, 0)
+            inputs = np.clip(values, -OUTPUT_LIMIT, OUTPUT_LIMIT).astype(np.float64)
+            hidden = np.clip(first(inputs, ACTIVATION_BITS), 0, HIDDEN_LIMIT)
+            outputs = second(hidden.astype(np.float64), ACTIVATION_BITS)
+        means, spreads, logits = np.split(outputs, 3, 1)
+        return Normals.of(means, spreads, logits, step, log)
 
 
 def whole_values(values: Tensor) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ training, attributes carry uniform noise of one step; afterwards they are rounde
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -17,7 +18,16 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from econgs.context.hash_grid import GRIDS, SMALL_GRID, GridConfig, HashGrid, Lookup, compiled, native
-from econgs.context.integer import MOST_INPUTS, IntegerHead, IntegerLayer, rounded_steps, rounded_weight
+from econgs.context.integer import (
+    ACTIVATION_BITS,
+    MOST_INPUTS,
+    OUTPUT_LIMIT,
+    IntegerHead,
+    IntegerIntra,
+    IntegerLayer,
+    rounded_steps,
+    rounded_weight,
+)
 
 STEPS = {"features": 0.1, "offset_scalings": 0.001, "gaussian_scalings": 0.001, "offsets": 0.2}
 """Base steps Q. The paper has 1 for features, which rounds nearly all of them to zero."""
@@ -25,6 +35,8 @@ STEPS = {"features": 0.1, "offset_scalings": 0.001, "gaussian_scalings": 0.001, 
 MOST_ELEMENTS = 1024  # per anchor: bounds the allocations of a stream's reader
 LEAST_PROBABILITY = 1e-6
 LEAST_SIGMA = 1e-9
+INTRA_HIDDEN = 30
+"""Hidden units between the features of an anchor, in HAC++'s form for synthetic scenes."""
 
 
 class Attributes(NamedTuple):
@@ -72,6 +84,8 @@ class ContextConfig:
         steps: base steps Q of features, scalings of offsets, scalings of Gaussians, offsets.
         grid: the hash grids.
         hidden: width of the head's hidden layer.
+        chunk: channels of a chunk of features, which are mixtures of what the position says and what earlier
+            chunks say (HAC++); 0: the position alone.
     """
 
     features: int = 50
@@ -79,6 +93,7 @@ class ContextConfig:
     steps: tuple[float, float, float, float] = field(default=tuple(STEPS.values()))  # type: ignore[assignment]
     grid: GridConfig = SMALL_GRID
     hidden: int = 50
+    chunk: int = 0
 
     def __post_init__(self) -> None:
         if self.features < 1 or self.offsets < 1 or not all(0.0 < one < 1e6 for one in self.steps):
@@ -89,13 +104,22 @@ class ContextConfig:
             )
         if not 1 <= self.hidden <= MOST_INPUTS:
             raise ValueError(f"a hidden layer of 1 to {MOST_INPUTS} is possible")
+        if self.chunk < 0 or (self.chunk and self.features - self.chunk > MOST_INPUTS):
+            raise ValueError(f"chunks with at most {MOST_INPUTS} channels before the last are possible")
 
     @classmethod
-    def of(cls, options: CodingOptions, features: int, hidden: int) -> ContextConfig:
+    def of(cls, options: CodingOptions, features: int, hidden: int, chunk: int = 0) -> ContextConfig:
         """Configuration with the steps, ``offsets`` and ``grid`` of a method's options."""
         scaling = options.scaling_step
         steps = (options.feature_step, scaling, scaling, options.offset_step)
-        return cls(features, options.offsets, steps, GRIDS[options.grid], hidden)
+        return cls(features, options.offsets, steps, GRIDS[options.grid], hidden, chunk)
+
+    @property
+    def chunks(self) -> tuple[int, ...]:
+        """Channels of each chunk of features; none where these are no mixtures."""
+        if not self.chunk:
+            return ()
+        return tuple(min(self.chunk, self.features - at) for at in range(0, self.features, self.chunk))
 
     @property
     def widths(self) -> tuple[int, int, int, int]:
@@ -178,6 +202,13 @@ class _NormalBits(torch.autograd.Function):
         return to_values, -to_values, to_sigma, to_step
 
 
+class Distribution(NamedTuple):
+    """Means and standard deviations of normal distributions."""
+
+    mean: Tensor
+    sigma: Tensor
+
+
 def normal_bits(values: Tensor, mean: Tensor, sigma: Tensor, step: Tensor) -> Tensor:
     """−log2 of the normal probability of the interval of one step around each value, at most 19.9 bits.
 
@@ -186,6 +217,80 @@ def normal_bits(values: Tensor, mean: Tensor, sigma: Tensor, step: Tensor) -> Te
     """
     bits: Tensor = _NormalBits.apply(values, mean, sigma, step)
     return bits
+
+
+def mixture_bits(values: Tensor, normals: Sequence[Distribution], weight: Tensor, step: Tensor) -> Tensor:
+    """As :func:`normal_bits`, under mixtures of two normal distributions.
+
+    Args:
+        values: (M, F).
+        normals: the two.
+        weight: (M, F) of the first.
+        step: (M, F).
+    """
+
+    def probability(of: Distribution) -> Tensor:
+        scale = of.sigma.clamp_min(LEAST_SIGMA).reciprocal()
+        low = ((values - of.mean).abs() - 0.5 * step) * scale
+        root = 0.5**0.5
+        return 0.5 * (torch.erfc(low * root) - torch.erfc((low + step * scale) * root))
+
+    first, second = (probability(one) for one in normals)
+    mixed = weight * first + (1.0 - weight) * second
+    bounded = mixed + (mixed.clamp_min(LEAST_PROBABILITY) - mixed).detach()
+    return -bounded.log2()
+
+
+class IntraAnchor(nn.Module):
+    """Features → distributions of later features of the same anchor, chunk by chunk (HAC++, its small form).
+
+    Outputs of a chunk: means, logarithms of spreads and logits, one row per channel each. Nothing enters the
+    first chunk.
+    """
+
+    def __init__(self, widths: Sequence[int], generator: torch.Generator | None) -> None:
+        super().__init__()
+        self.widths = tuple(widths)
+        self.free = nn.Parameter(torch.zeros(3 * self.widths[0]))
+        before = [sum(self.widths[:chunk]) for chunk in range(1, len(self.widths))]
+
+        def weights(rows: int, inputs: int, share: float) -> Tensor:
+            bound = share * inputs**-0.5
+            return torch.empty(rows, inputs).uniform_(-bound, bound, generator=generator)
+
+        after = self.widths[1:]
+        self.first = nn.ParameterList([weights(INTRA_HIDDEN, one, 1.0) for one in before])
+        self.first_bias = nn.ParameterList([torch.zeros(INTRA_HIDDEN) for _ in before])
+        self.second = nn.ParameterList([weights(3 * one, INTRA_HIDDEN, 0.1) for one in after])
+        self.second_bias = nn.ParameterList([torch.zeros(3 * one) for one in after])
+
+    def layers(self) -> list[tuple[Tensor, Tensor, Tensor, Tensor]]:
+        """Weights and biases of both layers of each later chunk."""
+        return list(zip(self.first, self.first_bias, self.second, self.second_bias, strict=True))
+
+    @torch.no_grad()
+    def start(self, mean: Tensor, log: Tensor) -> None:
+        """Set all biases to the mean and the logarithm of the spread (F,) of each channel."""
+        biases = [self.free, *self.second_bias]
+        for bias, *parts in zip(biases, mean.split(self.widths), log.split(self.widths), strict=True):
+            bias.copy_(torch.cat([*parts, torch.zeros_like(parts[0])]))
+
+    def forward(self, values: Tensor, exact: bool) -> tuple[Tensor, Tensor, Tensor]:
+        """Means, logarithms and logits (M, F).
+
+        Args:
+            values: (M, F) features, in the units of the context model.
+            exact: whether weights are rounded as in the coder.
+        """
+        outputs = [self.free.expand(len(values), -1)]
+        for first, first_bias, second, second_bias in self.layers():
+            if exact:
+                first, second = rounded_weight(first), rounded_weight(second)
+            hidden = functional.linear(values[:, : first.shape[1]], first, first_bias).relu()
+            outputs.append(functional.linear(hidden, second, second_bias))
+        parts = zip(*(one.chunk(3, 1) for one in outputs), strict=True)
+        means, logs, logits = (torch.cat(part, 1) for part in parts)
+        return means, logs, logits
 
 
 class Noise:
@@ -294,7 +399,7 @@ class ContextModel(nn.Module):
         coder_exact: whether to round weights and steps as the coder does, with straight-through
             gradients; for the last phase of training and for measurements.
 
-    Parameters for the optimiser: ``grid.table``, and :attr:`head`.
+    Parameters for the optimiser: ``grid.table``, :attr:`head`, and those of ``intra`` where there is one.
     """
 
     unit: Tensor
@@ -320,11 +425,19 @@ class ContextModel(nn.Module):
             self.spreads.weight.uniform_(-0.1 * out, 0.1 * out, generator=generator)
         # Mean = unit · Q · output; a unit is the power of two near an element's deviation: all learn alike.
         self.register_buffer("unit", torch.ones(config.total))
+        self.mixing: nn.Linear | None = None
+        self.intra: IntraAnchor | None = None
+        if config.chunk:
+            self.mixing = nn.Linear(config.hidden, config.features)
+            nn.init.zeros_(self.mixing.weight)
+            nn.init.zeros_(self.mixing.bias)
+            self.intra = IntraAnchor(config.chunks, generator)
 
     @property
     def head(self) -> list[nn.Parameter]:
         """Parameters of the head."""
-        layers = (self.first, self.means, self.spreads, self.refinements)
+        layers = [self.first, self.means, self.spreads, self.refinements]
+        layers += [] if self.mixing is None else [self.mixing]
         return [one for layer in layers for one in layer.parameters()]
 
     @property
@@ -349,6 +462,9 @@ class ContextModel(nn.Module):
         self.unit.copy_(torch.exp2(deviation.log2().round()))
         self.means.bias.copy_(mean / self.unit)
         self.spreads.bias.copy_(deviation.log2())
+        if self.intra is not None:
+            width = self.config.features
+            self.intra.start((mean / self.unit)[:width], deviation.log2()[:width])
 
     def lookup(self, codes: Tensor, extent: Any) -> Lookup:
         """Vertices and weights of anchor positions (``PositionGrid``: its codes and extent), for reuse."""
@@ -433,7 +549,23 @@ class ContextModel(nn.Module):
     def bits(self, values: Tensor, hidden: Tensor, steps: Tensor) -> Tensor:
         """(S, D) bits of noisy or rounded attributes (S, D), from hidden activations (S, H), steps (S, 4)."""
         mean, sigma = self.distribution(hidden)
-        return normal_bits(values, mean, sigma, self.element_steps(steps))
+        each = self.element_steps(steps)
+        if self.intra is None or self.mixing is None:
+            return normal_bits(values, mean, sigma, each)
+        width = self.config.features
+        features, step = values[:, :width], each[:, :width]
+        others = normal_bits(values[:, width:], mean[:, width:], sigma[:, width:], each[:, width:])
+        base = self.base_steps()[:width]
+        unit = self.unit[:width] * base
+        means, logs, logits = self.intra(features / unit, self.coder_exact)
+        own = Distribution(means * unit, torch.exp2(logs.clamp(-14.0, 26.0)) * base)
+        weight = self.mixing.weight
+        mixing = functional.linear(
+            hidden, rounded_weight(weight) if self.coder_exact else weight, self.mixing.bias
+        )
+        normals = Distribution(mean[:, :width], sigma[:, :width]), own
+        bits = mixture_bits(features, normals, torch.sigmoid(mixing - logits), step)
+        return torch.cat([bits, others], 1)
 
     def rate(self, noisy: Noisy, context: Context, *, anchors: int, share: Tensor | None = None) -> Rate:
         """The rate terms of the loss, from the sampled anchors.
@@ -476,8 +608,34 @@ class ContextModel(nn.Module):
         means = self.means.weight * self.unit[:, None]
         weight = torch.cat([means, self.spreads.weight, self.refinements.weight])
         bias = torch.cat([self.means.bias * self.unit, self.spreads.bias, self.refinements.bias])
+        if self.mixing is not None:
+            weight, bias = torch.cat([weight, self.mixing.weight]), torch.cat([bias, self.mixing.bias])
         return IntegerHead(
             IntegerLayer.of(self.first.weight, self.first.bias),
             IntegerLayer.of(weight, bias),
             self.config.widths,
+        )
+
+    @torch.no_grad()
+    def integer_intra(self) -> IntegerIntra | None:
+        """The networks between features in their coded form."""
+        if self.intra is None:
+            return None
+        units = self.unit[: self.config.features]
+        scales = [torch.cat([one, torch.ones_like(one).repeat(2)]) for one in units.split(self.intra.widths)]
+        free = (self.intra.free * scales[0]).double() * (1 << ACTIVATION_BITS)
+        layers = tuple(
+            (
+                IntegerLayer.of(first, first_bias),
+                IntegerLayer.of(second * scale[:, None], second_bias * scale),
+            )
+            for (first, first_bias, second, second_bias), scale in zip(
+                self.intra.layers(), scales[1:], strict=True
+            )
+        )
+        return IntegerIntra(
+            self.intra.widths,
+            units.log2().round().to(torch.int8).cpu().numpy(),
+            free.round().clamp(-OUTPUT_LIMIT, OUTPUT_LIMIT).to(torch.int32).cpu().numpy(),
+            layers,
         )

@@ -32,7 +32,16 @@ from econgs.context.container import (
 )
 from econgs.context.culling import kept_offsets
 from econgs.context.hash_grid import GridConfig, interpolate, make_lookup
-from econgs.context.integer import Coding, IntegerHead, IntegerLayer, step_sizes, whole_values
+from econgs.context.integer import (
+    MOST_INPUTS,
+    Coding,
+    IntegerHead,
+    IntegerIntra,
+    IntegerLayer,
+    joined,
+    step_sizes,
+    whole_values,
+)
 from econgs.context.model import MOST_ELEMENTS, ContextConfig, ContextModel
 from econgs.context.positions import (
     PositionGrid,
@@ -46,15 +55,18 @@ from econgs.context.symbols import (
     Present,
     columns_of,
     present_of,
+    read_features,
     read_masks,
     read_symbols,
+    write_features,
     write_masks,
     write_symbols,
 )
 
 ANCHORS_PER_BYTE = 4  # maximum number of anchors per byte of positions: bounds a reader's allocations
-_CONTEXT, _MASKS, _CULLING, _PLAIN_POSITIONS = 1, 2, 4, 8
-_CODED_KINDS = (0, _CONTEXT, _MASKS, _CONTEXT | _MASKS, _CONTEXT | _CULLING)
+_CONTEXT, _MASKS, _CULLING, _PLAIN_POSITIONS, _MIXTURES = 1, 2, 4, 8, 16
+_MIXED_KINDS = (_CONTEXT | _MIXTURES, _CONTEXT | _MASKS | _MIXTURES)
+_CODED_KINDS = (0, _CONTEXT, _MASKS, _CONTEXT | _MASKS, _CONTEXT | _CULLING, *_MIXED_KINDS)
 _ALL_KINDS = (*_CODED_KINDS, *(kinds | _PLAIN_POSITIONS for kinds in _CODED_KINDS))
 _PIECE = 8192  # anchors per lookup
 _KINDS = (Kind.FEATURES, Kind.SCALINGS, Kind.OFFSETS)
@@ -80,18 +92,21 @@ class CodedContext:
         config: sizes; steps rounded to float32.
         head: integer weights.
         positive: (entries, features) True for the bits +1 of the hash grid.
+        intra: networks between features; only where these are mixtures.
     """
 
     config: ContextConfig
     head: IntegerHead
     positive: NDArray[np.bool_]
+    intra: IntegerIntra | None = None
 
     @classmethod
     def of(cls, model: ContextModel) -> CodedContext:
         """Coded form of a trained model on any device."""
         a, b, c, d = (float(np.float32(one)) for one in model.config.steps)
         positive = (model.grid.table.detach() >= 0.0).cpu().numpy()
-        return cls(replace(model.config, steps=(a, b, c, d)), model.integer_head(), positive)
+        config = replace(model.config, steps=(a, b, c, d))
+        return cls(config, model.integer_head(), positive, model.integer_intra())
 
     def coding(self, codes: NDArray[np.int64], grid: PositionGrid) -> Coding:
         """Coding parameters of anchors at (N, 3) position codes."""
@@ -103,10 +118,7 @@ class CodedContext:
                 lookup = make_lookup(self.config.grid, piece, grid.extent)
                 values, _ = interpolate(table, lookup)
                 parts.append(self.head(whole_values(values)))
-        join = [
-            np.concatenate(one) for one in zip(*((p.steps, p.center, p.table) for p in parts), strict=True)
-        ]
-        return Coding(*join)
+        return joined(parts)
 
     def steps(self, coding: Coding) -> NDArray[np.float32]:
         """(N, D) step of every element."""
@@ -177,6 +189,11 @@ class GroupAttributes:
         """Whether the scenes have masks."""
         return self.scenes[0].masks is not None
 
+    @property
+    def mixtures(self) -> bool:
+        """Whether features are mixtures."""
+        return self.context is not None and self.context.intra is not None
+
 
 @dataclass(frozen=True)
 class Encoded:
@@ -210,6 +227,7 @@ class _Quantised:
     symbols: NDArray[np.int32] | None
     coding: Coding | None
     present: Present | None
+    intra: IntegerIntra | None = None
 
 
 def _quantise(scene: SceneAttributes, group: GroupAttributes) -> _Quantised:
@@ -248,7 +266,7 @@ def _quantise(scene: SceneAttributes, group: GroupAttributes) -> _Quantised:
         masks = kept_offsets(group.decoders, values, ordered.parameters)
         whole[:, width + 6 :][~masks.repeat(3, 1)] = 0
     rounded = _with_values(ordered, whole.astype(np.float32) * steps, width, many)
-    return _Quantised(rounded, codes, whole, coding, masks)
+    return _Quantised(rounded, codes, whole, coding, masks, group.context.intra)
 
 
 def _with_values(
@@ -315,6 +333,8 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
         raise DataError("stream", "a group without scenes", "Add at least one")
     if group.culling and (group.context is None or group.masked):
         raise DataError("stream", "culling without context, or with masks", "Choose one of them")
+    if group.culling and group.mixtures:
+        raise DataError("stream", "culling with features that are mixtures", "Choose one of them")
     if any((scene.masks is not None) != group.masked for scene in group.scenes):
         raise DataError("stream", "only some of the scenes have masks", "Give masks to all or to none")
     if group.culling:  # the reader has no other decoders than these
@@ -345,7 +365,8 @@ def encode_group(group: GroupAttributes, *, weights: Precision = "float32") -> E
     ledger = {"container": overhead(len(sections))}
     for one in sections:
         ledger[_PARTS[one.kind]] = ledger.get(_PARTS[one.kind], 0) + len(one.payload)
-    version = VERSIONS[2 if group.plain_positions else int(group.culling)]
+    newest = 3 if group.mixtures else 2 if group.plain_positions else int(group.culling)
+    version = VERSIONS[newest]
     return Encoded(write_container(sections, version), ledger, ideal)
 
 
@@ -370,7 +391,7 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
     grid, kinds, count, width, many, metadata = _guarded(reader(Kind.GROUP), _read_group)
     context: CodedContext | None = None
     if kinds & _CONTEXT:
-        context = _guarded(reader(Kind.CONTEXT), _read_context)
+        context = _guarded(reader(Kind.CONTEXT), partial(_read_context, mixtures=bool(kinds & _MIXTURES)))
         if (context.config.features, context.config.offsets) != (width, many):
             raise DataError(what, "its context model is for other attributes", ANEW)
         context = _guarded(reader(Kind.GRID), partial(_read_grid, context=context))
@@ -395,7 +416,8 @@ def decode_group(data: bytes, what: str = "stream") -> GroupAttributes:
             if kind == Kind.OFFSETS and kinds & _CULLING:
                 present = _kept(decoders, parts[0], parameters, many, what)
             coded = None if kind != Kind.OFFSETS or present is None else present.repeat(3, 1)
-            part = _guarded(reader(kind, index), partial(read, columns=columns, present=coded))
+            intra = context.intra if context is not None and kind == Kind.FEATURES else None
+            part = _guarded(reader(kind, index), partial(read, columns=columns, present=coded, intra=intra))
             parts.append(part if steps is None else part.astype(np.float32) * steps[:, columns])
         values = np.concatenate(parts, 1)
         empty = SceneAttributes(name, places, none, none, none, parameters, masks)
@@ -441,7 +463,7 @@ def _read_text(reader: Reader) -> str:
 def _write_group(group: GroupAttributes) -> bytes:
     first = group.scenes[0]
     kinds = _CONTEXT * (group.context is not None) + _MASKS * group.masked + _CULLING * group.culling
-    kinds += _PLAIN_POSITIONS * group.plain_positions
+    kinds += _PLAIN_POSITIONS * group.plain_positions + _MIXTURES * group.mixtures
     shape = (len(group.scenes), first.features.shape[1], first.offsets.shape[1], kinds)
     sizes = [*shape, *group.grid.extent]
     places = np.array([*group.grid.origin, *group.grid.cell], "<f8").tobytes()
@@ -466,17 +488,27 @@ def _write_context(context: CodedContext) -> bytes:
     sizes = [config.features, config.offsets, config.hidden, len(grid.volume), len(grid.planes),
              grid.volume_log2, grid.planes_log2, grid.features, *grid.volume, *grid.planes]  # fmt: skip
     parts = [np.array(sizes, "<u2").tobytes(), np.array(config.steps, "<f4").tobytes()]
-    for layer in (context.head.first, context.head.second):
+    layers = [context.head.first, context.head.second]
+    if (intra := context.intra) is not None:
+        hidden = len(intra.layers[0][0].weight) if intra.layers else 0
+        parts.insert(1, np.array([config.chunk, hidden], "<u2").tobytes())
+        layers += [layer for pair in intra.layers for layer in pair]
+    for layer in layers:
         parts += [layer.weight.tobytes(), layer.exponent.tobytes(), layer.bias.astype("<i4").tobytes()]
+    if intra is not None:
+        parts += [intra.units.tobytes(), intra.free.astype("<i4").tobytes()]
     return b"".join(parts)
 
 
-def _read_context(reader: Reader) -> CodedContext:
+def _read_context(reader: Reader, mixtures: bool) -> CodedContext:
     features, offsets, hidden, volume, planes, volume_log2, planes_log2, values = reader.unpack("8H")
     levels = reader.unpack(f"{volume + planes}H")
     grid = GridConfig(levels[:volume], levels[volume:], volume_log2, planes_log2, values)
+    chunk, between = reader.unpack("2H") if mixtures else (0, 0)
+    if mixtures and not (chunk and (0 < between <= MOST_INPUTS or chunk >= features)):
+        raise ValueError(f"chunks of {chunk} features with {between} hidden units between them")
     steps = reader.unpack("4f")
-    config = ContextConfig(features, offsets, steps, grid, hidden)
+    config = ContextConfig(features, offsets, steps, grid, hidden, chunk)
 
     def layer(rows: int, inputs: int) -> IntegerLayer:
         weight = np.frombuffer(reader.take(rows * inputs), np.int8).reshape(rows, inputs)
@@ -485,8 +517,18 @@ def _read_context(reader: Reader) -> CodedContext:
         return IntegerLayer(weight, exponent, bias).checked()
 
     first = layer(hidden, grid.outputs)
-    head = IntegerHead(first, layer(2 * config.total + len(config.widths), hidden), config.widths)
-    return CodedContext(config, head, np.zeros((0, values), np.bool_))
+    rows = 2 * config.total + len(config.widths) + (features if mixtures else 0)
+    head = IntegerHead(first, layer(rows, hidden), config.widths)
+    intra = None
+    if mixtures:
+        widths = config.chunks
+        layers = tuple(
+            (layer(between, sum(widths[:at])), layer(3 * widths[at], between)) for at in range(1, len(widths))
+        )
+        units = np.frombuffer(reader.take(features), np.int8)
+        free = np.frombuffer(reader.take(12 * widths[0]), "<i4").astype(np.int32)
+        intra = IntegerIntra(widths, units, free, layers).checked()
+    return CodedContext(config, head, np.zeros((0, values), np.bool_), intra)
 
 
 def _write_grid(context: CodedContext) -> bytes:
@@ -536,13 +578,22 @@ def _write_attributes(quantised: _Quantised, columns: slice, present: Present | 
     """Bytes of some columns and their ideal bits."""
     if quantised.symbols is None or quantised.coding is None:
         return np.ascontiguousarray(quantised.scene.values[:, columns]).astype("<f4").tobytes(), 0.0
+    if quantised.intra is not None and columns.start == 0:
+        return write_features(quantised.symbols[:, columns], quantised.coding, quantised.intra)
     return write_symbols(quantised.symbols, quantised.coding, columns, present)
 
 
 def _read_attributes(
-    reader: Reader, coding: Coding | None, anchors: int, columns: slice, present: Present | None
+    reader: Reader,
+    coding: Coding | None,
+    anchors: int,
+    columns: slice,
+    present: Present | None,
+    intra: IntegerIntra | None,
 ) -> NDArray:
     """Symbols (or values, without context) of some columns."""
+    if coding is not None and intra is not None:
+        return read_features(reader, coding, intra)
     if coding is not None:
         return read_symbols(reader, coding, columns, present)
     width = columns.stop - columns.start

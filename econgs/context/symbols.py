@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from econgs.context.coder import Decoder, Encoder, read_bits, read_residuals, write_bits, write_residuals
 from econgs.context.container import Reader
-from econgs.context.integer import Coding
+from econgs.context.integer import Coding, IntegerIntra, MixedCoding
+from econgs.context.mixture import Mixture, first_weight, read_mixture, write_mixture
 
 Present = NDArray[np.bool_]
 
@@ -62,6 +63,40 @@ def read_symbols(
     symbols = np.zeros(center.shape, np.int32)
     symbols[present] = residuals + center[present]
     return symbols
+
+
+def write_features(symbols: NDArray[np.int32], coding: Coding, intra: IntegerIntra) -> tuple[bytes, float]:
+    """Bytes of features (N, F) that are mixtures, chunk by chunk, and their ideal bits."""
+    encoder, ideal, at = Encoder(), 0.0, 0
+    for chunk, width in enumerate(intra.widths):
+        mixture = _mixture(chunk, symbols[:, :at].astype(np.int64), coding, intra)
+        ideal += write_mixture(encoder, symbols[:, at : at + width].ravel(), mixture)
+        at += width
+    return encoder.finish(), ideal
+
+
+def read_features(reader: Reader, coding: Coding, intra: IntegerIntra) -> NDArray[np.int32]:
+    """Inverse of :func:`write_features`."""
+    decoder = Decoder(reader.rest())
+    symbols = np.empty((len(coding.steps), 0), np.int64)
+    for chunk, width in enumerate(intra.widths):
+        part = read_mixture(decoder, _mixture(chunk, symbols, coding, intra))
+        symbols = np.concatenate([symbols, part.reshape(len(symbols), width)], 1)
+    decoder.finish()
+    return symbols.astype(np.int32)
+
+
+def _mixture(chunk: int, before: NDArray[np.int64], coding: Coding, intra: IntegerIntra) -> Mixture:
+    """Mixtures of a chunk's symbols, anchor by anchor, from those of the chunks before it."""
+    assert isinstance(coding, MixedCoding)
+    columns = slice(before.shape[1], before.shape[1] + intra.widths[chunk])
+    own = intra(chunk, before, coding.steps[:, :1], coding.logs)
+    pairs = [
+        np.stack([of_place[:, columns].ravel(), of_others.ravel()])
+        for of_place, of_others in zip(coding.normals, own, strict=True)
+    ]
+    logits = pairs[2][0] - pairs[2][1]
+    return Mixture(pairs[0], pairs[1], first_weight(logits))
 
 
 def _select(values: NDArray, present: Present | None) -> NDArray:

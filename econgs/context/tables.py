@@ -28,8 +28,8 @@ _FINE = (3 - SPREAD_OCTAVES[0]) * SPREAD_PER_OCTAVE  # below sigma / q = 8: one 
 TABLES = _FINE * MEAN_PARTS + SPREADS - _FINE
 
 _CDF_PER_UNIT = 1024
-_CDF_REACH = 9
-_CDF_BITS = 38  # with 24 bits of frequencies: 62
+CDF_REACH = 9
+CDF_BITS = 38  # with 24 bits of frequencies: 62
 _DECIMAL = Context(prec=50)
 
 
@@ -78,7 +78,7 @@ def _cdf() -> NDArray[np.int64]:
     growth = int(_DECIMAL.exp(-2 * half_square) * unit)
     value = unit
     density = [value]
-    for _ in range(2 * _CDF_PER_UNIT * _CDF_REACH):
+    for _ in range(2 * _CDF_PER_UNIT * CDF_REACH):
         value = value * ratio >> precision
         ratio = ratio * growth >> precision
         density.append(value)
@@ -86,18 +86,18 @@ def _cdf() -> NDArray[np.int64]:
     sums = [0]
     for i in range(0, len(density) - 2, 2):
         sums.append(sums[-1] + density[i] + 4 * density[i + 1] + density[i + 2])
-    half = 1 << (_CDF_BITS - 1)
+    half = 1 << (CDF_BITS - 1)
     return np.array([half + half * one // sums[-1] for one in sums], np.int64)
 
 
-def _normal(x: NDArray[np.int64]) -> NDArray[np.int64]:
+def normal(x: NDArray[np.int64]) -> NDArray[np.int64]:
     """Normal distribution function of x / 2^16, times 2^38, by linear interpolation."""
     table = _cdf()
     scaled = np.abs(x) * _CDF_PER_UNIT
     cell = np.minimum(scaled >> 16, len(table) - 2)
     rest = np.minimum(scaled - (cell << 16), 1 << 16)
     upper = table[cell] + ((table[cell + 1] - table[cell]) * rest >> 16)
-    value: NDArray[np.int64] = np.where(x >= 0, upper, (1 << _CDF_BITS) - upper)
+    value: NDArray[np.int64] = np.where(x >= 0, upper, (1 << CDF_BITS) - upper)
     return value
 
 
@@ -131,9 +131,9 @@ def coding_table(table: int) -> tuple[int, NDArray[np.int64]]:
     # Cell edges less the mean in units of 2^-5 steps: halves and sixteenths are whole.
     edges = (np.arange(-reach, reach + 2, dtype=np.int64) << (raw + 5)) - 16 - 2 * part
     # x = edge / 2^5 / (sigma / 2^16), in units of 2^-16.
-    x = np.clip((edges << 27) // sigma, -(_CDF_REACH << 16), _CDF_REACH << 16)
-    weights = np.diff(_normal(x))
+    x = np.clip((edges << 27) // sigma, -(CDF_REACH << 16), CDF_REACH << 16)
+    weights = np.diff(normal(x))
     free = (1 << FREQUENCY_BITS) - FLOOR * (len(weights) + 1)
-    frequencies = np.append(FLOOR + (weights * free >> _CDF_BITS), FLOOR)
+    frequencies = np.append(FLOOR + (weights * free >> CDF_BITS), FLOOR)
     frequencies[np.argmax(frequencies)] += (1 << FREQUENCY_BITS) - frequencies.sum()
     return -reach, frequencies

@@ -11,8 +11,8 @@ PUBLISHED: dict[str, OptionValue] = {**splatting.PUBLISHED, "start": "random", "
 
 
 @dataclass(frozen=True)
-class GaussianOptions(splatting.SplattingOptions):
-    """Options of 3DGS, and the first of the methods that begin like it."""
+class HarmonicsOptions(splatting.SplattingOptions):
+    """Options of Gaussians with spherical harmonics, whatever decides on their number."""
 
     start: Literal["cloud", "random"] = option("cloud", "where the first Gaussians come from")
     random_points: int = option(100_000, "number of points of a random start", minimum=1, maximum=10_000_000)
@@ -34,6 +34,12 @@ class GaussianOptions(splatting.SplattingOptions):
         minimum=0.0,
         maximum=1.0,
     )
+
+
+@dataclass(frozen=True)
+class GaussianOptions(HarmonicsOptions):
+    """Options of 3DGS, and the first of the methods that begin like it."""
+
     growth_gradient: float = option(
         2e-4, "mean screen-space gradient (NDC) from which a Gaussian is cloned or split", minimum=0.0
     )

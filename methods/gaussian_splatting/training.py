@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 import torch
 
 from datasets.camera import Camera
@@ -10,11 +12,11 @@ from econgs.optim import Adam
 from econgs.splat.rasterise import SplatImages, rasterise
 from econgs.splat.sh import spherical_harmonics
 from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, capped_logits, grow
-from methods.gaussian_splatting.initialise import initial_parameters
+from methods.gaussian_splatting.initialise import first_gaussians, first_points
 from methods.gaussian_splatting.model import GaussianModel, SceneGaussians, SplatModel
 from methods.gaussian_splatting.schedule import Schedule
-from methods.gaussian_splatting.spec import GaussianOptions
-from methods.interface import Checkpoint, SceneInput
+from methods.gaussian_splatting.spec import GaussianOptions, HarmonicsOptions
+from methods.interface import Checkpoint, Refused, SceneInput
 from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent, under
 
 PARAMETERS = ("means", "log_scales", "quats", "logits", "sh_dc", "sh_rest")
@@ -24,52 +26,48 @@ POSITION_DECAY = 0.01
 """Positions end at this fraction of their first rate."""
 
 
-class Trainer(TrainingLoop):
-    """State of a fit: parameters, optimiser, densification statistics, order of views, random state.
-
-    Methods that begin as 3DGS build on it: vq-3dgs, ivr-gs.
+class HarmonicsTrainer(TrainingLoop):
+    """A fit of Gaussians with spherical harmonics, without the rules that decide on their number.
 
     Arguments: a scene, resolved options, and those of :class:`methods.shared.training.TrainingLoop`.
 
     Raises:
-        Refused: no views, no initial points, or too many of them.
+        Refused: no views, or no initial points.
     """
 
-    options: GaussianOptions
+    options: HarmonicsOptions
     schedule: Schedule
 
     def __init__(
-        self, scene: SceneInput, options: GaussianOptions, iterations: int, seed: int, device: str
+        self, scene: SceneInput, options: HarmonicsOptions, iterations: int, seed: int, device: str
     ) -> None:
         super().__init__([scene], iterations, seed, device)
         self.scene, self.options = scene, options
         self.background = self.chosen_background(scene)
         self.schedule = self._schedule(iterations)
-        self.rules = GrowthRules(
-            gradient=options.growth_gradient,
-            dense_scale=options.dense_fraction * scene.extent,
-            prune_opacity=options.prune_opacity,
-            extent=scene.extent,
-            limit=options.max_gaussians,
-        )
         self.images = torch.from_numpy(scene.train.images)
         self.transparent = are_transparent(self.images)
         parameters, rates = self._start()
         self.optimiser = Adam({name: values.to(device) for name, values in parameters.items()}, rates)
-        self.statistics = GrowthStatistics.zeros(self.count, device)
 
+    @abstractmethod
     def _schedule(self, iterations: int) -> Schedule:
-        return Schedule(
-            iterations,
-            sh_degree=self.options.sh_degree,
-            resets=self.options.opacity_reset,
-            early_reset=self.background == WHITE,
-            decay=self.options.decay,
-        )
+        """Phases of the fit."""
+
+    @abstractmethod
+    def _first(self) -> dict[str, torch.Tensor]:
+        """First Gaussians, on the CPU (shapes as in ``model.SceneGaussians``)."""
+
+    @abstractmethod
+    def _control(self) -> None:
+        """Change the number of Gaussians, after the optimiser's step."""
+
+    def _record(self, gradients: torch.Tensor, radii: torch.Tensor, camera: Camera) -> None:
+        """Take the gradients of screen offsets (N, 2) in a view, where :meth:`Schedule.collects` asks."""
 
     def _start(self) -> tuple[dict[str, torch.Tensor], dict[str, float]]:
         """First parameters, one row per Gaussian, and their learning rates."""
-        parameters = initial_parameters(self.scene, self.options, self.generator)
+        parameters = self._first()
         rates = LEARNING_RATES | {
             "means": 0.0,
             "logits": self.options.opacity_lr,
@@ -87,13 +85,6 @@ class Trainer(TrainingLoop):
         """Number of Gaussians."""
         return len(self.optimiser["means"])
 
-    def stage(self) -> str:
-        if self.count == 0:
-            return "no Gaussians left"
-        if not self.schedule.collects(self.iteration + 1):
-            return "refinement"
-        return f"growth, stopped at {self.rules.limit} Gaussians" if self.limited else "growth"
-
     def step(self) -> dict[str, float]:
         self.iteration += 1
         view = self.next_view()
@@ -109,10 +100,7 @@ class Trainer(TrainingLoop):
                 self._record(offset.grad, radii, camera)
             self._set_rates()
             self.optimiser.step()
-        if self.schedule.grows(self.iteration):
-            self._grow()
-        if self.schedule.resets_opacity(self.iteration):
-            self.optimiser.overwrite("logits", capped_logits(self.optimiser["logits"]))
+        self._control()
         if self.iteration % CHECK_EVERY == 0:
             self.check_finite()
         return {"loss": sum(losses.values()), **(losses if len(losses) > 1 else {})}
@@ -147,10 +135,6 @@ class Trainer(TrainingLoop):
             raise
         return splats, offset
 
-    def _record(self, gradients: torch.Tensor, radii: torch.Tensor, camera: Camera) -> None:
-        """Add a view to the statistics that densification reads."""
-        self.statistics.record(gradients, radii, camera.width, camera.height)
-
     def _colors(self, camera: Camera) -> torch.Tensor:
         now, degree = self.optimiser, self.schedule.degree(self.iteration)
         position = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
@@ -163,6 +147,73 @@ class Trainer(TrainingLoop):
         """Learning rates of this iteration, as far as they change."""
         first = self.options.position_lr * self.scene.extent
         self.optimiser.rates["means"] = self.schedule.decayed(self.iteration, first, POSITION_DECAY * first)
+
+    # ------------------------------------------------------------------ what comes out
+
+    @staticmethod
+    def restored(state: TrainingState, options: HarmonicsOptions) -> SplatModel:
+        """Every Gaussian, in float32."""
+        return GaussianModel([plain_gaussians(state, options.sh_degree)])
+
+
+class Trainer(HarmonicsTrainer):
+    """State of a fit: parameters, optimiser, densification statistics, order of views, random state.
+
+    Methods that begin as 3DGS build on it: vq-3dgs, ivr-gs.
+
+    Arguments: a scene, resolved options, and those of :class:`methods.shared.training.TrainingLoop`.
+
+    Raises:
+        Refused: no views, no initial points, or too many of them.
+    """
+
+    options: GaussianOptions
+
+    def __init__(
+        self, scene: SceneInput, options: GaussianOptions, iterations: int, seed: int, device: str
+    ) -> None:
+        super().__init__(scene, options, iterations, seed, device)
+        self.rules = GrowthRules(
+            gradient=options.growth_gradient,
+            dense_scale=options.dense_fraction * scene.extent,
+            prune_opacity=options.prune_opacity,
+            extent=scene.extent,
+            limit=options.max_gaussians,
+        )
+        self.statistics = GrowthStatistics.zeros(self.count, device)
+
+    def _schedule(self, iterations: int) -> Schedule:
+        return Schedule(
+            iterations,
+            sh_degree=self.options.sh_degree,
+            resets=self.options.opacity_reset,
+            early_reset=self.background == WHITE,
+            decay=self.options.decay,
+        )
+
+    def _first(self) -> dict[str, torch.Tensor]:
+        points, colors = first_points(self.scene, self.options, self.generator)
+        limit = self.options.max_gaussians
+        if 0 < limit < len(points):
+            raise Refused(f"{len(points)} initial points are more than max_gaussians = {limit}")
+        return first_gaussians(points, colors, self.scene.extent, scale=self.options.start_scale)
+
+    def stage(self) -> str:
+        if self.count == 0:
+            return "no Gaussians left"
+        if not self.schedule.collects(self.iteration + 1):
+            return "refinement"
+        return f"growth, stopped at {self.rules.limit} Gaussians" if self.limited else "growth"
+
+    def _control(self) -> None:
+        if self.schedule.grows(self.iteration):
+            self._grow()
+        if self.schedule.resets_opacity(self.iteration):
+            self.optimiser.overwrite("logits", capped_logits(self.optimiser["logits"]))
+
+    def _record(self, gradients: torch.Tensor, radii: torch.Tensor, camera: Camera) -> None:
+        """Add a view to the statistics that densification reads."""
+        self.statistics.record(gradients, radii, camera.width, camera.height)
 
     def _grow(self, also: torch.Tensor | None = None) -> None:
         self.check_finite()
@@ -178,13 +229,6 @@ class Trainer(TrainingLoop):
         self.optimiser.append(growth.added)
         self.statistics = GrowthStatistics.zeros(self.count, self.device)
         self.limited |= growth.limited
-
-    # ------------------------------------------------------------------ what comes out
-
-    @staticmethod
-    def restored(state: TrainingState, options: GaussianOptions) -> SplatModel:
-        """Every Gaussian, in float32."""
-        return GaussianModel([plain_gaussians(state, options.sh_degree)])
 
     def checkpoint(self) -> Checkpoint:
         state = super().checkpoint()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import quote
 
 from datasets.errors import DataError
@@ -15,14 +15,6 @@ from methods.scaffold_gs.model import AnchorModel, SceneAnchors
 from methods.shared.coding import placed, placed_anchors, stored_networks
 from methods.shared.edits import triple
 from methods.shared.files import read_streams
-
-SUFFIX = ".hac"
-_METHOD = "hac"
-
-
-def metadata_of(background: RGB) -> dict[str, Any]:
-    """Metadata of a stream."""
-    return {"method": _METHOD, "background": list(background)}
 
 
 class HacModel(AnchorModel):
@@ -37,12 +29,18 @@ class HacModel(AnchorModel):
         DataError: a group is not one of this method.
     """
 
-    method = _METHOD
+    method = "hac"
+    suffix: ClassVar[str] = ".hac"
 
     def __init__(self, groups: Sequence[GroupAttributes], device: str, files: Sequence[str] = ()) -> None:
         self.groups, self.device = tuple(groups), device
         named = zip(self.groups, files or ["group"] * len(self.groups), strict=True)
-        super().__init__(_ready(group, device, file) for group, file in named)
+        super().__init__(_ready(group, device, file, self.method) for group, file in named)
+
+    @classmethod
+    def metadata(cls, background: RGB) -> dict[str, Any]:
+        """Metadata of a stream."""
+        return {"method": cls.method, "background": list(background)}
 
     def bytes_estimate(self) -> int:
         """Bytes that :meth:`save` would write."""
@@ -54,13 +52,13 @@ class HacModel(AnchorModel):
         for group in self.groups:
             name = group.scenes[0].name
             encoded = encode_group(group)
-            (folder / f"{quote(name, safe=' ')}{SUFFIX}").write_bytes(encoded.data)
+            (folder / f"{quote(name, safe=' ')}{self.suffix}").write_bytes(encoded.data)
             ledger[name] = dict(encoded.ledger)
         return ledger
 
     @classmethod
     def load(cls, folder: Path, device: str) -> HacModel:
-        files, groups = zip(*read_streams(folder, SUFFIX, _METHOD), strict=True)
+        files, groups = zip(*read_streams(folder, cls.suffix, cls.method), strict=True)
         return cls(groups, device, files)
 
     @classmethod
@@ -68,17 +66,17 @@ class HacModel(AnchorModel):
         return cls([group for model in models for group in model.groups], models[0].device)
 
 
-def _ready(group: GroupAttributes, device: str, what: str) -> SceneAnchors:
+def _ready(group: GroupAttributes, device: str, what: str, method: str) -> SceneAnchors:
     """The scene of a group on a device."""
     try:
         (scene,) = group.scenes
-        if group.metadata["method"] != _METHOD or scene.masks is None:
+        if group.metadata["method"] != method or scene.masks is None:
             raise ValueError("it is of another method")
         background = triple(group.metadata["background"])
         decoders = ColorDecoders(scene.features.shape[1], scene.offsets.shape[1], distance=True)
         stored_networks(decoders, group, device)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = f"it is not the model of a hac scene ({error})"
+        reason = f"it is not the model of a {method} scene ({error})"
         raise DataError(what, reason, "Encode the model anew") from error
     masks = placed(scene.masks, device)
     return SceneAnchors(scene.name, background, decoders, *placed_anchors(scene, device), masks)

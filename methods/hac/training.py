@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ from econgs.anchors.coding import Coding, saved_grid
 from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
 from econgs.context.stream import GroupAttributes, SceneAttributes, round_group
-from methods.hac.model import HacModel, metadata_of
+from methods.hac.model import HacModel
 from methods.hac.spec import HacOptions
 from methods.interface import Checkpoint
 from methods.scaffold_gs import training as scaffold_gs
@@ -37,10 +38,11 @@ class Trainer(scaffold_gs.Trainer):
     distance = True
     quantised = True
     masks = True
+    model_class: ClassVar[type[HacModel]] = HacModel
 
     def groups(self) -> dict[str, Tensor | Sequence[Tensor]]:
         """Parameters of the optimiser; the context model is made here, after the decoders."""
-        config = context_config(self.options)
+        config = self.context_config(self.options)
         self.coding = Coding(config, self.schedule, self.generator, self.device, margin=BOX_MARGIN)
         return {**super().groups(), **self.coding.groups()}
 
@@ -76,8 +78,13 @@ class Trainer(scaffold_gs.Trainer):
         return Prepared(values, masks, losses)
 
     @staticmethod
+    def context_config(options: Any) -> ContextConfig:
+        """Sizes of the context model."""
+        return ContextConfig.of(options, options.features, options.context_hidden)
+
+    @classmethod
     @torch.no_grad()
-    def restored(state: TrainingState, options: HacOptions) -> HacModel:  # type: ignore[override]
+    def restored(cls, state: TrainingState, options: HacOptions) -> HacModel:  # type: ignore[override]
         """As the state's stream would give it back: rounded once the context model is on."""
         (label,) = state.scenes
         masks = (state.value(f"{KEY}/{MASKS}").sigmoid() > LEAST_MASK).cpu().numpy()
@@ -91,18 +98,13 @@ class Trainer(scaffold_gs.Trainer):
         group = GroupAttributes(
             (SceneAttributes(label.name, positions, features, scalings, offsets, masks=masks[keep]),),
             saved_grid(state.arrays) if coded else PositionGrid.lattice(state.scalars["voxel"], positions),
-            coded_context(state, context_config(options)) if coded else None,
+            coded_context(state, cls.context_config(options)) if coded else None,
             {name: to_numpy(one) for name, one in decoders.state_dict().items()},
-            metadata_of(label.background),
+            cls.model_class.metadata(label.background),
         )
-        return HacModel([round_group(group)], state.device)
+        return cls.model_class([round_group(group)], state.device)
 
     def checkpoint(self) -> Checkpoint:
         checkpoint = super().checkpoint()
         checkpoint.scalars["voxel"] = self.anchors.voxel
         return checkpoint
-
-
-def context_config(options: HacOptions) -> ContextConfig:
-    """Sizes of the context model."""
-    return ContextConfig.of(options, options.features, options.context_hidden)

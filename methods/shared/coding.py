@@ -22,6 +22,8 @@ def coded_context(state: TrainingState, config: ContextConfig) -> CodedContext:
     model = ContextModel(config, torch.Generator())
     state.fill("grid", [model.grid.table])
     state.fill("head", model.head)
+    if model.intra is not None:
+        state.fill("intra", model.intra.parameters())
     model.unit.copy_(state.arrays["coding/unit"])
     return CodedContext.of(model)
 

@@ -133,7 +133,9 @@ def _decide(claim: dict[str, Any], measured: float, interval: Interval | None) -
     # The tolerance is half of the last printed digit: "2.2 times" holds for 2.15.
     half = 0.0 if claim.get("exact") else 0.5 * 10.0 ** -_digits(claim)
     low, high, top = claim.get("least"), claim.get("most"), claim.get("top")
-    floor = None if low is None else low - (half if low else 0.0)
+    # "Smaller" and "more accurate" are no rounded numbers.
+    equal = 1.0 if claim.get("what") in ("ratio", "speedup") else 0.0
+    floor = None if low is None else low - (half if low != equal else 0.0)
     good = (floor is None or measured >= floor) and (high is None or measured <= high + half)
     if floor is not None and interval is not None and interval.contains(floor):
         return UNSURE

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from econgs.context.hash_grid import GridConfig
-from econgs.context.integer import IntegerHead, IntegerLayer
+from econgs.context.integer import IntegerHead, IntegerIntra, IntegerLayer
 from econgs.context.model import ContextConfig
 from econgs.context.positions import PositionGrid
 from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes
@@ -33,9 +33,10 @@ def coded_context(config: ContextConfig = CONFIG, seed: int = 0, wild: bool = Fa
             bias.astype(np.int32),
         )
 
-    rows = 2 * config.total + 4
+    logits = config.features if config.chunk else 0
+    rows = 2 * config.total + 4 + logits
     bias = np.zeros(rows)
-    bias[config.total : -4] = random.integers(-65536, 3 * 65536, config.total)
+    bias[config.total : 2 * config.total] = random.integers(-65536, 3 * 65536, config.total)
     hidden = random.integers(-65536, 65536, config.hidden)
     if wild:
         bias, hidden = (random.integers(-(2**31) + 1, 2**31, one.shape) for one in (bias, hidden))
@@ -45,7 +46,24 @@ def coded_context(config: ContextConfig = CONFIG, seed: int = 0, wild: bool = Fa
         config.widths,
     )
     positive = random.integers(0, 4, (config.grid.entries, config.grid.features)) > 0
-    return CodedContext(config, head, positive)
+    if not config.chunk:
+        return CodedContext(config, head, positive)
+
+    def outputs(width: int) -> np.ndarray:
+        parts = (-(2**20), 2**20), (-65536, 3 * 65536), (-(2**18), 2**18)
+        return np.concatenate([random.integers(*bounds, width) for bounds in parts])
+
+    before = np.cumsum(config.chunks)[:-1].tolist()
+    layers = tuple(
+        (
+            layer(7, one, (-16, 20) if wild else (8, 10), random.integers(-65536, 65536, 7)),
+            layer(3 * width, 7, (-16, 20) if wild else (8, 10), outputs(width)),
+        )
+        for one, width in zip(before, config.chunks[1:], strict=True)
+    )
+    units = random.integers(-3, 4, config.features).astype(np.int8)
+    intra = IntegerIntra(config.chunks, units, outputs(config.chunks[0]).astype(np.int32), layers)
+    return CodedContext(config, head, positive, intra)
 
 
 def scene(name: str, count: int, grid: PositionGrid, config: ContextConfig, seed: int) -> SceneAttributes:

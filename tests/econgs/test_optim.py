@@ -150,3 +150,18 @@ def test_empty_groups_and_wrong_names() -> None:
     optimiser.step()
     with pytest.raises(ValueError, match="name different things"):
         Adam({"means": torch.zeros(1)}, {"scales": 0.1})
+
+
+def test_rows_are_written_and_forgotten_alone():
+    ours, _ = run(torch.float32, "cpu", 3)
+    before = {name: one.clone() for name, one in ours.state().items()}
+    rows = torch.tensor([5, 2])
+    ours.write("means", rows, torch.tensor([[1.0, 2, 3], [4, 5, 6]]))
+    ours.forget(rows, ["means"])
+    assert ours["means"][rows].tolist() == [[1, 2, 3], [4, 5, 6]]
+    others = torch.ones(101, dtype=torch.bool).index_fill_(0, rows, False)
+    for part in ("value", "first", "second"):
+        name = f"means/0/{part}"
+        assert torch.equal(ours.state()[name][others], before[name][others])
+        assert part == "value" or not ours.state()[name][rows].any()
+    assert torch.equal(ours.state()["sh/0/first"], before["sh/0/first"])

@@ -73,10 +73,10 @@ def test_foreign_files(data: bytes, reason: str) -> None:
 
 
 def test_other_versions() -> None:
-    for version in (0, 4, 65535):
+    for version in (0, 5, 65535):
         other = bytearray(DATA)
         struct.pack_into("<H", other, 8, version)
-        with pytest.raises(DataError, match=f"format version {version}; this program reads versions 1 to 3"):
+        with pytest.raises(DataError, match=f"format version {version}; this program reads versions 1 to 4"):
             decode_group(bytes(other))
 
 

@@ -1,0 +1,11 @@
+"""HAC++ behind the interface of the harness."""
+
+from methods.hac_plus.model import HacPlusModel
+from methods.hac_plus.training import Trainer
+from methods.shared.method import TrainerMethod
+
+
+class HacPlus(TrainerMethod):
+    """HAC with contexts within an anchor and masks that learn from the rate (Chen et al. 2025)."""
+
+    name, trainer, model = "hac-plus", Trainer, HacPlusModel

@@ -1,0 +1,41 @@
+"""HAC++: spec and options."""
+
+from dataclasses import dataclass, replace
+
+from methods.hac.spec import SPEC as PLAIN
+from methods.hac.spec import HacOptions
+from methods.interface import Configuration, option
+from methods.scaffold_gs.spec import PUBLISHED
+
+
+@dataclass(frozen=True)
+class HacPlusOptions(HacOptions):
+    """Options of HAC, and those of contexts within an anchor."""
+
+    mask_weight: float = option(
+        0.0,
+        "weight of the mean mask of the offsets, beside the rate (published: none)",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    chunk: int = option(
+        10, "channels of a chunk of features, predicted from all chunks before it", minimum=1, maximum=256
+    )
+
+
+SPEC = replace(
+    PLAIN,
+    name="hac-plus",
+    title="HAC++",
+    reference=(
+        "Y. Chen, Q. Wu, W. Lin, M. Harandi, J. Cai: HAC++: Towards 100X Compression of 3D Gaussian "
+        "Splatting. IEEE Transactions on Pattern Analysis and Machine Intelligence, 2025"
+    ),
+    version="1",
+    implementation="methods.hac_plus.method:HacPlus",
+    options=HacPlusOptions,
+    configurations={
+        "fair": Configuration(),
+        "paper": Configuration({**PUBLISHED, "rate_weight": 1e-3, "feature_step": 1.0}, {"paper": 30_000}),
+    },
+)

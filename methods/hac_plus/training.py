@@ -1,0 +1,83 @@
+"""Training HAC++: HAC with mixtures for features, and masks that learn from the rate."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from econgs.anchors.anchor_set import MASKS
+from econgs.context.model import Attributes, ContextConfig, draw_sample
+from methods.hac import training as hac
+from methods.hac.training import LEAST_MASK, MASK_RATE
+from methods.hac_plus.model import HacPlusModel
+from methods.hac_plus.spec import HacPlusOptions
+from methods.scaffold_gs.training import Prepared
+from methods.shared.anchors import Rate
+
+INTRA_RATE: Rate = (5e-3, 5e-4)
+LAST_MASK_RATE, MOST_LAST_MASK_RATE = 8e-5, 1.5e-3
+"""At lambda 0.001, in proportion to lambda; and at most."""
+
+
+class Trainer(hac.Trainer):
+    """State of a fit; see :class:`methods.scaffold_gs.training.Trainer`."""
+
+    options: HacPlusOptions
+    model_class = HacPlusModel
+
+    @staticmethod
+    def context_config(options: Any) -> ContextConfig:
+        """Sizes of the context model."""
+        return ContextConfig.of(options, options.features, options.context_hidden, options.chunk)
+
+    def rates(self) -> dict[str, float]:
+        """Learning rates of this iteration."""
+        last = min(MOST_LAST_MASK_RATE, LAST_MASK_RATE * self.options.rate_weight / 1e-3)
+        masks = MASK_RATE[0], max(last, 1e-8)
+        own = {self.anchors.name(MASKS): self.decayed(masks), "intra": self.decayed(INTRA_RATE)}
+        return super().rates() | own
+
+    def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
+        """As in HAC, but bits are those of a sample of all anchors, visible or not.
+
+        Each bit is weighted by the mask of its anchor, those of offsets also by their own: masks learn from
+        what they would save.
+        """
+        if not self.schedule.coded(self.iteration):
+            return super().prepare(values, rows)
+        self.begin_coding()
+        total, seen = len(self.anchors), len(rows)
+        masks, anchors, soft = self._masks()
+        sample = draw_sample(total, self.generator, self.coding.sample).to(rows.device)
+        every = torch.cat([rows, sample])
+        noisy, rate = self.coding.apply(
+            self.anchors,
+            self.attributes(self.anchors).of(every),
+            every,
+            total,
+            self.iteration,
+            partial(masks[every].index_select, 0),
+            sample=torch.arange(seen, len(every)),
+            weights=partial(anchors[every].index_select, 0),
+        )
+        losses: dict[str, Tensor] = {}
+        if rate is not None and total:
+            losses["rate"] = self.options.rate_weight * (rate.attributes + rate.grid)
+            if self.options.mask_weight:
+                losses["masks"] = self.options.mask_weight * soft.mean()
+        shown = Attributes(*(one[:seen] for one in noisy))
+        return Prepared(shown, masks.index_select(0, rows), losses)
+
+    def _masks(self) -> tuple[Tensor, Tensor, Tensor]:
+        """(N, K) masks and (N,) those of anchors, 0 or 1 with straight-through gradients; (N, K) sigmoids.
+
+        An anchor is there if one of its offsets is; its gradient is that of the mean of its masks.
+        """
+        soft = self.optimiser[self.anchors.name(MASKS)].sigmoid()
+        masks = (soft.detach() > LEAST_MASK).to(soft.dtype) + (soft - soft.detach())
+        mean = masks.mean(1)
+        anchors = (mean.detach() > 0.0).to(soft.dtype) + (mean - mean.detach())
+        return masks, anchors, soft
