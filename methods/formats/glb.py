@@ -43,11 +43,14 @@ def write(file: Path, scene: SceneGaussians) -> Mapping[str, int]:
         for place in range(2 * one + 1):
             coefficient = values["sh_rest"][:, COEFFICIENTS[one - 1] + place]
             attributes[f"{EXTENSION}:SH_DEGREE_{one}_COEF_{place}"] = coefficient
-    views, accessors, chunks, start = [], [], [], 0
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    chunks: list[bytes] = []
+    start = 0
     for name, table in attributes.items():
         colors = table.dtype == np.uint8
         data = np.ascontiguousarray(table if colors else table.astype("<f4")).tobytes()
-        accessor = {
+        accessor: dict[str, Any] = {
             "bufferView": len(views), "componentType": _BYTE if colors else _FLOAT,
             "count": len(scene), "type": _TYPES[table.shape[1]],
         }  # fmt: skip

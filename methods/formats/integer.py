@@ -202,7 +202,8 @@ def _powers(columns: Mapping[str, Whole], steps: Mapping[str, float]) -> NDArray
         return np.zeros((0, 1))
     middle = np.sort(weight)[len(weight) // 2]
     octaves = np.clip((middle - weight + _OCTAVE // 2) // _OCTAVE, *COARSER)
-    return np.exp2(octaves.astype(np.float64))[:, None]
+    factors: NDArray[np.float64] = np.exp2(octaves.astype(np.float64))[:, None]
+    return factors
 
 
 def _turns() -> NDArray[np.float64]:
