@@ -16,12 +16,12 @@ from torch import Tensor
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.scene import RGB
-from econgs.splat import LINEAGE, LowPass
+from econgs.splat import LINEAGE
 from econgs.splat.composite import MIN_ALPHA
 from econgs.splat.rays import MIN_THROUGH
 from econgs.splat.sh import harmonics
 from econgs.splat.splats import Splats
-from econgs.splat.torch_backend import MAX_ALPHA, project
+from econgs.splat.torch_backend import MAX_ALPHA, Projected, project
 from methods.gaussian_splatting.model import SH_REST, SceneGaussians, SplatModel
 from methods.interface import HasGaussians
 from methods.shared.rendering import Rendering
@@ -31,6 +31,7 @@ PLAIN = LINEAGE
 MOST_VIEWS = 64
 """Views that a fit of colors looks at, spread evenly over those given."""
 _RIDGE = 1e-4  # share of a Gaussian's summed weights
+_AT_ONCE = 1 << 13  # Gaussians whose colors are solved for together
 _LEAST_SCALE = 0.3  # share of a standard deviation that shrinking leaves
 _OUTSIDE = 0.15  # share of the image's sides by which a middle may lie outside
 
@@ -84,6 +85,7 @@ def baked(
             "sh_dc": full[:, :1].clone(),
             "sh_rest": full[:, 1:].clone(),
         }
+    # Copies, because tensors of inference mode take part in no gradient.
     return SceneGaussians(scene, background, degree, **{name: one.clone() for name, one in values.items()})
 
 
@@ -125,15 +127,18 @@ class _Views:
             splats = Splats(*tensors, opacities, colors, splats.camera, None, low_pass)
             seen = project(*tensors, splats.camera, None, low_pass)
             drawn = seen.opacities(opacities).nan_to_num(0.0).clamp(max=MAX_ALPHA)
-            inside = (seen.depth > splats.camera.near) & (opacities > 0.0) & torch.isfinite(seen.det)
-            inside &= _within(seen.u, camera.width) & _within(seen.v, camera.height)
+            inside = _inside(seen, splats.camera) & (opacities > 0.0)
             units = camera.near / splats.camera.near
             masses = drawn * seen.det.clamp_min(0.0).sqrt()
             use(_View(camera, numbers.cpu(), splats, units, drawn, masses, inside))
 
 
-def _within(places: Tensor, side: int) -> Tensor:
-    return (places > -_OUTSIDE * side) & (places < (1.0 + _OUTSIDE) * side)
+def _inside(seen: Projected, camera: Camera) -> Tensor:
+    """(N,) whether Gaussians are before a camera and their middles about in its image."""
+    inside = (seen.depth > camera.near) & torch.isfinite(seen.det)
+    for places, side in ((seen.u, camera.width), (seen.v, camera.height)):
+        inside &= (places > -_OUTSIDE * side) & (places < (1.0 + _OUTSIDE) * side)
+    return inside
 
 
 @dataclass(frozen=True)
@@ -148,6 +153,7 @@ class _Shapes:
 
 def _mean_shapes(views: _Views) -> _Shapes | None:
     totals: dict[str, Tensor] = {}
+    variances: list[float] = []
     widths = {"weight": 1, "means": 3, "logs": 3, "quats": 4, "pixel": 1}
 
     def add(view: _View) -> None:
@@ -157,6 +163,7 @@ def _mean_shapes(views: _Views) -> _Shapes | None:
             old = totals.get(name, torch.zeros((0, width)))
             totals[name] = torch.cat([old, torch.zeros((count - len(old), width))])
         splats = view.splats
+        variances.append(splats.low_pass.variance)
         weight = (view.opacities * view.inside)[:, None]
         pose = torch.as_tensor(splats.camera.world_to_camera, dtype=torch.float32)
         depth = (splats.means @ pose[2, :3] + pose[2, 3])[:, None]
@@ -173,7 +180,7 @@ def _mean_shapes(views: _Views) -> _Shapes | None:
     if not totals or not bool((totals["weight"] > 0.0).any()):
         return None
     weight = totals["weight"].clamp_min(1e-12)
-    excess = max(0.0, PLAIN.variance - _variance(views))
+    excess = max(0.0, PLAIN.variance - variances[0])
     scales = (totals["logs"] / weight).exp()
     shrunk = (scales.square() - excess * totals["pixel"] / weight).clamp_min(0.0).sqrt()
     scales = torch.maximum(shrunk, _LEAST_SCALE * scales)
@@ -182,46 +189,44 @@ def _mean_shapes(views: _Views) -> _Shapes | None:
     return _Shapes(totals["means"] / weight, quats, scales, seen)
 
 
-def _variance(views: _Views) -> float:
-    found: list[LowPass] = []
-
-    def note(view: _View) -> None:
-        found.append(view.splats.low_pass)
-
-    _Views(views._model, views._scene, views.cameras[:1]).each(note)
-    return found[0].variance if found else PLAIN.variance
-
-
 def _mean_looks(views: _Views, shape: _Shapes, degree: int) -> tuple[Tensor, Tensor, Tensor]:
     """(N,) logits, (N, K, 3) coefficients, and which Gaussians are dark enough to be drawn."""
-    count, terms = len(shape.means), (degree + 1) ** 2
-    depths, times, weights = (torch.zeros(count) for _ in range(3))
-    normal, right = torch.zeros((count, terms, terms)), torch.zeros((count, terms, 3))
+    count = len(shape.means)
+    depths, times = torch.zeros(count), torch.zeros(count)
+    weights, colors, eyes = [], [], []
 
     def add(view: _View) -> None:
+        plain = project(shape.means, shape.quats, shape.scales, view.camera, None, PLAIN)
+        times.add_(_inside(plain, view.camera))  # a Gaussian that the model leaves out is not there
         rows = (view.inside & shape.seen[view.numbers]).nonzero()[:, 0]
         numbers = view.numbers[rows]
-        means, quats, scales = shape.means[numbers], shape.quats[numbers], shape.scales[numbers]
-        plain = project(means, quats, scales, view.camera, None, PLAIN)
-        opacity = (view.masses[rows] / plain.det.clamp_min(1e-20).sqrt()).clamp(0.0, MAX_ALPHA)
-        depths.index_add_(0, numbers, (1.0 - opacity).clamp_min(MIN_THROUGH).log())
-        times.index_add_(0, numbers, torch.ones_like(opacity))
-        weight = view.opacities[rows]
-        weights.index_add_(0, numbers, weight)
-        eye = torch.as_tensor(view.camera.position, dtype=torch.float32)
-        basis = harmonics(degree, torch.nn.functional.normalize(means - eye, dim=1))
-        weighted = basis * weight[:, None]
-        normal.index_add_(0, numbers, weighted[:, :, None] * basis[:, None, :])
-        colors = view.splats.features[rows] - 0.5
-        right.index_add_(0, numbers, weighted[:, :, None] * colors[:, None, :])
+        area = plain.det[numbers].clamp_min(1e-20).sqrt()
+        opacity = (view.masses[rows] / area).clamp(0.0, MAX_ALPHA)
+        depths[numbers] += (1.0 - opacity).clamp_min(MIN_THROUGH).log()
+        weight, color = torch.zeros(count), torch.zeros((count, 3))
+        weight[numbers], color[numbers] = view.opacities[rows], view.splats.features[rows] - 0.5
+        weights.append(weight)
+        colors.append(color)
+        eyes.append(torch.as_tensor(view.camera.position, dtype=torch.float32))
 
     views.each(add)
     opacities = 1.0 - (depths / times.clamp_min(1.0)).exp()
     keep = shape.seen & (opacities >= MIN_ALPHA)
-    ridge = torch.full((terms,), _RIDGE)
-    ridge[0] = 0.0
-    normal += torch.diag_embed((weights[:, None] * ridge).clamp_min(1e-12))
-    coefficients = torch.zeros((count, terms, 3))
-    rows = keep.nonzero()[:, 0]
-    coefficients[rows] = torch.linalg.solve(normal[rows].double(), right[rows].double()).float()
+    coefficients = torch.zeros((count, (degree + 1) ** 2, 3))
+    for rows in keep.nonzero()[:, 0].split(_AT_ONCE):
+        weight = torch.stack([one[rows] for one in weights], 1)
+        color = torch.stack([one[rows] for one in colors], 1)
+        away = torch.nn.functional.normalize(shape.means[rows, None] - torch.stack(eyes), dim=2)
+        coefficients[rows] = _least_squares(degree, away, weight, color)
     return opacities.clamp(1e-4, 1.0 - 1e-4).logit(), coefficients, keep
+
+
+def _least_squares(degree: int, directions: Tensor, weights: Tensor, colors: Tensor) -> Tensor:
+    """(n, K, 3) coefficients that give (n, V, 3) colors in (n, V, 3) directions at (n, V) weights."""
+    basis = harmonics(degree, directions)
+    weighted = (basis * weights[:, :, None]).transpose(1, 2)
+    ridge = torch.full((basis.shape[2],), _RIDGE)
+    ridge[0] = 0.0
+    normal = weighted @ basis + torch.diag_embed((weights.sum(1)[:, None] * ridge).clamp_min(1e-9))
+    solved: Tensor = torch.linalg.solve(normal.double(), (weighted @ colors).double()).float()
+    return solved

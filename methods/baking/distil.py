@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -74,10 +73,13 @@ def distilled(
         if loss.requires_grad:
             adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
-            adam.rates.update({name: rate * (1.0 - (iteration - 1) / iterations) for name, rate in first.items()})
+            adam.rates.update(
+                {name: rate * (1.0 - (iteration - 1) / iterations) for name, rate in first.items()}
+            )
             adam.step()
         report(iteration, float(loss.detach()))
-    return replace(scene, **{name: adam[name].detach().clone() for name in SHAPES})
+    tensors = {name: adam[name].detach().clone() for name in SHAPES}
+    return SceneGaussians(scene.name, scene.background, scene.sh_degree, **tensors)
 
 
 def _picture(model: Model, scene: str, camera: Camera) -> torch.Tensor:

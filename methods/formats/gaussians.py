@@ -30,7 +30,14 @@ LEFT_UP_FRONT: Frame = (-1, -1, 1)
 """Of a PLY's axes, those of glTF."""
 COEFFICIENTS = {0: 0, 1: 3, 2: 8, 3: SH_REST}
 """Degree -> coefficients above the constant one."""
-SHAPES = {"means": (3,), "log_scales": (3,), "quats": (4,), "logits": (), "sh_dc": (1, 3), "sh_rest": (SH_REST, 3)}
+SHAPES = {
+    "means": (3,),
+    "log_scales": (3,),
+    "quats": (4,),
+    "logits": (),
+    "sh_dc": (1, 3),
+    "sh_rest": (SH_REST, 3),
+}
 _PARITIES = ("y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z", "x")
 """Axes in which each harmonic above the constant one is odd."""
 _LARGEST_LOG = math.log(torch.finfo(torch.float32).max)

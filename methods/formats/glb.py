@@ -83,6 +83,11 @@ def write(file: Path, scene: SceneGaussians) -> Mapping[str, int]:
     text += b" " * (-len(text) % 4)
     binary = b"".join(chunks)
     head = struct.pack("<III", 0x46546C67, 2, 12 + 8 + len(text) + 8 + len(binary))
-    parts = [head, struct.pack("<II", len(text), 0x4E4F534A), text, struct.pack("<II", len(binary), 0x004E4942)]
+    parts = [
+        head,
+        struct.pack("<II", len(text), 0x4E4F534A),
+        text,
+        struct.pack("<II", len(binary), 0x004E4942),
+    ]
     total = file.write_bytes(b"".join([*parts, binary]))
     return {"tables": len(binary), "contents": total - len(binary)}

@@ -154,7 +154,9 @@ def _quantised(values: Tables, degree: int, factor: float) -> _Quantised:
         for name in ("log_scales", "logits", "quats")
     }
     powers = _powers(columns, steps)
-    columns["sh_dc"] = np.rint(values["sh_dc"].reshape(count, -1) / (steps["sh_dc"] * powers)).astype(np.int64)
+    columns["sh_dc"] = np.rint(values["sh_dc"].reshape(count, -1) / (steps["sh_dc"] * powers)).astype(
+        np.int64
+    )
     for one in range(1, degree + 1):
         part = values["sh_rest"][:, COEFFICIENTS[one - 1] : COEFFICIENTS[one]].reshape(count, -1)
         columns[f"sh{one}"] = np.rint(part / (steps["sh_rest"] * powers)).astype(np.int64)

@@ -215,7 +215,9 @@ def _pack(quats: NDArray[np.float32]) -> NDArray[np.int64]:
     largest = np.take_along_axis(quats, places[:, None], 1)
     others = _others(places)
     three = np.take_along_axis(quats * np.where(largest < 0, -1.0, 1.0), others, 1) * np.sqrt(2.0)
-    return np.column_stack([np.rint(np.clip(127.5 * three + 127.5, 0.0, 255.0)), 252 + places]).astype(np.int64)
+    return np.column_stack([np.rint(np.clip(127.5 * three + 127.5, 0.0, 255.0)), 252 + places]).astype(
+        np.int64
+    )
 
 
 def _unpack(pixels: NDArray[np.int64]) -> NDArray[np.float32]:

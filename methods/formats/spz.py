@@ -11,7 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from methods.formats.gaussians import COEFFICIENTS, RIGHT_UP_BACK, SHAPES, Tables, checked, degree_of, tables, turned
+from methods.formats.gaussians import (
+    COEFFICIENTS,
+    RIGHT_UP_BACK,
+    SHAPES,
+    Tables,
+    checked,
+    degree_of,
+    tables,
+    turned,
+)
 from methods.gaussian_splatting.model import SceneGaussians
 from methods.interface import Refused
 
