@@ -28,6 +28,7 @@ COMMANDS = {
     "report": "bench.commands.results:report",
     "scenes": "bench.commands.scenes:scenes",
     "render": "bench.commands.pictures:render",
+    "export": "bench.commands.export:export",
     "score": "bench.commands.pictures:score",
     "merge": "bench.commands.stores:merge",
     "compare": "bench.commands.stores:compare",
@@ -204,6 +205,20 @@ def parser() -> _Parser:
         "--truth", action="store_true", help="with --model: the ground truth beside, and PSNR"
     )
     _add_device(render)
+    export = command(
+        "export", "write a finished model of Gaussians as a file that viewers of splats open", stored, runs
+    )
+    export.add_argument("model", metavar="JOB", help="an encode or measure job of --runs")
+    export.add_argument("--out", required=True, metavar="FILE", help="the file to write")
+    export.add_argument(
+        "--format", choices=("ply", "spz", "sog", "glb"), help="default: as the suffix of --out says"
+    )
+    export.add_argument("--scene", help="which, if the model holds several")
+    export.add_argument(
+        "--distil", type=_iterations, default=1_000, metavar="N",
+        help="iterations against the model's own pictures, where it has to be baked; 0: none (default: 1000)",
+    )  # fmt: skip
+    _add_device(export)
     score = command("score", "apply the metrics to two folders of images")
     score.add_argument("renders", metavar="RENDERS")
     score.add_argument("truth", metavar="TRUTH")
@@ -268,6 +283,10 @@ def _add_device(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--device", type=_device, default="cpu", help="cpu, cuda or cuda:<number> (default: cpu)"
     )
+
+
+def _iterations(text: str) -> int:
+    return 0 if text == "0" else _count(text)
 
 
 def _device(text: str) -> str:

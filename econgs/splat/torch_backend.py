@@ -55,12 +55,12 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     means, quats, scales, opacities, features, camera, screen_offset, low_pass = splats
     with torch.no_grad():
         seen, radii, boxes = _visible(
-            _project(means, quats, scales, camera, screen_offset, low_pass), opacities, camera
+            project(means, quats, scales, camera, screen_offset, low_pass), opacities, camera
         )
     # Everything differentiable is computed from the visible rows only: what is culled gets exact zeros
     # as gradients, whatever infinities its projection holds.
     offset = None if screen_offset is None else screen_offset[seen]
-    visible = _project(means[seen], quats[seen], scales[seen], camera, offset, low_pass)
+    visible = project(means[seen], quats[seen], scales[seen], camera, offset, low_pass)
     opacity = visible.opacities(opacities[seen])
     pairs, counts = _intersections(boxes, camera)
     columns = [visible.u, visible.v, visible.c / visible.det, -visible.b / visible.det]
@@ -87,7 +87,7 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return image[..., :-2], image[..., -1], image[..., -2], radii
 
 
-def _project(
+def project(
     means: Tensor,
     quats: Tensor,
     scales: Tensor,
@@ -95,6 +95,7 @@ def _project(
     screen_offset: Tensor | None,
     low_pass: LowPass,
 ) -> Projected:
+    """Gaussians as a camera sees them, those behind it too; arguments as of :class:`Splats`, without smoothing."""
     pose = torch.as_tensor(camera.world_to_camera, dtype=means.dtype, device=means.device)
     view = pose[:3, :3]
     x, y, z = (means @ view.T + pose[:3, 3]).unbind(-1)

@@ -13,7 +13,7 @@ from datasets.camera import Camera
 from econgs.splat import LINEAGE, LowPass, rasterise
 from econgs.splat.gsplat_backend import ray_factors
 from econgs.splat.rays import deepen
-from econgs.splat.torch_backend import _project
+from econgs.splat.torch_backend import project
 
 SCENES = {
     "plain": {},
@@ -217,7 +217,7 @@ def test_rays_of_one_rasteriser_are_those_of_another(splat: Any) -> None:
         scene.tensors[name] for name in ("means", "quats", "scales", "opacities")
     )
     low_pass = LowPass(ray_power=0.6)
-    projected = _project(means, quats, scales, scene.camera, None, low_pass)
+    projected = project(means, quats, scales, scene.camera, None, low_pass)
     want = projected.opacities(opacities)
     inside = (abs(projected.u - 32) < 60) & (abs(projected.v - 32) < 60)  # whose Jacobian is not clamped
     actual = deepen(opacities, ray_factors(means, quats, scales, scene.camera, 0.6))

@@ -1,0 +1,164 @@
+"""``bench export``: a finished model of Gaussians as a file that viewers of splats open."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.plugins import plugin_folders
+from bench.saved import load, picture
+from bench.store import Store
+from datasets.errors import DataError
+from datasets.names import unknown
+
+if TYPE_CHECKING:
+    from bench.jobs.truth import Truth
+    from datasets.camera import Camera
+    from datasets.views import Split, ViewSet
+    from methods.gaussian_splatting.model import SceneGaussians
+    from methods.interface import HasGaussians, Model
+
+FORMATS = ("ply", "spz", "sog", "glb")
+_MEASURED = 8
+"""Test views on which the cost is measured."""
+
+
+def export(options: Namespace) -> int:
+    """Write the file, and say what it costs in the test views of the run store."""
+    from methods.gaussian_splatting.model import GaussianModel
+
+    file, name = Path(options.out), _format(options)
+    store = Store(Path(options.runs))
+    folders = plugin_folders(options.plugins, store.root)
+    method, scenes, size, model = load(store, options.model, folders, options.device)
+    scene = _scene(options, scenes, model)
+    truth, split = _truth(store, options.model, scene)
+    count = len(truth.cameras("test"))
+    views = truth.views("test", range(0, count, max(1, -(-count // _MEASURED))))
+    cameras = truth.cameras(split)
+    rows = [(f"{method}, as it is", size, model.primitives(scene), _psnr(model, scene, views))]
+
+    def measure(title: str, gaussians: SceneGaussians) -> None:
+        plain = GaussianModel([gaussians])
+        rows.append((title, plain.bytes_estimate(), len(gaussians), _psnr(plain, scene, views)))
+
+    gaussians = _plain(model, scene, cameras, views, options.distil, measure)
+    size = _written(file, name, gaussians)
+    rows.append((str(file), size, len(gaussians), _psnr(_read(file, name, gaussians), scene, views)))
+    print(f"PSNR in {len(views.cameras)} test views of {scene}; all but the first as plain viewers draw")
+    for title, count, many, psnr in rows:
+        print(f"{psnr:6.2f} dB  {count:>11,} bytes  {many:>9,} primitives  {title}")
+    return 0
+
+
+def _format(options: Namespace) -> str:
+    """The format, by name or by the file's suffix."""
+    name = str(options.format or Path(options.out).suffix.lstrip(".").lower())
+    if name not in FORMATS:
+        raise DataError(
+            options.out, "its suffix names no format", f"Give --format, one of {', '.join(FORMATS)}"
+        )
+    return name
+
+
+def _scene(options: Namespace, scenes: Sequence[str], model: Model) -> str:
+    """The scene to export: the one that is asked for, or the only one."""
+    if options.scene:
+        if options.scene not in model.scenes:
+            raise unknown("scene", options.scene, model.scenes, of="this model")
+        return str(options.scene)
+    if len(scenes) != 1:
+        raise DataError(options.model, f"holds {', '.join(scenes)}", "Choose one: --scene NAME")
+    return scenes[0]
+
+
+def _truth(store: Store, job: str, scene: str) -> tuple[Truth, Split]:
+    """The views of a scene that a job's fit saw, and the split that it trained on.
+
+    Raises:
+        DataError: they are not in the store.
+    """
+    from bench.jobs.truth import Truth
+
+    waiting, seen = [job], set()
+    while waiting:
+        record = store.record(waiting.pop())
+        if record is None or record.job.id in seen:
+            continue
+        seen.add(record.job.id)
+        if record.job.kind == "views" and record.job.subject == scene and not record.job.edit:
+            return Truth(store.jobs / record.job.id), "train" if record.job.split == "val" else "trainval"
+        waiting += record.job.needs
+    raise DataError(
+        job, f"the store lacks the training views of {scene}", "Export from the store that it ran in"
+    )
+
+
+def _plain(
+    model: Model,
+    scene: str,
+    cameras: Sequence[Camera],
+    views: ViewSet,
+    iterations: int,
+    measure: Callable[[str, SceneGaussians], None],
+) -> SceneGaussians:
+    """Plain Gaussians: the model's own, or baked and distilled ones."""
+    from methods.baking.bake import baked, exact
+    from methods.baking.distil import distilled
+    from methods.formats.gaussians import drawable
+    from methods.interface import HasGaussians
+
+    if not isinstance(model, HasGaussians):
+        raise DataError(scene, "its model does not consist of Gaussians", "Export one of another method")
+    own = exact(model, scene)
+    if own is not None:
+        return drawable(own)
+    gaussians = baked(model, scene, cameras, views.background)
+    measure("baked", gaussians)
+    if iterations:
+        gaussians = distilled(gaussians, model, cameras, iterations)
+        measure(f"distilled, {iterations} iterations", gaussians)
+    return drawable(gaussians)
+
+
+def _written(file: Path, name: str, gaussians: SceneGaussians) -> int:
+    """Write the file whole, or not at all; its bytes."""
+    from methods.interface import Refused
+
+    module = import_module(f"methods.formats.{name}")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_name(f".{file.name}.part")
+    try:
+        module.write(part, gaussians)
+        part.replace(file)
+    except Refused as error:
+        raise DataError(file, str(error), "Install it, or choose another format") from error
+    finally:
+        part.unlink(missing_ok=True)
+    return file.stat().st_size
+
+
+def _read(file: Path, name: str, gaussians: SceneGaussians) -> Model:
+    """The model that the file holds; of glTF, which holds every number, the Gaussians that were written."""
+    from methods.formats.gaussians import scene_of
+    from methods.gaussian_splatting.model import GaussianModel
+
+    if name != "glb":
+        values = import_module(f"methods.formats.{name}").read(file)
+        gaussians = scene_of(values, gaussians.name, gaussians.background, gaussians.sh_degree)
+    return GaussianModel([gaussians])
+
+
+def _psnr(model: Model, scene: str, views: ViewSet) -> float:
+    """Mean PSNR of views."""
+    from bench.metrics import evaluate
+
+    total = 0.0
+    for camera, image in zip(views.cameras, views.images, strict=True):
+        rgb, alpha = picture(model, camera, [scene], {}, views.background)
+        values, _ = evaluate(image, rgb, alpha, views.background, ["psnr"])
+        total += float(values["psnr"] or 0.0)
+    return total / len(views.cameras)

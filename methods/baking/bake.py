@@ -1,0 +1,232 @@
+"""Plain Gaussians that look, in a plain viewer, as much as possible like those of a model.
+
+Each Gaussian keeps its number and its place; scales, rotation, opacity and colors may depend on the view in a
+model, and its filters may not be those of viewers. What is stored is the mean over the views that see it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from datasets.camera import Camera
+from datasets.errors import DataError
+from datasets.scene import RGB
+from econgs.splat import LINEAGE
+from econgs.splat.composite import MIN_ALPHA
+from econgs.splat.rays import MIN_THROUGH
+from econgs.splat.sh import harmonics
+from econgs.splat.splats import Splats
+from econgs.splat.torch_backend import MAX_ALPHA, Projected, project
+from methods.gaussian_splatting.model import SH_REST, SceneGaussians, SplatModel
+from methods.interface import HasGaussians
+from methods.shared.rendering import Rendering
+
+PLAIN = LINEAGE
+"""How plain viewers draw: 0.3 px² are added to Gaussians, which are as dark from everywhere."""
+MOST_VIEWS = 64
+"""Views that a fit of colors looks at, spread evenly over those given."""
+_RIDGE = 1e-4  # share of a Gaussian's summed weights
+_AT_ONCE = 1 << 13  # Gaussians whose colors are solved for together
+_LEAST_SCALE = 0.3  # share of a standard deviation that shrinking leaves
+_OUTSIDE = 0.15  # share of the image's sides by which a middle may lie outside
+
+
+def exact(model: Any, scene: str) -> SceneGaussians | None:
+    """The Gaussians of a model that are plain as they are; None where they are not."""
+    if isinstance(model, SplatModel) and model.rendering == Rendering():
+        return model.scene(scene)
+    return None
+
+
+def baked(
+    model: HasGaussians, scene: str, cameras: Sequence[Camera], background: RGB, degree: int = 3
+) -> SceneGaussians:
+    """Plain Gaussians of a scene, fitted to what cameras see of it.
+
+    - Scales: geometric mean, quaternions: mean after aligning signs, both weighted by opacity. The scene's
+      own smoothing is added; then the variance that viewers add in excess of the model's filter is taken
+      away, as seen from the mean distance, but no scale falls under 0.3 of itself.
+    - Opacity: of the mean optical depth, 1 - exp(mean ln(1 - o)), where o gives a Gaussian in a plain
+      viewer the mass (opacity times area) that it has in the model's view.
+    - Colors: weighted least squares of spherical harmonics; weights are opacities in the views, with a ridge
+      above the constant coefficient.
+
+    Args:
+        model: any that tells its Gaussians apart.
+        scene: name of its scene.
+        cameras: of the training views.
+        background: the scene's.
+        degree: of spherical harmonics.
+
+    Raises:
+        DataError: no camera sees any Gaussian.
+    """
+    step = max(1, -(-len(cameras) // MOST_VIEWS))
+    chosen = list(cameras)[::step]
+    with torch.inference_mode():
+        views = _Views(model, scene, chosen)
+        shape = _mean_shapes(views)
+        if shape is None:
+            raise DataError(scene, "no training view sees a Gaussian of this model", "Export another scene")
+        logits, coefficients, keep = _mean_looks(views, shape, degree)
+        rows = keep.nonzero()[:, 0]
+        full = torch.zeros((len(rows), 1 + SH_REST, 3))
+        full[:, : coefficients.shape[1]] = coefficients[rows]
+        values = {
+            "means": shape.means[rows],
+            "log_scales": shape.scales[rows].log(),
+            "quats": shape.quats[rows],
+            "logits": logits[rows],
+            "sh_dc": full[:, :1].clone(),
+            "sh_rest": full[:, 1:].clone(),
+        }
+    # Copies, because tensors of inference mode take part in no gradient.
+    return SceneGaussians(scene, background, degree, **{name: one.clone() for name, one in values.items()})
+
+
+@dataclass(frozen=True)
+class _View:
+    """What a camera sees: the rows of its Gaussians among all, what is splatted, and opacities as drawn.
+
+    Attributes:
+        units: scene units / units of the Gaussians.
+        masses: (M,) opacity times the root of the determinant of the covariance on the image.
+        inside: (M,) before the camera, and about in the image.
+    """
+
+    camera: Camera
+    numbers: Tensor
+    splats: Splats
+    units: float
+    opacities: Tensor
+    masses: Tensor
+    inside: Tensor
+
+
+class _Views:
+    """The views of a scene, made anew in each pass: memory holds one."""
+
+    def __init__(self, model: HasGaussians, scene: str, cameras: Sequence[Camera]) -> None:
+        self._model, self._scene, self.cameras = model, scene, cameras
+
+    def each(self, use: Callable[[_View], None]) -> None:
+        """Pass all views that hold a Gaussian."""
+        for camera in self.cameras:
+            splats, numbers = self._model.splats(self._scene, camera)
+            if not len(numbers):
+                continue
+            low_pass = splats.low_pass
+            scales = torch.hypot(splats.scales, splats.scales.new_tensor(low_pass.smoothing**0.5)).cpu()
+            tensors = (splats.means.cpu(), splats.quats.cpu(), scales)
+            opacities, colors = splats.opacities.cpu().clamp(min=0.0), splats.features.cpu()
+            splats = Splats(*tensors, opacities, colors, splats.camera, None, low_pass)
+            seen = project(*tensors, splats.camera, None, low_pass)
+            drawn = seen.opacities(opacities).nan_to_num(0.0).clamp(max=MAX_ALPHA)
+            inside = _inside(seen, splats.camera) & (opacities > 0.0)
+            units = camera.near / splats.camera.near
+            masses = drawn * seen.det.clamp_min(0.0).sqrt()
+            use(_View(camera, numbers.cpu(), splats, units, drawn, masses, inside))
+
+
+def _inside(seen: Projected, camera: Camera) -> Tensor:
+    """(N,) whether Gaussians are before a camera and their middles about in its image."""
+    inside = (seen.depth > camera.near) & torch.isfinite(seen.det)
+    for places, side in ((seen.u, camera.width), (seen.v, camera.height)):
+        inside &= (places > -_OUTSIDE * side) & (places < (1.0 + _OUTSIDE) * side)
+    return inside
+
+
+@dataclass(frozen=True)
+class _Shapes:
+    """Mean Gaussians, in scene units: (N, 3) means, (N, 4) quats, (N, 3) scales; whether any view saw them."""
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    seen: Tensor
+
+
+def _mean_shapes(views: _Views) -> _Shapes | None:
+    totals: dict[str, Tensor] = {}
+    variances: list[float] = []
+    widths = {"weight": 1, "means": 3, "logs": 3, "quats": 4, "pixel": 1}
+
+    def add(view: _View) -> None:
+        numbers = view.numbers
+        count = max(int(numbers.max()) + 1, len(totals.get("weight", ())))
+        for name, width in widths.items():
+            old = totals.get(name, torch.zeros((0, width)))
+            totals[name] = torch.cat([old, torch.zeros((count - len(old), width))])
+        splats = view.splats
+        variances.append(splats.low_pass.variance)
+        weight = (view.opacities * view.inside)[:, None]
+        pose = torch.as_tensor(splats.camera.world_to_camera, dtype=torch.float32)
+        depth = (splats.means @ pose[2, :3] + pose[2, 3])[:, None]
+        signs = (totals["quats"][numbers] * splats.quats).sum(1, keepdim=True)
+        quats = torch.where(signs < 0.0, -splats.quats, splats.quats)
+        pixel = depth**2 / (splats.camera.fx * splats.camera.fy) * view.units**2
+        logs = (view.units * splats.scales).clamp_min(1e-12).log()
+        parts = {"weight": torch.ones_like(weight), "means": view.units * splats.means, "logs": logs}
+        parts |= {"quats": quats, "pixel": pixel}
+        for name, values in parts.items():
+            totals[name].index_add_(0, numbers, weight * values)
+
+    views.each(add)
+    if not totals or not bool((totals["weight"] > 0.0).any()):
+        return None
+    weight = totals["weight"].clamp_min(1e-12)
+    excess = max(0.0, PLAIN.variance - variances[0])
+    scales = (totals["logs"] / weight).exp()
+    shrunk = (scales.square() - excess * totals["pixel"] / weight).clamp_min(0.0).sqrt()
+    scales = torch.maximum(shrunk, _LEAST_SCALE * scales)
+    quats = totals["quats"] / totals["quats"].norm(dim=1, keepdim=True).clamp_min(1e-12)
+    seen = (totals["weight"][:, 0] > 0.0) & (quats.square().sum(1) > 0.5)
+    return _Shapes(totals["means"] / weight, quats, scales, seen)
+
+
+def _mean_looks(views: _Views, shape: _Shapes, degree: int) -> tuple[Tensor, Tensor, Tensor]:
+    """(N,) logits, (N, K, 3) coefficients, and which Gaussians are dark enough to be drawn."""
+    count = len(shape.means)
+    depths, times = torch.zeros(count), torch.zeros(count)
+    weights, colors, eyes = [], [], []
+
+    def add(view: _View) -> None:
+        plain = project(shape.means, shape.quats, shape.scales, view.camera, None, PLAIN)
+        times.add_(_inside(plain, view.camera))  # a Gaussian that the model leaves out is not there
+        rows = (view.inside & shape.seen[view.numbers]).nonzero()[:, 0]
+        numbers = view.numbers[rows]
+        area = plain.det[numbers].clamp_min(1e-20).sqrt()
+        opacity = (view.masses[rows] / area).clamp(0.0, MAX_ALPHA)
+        depths[numbers] += (1.0 - opacity).clamp_min(MIN_THROUGH).log()
+        weight, color = torch.zeros(count), torch.zeros((count, 3))
+        weight[numbers], color[numbers] = view.opacities[rows], view.splats.features[rows] - 0.5
+        weights.append(weight)
+        colors.append(color)
+        eyes.append(torch.as_tensor(view.camera.position, dtype=torch.float32))
+
+    views.each(add)
+    opacities = 1.0 - (depths / times.clamp_min(1.0)).exp()
+    keep = shape.seen & (opacities >= MIN_ALPHA)
+    coefficients = torch.zeros((count, (degree + 1) ** 2, 3))
+    for rows in keep.nonzero()[:, 0].split(_AT_ONCE):
+        weight = torch.stack([one[rows] for one in weights], 1)
+        color = torch.stack([one[rows] for one in colors], 1)
+        away = torch.nn.functional.normalize(shape.means[rows, None] - torch.stack(eyes), dim=2)
+        coefficients[rows] = _least_squares(degree, away, weight, color)
+    return opacities.clamp(1e-4, 1.0 - 1e-4).logit(), coefficients, keep
+
+
+def _least_squares(degree: int, directions: Tensor, weights: Tensor, colors: Tensor) -> Tensor:
+    """(n, K, 3) coefficients that give (n, V, 3) colors in (n, V, 3) directions at (n, V) weights."""
+    basis = harmonics(degree, directions)
+    weighted = (basis * weights[:, :, None]).transpose(1, 2)
+    ridge = torch.full((basis.shape[2],), _RIDGE)
+    ridge[0] = 0.0
+    normal = weighted @ basis + torch.diag_embed((weights.sum(1)[:, None] * ridge).clamp_min(1e-9))
+    solved: Tensor = torch.linalg.solve(normal.double(), (weighted @ colors).double()).float()
+    return solved

@@ -1,0 +1,89 @@
+"""A short training of plain Gaussians against a model's own pictures of the training views."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+
+from datasets.camera import Camera
+from econgs.losses import view_losses
+from econgs.optim import Adam
+from econgs.splat import rasterise
+from econgs.splat.sh import spherical_harmonics
+from methods.baking.bake import PLAIN
+from methods.formats.gaussians import SHAPES
+from methods.gaussian_splatting.model import SceneGaussians
+from methods.interface import Model
+
+ITERATIONS = 1_000
+RATES = {"log_scales": 5e-3, "quats": 1e-3, "logits": 2e-2, "sh_dc": 2.5e-3, "sh_rest": 1e-3}
+"""First learning rates; all fall to nothing in a line."""
+MEANS_RATE = 2e-5
+"""That of places, times the greatest distance of a camera from their middle."""
+ALPHA_WEIGHT = 0.2
+
+
+def distilled(
+    scene: SceneGaussians,
+    model: Model,
+    cameras: Sequence[Camera],
+    iterations: int = ITERATIONS,
+    seed: int = 0,
+    report: Callable[[int, float], None] = lambda _iteration, _loss: None,
+) -> SceneGaussians:
+    """Gaussians that come nearer to a model's pictures, drawn as plain viewers draw.
+
+    Their number stays. No picture but those of the model from ``cameras`` is looked at.
+
+    Args:
+        scene: the Gaussians to begin with.
+        model: the teacher, which holds the scene.
+        cameras: of the training views.
+        iterations: one view each.
+        seed: of the order of views.
+        report: takes the iteration, from 1, and its loss.
+    """
+    centres = np.stack([camera.position for camera in cameras])
+    extent = float(np.linalg.norm(centres - centres.mean(0), axis=1).max()) or 1.0
+    first = {**RATES, "means": MEANS_RATE * extent}
+    adam = Adam({name: getattr(scene, name).clone() for name in SHAPES}, first)
+    generator = torch.Generator().manual_seed(seed)
+    pictures: dict[int, torch.Tensor] = {}
+    order: list[int] = []
+    for iteration in range(1, iterations + 1):
+        if not order:
+            order = torch.randperm(len(cameras), generator=generator).tolist()
+        view = order.pop()
+        if view not in pictures:
+            pictures[view] = _picture(model, scene.name, cameras[view])
+        values = {name: adam[name] for name in SHAPES}
+        position = torch.as_tensor(cameras[view].position, dtype=torch.float32)
+        means, rest = values["means"], values["sh_rest"]
+        colors = spherical_harmonics(scene.sh_degree, means, position, values["sh_dc"], rest)
+        drawn = rasterise(
+            means, values["quats"], values["log_scales"].exp(), values["logits"].sigmoid(), colors,
+            cameras[view], low_pass=PLAIN,
+        )  # fmt: skip
+        losses = view_losses(
+            drawn.features, drawn.alpha, pictures[view].float(), scene.background, alpha_weight=ALPHA_WEIGHT
+        )
+        loss = losses[0] + losses[1]
+        if loss.requires_grad:
+            adam.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            adam.rates.update(
+                {name: rate * (1.0 - (iteration - 1) / iterations) for name, rate in first.items()}
+            )
+            adam.step()
+        report(iteration, float(loss.detach()))
+    tensors = {name: adam[name].detach().clone() for name in SHAPES}
+    return SceneGaussians(scene.name, scene.background, scene.sh_degree, **tensors)
+
+
+def _picture(model: Model, scene: str, camera: Camera) -> torch.Tensor:
+    """(H, W, 4) premultiplied, in half precision: all training views stay in memory."""
+    with torch.inference_mode():
+        rgb, alpha = model.render(camera, scenes=[scene], background=(0.0, 0.0, 0.0))
+        return torch.cat([rgb, alpha[..., None]], dim=2).cpu().half().clone()

@@ -1,0 +1,1 @@
+"""3DGS saved by codecs of splats."""

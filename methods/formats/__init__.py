@@ -1,0 +1,1 @@
+"""File formats of plain Gaussians with spherical harmonics, which viewers of splats open."""

@@ -1,0 +1,41 @@
+"""The PLY of 3DGS in a frame of Zstandard: without loss, for a comparison. `zstd -d` makes it a PLY again."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import imagecodecs
+
+from methods.formats import ply
+from methods.formats.gaussians import Tables, checked
+from methods.gaussian_splatting.model import SceneGaussians
+
+SUFFIX = ".ply.zst"
+LEVEL = 19
+
+
+def write(file: Path, scene: SceneGaussians) -> Mapping[str, int]:
+    """Write a scene; bytes by part."""
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder, "scene.ply")
+        ply.write(plain, scene)
+        return {"file": file.write_bytes(imagecodecs.zstd_encode(plain.read_bytes(), level=LEVEL))}
+
+
+def read(file: Path) -> Tables:
+    """Read a scene.
+
+    Raises:
+        DataError: the file is missing, damaged or of another kind.
+    """
+
+    def parsed() -> Tables:
+        data = bytes(imagecodecs.zstd_decode(file.read_bytes()))
+        with tempfile.TemporaryDirectory() as folder:
+            plain = Path(folder, "scene.ply")
+            plain.write_bytes(data)
+            return ply.read(plain)
+
+    return checked(file, "PLY in Zstandard", parsed)
