@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -17,6 +18,7 @@ from torch import Tensor
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.scene import RGB
+from econgs.factors.lines import Lines
 from econgs.factors.rays import Region, camera_rays
 from econgs.splat.composite import over
 from methods.ccnerf.field import BANDS, Factors, drawn
@@ -46,9 +48,7 @@ class CpModel(ScenesModel[Factors]):
         subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
         back = subset[0].background if background is None else background
         edits = edits_by_scene(edit, [scene.name for scene in subset])
-        factors = [
-            opacity_factor(self.method, scene.name, edits.get(scene.name, Edit())) for scene in subset
-        ]
+        factors = [opacity_factor(self.method, scene.name, edits.get(scene.name, Edit())) for scene in subset]
         colors, alpha = self._drawn(subset, factors, camera, {})
         return over(colors, alpha, back).clamp_(0.0, 1.0), alpha.clamp(0.0, 1.0)
 
@@ -163,27 +163,30 @@ def _read(file: Path, device: str) -> Factors:
         raise DataError(file, f"not a scene of ccnerf ({error})", "Save the model again") from error
 
 
-def _checked(about: Mapping[str, object], tensors: Mapping[str, Tensor], device: str) -> Factors:
-    """A scene from its metadata and tensors; ``ValueError``, ``KeyError`` or ``TypeError`` if they do not fit."""
-    facts = dict(about)
-    lines = {}
+def _checked(facts: Mapping[str, Any], tensors: Mapping[str, Tensor], device: str) -> Factors:
+    """A scene from its metadata and tensors.
+
+    Raises:
+        ValueError, KeyError, TypeError: they do not fit.
+    """
+    lines: dict[str, Lines] = {}
     for part in ("density", "color"):
         x, y, z = (_numbers(tensors, f"{part}.{axis}") for axis in _AXES)
         if any(one.ndim != 2 or len(one) < 2 or one.shape[1] != x.shape[1] for one in (x, y, z)):
             raise ValueError(f"{part} has no lines of one number of ranks")
-        lines[part] = tuple(one.to(device) for one in (x, y, z))
+        lines[part] = x.to(device), y.to(device), z.to(device)
     if [len(one) for one in lines["density"]] != [len(one) for one in lines["color"]]:
         raise ValueError("lines of density and color have different lengths")
     harmonics = _numbers(tensors, "harmonics")
     if harmonics.shape != (BANDS, 3, lines["color"][0].shape[1]):
         raise ValueError("no SH coefficients for each color rank")
-    low, high = triple(facts["low"]), triple(facts["high"])  # type: ignore[arg-type]
-    spacing, threshold = float(facts["spacing"]), float(facts["threshold"])  # type: ignore[arg-type]
+    low, high = triple(facts["low"]), triple(facts["high"])
+    spacing, threshold = float(facts["spacing"]), float(facts["threshold"])
     if not all(math.isfinite(b - a) and b > a for a, b in zip(low, high, strict=True)):
         raise ValueError(f"a box from {low} to {high}")
     if not (0.0 < spacing <= 100.0 and 0.0 <= threshold < 1.0):
         raise ValueError(f"spacing {spacing}, threshold {threshold}")
-    shape = tuple(int(n) for n in triple(facts["cells"]))  # type: ignore[arg-type]
+    shape = tuple(int(n) for n in triple(facts["cells"]))
     mask = tensors["mask"]
     count = math.prod(shape)
     if min(shape) < 1 or mask.dtype != torch.uint8 or mask.shape != (-(-count // 8),):
@@ -191,12 +194,12 @@ def _checked(about: Mapping[str, object], tensors: Mapping[str, Tensor], device:
     cells = torch.from_numpy(np.unpackbits(mask.numpy(), count=count).reshape(shape))
     return Factors(
         name=str(facts["scene"]),
-        background=triple(facts["background"]),  # type: ignore[arg-type]
+        background=triple(facts["background"]),
         region=Region(low, high, cells),
-        density=lines["density"],  # type: ignore[arg-type]
-        color=lines["color"],  # type: ignore[arg-type]
+        density=lines["density"],
+        color=lines["color"],
         harmonics=harmonics.to(device),
-        group=max(1, int(facts["group"])),  # type: ignore[call-overload]
+        group=max(1, int(facts["group"])),
         spacing=spacing,
         threshold=threshold,
     )

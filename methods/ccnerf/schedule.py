@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 PUBLISHED = 30_000
@@ -47,7 +48,7 @@ class Schedule:
     def rows(self, iteration: int) -> int:
         """Rows of lines of a cube after this iteration: evenly spaced in their logarithms."""
         done = sum(iteration >= self._scaled(one) for one in GROWTH) / len(GROWTH)
-        return round(self.first_side ** (1.0 - done) * self.side**done)
+        return round(math.exp((1.0 - done) * math.log(self.first_side) + done * math.log(self.side)))
 
     def rate(self, iteration: int) -> float:
         """Learning rates of an iteration, as a share of the first ones."""

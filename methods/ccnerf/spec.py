@@ -23,9 +23,7 @@ class CpOptions:
 
     density_ranks: int = option(96, "ranks of the density", minimum=1, maximum=1024)
     ranks: int = option(96, "color ranks of each group", minimum=1, maximum=1024)
-    groups: int = option(
-        GROUPS, "groups of color ranks; each refines those before", minimum=1, maximum=16
-    )
+    groups: int = option(GROUPS, "groups of color ranks; each refines those before", minimum=1, maximum=16)
     first_side: int = option(128, "first rows of a line, of a box that is a cube", minimum=4, maximum=1024)
     side: int = option(300, "final rows of a line, of a box that is a cube", minimum=4, maximum=1024)
     half_extent: float = option(
@@ -45,7 +43,7 @@ class CpOptions:
     )
     decay: Literal["through", "restarted"] = option(
         "through",
-        "from the last change of size on, learning rates fall to a tenth: by the end, or at the rate at which "
+        "learning rates start again when lines grow, and fall to a tenth by the end, or at the pace at which "
         "they would over the whole budget (published)",
     )
     sparsity: float = option(1e-5, "weight of the mean magnitude of density factors", minimum=0.0)

@@ -140,7 +140,9 @@ class Trainer(TrainingLoop):
                 weight = max(weight, RESCUE)
             losses["alpha"] = weight * (seen.alpha - truth[:, 3]).square().mean()
         if self.options.sparsity > 0.0:
-            size = sum((line.abs().mean() for line in self.optimiser.parameters["density"]), back.new_zeros(()))
+            size = sum(
+                (line.abs().mean() for line in self.optimiser.parameters["density"]), back.new_zeros(())
+            )
             losses["sparsity"] = self.options.sparsity * size
         return losses
 
@@ -208,13 +210,13 @@ class Trainer(TrainingLoop):
     def restored(state: TrainingState, options: CpOptions) -> CpModel:
         """All groups of ranks, in float32."""
         (label,) = state.scenes
-        lines = {
-            name: [state.value(name, axis).detach().clone() for axis in range(3)] for name in ("density", "color")
-        }
+        density, color = (
+            [state.value(name, axis).detach().clone() for axis in range(3)] for name in ("density", "color")
+        )
         harmonics = state.value("harmonics").detach().clone()
         region = _region(state.scalars["box"], state.arrays["cells"])
         scene = _scene(
-            label.name, label.background, region, lines["density"], lines["color"], harmonics, options
+            label.name, label.background, region, density, color, harmonics, options
         )
         return CpModel([scene])
 

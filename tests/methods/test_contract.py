@@ -24,6 +24,7 @@ SMALL = {
     "econgs": {**ANCHORS, "hidden": 16, "embedding": 4},
     "vq-3dgs": {"max_gaussians": 300},
     "ivr-gs": {"max_gaussians": 300},
+    "ccnerf": {"density_ranks": 8, "ranks": 8, "first_side": 12, "side": 20, "rays": 128},
 }
 """Small models; growth at every occasion and random backgrounds, so that resuming has more to keep."""
 
