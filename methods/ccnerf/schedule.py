@@ -10,7 +10,7 @@ PUBLISHED = 30_000
 GROWTH = (2_000, 3_000, 4_000, 5_500, 7_000)
 """Lines get more rows after these."""
 MASKS = (2_000, 4_000)
-"""Empty cells are found after these, before lines grow; the first time the box shrinks to the others."""
+"""Empty cells are looked for after these, before lines grow; the first time the box shrinks to the others."""
 _LAST = 0.1
 """What learning rates fall to."""
 
@@ -33,13 +33,9 @@ class Schedule:
     def _scaled(self, published: int) -> int:
         return max(1, round(published * self.iterations / PUBLISHED))
 
-    def masks(self, iteration: int) -> bool:
-        """Whether empty cells are looked for after this iteration."""
-        return iteration in map(self._scaled, MASKS)
-
-    def shrinks(self, iteration: int) -> bool:
-        """Whether the box shrinks after this iteration."""
-        return iteration == self._scaled(MASKS[0])
+    def masks(self, iteration: int) -> int:
+        """How often empty cells have been looked for after this iteration."""
+        return sum(iteration >= self._scaled(one) for one in MASKS)
 
     def grows(self, iteration: int) -> bool:
         """Whether lines get more rows after this iteration."""

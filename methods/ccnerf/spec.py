@@ -12,6 +12,11 @@ PUBLISHED: dict[str, OptionValue] = {
     "background": "white",
     "first_side": 128,
     "side": 300,
+    "rays": 4096,
+    "visible": 1e-4,
+    "first": 0.2,
+    "factor_lr": 0.02,
+    "harmonics_lr": 1e-3,
     "decay": "restarted",
     "alpha_weight": 0.0,
 }
@@ -26,20 +31,24 @@ class CpOptions:
     groups: int = option(GROUPS, "groups of color ranks; each refines those before", minimum=1, maximum=16)
     first_side: int = option(128, "first rows of a line, of a box that is a cube", minimum=4, maximum=1024)
     side: int = option(300, "final rows of a line, of a box that is a cube", minimum=4, maximum=1024)
+    first: float = option(0.4, "standard deviation of the first factors", minimum=1e-3, maximum=10.0)
     half_extent: float = option(
         0.0, "half side of the first box, scene units; 0 = around the initial cloud", minimum=0.0
     )
     background: Literal["scene", "white", "black", "random"] = option(
         "scene", "what training views are composited on: the scene's own, or another"
     )
-    rays: int = option(4096, "rays of an iteration", minimum=1, maximum=1_000_000)
+    rays: int = option(1024, "rays of an iteration", minimum=1, maximum=1_000_000)
     step: float = option(0.5, "distance of samples, in cells", minimum=0.05, maximum=4.0)
     weight_threshold: float = option(
         1e-4, "weight in a pixel up to which a sample has no color", minimum=0.0, maximum=0.1
     )
-    factor_lr: float = option(0.02, "first learning rate of factors", minimum=0.0, maximum=1.0)
+    visible: float = option(
+        1e-3, "opacity of a sample from which a cell is not empty", minimum=0.0, maximum=0.5
+    )
+    factor_lr: float = option(0.05, "first learning rate of factors", minimum=0.0, maximum=1.0)
     harmonics_lr: float = option(
-        1e-3, "first learning rate of the SH coefficients of ranks", minimum=0.0, maximum=1.0
+        1e-2, "first learning rate of the SH coefficients of ranks", minimum=0.0, maximum=1.0
     )
     decay: Literal["through", "restarted"] = option(
         "through",

@@ -21,14 +21,10 @@ from methods.ccnerf.spec import CpOptions
 from methods.interface import Checkpoint, Refused, SceneInput
 from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent
 
-FIRST = 0.2
-"""Standard deviation of the first factors."""
 MARGIN = 0.15
 """Room around the initial cloud, as a share of its longest side."""
 BETAS = (0.9, 0.99)
 EPS = 1e-8
-VISIBLE = 1e-4
-"""Opacity of a sample from which a cell is occupied."""
 MOST_ROWS = 256
 """Rows of a line at most, where empty cells are looked for."""
 MOST_PROLONGED = 4096
@@ -43,6 +39,8 @@ class Trainer(TrainingLoop):
     Attributes:
         region: box and occupied cells; one cell until empty ones are looked for.
         rays: numbers of the pixels (over all views) whose rays meet occupied cells.
+        masked: how often empty cells were looked for.
+        vanishing: most of what is to be seen in the last batch was not there: nothing is called empty.
 
     Raises:
         Refused: no views.
@@ -60,6 +58,7 @@ class Trainer(TrainingLoop):
         self.pixels = _Pixels(scene.train)
         self.transparent = are_transparent(self.pixels.values)
         self.region = _first_region(scene, options)
+        self.masked, self.vanishing = 0, False
         self._optimise(self._start())
         self.rays = self.pixels.hitting(self.region, self._present().step)
 
@@ -70,7 +69,7 @@ class Trainer(TrainingLoop):
         sizes = _sizes(self.region, options.first_side)
 
         def lines(count: int) -> list[Tensor]:
-            return [FIRST * torch.randn((size, count), generator=self.generator) for size in sizes]
+            return [options.first * torch.randn((size, count), generator=self.generator) for size in sizes]
 
         density, color = lines(options.density_ranks), lines(ranks)
         spread = options.ranks**-0.5
@@ -136,7 +135,8 @@ class Trainer(TrainingLoop):
         losses = {"image": (drawn - target[:, None]).square().mean()}
         if self.asks_alpha(self.transparent):
             weight = self.options.alpha_weight
-            if float(seen.alpha.detach().sum()) < VANISHING * float(truth[:, 3].sum()):
+            self.vanishing = float(seen.alpha.detach().sum()) < VANISHING * float(truth[:, 3].sum())
+            if self.vanishing:
                 weight = max(weight, RESCUE)
             losses["alpha"] = weight * (seen.alpha - truth[:, 3]).square().mean()
         if self.options.sparsity > 0.0:
@@ -151,17 +151,19 @@ class Trainer(TrainingLoop):
     @torch.no_grad()
     def _change(self) -> None:
         """What the schedule does after an iteration."""
-        masks, grows = self.schedule.masks(self.iteration), self.schedule.grows(self.iteration)
+        masks = self.masked < self.schedule.masks(self.iteration) and not self.vanishing
+        grows = self.schedule.grows(self.iteration)
         if not (masks or grows):
             return
         self.check_finite()
         now = {name: [one.detach() for one in group] for name, group in self.optimiser.parameters.items()}
         if masks:
             cells = self._occupied(now["density"])
-            if bool(cells.any()):  # else nothing has been learned yet
+            if bool(cells.any()):  # else there is nothing to be seen
                 self.region = Region(self.region.low, self.region.high, cells)
-                if self.schedule.shrinks(self.iteration):
+                if self.masked == 0:
                     self._shrink(now)
+            self.masked += 1
         if grows:
             sizes = _sizes(self.region, self.schedule.rows(self.iteration))
             for name in ("density", "color"):
@@ -178,7 +180,7 @@ class Trainer(TrainingLoop):
         )
         values = torch.nn.functional.softplus(dense((x, y, z)) + SHIFT)
         opacity = -torch.expm1(-values * (SCALE * self._present().step))
-        visible = (opacity > VISIBLE).float()[None, None]
+        visible = (opacity > self.options.visible).float()[None, None]
         near = torch.nn.functional.max_pool3d(visible, 3, stride=1, padding=1)
         cells = torch.nn.functional.max_pool3d(near, 2, stride=1)[0, 0] > 0
         before = self.region.cells
@@ -215,20 +217,20 @@ class Trainer(TrainingLoop):
         )
         harmonics = state.value("harmonics").detach().clone()
         region = _region(state.scalars["box"], state.arrays["cells"])
-        scene = _scene(
-            label.name, label.background, region, density, color, harmonics, options
-        )
+        scene = _scene(label.name, label.background, region, density, color, harmonics, options)
         return CpModel([scene])
 
     def checkpoint(self) -> Checkpoint:
         state = super().checkpoint()
         state.arrays["cells"] = self.region.cells.clone()
         state.scalars["box"] = [list(self.region.low), list(self.region.high)]
+        state.scalars["masked"] = self.masked
         return state
 
     def resume(self, checkpoint: Checkpoint) -> None:
         super().resume(checkpoint)
         self.region = _region(checkpoint.scalars["box"], checkpoint.arrays["cells"])
+        self.masked = int(checkpoint.scalars["masked"])
         self.rays = self.pixels.hitting(self.region, self._present().step)
 
 

@@ -80,9 +80,7 @@ def test_gradients_are_those_of_the_dense_sum_in_float64(backend, mixed, ranks):
         (out * outer.to(dtype)).sum().backward()
         return [leaf.grad for leaf in leaves[: 3 + mixed]]
 
-    for found, expected in zip(
-        gradients(torch.float32, False), gradients(torch.float64, True), strict=True
-    ):
+    for found, expected in zip(gradients(torch.float32, False), gradients(torch.float64, True), strict=True):
         torch.testing.assert_close(found.double(), expected, atol=2e-4, rtol=1e-4)
 
 
@@ -172,7 +170,8 @@ def test_rays_that_miss_have_no_samples(backend):
     assert hits(full, 0.05, rays).all()
     assert not hits(full, 0.05, away).any()
     assert not hits(Region(full.low, full.high, torch.zeros((2, 2, 2), dtype=torch.uint8)), 0.05, rays).any()
-    inside = Rays(torch.zeros((1, 3), dtype=torch.float64), torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64))
+    outwards = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
+    inside = Rays(torch.zeros_like(outwards), outwards)
     samples = march(full, 0.125, inside, torch.full((1,), 0.5, dtype=torch.float64))
     assert samples.numbers.tolist() == list(range(8))
 
