@@ -10,7 +10,7 @@ PUBLISHED = 30_000
 GROWTH = (2_000, 3_000, 4_000, 5_500, 7_000)
 """Lines get more rows after these."""
 MASKS = (2_000, 4_000)
-"""Empty cells are looked for after these, before lines grow; the first time the box shrinks to the others."""
+"""Empty cells are looked for after these, before lines grow."""
 _LAST = 0.1
 """What learning rates fall to."""
 
@@ -23,19 +23,21 @@ class Schedule:
         iterations: the budget.
         first_side, side: rows of lines of a cube, first and in the end.
         through: learning rates fall to the end of the budget, wherever they start.
+        always: empty cells are looked for whenever lines grow.
     """
 
     iterations: int
     first_side: int
     side: int
     through: bool
+    always: bool
 
     def _scaled(self, published: int) -> int:
         return max(1, round(published * self.iterations / PUBLISHED))
 
     def masks(self, iteration: int) -> int:
         """How often empty cells have been looked for after this iteration."""
-        return sum(iteration >= self._scaled(one) for one in MASKS)
+        return sum(iteration >= self._scaled(one) for one in (GROWTH if self.always else MASKS))
 
     def grows(self, iteration: int) -> bool:
         """Whether lines get more rows after this iteration."""

@@ -8,12 +8,13 @@ from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionVa
 GROUPS = 5
 """Published number of groups of color ranks."""
 PUBLISHED: dict[str, OptionValue] = {
-    "half_extent": 1.5,
+    "start": "box",
     "background": "white",
     "first_side": 128,
     "side": 300,
     "rays": 4096,
     "visible": 1e-4,
+    "search": "twice",
     "first": 0.2,
     "factor_lr": 0.02,
     "harmonics_lr": 1e-3,
@@ -32,8 +33,9 @@ class CpOptions:
     first_side: int = option(128, "first rows of a line, of a box that is a cube", minimum=4, maximum=1024)
     side: int = option(300, "final rows of a line, of a box that is a cube", minimum=4, maximum=1024)
     first: float = option(0.4, "standard deviation of the first factors", minimum=1e-3, maximum=10.0)
+    start: Literal["cloud", "box"] = option("cloud", "first box: around the initial cloud, or a fixed cube")
     half_extent: float = option(
-        0.0, "half side of the first box, scene units; 0 = around the initial cloud", minimum=0.0
+        1.5, "half side of a fixed first box, scene units", minimum=1e-3, maximum=100.0
     )
     background: Literal["scene", "white", "black", "random"] = option(
         "scene", "what training views are composited on: the scene's own, or another"
@@ -44,7 +46,12 @@ class CpOptions:
         1e-4, "weight in a pixel up to which a sample has no color", minimum=0.0, maximum=0.1
     )
     visible: float = option(
-        1e-3, "opacity of a sample from which a cell is not empty", minimum=0.0, maximum=0.5
+        3e-3, "opacity of a sample from which a cell is not empty", minimum=0.0, maximum=0.5
+    )
+    search: Literal["always", "twice"] = option(
+        "always",
+        "empty cells are looked for, and the box shrinks, whenever lines grow; or the first and third time, "
+        "and it shrinks the first time alone (published)",
     )
     factor_lr: float = option(0.05, "first learning rate of factors", minimum=0.0, maximum=1.0)
     harmonics_lr: float = option(

@@ -54,7 +54,13 @@ class Trainer(TrainingLoop):
         super().__init__([scene], iterations, seed, device)
         self.scene, self.options = scene, options
         self.background = self.chosen_background(scene)
-        self.schedule = Schedule(iterations, options.first_side, options.side, options.decay == "through")
+        self.schedule = Schedule(
+            iterations,
+            options.first_side,
+            options.side,
+            options.decay == "through",
+            options.search == "always",
+        )
         self.pixels = _Pixels(scene.train)
         self.transparent = are_transparent(self.pixels.values)
         self.region = _first_region(scene, options)
@@ -161,7 +167,7 @@ class Trainer(TrainingLoop):
             cells = self._occupied(now["density"])
             if bool(cells.any()):  # else there is nothing to be seen
                 self.region = Region(self.region.low, self.region.high, cells)
-                if self.masked == 0:
+                if self.masked == 0 or self.schedule.always:
                     self._shrink(now)
             self.masked += 1
         if grows:
@@ -311,12 +317,12 @@ def _region(box: list[list[float]], cells: Tensor) -> Region:
 def _first_region(scene: SceneInput, options: CpOptions) -> Region:
     """The published box, or one around the initial cloud."""
     cells = torch.ones((1, 1, 1), dtype=torch.uint8)
-    if options.half_extent > 0.0:
+    if options.start == "box":
         half = options.half_extent
         return Region((-half, -half, -half), (half, half, half), cells)
     points = np.asarray(scene.cloud.points, dtype=np.float64)
     if len(points) == 0:
-        raise Refused("a box around the initial cloud needs points; set half_extent instead")
+        raise Refused("a box around the initial cloud needs points; start from a fixed box instead")
     low, high = points.min(axis=0), points.max(axis=0)
     # A single point has no extent: a tenth of the way to the cameras then.
     margin = max(MARGIN * float((high - low).max()), 0.01 * scene.extent)
