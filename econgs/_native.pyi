@@ -1,7 +1,7 @@
 """Signatures of the compiled module; tests/econgs/test_native_stub.py compares them with it.
 
 All arrays are C-contiguous and on the CPU. The callers document shapes and meaning: econgs.splat.native,
-econgs.anchors.native and econgs.context.hash_grid.
+econgs.anchors.native, econgs.context.hash_grid, econgs.factors.lines and econgs.factors.rays.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ Floats = NDArray[float32]
 Doubles = NDArray[float64]
 Ints = NDArray[int32]
 Longs = NDArray[int64]
+Bytes = NDArray[uint8]
 OutFloats = NDArray[float32]  # written, as all that begins with Out
 OutBytes = NDArray[uint8]
 OutInts = NDArray[int32]
@@ -104,6 +105,25 @@ def add_noise(
 ) -> None: ...
 def add_noise_backward(
     grad: Floats, noise: Floats, steps: Floats, first: int, groups: int, to_steps: OutFloats,
+) -> None: ...
+def count_samples(
+    corners: Doubles, cells: Bytes, step: float, origins: Doubles, directions: Doubles, shift: Doubles,
+    most: int, counts: OutInts,
+) -> None: ...
+def place_samples(
+    corners: Doubles, cells: Bytes, step: float, origins: Doubles, directions: Doubles, shift: Doubles,
+    first: Longs, places: OutFloats, rays: OutInts, numbers: OutInts,
+) -> None: ...
+def ray_weights(depths: Floats, first: Longs, weights: OutFloats) -> None: ...
+def ray_weights_backward(depths: Floats, first: Longs, grad: Floats, to: OutFloats) -> None: ...
+def ray_sums(rows: Floats, rays: Ints, sums: OutFloats) -> None: ...
+def line_products(
+    x: Floats, y: Floats, z: Floats, groups: int, mixing: Floats | None, places: Floats, rays: Ints,
+    out: OutFloats,
+) -> None: ...
+def line_products_backward(
+    x: Floats, y: Floats, z: Floats, groups: int, mixing: Floats | None, places: Floats, rays: Ints,
+    grad: Floats, to_x: OutFloats, to_y: OutFloats, to_z: OutFloats, to_mixing: OutFloats | None,
 ) -> None: ...
 def reference_kernel() -> float: ...
 def bench_blend(channels: int) -> float: ...

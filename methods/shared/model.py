@@ -1,4 +1,4 @@
-"""Base class of models: scenes under their names, rendered alone or together."""
+"""Base classes of models: scenes under their names, rendered alone or together."""
 
 from __future__ import annotations
 
@@ -82,38 +82,38 @@ class NamedScenes(Generic[S]):
         return sum(map(len, self.chosen(None if scene is None else (scene,))))
 
 
-class SceneModel(NamedScenes[S], ABC):
-    """A :class:`methods.interface.Model` of scenes; their Gaussians are concatenated and sorted once.
+class ScenesModel(NamedScenes[S], ABC):
+    """A :class:`methods.interface.Model` of scenes, whatever they are made of.
 
-    A method's model adds ``gaussians``, ``write`` (``write_size``, if it has several), ``load`` and ``join``.
+    A method's model adds ``render``, ``timings``, ``write`` (``write_size``, if it has several) and ``load``.
 
     Args:
         scenes: at least one, with distinct names, on one device.
 
     Attributes:
         method: name, for messages.
-        preparation: name in :meth:`timings` of the step that makes a frame's Gaussians.
-        rendering: units and filter of its Gaussians.
+        rendering: units, and the filter of what is splatted.
 
     Raises:
         Refused: two scenes have the same name.
     """
 
     method: ClassVar[str]
-    preparation: Literal["decode", "shade"] = "decode"
     rendering: Rendering = Rendering()
 
     @abstractmethod
-    def gaussians(self, scene: S, camera: Camera, edit: Edit) -> Gaussians:
-        """The Gaussians of a scene as one camera sees them.
+    def render(
+        self,
+        camera: Camera,
+        scenes: Sequence[str] | None = None,
+        edit: Mapping[str, Edit] | None = None,
+        background: RGB | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Render scenes together; see :class:`methods.interface.Model`."""
 
-        Raises:
-            Refused: an edit that the method cannot make.
-        """
-
-    def together(self, scenes: Sequence[S], camera: Camera, edits: Mapping[str, Edit]) -> list[Gaussians]:
-        """The Gaussians of scenes that are shown together: those of each, unless scenes share some."""
-        return [self.gaussians(scene, camera, edits.get(scene.name, Edit())) for scene in scenes]
+    @abstractmethod
+    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
+        """Seconds of one frame of scenes (default: all) by part."""
 
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
         """Write every file; see :class:`methods.interface.Model`.
@@ -148,6 +148,35 @@ class SceneModel(NamedScenes[S], ABC):
             DataError: a file is missing, damaged or of another kind.
         """
         raise NotImplementedError
+
+    def _in_units(self, camera: Camera) -> Camera:
+        """A camera of the scene in the units of the model."""
+        units = self.rendering.units
+        return camera if units == 1.0 else camera_in_units(camera, 1.0 / units)
+
+
+class SceneModel(ScenesModel[S]):
+    """A model of Gaussians: those of all its scenes are concatenated and sorted once.
+
+    A method's model adds ``gaussians``, ``write`` (``write_size``, if it has several), ``load`` and ``join``.
+
+    Attributes:
+        preparation: name in :meth:`timings` of the step that makes a frame's Gaussians.
+    """
+
+    preparation: Literal["decode", "shade"] = "decode"
+
+    @abstractmethod
+    def gaussians(self, scene: S, camera: Camera, edit: Edit) -> Gaussians:
+        """The Gaussians of a scene as one camera sees them.
+
+        Raises:
+            Refused: an edit that the method cannot make.
+        """
+
+    def together(self, scenes: Sequence[S], camera: Camera, edits: Mapping[str, Edit]) -> list[Gaussians]:
+        """The Gaussians of scenes that are shown together: those of each, unless scenes share some."""
+        return [self.gaussians(scene, camera, edits.get(scene.name, Edit())) for scene in scenes]
 
     def render(
         self,
@@ -185,11 +214,6 @@ class SceneModel(NamedScenes[S], ABC):
             draw(parts, camera, low_pass=self.rendering.low_pass)
             times = {self.preparation: middle - start, "rasterise": seconds() - middle}
         return {"decode": 0.0, "shade": 0.0} | times
-
-    def _in_units(self, camera: Camera) -> Camera:
-        """A camera of the scene in the units of the Gaussians."""
-        units = self.rendering.units
-        return camera if units == 1.0 else camera_in_units(camera, 1.0 / units)
 
 
 def seconds() -> float:

@@ -282,6 +282,7 @@ NB_MODULE(_native, m) {
   m.def("adam", adam, "params"_a, "grads"_a, "first"_a, "second"_a, "rates"_a, "beta1"_a, "beta2"_a, "eps"_a, "step"_a);
   bind_anchors(m);
   bind_decode(m);
+  bind_factors(m);
   bind_hash_grid(m);
 
   m.def("reference_kernel", reference_kernel, nb::call_guard<nb::gil_scoped_release>());

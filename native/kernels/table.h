@@ -6,6 +6,7 @@
 #include <stdint.h>
 
 #include "decoder_types.h"
+#include "factor_types.h"
 
 namespace econgs {
 
@@ -147,6 +148,10 @@ struct Kernels {
   void (*shade)(const ShadeInputs&, const DecodeView&, int64_t begin, int64_t end, float* colors);
   void (*adam)(float* p, const float* g, float* m, float* v, int64_t n, const AdamRates&);
   void (*reference)(float* data, int64_t n, int rounds);
+  // Lines of factors (see factors.h).
+  void (*line_products)(const Lines&, const LineSamples&, int64_t begin, int64_t end, int64_t apart, float* out);
+  void (*line_products_backward)(const Lines&, const LineSamples&, int64_t count, int64_t apart, const float* grad,
+                                 float* const* to_lines, float* to_mixing);
 };
 
 }  // namespace econgs

@@ -27,6 +27,7 @@ SMALL = {
     "vq-3dgs": {"max_gaussians": 300},
     "ivr-gs": {"max_gaussians": 300},
     "veg": {"max_gaussians": 300, "background": "random"},
+    "ccnerf": {"density_ranks": 8, "ranks": 8, "first_side": 12, "side": 20, "rays": 128},
 }
 """Small models; growth at every occasion and random backgrounds, so that resuming has more to keep."""
 

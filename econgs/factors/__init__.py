@@ -1,0 +1,1 @@
+"""Scenes of factors: fields that are sums of products of lines (CP decomposition), seen along rays."""
