@@ -1,4 +1,4 @@
-"""Base class of models: scenes under their names, rendered alone or together."""
+"""Base classes of models: scenes under their names, rendered alone or together."""
 
 from __future__ import annotations
 
@@ -37,25 +37,24 @@ class Scene(Protocol):
 S = TypeVar("S", bound=Scene)
 
 
-class SceneModel(ABC, Generic[S]):
-    """A :class:`methods.interface.Model` of scenes; their Gaussians are concatenated and sorted once.
+class SceneSet(ABC, Generic[S]):
+    """A :class:`methods.interface.Model` of scenes, whatever they are made of.
 
-    A method's model adds ``gaussians``, ``write`` (``write_size``, if it has several), ``load`` and ``join``.
+    A method's model adds ``render``, ``timings``, ``write`` (``write_size``, if it has several), ``load`` and
+    ``join``.
 
     Args:
         scenes: at least one, with distinct names, on one device.
 
     Attributes:
         method: name, for messages.
-        preparation: name in :meth:`timings` of the step that makes a frame's Gaussians.
-        rendering: units and filter of its Gaussians.
+        rendering: units of its scenes, and filter of Gaussians.
 
     Raises:
         Refused: two scenes have the same name.
     """
 
     method: ClassVar[str]
-    preparation: Literal["decode", "shade"] = "decode"
     rendering: Rendering = Rendering()
 
     def __init__(self, scenes: Iterable[S]) -> None:
@@ -65,12 +64,18 @@ class SceneModel(ABC, Generic[S]):
             raise Refused("two of the scenes to compose have the same name")
 
     @abstractmethod
-    def gaussians(self, scene: S, camera: Camera, edit: Edit) -> Gaussians:
-        """The Gaussians of a scene as one camera sees them.
+    def render(
+        self,
+        camera: Camera,
+        scenes: Sequence[str] | None = None,
+        edit: Mapping[str, Edit] | None = None,
+        background: RGB | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Render scenes together; see :class:`methods.interface.Model`."""
 
-        Raises:
-            Refused: an edit that the method cannot make.
-        """
+    @abstractmethod
+    def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
+        """Seconds of one frame of scenes (default: all) by part."""
 
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
         """Write every file; see :class:`methods.interface.Model`.
@@ -130,6 +135,31 @@ class SceneModel(ABC, Generic[S]):
         """Number of primitives of one scene or of all."""
         return sum(len(self.scene(name)) for name in (self.scenes if scene is None else (scene,)))
 
+    def _in_units(self, camera: Camera) -> Camera:
+        """A camera of the scene in the units of the model."""
+        units = self.rendering.units
+        return camera if units == 1.0 else camera_in_units(camera, 1.0 / units)
+
+
+class SceneModel(SceneSet[S]):
+    """A model of Gaussians, which are concatenated and sorted once.
+
+    A method's model adds ``gaussians``, ``write`` (``write_size``, if it has several), ``load`` and ``join``.
+
+    Attributes:
+        preparation: name in :meth:`timings` of the step that makes a frame's Gaussians.
+    """
+
+    preparation: Literal["decode", "shade"] = "decode"
+
+    @abstractmethod
+    def gaussians(self, scene: S, camera: Camera, edit: Edit) -> Gaussians:
+        """The Gaussians of a scene as one camera sees them.
+
+        Raises:
+            Refused: an edit that the method cannot make.
+        """
+
     def render(
         self,
         camera: Camera,
@@ -166,11 +196,6 @@ class SceneModel(ABC, Generic[S]):
             draw(parts, camera, low_pass=self.rendering.low_pass)
             times = {self.preparation: middle - start, "rasterise": seconds() - middle}
         return {"decode": 0.0, "shade": 0.0} | times
-
-    def _in_units(self, camera: Camera) -> Camera:
-        """A camera of the scene in the units of the Gaussians."""
-        units = self.rendering.units
-        return camera if units == 1.0 else camera_in_units(camera, 1.0 / units)
 
 
 def seconds() -> float:

@@ -39,5 +39,6 @@ auto data_or_null(const std::optional<A>& array) -> decltype(array->data()) {
 void bind_anchors(nb::module_&);
 void bind_decode(nb::module_&);
 void bind_hash_grid(nb::module_&);
+void bind_voxels(nb::module_&);
 
 }  // namespace econgs

@@ -7,6 +7,7 @@
 #include "project.h"
 #include "sh.h"
 #include "ssim.h"
+#include "voxels.h"
 
 #define STRING_OF(x) #x
 #define STRING(x) STRING_OF(x)
@@ -18,6 +19,7 @@ const econgs::Kernels kernels = {
     STRING(ECONGS_ISA), LANES,        project,         project_backward, blend_scratch,  blend,
     blend_backward,     sh,           sh_backward,     ssim_scratch,     ssim_rows,      ssim_map,
     ssim_gradient,      absolute,     composite,       alpha_sums,       alpha_gradient, decode_scratch,
-    decode_opacity,     decode_block, decode_backward, shade_rows,       adam,           reference};
+    decode_opacity,     decode_block, decode_backward, shade_rows,       adam,           reference,
+    march_ray,          scatter_voxels, voxel_variation, voxel_step};
 
 }  // namespace ECONGS_ISA

@@ -6,6 +6,7 @@
 #include <stdint.h>
 
 #include "decoder_types.h"
+#include "voxel_types.h"
 
 namespace econgs {
 
@@ -147,6 +148,15 @@ struct Kernels {
   void (*shade)(const ShadeInputs&, const DecodeView&, int64_t begin, int64_t end, float* colors);
   void (*adam)(float* p, const float* g, float* m, float* v, int64_t n, const AdamRates&);
   void (*reference)(float* data, int64_t n, int rounds);
+  // Sparse voxel grids (see voxels.h).
+  int64_t (*march_ray)(const March&, const float* origin, const float* direction, float near, const float* tile,
+                       float* color, float* alpha, VoxelSample* kept, float* most);
+  void (*scatter_voxels)(const VoxelGrid&, const VoxelGradient* from, int64_t count, const float* tiles,
+                         const VoxelArrays& to);
+  double (*voxel_variation)(const VoxelGrid&, int64_t begin, int64_t count, float factor, float spread, int part,
+                            const VoxelArrays& to);
+  void (*voxel_step)(const VoxelArrays& values, const VoxelArrays& grads, const VoxelArrays& moments, int64_t begin,
+                     int64_t end, float density_rate, float row_rate, float beta, float eps);
 };
 
 }  // namespace econgs
