@@ -112,15 +112,18 @@ def with_near_planes(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
 
 
 def pixel_size(cameras: Sequence[Camera]) -> float:
-    """Size of a pixel at the point that cameras look at, mean over cameras, in scene units; 0 for one camera.
+    """Size of a pixel at the point that cameras look at, mean over cameras, in scene units; 0 for one camera."""
+    places = np.stack([camera.position for camera in cameras])
+    sizes = np.linalg.norm(places - looked_at(cameras), axis=1) / [camera.fx for camera in cameras]
+    return float(sizes.mean())
 
-    The point is the nearest one to all optical axes; of parallel axes, the middle of the cameras.
-    """
+
+def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """(3,) point nearest to all optical axes; of parallel axes, the middle of the cameras."""
     places = np.stack([camera.position for camera in cameras])
     axes = np.stack([camera.camera_to_world[:3, 2] for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     middle = places.mean(axis=0)
     offset = (across @ (places - middle)[:, :, None]).sum(axis=0)[:, 0]
-    point = middle + np.linalg.lstsq(across.sum(axis=0), offset, rcond=1e-6)[0]
-    sizes = np.linalg.norm(places - point, axis=1) / [camera.fx for camera in cameras]
-    return float(sizes.mean())
+    point: NDArray[np.float64] = middle + np.linalg.lstsq(across.sum(axis=0), offset, rcond=1e-6)[0]
+    return point

@@ -40,5 +40,6 @@ void bind_anchors(nb::module_&);
 void bind_decode(nb::module_&);
 void bind_factors(nb::module_&);
 void bind_hash_grid(nb::module_&);
+void bind_voxels(nb::module_&);
 
 }  // namespace econgs

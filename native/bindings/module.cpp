@@ -284,6 +284,7 @@ NB_MODULE(_native, m) {
   bind_decode(m);
   bind_factors(m);
   bind_hash_grid(m);
+  bind_voxels(m);
 
   m.def("reference_kernel", reference_kernel, nb::call_guard<nb::gil_scoped_release>());
   m.def("bench_blend", bench_blend, "channels"_a, nb::call_guard<nb::gil_scoped_release>());

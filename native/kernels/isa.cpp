@@ -8,6 +8,7 @@
 #include "project.h"
 #include "sh.h"
 #include "ssim.h"
+#include "voxels.h"
 
 #define STRING_OF(x) #x
 #define STRING(x) STRING_OF(x)
@@ -20,6 +21,6 @@ const econgs::Kernels kernels = {
     blend_backward,     sh,           sh_backward,     ssim_scratch,     ssim_rows,      ssim_map,
     ssim_gradient,      absolute,     composite,       alpha_sums,       alpha_gradient, decode_scratch,
     decode_opacity,     decode_block, decode_backward, shade_rows,       adam,           reference,
-    line_products,    line_products_backward};
+    line_products,    line_products_backward, march_ray,   scatter_voxels,   voxel_variation, voxel_step};
 
 }  // namespace ECONGS_ISA

@@ -7,6 +7,7 @@
 
 #include "decoder_types.h"
 #include "factor_types.h"
+#include "voxel_types.h"
 
 namespace econgs {
 
@@ -152,6 +153,15 @@ struct Kernels {
   void (*line_products)(const Lines&, const LineSamples&, int64_t begin, int64_t end, int64_t apart, float* out);
   void (*line_products_backward)(const Lines&, const LineSamples&, int64_t count, int64_t apart, const float* grad,
                                  float* const* to_lines, float* to_mixing);
+  // Sparse voxel grids (see voxels.h).
+  int64_t (*march_ray)(const March&, const float* origin, const float* direction, float near, const float* tile,
+                       float* color, float* alpha, VoxelSample* kept, float* most);
+  void (*scatter_voxels)(const VoxelGrid&, const VoxelGradient* from, int64_t count, const float* tiles,
+                         const VoxelArrays& to);
+  double (*voxel_variation)(const VoxelGrid&, int64_t begin, int64_t count, float factor, float spread, int part,
+                            const VoxelArrays& to);
+  void (*voxel_step)(const VoxelArrays& values, const VoxelArrays& grads, const VoxelArrays& moments, int64_t begin,
+                     int64_t end, float density_rate, float row_rate, float beta, float eps);
 };
 
 }  // namespace econgs

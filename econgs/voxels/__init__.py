@@ -1,0 +1,27 @@
+"""Sparse voxel grids of density and color, and rays through them.
+
+Plenoxels (S. Fridovich-Keil, A. Yu et al.: Plenoxels: Radiance Fields without Neural Networks, CVPR 2022).
+"""
+
+from econgs.voxels.grid import ROW, SH, VoxelGrid, Voxels, bricks_of, lattice, links_of, occupied
+from econgs.voxels.march import Rays, Trace, drawn, rays_of, trace, voxel_weights
+from econgs.voxels.optimise import rms_step, variation
+
+__all__ = [
+    "ROW",
+    "SH",
+    "Rays",
+    "Trace",
+    "VoxelGrid",
+    "Voxels",
+    "bricks_of",
+    "drawn",
+    "lattice",
+    "links_of",
+    "occupied",
+    "rays_of",
+    "rms_step",
+    "trace",
+    "variation",
+    "voxel_weights",
+]

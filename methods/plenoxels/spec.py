@@ -1,0 +1,64 @@
+"""Plenoxels: spec and options."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, RateKnob, option
+
+DEFLATE = "deflate"
+PUBLISHED: dict[str, OptionValue] = {
+    "resolution": 512,
+    "start": "box",
+    "background": "white",
+    "alpha_weight": 0.0,
+}
+
+
+@dataclass(frozen=True)
+class PlenoxelsOptions:
+    """Options of Plenoxels."""
+
+    resolution: int = option(
+        128,
+        "vertices along the longest side of the final grid; the first has half as many",
+        minimum=8,
+        maximum=1024,
+    )
+    start: Literal["hull", "box"] = option(
+        "hull", "first voxels: where no training view is empty, or everywhere in the box of that"
+    )
+    background: Literal["scene", "white"] = option("scene", "what training views are composited on")
+    rays: int = option(5_000, "rays per iteration", minimum=1, maximum=1_000_000)
+    density_lr: float = option(30.0, "first learning rate of densities", minimum=0.0)
+    sh_lr: float = option(1e-2, "first learning rate of SH coefficients", minimum=0.0)
+    tv_density: float = option(1e-5, "weight of the total variation of densities", minimum=0.0)
+    tv_sh: float = option(1e-3, "weight of the total variation of SH coefficients", minimum=0.0)
+    prune_weight: float = option(
+        0.256,
+        "voxels that never have more than this, / vertices along the longest side, in a pixel are pruned",
+        minimum=0.0,
+    )
+    alpha_weight: float = option(
+        1.0, "weight of the mean squared error of alpha, where training views are transparent", minimum=0.0
+    )
+
+
+SPEC = MethodSpec(
+    name="plenoxels",
+    title="Plenoxels",
+    reference=(
+        "S. Fridovich-Keil, A. Yu, M. Tancik, Q. Chen, B. Recht, A. Kanazawa: Plenoxels: Radiance Fields "
+        "without Neural Networks. CVPR 2022"
+    ),
+    version="1",
+    implementation="methods.plenoxels.method:Plenoxels",
+    source=SHARED_SOURCE,
+    composable=True,
+    edits=frozenset({"opacity"}),
+    uses_alpha="it bounds the first voxels; views are composited on the background; alpha is a target of its own",
+    options=PlenoxelsOptions,
+    presets={"quick": {"resolution": 96}, "standard": {}, "paper": {"resolution": 512}},
+    iterations={"quick": 600, "standard": 6_000, "paper": 128_000},
+    rate_knobs=(RateKnob(DEFLATE, (0.0, 9.0), refit=False),),
+    configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
+)

@@ -1,0 +1,248 @@
+"""Training one scene: random rays, coarse to fine, resumable bit for bit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from datasets.scene import RGB
+from econgs.voxels import (
+    SH,
+    Rays,
+    VoxelGrid,
+    Voxels,
+    bricks_of,
+    rays_of,
+    rms_step,
+    trace,
+    variation,
+    voxel_weights,
+)
+from methods.interface import Checkpoint, Diverged, SceneInput
+from methods.plenoxels.model import VoxelModel, VoxelScene
+from methods.plenoxels.region import Hull, first_grid
+from methods.plenoxels.schedule import Schedule
+from methods.plenoxels.spec import PlenoxelsOptions
+from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent
+
+FIRST_DENSITY = 0.1
+BETA = 0.95
+"""Decay of the means of RMSProp."""
+TV_SHARE = 0.01
+"""Of the vertices, in a row, whose total variation counts in an iteration."""
+TV_RESOLUTION = 256.0
+"""Vertices along a side at which differences count as they are."""
+
+
+class Optimiser:
+    """The voxels, their gradients, and the means of RMSProp."""
+
+    def __init__(self, voxels: Voxels, moments: Voxels | None = None) -> None:
+        self.voxels = voxels
+        self.moments = Voxels.zeros(len(voxels), voxels.densities) if moments is None else moments
+        self.grads = Voxels.zeros(len(voxels), voxels.densities)
+
+    @property
+    def parameters(self) -> dict[str, list[Tensor]]:
+        """Name -> tensors."""
+        return {name: [values] for name, values in vars(self.voxels).items()}
+
+    def state(self) -> dict[str, Tensor]:
+        """Values and means, without the unused numbers."""
+        pairs = (("value", self.voxels), ("second", self.moments))
+        state = {f"densities/0/{part}": voxels.densities for part, voxels in pairs}
+        return state | {f"colors/0/{part}": voxels.colors[:, :SH].contiguous() for part, voxels in pairs}
+
+
+class Trainer(TrainingLoop):
+    """State of a fit: the grid, the optimiser, the random state.
+
+    Arguments: a scene, resolved options, and those of :class:`methods.shared.training.TrainingLoop`.
+
+    Raises:
+        Refused: no views.
+    """
+
+    options: PlenoxelsOptions
+    optimiser: Optimiser  # type: ignore[assignment]
+    background: RGB
+
+    def __init__(
+        self, scene: SceneInput, options: PlenoxelsOptions, iterations: int, seed: int, device: str
+    ) -> None:
+        super().__init__([scene], iterations, seed, device)
+        self.scene, self.options, self.schedule = scene, options, Schedule(iterations)
+        back = self.chosen_background(scene)
+        assert back is not None
+        self.background = back
+        images = torch.from_numpy(scene.train.images)
+        self.transparent = are_transparent(images)
+        hull = Hull(scene)
+        longest = max(4, options.resolution // 2)
+        grid = first_grid(scene, hull, longest, options.start, FIRST_DENSITY)
+        self.pixels = _pixels(hull, 2.0 * grid.spacing)
+        self.truth = images.reshape(-1, 4)
+        self.cameras = Cameras(scene)
+        self._take(on(grid, device))
+
+    def _take(self, grid: VoxelGrid, moments: Voxels | None = None) -> None:
+        self.grid, self.optimiser = grid, Optimiser(grid.voxels, moments)
+
+    @property
+    def count(self) -> int:
+        """Number of voxels."""
+        return len(self.grid)
+
+    def views(self) -> list[Any]:
+        """None is drawn as a whole: rays come from all."""
+        return []
+
+    def stage(self) -> str:
+        if self.count == 0:
+            return "nothing to see"
+        return "coarse" if self.iteration < self.schedule.finer else "fine"
+
+    def step(self) -> dict[str, float]:
+        self.iteration += 1
+        chosen = torch.randint(len(self.pixels), (self.options.rays,), generator=self.generator)
+        pixels = self.pixels[chosen]
+        seen = trace(self.grid, on(self.cameras.rays(pixels), self.device))
+        truth = self.truth[pixels].to(self.device)
+        back = torch.tensor(self.background, device=self.device)
+        alpha = truth[:, 3:]
+        target = torch.addcmul(truth[:, :3], 1.0 - alpha, back)
+        far = torch.addcmul(seen.colors, 1.0 - seen.alpha[:, None], back) - target
+        parts = {"image": far.square().mean()}
+        grad_colors = far * (2.0 / far.numel())
+        grad_alpha = -(grad_colors @ back)
+        if self.asks_alpha(self.transparent):
+            missing = seen.alpha - alpha[:, 0]
+            parts["alpha"] = self.options.alpha_weight * missing.square().mean()
+            grad_alpha += missing * (2.0 * self.options.alpha_weight / len(missing))
+        losses = self.numbers(parts)
+        seen.backward(grad_colors, grad_alpha, self.optimiser.grads)
+        if self.iteration <= self.schedule.finer:
+            losses["variation"] = self._variation()
+        rates = (
+            self.schedule.density_rate(self.iteration, self.options.density_lr),
+            self.schedule.sh_rate(self.iteration, self.options.sh_lr),
+        )
+        rms_step(self.grid.voxels, self.optimiser.grads, self.optimiser.moments, rates, BETA)
+        if self.iteration == self.schedule.finer:
+            self.check_finite()
+            self._refine()
+        if self.iteration % CHECK_EVERY == 0:
+            self.check_finite()
+        return {"loss": sum(losses.values()), **losses}
+
+    def _variation(self) -> float:
+        """Total variation of some vertices in a row; its gradient is added."""
+        total = self.grid.links.numel()
+        count = max(1, round(TV_SHARE * total))
+        begin = int(torch.randint(total, (), generator=self.generator))
+        factors = (self.options.tv_density / count, self.options.tv_sh / count)
+        spread = max(self.grid.size) / TV_RESOLUTION
+        return variation(self.grid, begin, count, factors, spread, self.optimiser.grads)
+
+    def _refine(self) -> None:
+        """Prune what no training view shows, and go on with twice the vertices along each side."""
+        most = torch.zeros(self.count, device=self.device)
+        for camera in self.scene.train.cameras:
+            half = camera.resized(max(1, camera.width // 2), max(1, camera.height // 2))
+            voxel_weights(self.grid, rays_of(half, self.device), most)
+        keep = most >= self.options.prune_weight / max(self.grid.size)
+        self._take(self.grid.finer(max(8, self.options.resolution), keep))
+
+    # ------------------------------------------------------------------ what comes out
+
+    @staticmethod
+    def restored(state: TrainingState, options: PlenoxelsOptions) -> VoxelModel:
+        """The scene as it will be stored: coefficients in half precision."""
+        (label,) = state.scenes
+        grid = _grid(state.arrays, state.scalars)
+        colors = grid.voxels.colors.half().float()
+        stored = replace(grid, voxels=Voxels(grid.voxels.densities, colors))
+        return VoxelModel([VoxelScene(label.name, label.background, stored)])
+
+    def checkpoint(self) -> Checkpoint:
+        state = super().checkpoint()
+        if self.iteration == self.iterations:  # nothing goes on from there
+            state.arrays = {name: v for name, v in state.arrays.items() if not name.endswith("/second")}
+        state.arrays["links"] = self.grid.links.clone()
+        state.scalars["grid"] = [*self.grid.origin, self.grid.spacing, self.grid.unit]
+        return state
+
+    def resume(self, checkpoint: Checkpoint) -> None:
+        arrays = self.arrays(checkpoint)
+        moments = _voxels(arrays, "second") if "optimiser/densities/0/second" in arrays else None
+        self._take(_grid(arrays, checkpoint.scalars), moments)
+        self.generator.set_state(checkpoint.arrays["generator"].cpu())
+        self.iteration = checkpoint.iteration
+
+    @torch.no_grad()
+    def check_finite(self) -> None:
+        for name, values in vars(self.grid.voxels).items():
+            if not math.isfinite(float(values.sum())):
+                raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
+
+
+class Cameras:
+    """Rays through any pixels of the training views, all views' pixels numbered in a row."""
+
+    def __init__(self, scene: SceneInput) -> None:
+        cameras = scene.train.cameras
+        self.height, self.width = scene.train.images.shape[1:3]
+        self.poses = torch.from_numpy(np.stack([one.camera_to_world for one in cameras])).float()
+        numbers = [[one.fx, one.fy, one.cx, one.cy, one.near] for one in cameras]
+        self.numbers = torch.tensor(numbers, dtype=torch.float32)
+
+    def rays(self, pixels: Tensor) -> Rays:
+        """Rays through pixels (B,)."""
+        view = pixels // (self.height * self.width)
+        row, column = pixels // self.width % self.height, pixels % self.width
+        fx, fy, cx, cy, near = self.numbers[view].unbind(1)
+        x, y = (column + 0.5 - cx) / fx, (row + 0.5 - cy) / fy
+        local = torch.stack([x, y, torch.ones_like(x)], dim=1)
+        length = local.norm(dim=1)
+        poses = self.poses[view]
+        directions = (poses[:, :3, :3] @ local[:, :, None])[:, :, 0] / length[:, None]
+        return Rays(poses[:, :3, 3].contiguous(), directions, near * length)
+
+
+def _pixels(hull: Hull, radius: float) -> Tensor:
+    """Numbers of the pixels whose rays may meet the hull; all, if none does."""
+    count, height, width = hull.masks.shape
+    parts: Iterator[Tensor] = (
+        hull.widened(radius, view).reshape(-1).nonzero()[:, 0] + view * height * width for view in range(count)
+    )
+    pixels = torch.cat(list(parts))
+    return pixels if len(pixels) else torch.arange(count * height * width)
+
+
+def on(value: Any, device: str) -> Any:
+    """Rays, voxels or a grid on a device."""
+    if isinstance(value, Tensor):
+        return value.to(device)
+    if isinstance(value, Rays | Voxels | VoxelGrid):
+        return replace(value, **{name: on(one, device) for name, one in vars(value).items()})
+    return value
+
+
+def _voxels(arrays: dict[str, Tensor], part: str) -> Voxels:
+    densities = arrays[f"optimiser/densities/0/{part}"]
+    voxels = Voxels.zeros(len(densities), densities)
+    voxels.densities.copy_(densities)
+    voxels.colors[:, :SH] = arrays[f"optimiser/colors/0/{part}"]
+    return voxels
+
+
+def _grid(arrays: dict[str, Tensor], scalars: dict[str, Any]) -> VoxelGrid:
+    x, y, z, spacing, unit = scalars["grid"]
+    links = arrays["links"].clone()
+    return VoxelGrid(links, _voxels(arrays, "value"), bricks_of(links), (x, y, z), spacing, unit)
