@@ -25,6 +25,7 @@ def run(context: Context) -> FitResult:
     scenes = scene_inputs(context)
     method = context.method()
     refuse_without_volume(context.spec, scenes)
+    read_volumes(context.spec, scenes)
     assert job.iterations is not None
     views = {scene.name: _curve_views(context, scene.name) for scene in scenes}
     monitor = FitMonitor(context.folder / "checkpoint", job.iterations, views, context.report, context.stop)
@@ -76,3 +77,10 @@ def refuse_without_volume(spec: MethodSpec | None, scenes: Sequence[SceneInput])
     for scene in scenes:
         if spec is not None and spec.needs_volume and scene.volume is None:
             raise Refused(f"{spec.name} reads the volume itself, and scene {scene.name!r} has only views")
+
+
+def read_volumes(spec: MethodSpec | None, scenes: Sequence[SceneInput]) -> None:
+    """Have the volumes of a method that reads them in memory, like the views, before its clock starts."""
+    for scene in scenes:
+        if spec is not None and spec.needs_volume and scene.volume is not None:
+            scene.volume()

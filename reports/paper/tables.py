@@ -54,13 +54,14 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
 
 
 def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFrame:
-    """The results with the parts of a frame as columns, in milliseconds."""
+    """The results with the parts of a frame as columns, in milliseconds, and the triangles of meshes."""
     columns: dict[str, Any] = {}
     for column, part in (("decode_ms", "decode"), ("rasterise_ms", "rasterise"), ("frame_ms", "frame")):
         rows = timing[timing["part"] == part] if timing is not None and not timing.empty else None
         seconds = {} if rows is None else dict(zip(rows["job"], rows["seconds"], strict=True))
         columns[column] = [1e3 * float(seconds[job]) if job in seconds else None for job in results["job"]]
     # A table of another tool may lack the number of views that was requested.
+    columns["triangles"] = results["primitives"].where(results["method"] == "mesh")
     columns["requested_views"] = results["requested_views"].fillna(results["train_views"])
     return results.assign(**columns)
 

@@ -47,12 +47,13 @@ QUANTITIES = {
     "train_seconds": Quantity("Training [min]", "train_min", 2, -1, 1.0 / 60.0, "sum", clock=True),
     "size_bytes": _measured("size_bytes", "size_mib", 2, across="sum"),
     "primitives": Quantity("Anchors", "anchors", 0, -1, across="sum"),
+    "triangles": Quantity("Triangles [M]", "triangles_million", 3, -1, 1e-6, "sum"),
     "groups": Quantity("Groups", "groups_derived", 0),
     "partition_seconds": Quantity("Clustering [s]", "clustering_s", 2, clock=True),
     "decode_ms": Quantity("Decoding [ms]", "mlp_ms", 2, -1, clock=True),
     "rasterise_ms": Quantity("Rasterising [ms]", "raster_ms", 2, -1, clock=True),
     "frame_ms": Quantity("Frame [ms]", "total_ms", 2, -1, clock=True),
-    "peak_host_bytes": Quantity("Host memory [GiB]", "", 2, -1, 1.0 / 2.0**30, "max"),
+    "peak_host_bytes": Quantity("Host memory [GiB]", "host_gib", 2, -1, 1.0 / 2.0**30, "max"),
 }
 
 

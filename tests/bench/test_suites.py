@@ -61,7 +61,7 @@ def test_a_table_of_the_paper_shows_what_its_suite_runs(name):
     extra = layouts()["tables"][name].get("data", [])
     assert set(extra) <= set(suite.datasets)
     methods = {row["method"] for row in layouts()["tables"][name]["rows"]}
-    unknown = {"plenoxels", "ccnerf", "triangle-mesh"}
+    unknown = {"plenoxels", "ccnerf", "mesh"}
     assert methods - unknown <= set(suite.methods)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from bench.jobs import scenes
 from bench.jobs.context import Context
-from bench.jobs.fit import refuse_without_volume
+from bench.jobs.fit import read_volumes, refuse_without_volume
 from bench.jobs.truth import Truth, write_truth
 from bench.monitor import Stop
 from bench.records import Record, derived_seed
@@ -103,6 +103,15 @@ def test_a_method_that_reads_volumes_refuses_scenes_that_have_only_views():
         refuse_without_volume(reads, [tiny_scene("here", volume="transfer"), tiny_scene("there")])
     refuse_without_volume(reads, [tiny_scene("here", volume="transfer")])
     refuse_without_volume(SPEC, [tiny_scene("there")])
+
+
+def test_volumes_are_read_before_a_fit_for_methods_that_read_them():
+    read = []
+    scene = replace(tiny_scene("here"), volume=lambda: read.append("here"))
+    read_volumes(SPEC, [scene])
+    assert not read
+    read_volumes(replace(SPEC, needs_volume=True), [scene, tiny_scene("there")])
+    assert read == ["here"]
 
 
 def test_a_renderer_that_comes_or_goes_between_two_jobs_changes_nothing(bench, suite) -> None:

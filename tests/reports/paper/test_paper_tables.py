@@ -335,3 +335,27 @@ def test_every_layout_row_with_a_published_one_finds_it():
             assert not match or any(all(r[k] == v for k, v in match.items()) for r in reference_rows(name)), (
                 one
             )
+
+
+def test_triangle_meshes_have_their_rows_beside_the_papers():
+    """The paper's meshes are whole and plain; triangles are no anchors."""
+    shared = {"dataset": "jet_flame_iso", "peak_host_bytes": 2**29}
+    rows = [
+        row(method, scene, variant=variant, primitives=count, kind=kind, **shared)
+        for scene, kind in (("low", "basic"), ("middle", "basic"), ("high", "basic"), ("all", "composed"))
+        for method, variant, count in (
+            ("mesh", "configuration=paper", 23_000), ("mesh", "", 11_500), ("econgs", "", 900)
+        )
+    ]  # fmt: skip
+    (block,) = blocks(results(*rows), "isosurface")
+    assert block.published == "combustion (MF), isosurfaces"
+    whole, fewer, splats = (line(block, f"composed, {kind}").values for kind in KINDS)
+    assert [one["triangles"].mean for one in (whole, fewer, splats)] == [0.023, 0.0115, None]
+    assert [one["triangles"].published for one in (whole, fewer, splats)] == [53.9, None, None]
+    assert [one["peak_host_bytes"].published for one in (whole, fewer, splats)] == [4.92, None, 7.63]
+    assert whole["peak_host_bytes"].mean == 0.5
+    assert whole["size_bytes"].published == 1002.9
+    assert not any("Triangles" in remark for remark in block.remarks)
+
+
+KINDS = ("triangle mesh", "compressed mesh", "ECoNGS")
