@@ -21,9 +21,18 @@ MIB = float(2**20)
 MISSING = "\N{EN DASH}"
 TITLES = {
     "3dgs": "3DGS", "econgs": "ECoNGS", "scaffold-gs": "Scaffold-GS", "hac": "HAC", "ivr-gs": "iVR-GS",
-    "vq-3dgs": "VQ-3DGS", "plenoxels": "Plenoxels", "ccnerf": "CCNeRF", "veg": "VEG",
+    "vq-3dgs": "VQ-3DGS", "3dgs-coded": "3DGS, coded", "plenoxels": "Plenoxels", "ccnerf": "CCNeRF", "veg": "VEG",
     "triangle-mesh": "Triangle mesh",
 }  # fmt: skip
+
+
+RATES: dict[str, dict[float, str]] = {
+    "3dgs-coded": {
+        1: "ply-zstd", 2: "spz-8bit-sh", 3: "spz", 4: "sog",
+        5: "integer-half", 6: "integer", 7: "integer-double", 8: "integer-fourfold",
+    },
+}  # fmt: skip
+"""Names of the rates of a method whose knob is a choice: the codecs of methods/coded/spec.py."""
 
 
 def absent(value: Any) -> bool:
@@ -39,7 +48,7 @@ def label(method: Any, variant: Any = "", rate: Any = None) -> str:
     if not absent(variant) and variant:
         parts.append(f"[{variant}]")
     if not absent(rate):
-        parts.append(f"@ {rate:g}")
+        parts.append(f"@ {RATES.get(str(method), {}).get(rate, f'{rate:g}')}")
     return " ".join(parts)
 
 

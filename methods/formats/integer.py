@@ -1,10 +1,11 @@
 """Our own format: attributes as whole numbers of steps, entropy-coded by the integer coder of the bitstream.
 
 Positions are an octree, in whose Morton order all else follows. Of the 24 ways to name an ellipsoid's axes,
-that of the least turn is stored: its quaternion has no sign and no largest number to tell. A column's numbers,
-or their differences from one Gaussian to the next, have normal distributions in classes of Gaussians: equal
-parts of these ranked by a key, which is made of columns that are known by then. The writer takes the key and
-the order that cost least. All that the coder depends on is whole numbers.
+that of the least turn is stored: its quaternion has no sign and no largest number to tell. Colors have
+coarser steps where a Gaussian weighs little in pictures. A column's numbers, or their differences from one
+Gaussian to the next, have normal distributions in classes of Gaussians: equal parts of these ranked by a key,
+which is made of columns that are known by then. The writer takes what costs least. All that the coder depends
+on is whole numbers.
 """
 
 from __future__ import annotations
@@ -194,7 +195,7 @@ def _restored(whole: _Quantised, degree: int) -> Tables:
 
 
 def _powers(columns: Mapping[str, Whole], steps: Mapping[str, float]) -> NDArray[np.float64]:
-    """(N, 1) factors on steps of color: an error shows in proportion to opacity and to the square root of area.
+    """(N, 1) factors on steps of color: an error shows in proportion to opacity and the root of area.
 
     The logarithm of opacity is taken as that of the odds, at most 0.
     """
