@@ -18,6 +18,7 @@ MAY_BE_MISSING = (
     "no fork here",
     "neither libLLVM 15 nor 16 is installed here",
     "no Chromium here",
+    "no splat-transform here",
     # Combinations that do not exist.
     "the format has no half precision",
     "a promise of the native backend",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from datasets.camera import Camera
     from datasets.views import Split, ViewSet
     from methods.gaussian_splatting.model import SceneGaussians
-    from methods.interface import HasGaussians, Model
+    from methods.interface import Model
 
 FORMATS = ("ply", "spz", "sog", "glb")
 _MEASURED = 8

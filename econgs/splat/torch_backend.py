@@ -95,7 +95,7 @@ def project(
     screen_offset: Tensor | None,
     low_pass: LowPass,
 ) -> Projected:
-    """Gaussians as a camera sees them, those behind it too; arguments as of :class:`Splats`, without smoothing."""
+    """Gaussians as a camera sees them, those behind it too; smoothing is not added."""
     pose = torch.as_tensor(camera.world_to_camera, dtype=means.dtype, device=means.device)
     view = pose[:3, :3]
     x, y, z = (means @ view.T + pose[:3, 3]).unbind(-1)

@@ -143,7 +143,7 @@ def _inside(seen: Projected, camera: Camera) -> Tensor:
 
 @dataclass(frozen=True)
 class _Shapes:
-    """Mean Gaussians, in scene units: (N, 3) means, (N, 4) quats, (N, 3) scales; whether any view saw them."""
+    """Mean Gaussians in scene units: (N, 3) means, (N, 4) quats, (N, 3) scales; whether a view saw them."""
 
     means: Tensor
     quats: Tensor

@@ -24,7 +24,7 @@ from methods.shared.files import saved_files
 
 FORMAT = "econgs-bench 3dgs-coded 1"
 _ABOUT = ".codec"
-"""Suffix of the file beside a scene's Gaussians: what no format of splats has a place for, and its checksum."""
+"""Suffix of the file beside a scene's Gaussians: what formats of splats have no place for, and a checksum."""
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from datasets.scene import RGB
 from methods.gaussian_splatting.model import SH_REST, SceneGaussians
 
 Tables = Mapping[str, NDArray[np.float32]]
-"""``means`` (N, 3), ``log_scales`` (N, 3), ``quats`` (N, 4), ``logits`` (N,), ``sh_dc`` (N, 1, 3), ``sh_rest``
-(N, 15, 3): as of :class:`methods.gaussian_splatting.model.SceneGaussians`, in float32."""
+"""``means`` (N, 3), ``log_scales`` (N, 3), ``quats`` (N, 4), ``logits`` (N,), ``sh_dc`` (N, 1, 3) and
+``sh_rest`` (N, 15, 3): as of :class:`methods.gaussian_splatting.model.SceneGaussians`, in float32."""
 Frame = tuple[int, int, int]
 """Signs of x, y and z whose product is 1: a half turn about an axis."""
 
@@ -66,7 +66,7 @@ class Format(Protocol):
 
 
 def tables(scene: SceneGaussians, frame: Frame = SAME) -> Tables:
-    """The tables of a scene after a half turn; quaternions of length 1, coefficients beyond its degree zero."""
+    """The tables of a scene after a half turn: unit quaternions, coefficients beyond its degree are zero."""
     signs = torch.tensor(frame, dtype=torch.float32)
     odd = [math.prod(frame["xyz".index(axis)] for axis in parity) for parity in _PARITIES]
     used = torch.arange(SH_REST) < COEFFICIENTS[scene.sh_degree]

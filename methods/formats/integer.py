@@ -1,15 +1,17 @@
 """Our own format: attributes as whole numbers of steps, entropy-coded by the integer coder of the bitstream.
 
 Positions are an octree, in whose Morton order all else follows. Of the 24 ways to name an ellipsoid's axes,
-that of the least turn is stored: its quaternion has no sign and no largest number to tell. A column's numbers,
-or their differences from one Gaussian to the next, have normal distributions in classes of Gaussians: equal
-parts of these ranked by a key, which is made of columns that are known by then. The writer takes the key and
-the order that cost least. All that the coder depends on is whole numbers.
+that of the least turn is stored: its quaternion has no sign and no largest number to tell. Colors have
+coarser steps where a Gaussian weighs little in pictures. A column's numbers, or their differences from one
+Gaussian to the next, have normal distributions in classes of Gaussians: equal parts of these ranked by a key,
+which is made of columns that are known by then. The writer takes what costs least. All that the coder depends
+on is whole numbers.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 import struct
 import zlib
 from collections.abc import Mapping
@@ -150,15 +152,13 @@ def _quantised(values: Tables, degree: int, factor: float) -> _Quantised:
     scales, vectors = least_turn(values["log_scales"], values["quats"])
     rows = {**values, "log_scales": scales, "quats": vectors}
     columns = {
-        name: np.rint(rows[name].reshape(count, -1) / steps[name]).astype(np.int64)
+        name: np.rint(_flat(rows[name]) / steps[name]).astype(np.int64)
         for name in ("log_scales", "logits", "quats")
     }
     powers = _powers(columns, steps)
-    columns["sh_dc"] = np.rint(values["sh_dc"].reshape(count, -1) / (steps["sh_dc"] * powers)).astype(
-        np.int64
-    )
+    columns["sh_dc"] = np.rint(_flat(values["sh_dc"]) / (steps["sh_dc"] * powers)).astype(np.int64)
     for one in range(1, degree + 1):
-        part = values["sh_rest"][:, COEFFICIENTS[one - 1] : COEFFICIENTS[one]].reshape(count, -1)
+        part = _flat(values["sh_rest"][:, COEFFICIENTS[one - 1] : COEFFICIENTS[one]])
         columns[f"sh{one}"] = np.rint(part / (steps["sh_rest"] * powers)).astype(np.int64)
     columns = {name: np.clip(one, 1 - _WIDEST, _WIDEST - 1) for name, one in columns.items()}
     if not count:
@@ -168,6 +168,10 @@ def _quantised(values: Tables, degree: int, factor: float) -> _Quantised:
     codes = grid.codes(values["means"])
     order = morton_order(codes)
     return _Quantised(grid, codes[order], steps, {name: one[order] for name, one in columns.items()})
+
+
+def _flat(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    return values.reshape(len(values), math.prod(values.shape[1:]))
 
 
 def _restored(whole: _Quantised, degree: int) -> Tables:
@@ -182,7 +186,7 @@ def _restored(whole: _Quantised, degree: int) -> Tables:
     w = np.sqrt(np.maximum(0.0, 1.0 - np.square(vectors).sum(1, keepdims=True)))
     rest = np.zeros((count, *SHAPES["sh_rest"]), np.float32)
     for one in range(1, degree + 1):
-        rest[:, COEFFICIENTS[one - 1] : COEFFICIENTS[one]] = real[f"sh{one}"].reshape(count, -1, 3)
+        rest[:, COEFFICIENTS[one - 1] : COEFFICIENTS[one]] = real[f"sh{one}"].reshape(count, 2 * one + 1, 3)
     return {
         "means": whole.grid.positions(whole.codes),
         "log_scales": real["log_scales"].astype(np.float32),
@@ -194,7 +198,7 @@ def _restored(whole: _Quantised, degree: int) -> Tables:
 
 
 def _powers(columns: Mapping[str, Whole], steps: Mapping[str, float]) -> NDArray[np.float64]:
-    """(N, 1) factors on steps of color: an error shows in proportion to opacity and to the square root of area.
+    """(N, 1) factors on steps of color: an error shows in proportion to opacity and the root of area.
 
     The logarithm of opacity is taken as that of the odds, at most 0.
     """

@@ -31,7 +31,7 @@ BITS = (5, 4, 4)
 FINEST = (8, 8, 8)
 """The most that the format can hold."""
 _FRACTION = 12
-"""Binary places of positions, as of the format's own tool; more in scenes smaller than 1, fewer beyond ±2048."""
+"""Binary places of positions, as of the format's own tool; more in scenes below 1, fewer beyond ±2048."""
 
 
 def write(file: Path, scene: SceneGaussians, bits: tuple[int, int, int] = BITS) -> Mapping[str, int]:
