@@ -1,7 +1,7 @@
 """Signatures of the compiled module; tests/econgs/test_native_stub.py compares them with it.
 
 All arrays are C-contiguous and on the CPU. The callers document shapes and meaning: econgs.splat.native,
-econgs.anchors.native and econgs.context.hash_grid.
+econgs.anchors.native, econgs.context.hash_grid and econgs.voxels.
 """
 
 from collections.abc import Sequence
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from numpy import float32, float64, int32, int64, uint8
 from numpy.typing import NDArray
 
+Bytes = NDArray[uint8]
 Floats = NDArray[float32]
 Doubles = NDArray[float64]
 Ints = NDArray[int32]
@@ -23,6 +24,8 @@ class Frame: ...
 class DecodeFrame:
     @property
     def gaussians(self) -> int: ...
+
+class MarchFrame: ...
 
 # fmt: off
 def built_isas() -> list[str]: ...
@@ -104,6 +107,27 @@ def add_noise(
 ) -> None: ...
 def add_noise_backward(
     grad: Floats, noise: Floats, steps: Floats, first: int, groups: int, to_steps: OutFloats,
+) -> None: ...
+def march(
+    links: Sequence[Ints], densities: Sequence[Floats], rows: Sequence[Floats], bricks: Sequence[Bytes],
+    placements: Doubles, step: float, origins: Floats, directions: Floats, near: Floats,
+    colors: OutFloats, alpha: OutFloats, keep: bool,
+) -> MarchFrame: ...
+def march_backward(
+    frame: MarchFrame, links: Ints, densities: Floats, rows: Floats, bricks: Bytes, placement: Doubles,
+    grad_colors: Floats, grad_alpha: Floats, to_densities: OutFloats, to_rows: OutFloats,
+) -> None: ...
+def voxel_weights(
+    links: Ints, densities: Floats, rows: Floats, bricks: Bytes, placement: Doubles, step: float,
+    origins: Floats, directions: Floats, near: Floats, most: OutFloats,
+) -> None: ...
+def voxel_variation(
+    links: Ints, densities: Floats, rows: Floats, begin: int, count: int, factors: Floats, spread: float,
+    to_densities: OutFloats, to_rows: OutFloats,
+) -> float: ...
+def voxel_step(
+    densities: OutFloats, rows: OutFloats, grad_densities: OutFloats, grad_rows: OutFloats,
+    moment_densities: OutFloats, moment_rows: OutFloats, rates: Floats, beta: float, eps: float,
 ) -> None: ...
 def reference_kernel() -> float: ...
 def bench_blend(channels: int) -> float: ...

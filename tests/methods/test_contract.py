@@ -24,6 +24,7 @@ SMALL = {
     "econgs": {**ANCHORS, "hidden": 16, "embedding": 4},
     "vq-3dgs": {"max_gaussians": 300},
     "ivr-gs": {"max_gaussians": 300},
+    "plenoxels": {"resolution": 24, "rays": 500},
 }
 """Small models; growth at every occasion and random backgrounds, so that resuming has more to keep."""
 
