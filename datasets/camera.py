@@ -112,7 +112,7 @@ def with_near_planes(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
 
 
 def pixel_size(cameras: Sequence[Camera]) -> float:
-    """Size of a pixel at the point that cameras look at, mean over cameras, in scene units; 0 for one camera."""
+    """Size of a pixel at the point that cameras look at: mean over cameras, scene units; 0 for one camera."""
     places = np.stack([camera.position for camera in cameras])
     sizes = np.linalg.norm(places - looked_at(cameras), axis=1) / [camera.fx for camera in cameras]
     return float(sizes.mean())

@@ -2,6 +2,7 @@
 
 All arrays are C-contiguous and on the CPU. The callers document shapes and meaning: econgs.splat.native,
 econgs.anchors.native, econgs.context.hash_grid, econgs.factors.lines and econgs.factors.rays.
+econgs.anchors.native, econgs.context.hash_grid and econgs.voxels.
 """
 
 from collections.abc import Sequence
@@ -9,6 +10,7 @@ from collections.abc import Sequence
 from numpy import float32, float64, int32, int64, uint8
 from numpy.typing import NDArray
 
+Bytes = NDArray[uint8]
 Floats = NDArray[float32]
 Doubles = NDArray[float64]
 Ints = NDArray[int32]
@@ -24,6 +26,8 @@ class Frame: ...
 class DecodeFrame:
     @property
     def gaussians(self) -> int: ...
+
+class MarchFrame: ...
 
 # fmt: off
 def built_isas() -> list[str]: ...
@@ -124,6 +128,26 @@ def line_products(
 def line_products_backward(
     x: Floats, y: Floats, z: Floats, groups: int, mixing: Floats | None, places: Floats, rays: Ints,
     grad: Floats, to_x: OutFloats, to_y: OutFloats, to_z: OutFloats, to_mixing: OutFloats | None,
+def march(
+    links: Sequence[Ints], densities: Sequence[Floats], rows: Sequence[Floats], bricks: Sequence[Bytes],
+    placements: Doubles, step: float, origins: Floats, directions: Floats, near: Floats,
+    colors: OutFloats, alpha: OutFloats, keep: bool,
+) -> MarchFrame: ...
+def march_backward(
+    frame: MarchFrame, links: Ints, densities: Floats, rows: Floats, bricks: Bytes, placement: Doubles,
+    grad_colors: Floats, grad_alpha: Floats, to_densities: OutFloats, to_rows: OutFloats,
+) -> None: ...
+def voxel_weights(
+    links: Ints, densities: Floats, rows: Floats, bricks: Bytes, placement: Doubles, step: float,
+    origins: Floats, directions: Floats, near: Floats, most: OutFloats,
+) -> None: ...
+def voxel_variation(
+    links: Ints, densities: Floats, rows: Floats, begin: int, count: int, factors: Floats, spread: float,
+    to_densities: OutFloats, to_rows: OutFloats,
+) -> float: ...
+def voxel_step(
+    densities: OutFloats, rows: OutFloats, grad_densities: OutFloats, grad_rows: OutFloats,
+    moment_densities: OutFloats, moment_rows: OutFloats, rates: Floats, beta: float, eps: float,
 ) -> None: ...
 def reference_kernel() -> float: ...
 def bench_blend(channels: int) -> float: ...

@@ -14,9 +14,15 @@ void fill_tile(const float* direction, float* tile) {
   std::fill(tile, tile + VOXEL_TILE, 0.0f);
   const float x = direction[0], y = direction[1], z = direction[2];
   const float c1 = 0.48860251f, c2 = 1.09254843f, c20 = 0.31539157f, c22 = 0.54627422f;
-  const float basis[VOXEL_SH] = {0.28209479f, -c1 * y,    c1 * z,
-                                 -c1 * x,     c2 * x * y, -c2 * y * z,
-                                 c20 * (2.0f * z * z - x * x - y * y), -c2 * x * z, c22 * (x * x - y * y)};
+  const float basis[VOXEL_SH] = {0.28209479f,
+                                 -c1 * y,
+                                 c1 * z,
+                                 -c1 * x,
+                                 c2 * x * y,
+                                 -c2 * y * z,
+                                 c20 * (2.0f * z * z - x * x - y * y),
+                                 -c2 * x * z,
+                                 c22 * (x * x - y * y)};
   std::copy(basis, basis + VOXEL_SH, tile + TILE_MIDDLE);
 }
 
@@ -67,8 +73,8 @@ std::unique_ptr<MarchFrame> march(const March& march, const RayBatch& rays, floa
       float* const tile = keep ? frame->tiles.as<float>() + n * VOXEL_TILE : own;
       fill_tile(rays.directions + 3 * n, tile);
       const int64_t count =
-          kernels().march_ray(march, rays.origins + 3 * n, rays.directions + 3 * n, rays.near[n], tile,
-                              colors + 3 * n, alpha + n, kept ? kept + total : nullptr, nullptr);
+          kernels().march_ray(march, rays.origins + 3 * n, rays.directions + 3 * n, rays.near[n], tile, colors + 3 * n,
+                              alpha + n, kept ? kept + total : nullptr, nullptr);
       if (keep) frame->samples[n] = static_cast<int32_t>(count);
       total += count;
     }

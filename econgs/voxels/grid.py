@@ -143,7 +143,7 @@ def occupied(links: Tensor) -> Tensor:
 
 
 def links_of(inside: Tensor) -> Tensor:
-    """Links of the vertices (nz, ny, nx) that hold a voxel, brick after brick: rays meet few pages of memory."""
+    """Links of the vertices (nz, ny, nx) that hold a voxel, brick after brick: a ray meets few pages."""
     places = inside.nonzero()
     bricks, rest = places // BRICK, places % BRICK
     across = [-(-side // BRICK) for side in inside.shape]

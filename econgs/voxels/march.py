@@ -113,9 +113,7 @@ def trace(grid: VoxelGrid, rays: Rays) -> Trace:
     placement = np.array(grid.placement(step))
     of_grid = _grid_arrays(grid)
     lists = ([one] for one in of_grid)
-    frame = native().march(
-        *lists, placement[None], step, *_arrays(rays), color.numpy(), alpha.numpy(), True
-    )
+    frame = native().march(*lists, placement[None], step, *_arrays(rays), color.numpy(), alpha.numpy(), True)
 
     def backward(grad_colors: Tensor, grad_alpha: Tensor, to: Voxels) -> None:
         grads = (_of(grad_colors), _of(grad_alpha))

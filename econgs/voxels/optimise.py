@@ -48,9 +48,13 @@ def variation(
     for place, most, stride in zip(places, (nx, ny, nz), (1, nx, nx * ny), strict=True):
         link = links[(at + stride).clamp(max=len(links) - 1)].long()
         neighbours.append(torch.where(place + 1 < most, link, -1))
-    coefficients, slopes = values.colors[:, :SH], to.colors[:, :SH]
-    return _variation(values.densities[:, None], own, neighbours, factors[0], spread, to.densities[:, None]) + (
-        _variation(coefficients, own, neighbours, factors[1], spread, slopes)
+    pairs = (
+        (values.densities[:, None], to.densities[:, None]),
+        (values.colors[:, :SH], to.colors[:, :SH]),
+    )
+    return sum(
+        _variation(numbers, own, neighbours, factor, spread, slopes)
+        for (numbers, slopes), factor in zip(pairs, factors, strict=True)
     )
 
 

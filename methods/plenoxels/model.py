@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -37,7 +38,7 @@ _MOST = 1 << 30  # vertices of a lattice
 
 @dataclass(frozen=True, eq=False)
 class VoxelScene:
-    """The grid of one scene as it is stored; a brick counts as empty where nothing in it has a density above 0.
+    """The grid of one scene as it is stored. A brick without a density above 0 counts as empty.
 
     Attributes:
         name: the scene's name.
@@ -125,9 +126,7 @@ class VoxelModel(ScenesModel[VoxelScene]):
 
     def bytes_estimate(self) -> int:
         """Bytes as published; headers and metadata add about a thousand."""
-        return sum(
-            4 * scene.grid.links.numel() + PER_VOXEL * len(scene) for scene in self._scenes.values()
-        )
+        return sum(4 * scene.grid.links.numel() + PER_VOXEL * len(scene) for scene in self._scenes.values())
 
     def write_size(self, folder: Path, rate: float | None) -> Mapping[str, Mapping[str, int]]:
         """Write ``<scene>.npz`` per scene; the rate is the level of deflation, 0 (as published) to 9.
@@ -166,18 +165,18 @@ def _load_scene(file: Path, device: str) -> VoxelScene:
     return VoxelScene(name, background, VoxelGrid(placed, voxels, bricks_of(placed), origin, spacing, unit))
 
 
-def _array(archive: zipfile.ZipFile, name: str, kind: type, axes: int) -> NDArray[np.generic]:
+def _array(archive: zipfile.ZipFile, name: str, kind: type, axes: int) -> NDArray[Any]:
     data = io.BytesIO(archive.read(f"{name}.npy"))
-    array: NDArray[np.generic] = np.lib.format.read_array(data, allow_pickle=False)
+    array: NDArray[Any] = np.lib.format.read_array(data, allow_pickle=False)
     if array.dtype != kind or array.ndim != axes or data.read(1):
         raise ValueError(f"{name} is {array.dtype} of {array.ndim} axes")
     return array
 
 
 def _check(
-    links: NDArray[np.generic],
-    densities: NDArray[np.generic],
-    coefficients: NDArray[np.generic],
+    links: NDArray[Any],
+    densities: NDArray[Any],
+    coefficients: NDArray[Any],
     numbers: Iterable[float],
 ) -> None:
     *_, spacing, unit = numbers = tuple(numbers)

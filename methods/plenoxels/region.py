@@ -36,9 +36,11 @@ class Hull:
         self.cameras = scene.train.cameras
         self.masks = torch.from_numpy(scene.train.images)[..., 3] > LEAST_ALPHA
         places = np.stack([camera.position for camera in self.cameras])
+        axes = np.stack([camera.camera_to_world[:3, 2] for camera in self.cameras])
         self.middle = looked_at(self.cameras)
-        if float(np.linalg.norm(places - self.middle, axis=1).min()) < 1e-3 * scene.extent:
-            self.middle = np.mean(scene.cloud.points, axis=0, dtype=np.float64)  # one camera tells no distance
+        if float(((self.middle - places) * axes).sum(axis=1).min()) < 1e-3 * scene.extent:
+            # One camera, or parallel ones, do not tell how far away they look.
+            self.middle = np.mean(scene.cloud.points, axis=0, dtype=np.float64)
         self.distances = np.linalg.norm(places - self.middle, axis=1)
         angles = [max(one.width / one.fx, one.height / one.fy) / 2.0 for one in self.cameras]
         self.half = float((self.distances * angles).max()) or scene.extent
@@ -46,7 +48,7 @@ class Hull:
     def pixels(self, radius: float, view: int) -> int:
         """Pixels that a sphere of that radius spans in a view, on either side of its middle."""
         focal = max(self.cameras[view].fx, self.cameras[view].fy)
-        return math.ceil(radius * focal / (_NEAREST * self.distances[view] + 1e-9)) + 1
+        return math.ceil(radius * focal / (_NEAREST * float(self.distances[view]) + 1e-9)) + 1
 
     def widened(self, radius: float, view: int) -> Tensor:
         """(H, W) bool: pixels in which a sphere of that radius may show that touches what is there."""

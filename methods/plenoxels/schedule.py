@@ -39,8 +39,9 @@ class Schedule:
         """Learning rate of densities at an iteration, from 1."""
         published = iteration * PUBLISHED / self.iterations
         rise = math.sin(0.5 * math.pi * min(1.0, published / DELAY))
-        return first * DENSITY_LAST ** (published / DECAY) * (DELAYED + (1.0 - DELAYED) * rise)
+        decayed = first * math.pow(DENSITY_LAST, published / DECAY)
+        return decayed * (DELAYED + (1.0 - DELAYED) * rise)
 
     def sh_rate(self, iteration: int, first: float) -> float:
         """Learning rate of SH coefficients at an iteration, from 1."""
-        return first * SH_LAST ** (iteration * PUBLISHED / self.iterations / DECAY)
+        return first * math.pow(SH_LAST, iteration * PUBLISHED / self.iterations / DECAY)

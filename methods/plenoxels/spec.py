@@ -10,6 +10,7 @@ PUBLISHED: dict[str, OptionValue] = {
     "resolution": 512,
     "start": "box",
     "background": "white",
+    "sh_lr": 1e-2,
     "alpha_weight": 0.0,
 }
 
@@ -30,7 +31,11 @@ class PlenoxelsOptions:
     background: Literal["scene", "white"] = option("scene", "what training views are composited on")
     rays: int = option(5_000, "rays per iteration", minimum=1, maximum=1_000_000)
     density_lr: float = option(30.0, "first learning rate of densities", minimum=0.0)
-    sh_lr: float = option(1e-2, "first learning rate of SH coefficients", minimum=0.0)
+    sh_lr: float = option(
+        3e-2,
+        "first learning rate of SH coefficients; the published one is too slow for short schedules",
+        minimum=0.0,
+    )
     tv_density: float = option(1e-5, "weight of the total variation of densities", minimum=0.0)
     tv_sh: float = option(1e-3, "weight of the total variation of SH coefficients", minimum=0.0)
     prune_weight: float = option(
@@ -39,7 +44,7 @@ class PlenoxelsOptions:
         minimum=0.0,
     )
     alpha_weight: float = option(
-        1.0, "weight of the mean squared error of alpha, where training views are transparent", minimum=0.0
+        0.2, "weight of the mean squared error of alpha, where training views are transparent", minimum=0.0
     )
 
 
@@ -55,10 +60,10 @@ SPEC = MethodSpec(
     source=SHARED_SOURCE,
     composable=True,
     edits=frozenset({"opacity"}),
-    uses_alpha="it bounds the first voxels; views are composited on the background; alpha is a target of its own",
+    uses_alpha="it bounds the first voxels; views are composited on the background; alpha is a target too",
     options=PlenoxelsOptions,
     presets={"quick": {"resolution": 96}, "standard": {}, "paper": {"resolution": 512}},
-    iterations={"quick": 600, "standard": 6_000, "paper": 128_000},
+    iterations={"quick": 1_200, "standard": 6_000, "paper": 128_000},
     rate_knobs=(RateKnob(DEFLATE, (0.0, 9.0), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -218,10 +217,8 @@ class Cameras:
 def _pixels(hull: Hull, radius: float) -> Tensor:
     """Numbers of the pixels whose rays may meet the hull; all, if none does."""
     count, height, width = hull.masks.shape
-    parts: Iterator[Tensor] = (
-        hull.widened(radius, view).reshape(-1).nonzero()[:, 0] + view * height * width for view in range(count)
-    )
-    pixels = torch.cat(list(parts))
+    views = [hull.widened(radius, view).reshape(-1) for view in range(count)]
+    pixels = torch.cat(views).nonzero()[:, 0]
     return pixels if len(pixels) else torch.arange(count * height * width)
 
 

@@ -69,9 +69,9 @@ std::vector<VoxelGrid> all_placed(const std::vector<Links>& links, const std::ve
                                   const std::vector<In>& rows, const std::vector<Bricks>& bricks,
                                   const Doubles& placements) {
   const size_t count = links.size();
-  expect(count >= 1 && count <= MAX_GRIDS && densities.size() == count && rows.size() == count &&
-             bricks.size() == count,
-         "1 to 64 grids are drawn together, each with links, densities, rows and bricks");
+  expect(
+      count >= 1 && count <= MAX_GRIDS && densities.size() == count && rows.size() == count && bricks.size() == count,
+      "1 to 64 grids are drawn together, each with links, densities, rows and bricks");
   expect(is(placements, {static_cast<int64_t>(count), 5}), "placements must have shape (grids, 5)");
   std::vector<VoxelGrid> grids;
   for (size_t g = 0; g < count; ++g) {
@@ -92,8 +92,8 @@ void expect_step(double step) { expect(std::isfinite(step) && step > 0, "the ste
 std::unique_ptr<MarchFrame> march_checked(const std::vector<Links>& links, const std::vector<In>& densities,
                                           const std::vector<In>& rows, const std::vector<Bricks>& bricks,
                                           const Doubles& placements, double step, const In& origins,
-                                          const In& directions, const In& near, const Array& colors,
-                                          const Array& alpha, bool keep) {
+                                          const In& directions, const In& near, const Array& colors, const Array& alpha,
+                                          bool keep) {
   const std::vector<VoxelGrid> grids = all_placed(links, densities, rows, bricks, placements);
   const RayBatch rays = rays_of(origins, directions, near);
   expect(is(colors, {rays.count, 3}) && is(alpha, {rays.count}), "outputs of another size than the rays");
@@ -105,8 +105,8 @@ std::unique_ptr<MarchFrame> march_checked(const std::vector<Links>& links, const
 }
 
 void march_backward_checked(const MarchFrame& frame, const Links& links, const In& densities, const In& rows,
-                            const Bricks& bricks, const Doubles& placement, const In& grad_colors,
-                            const In& grad_alpha, const Array& to_densities, const Array& to_rows) {
+                            const Bricks& bricks, const Doubles& placement, const In& grad_colors, const In& grad_alpha,
+                            const Array& to_densities, const Array& to_rows) {
   const VoxelGrid grid = only(links, densities, rows, bricks, placement);
   expect(is(grad_colors, {frame.count, 3}) && is(grad_alpha, {frame.count}), "gradients of another size");
   expect(static_cast<int64_t>(frame.samples.size()) == frame.count, "the frame was not kept");

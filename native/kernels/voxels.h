@@ -139,8 +139,8 @@ INLINE v4 color_of(const VoxelGrid& grid, const Samples& s, int l, const float* 
 
 // Marches one ray; returns the number of samples kept. `kept`: null, or room for them (of one grid). `most`: null,
 // or the largest weight that any ray gave each row so far (of one grid); colors are not computed then.
-static int64_t march_ray(const March& march, const float* origin, const float* direction, float near,
-                         const float* tile, float* color, float* alpha, VoxelSample* kept, float* most) {
+static int64_t march_ray(const March& march, const float* origin, const float* direction, float near, const float* tile,
+                         float* color, float* alpha, VoxelSample* kept, float* most) {
   Line lines[MAX_GRIDS];
   Samples samples[MAX_GRIDS];
   float through = 1.0f;
@@ -196,8 +196,15 @@ static int64_t march_ray(const March& march, const float* origin, const float* d
         for (int c = 0; c < 3; ++c) rgb[c] += weight * shade[c];
         if (kept) {
           const Samples& s = samples[0];
-          kept[count++] = {(uint16_t)s.cell[0][l], (uint16_t)s.cell[1][l], (uint16_t)s.cell[2][l], 0,
-                           s.fraction[0][l], s.fraction[1][l], s.fraction[2][l], weight, behind,
+          kept[count++] = {(uint16_t)s.cell[0][l],
+                           (uint16_t)s.cell[1][l],
+                           (uint16_t)s.cell[2][l],
+                           0,
+                           s.fraction[0][l],
+                           s.fraction[1][l],
+                           s.fraction[2][l],
+                           weight,
+                           behind,
                            {shade[0], shade[1], shade[2]}};
         }
         through = behind;

@@ -28,6 +28,7 @@ SMALL = {
     "ivr-gs": {"max_gaussians": 300},
     "veg": {"max_gaussians": 300, "background": "random"},
     "ccnerf": {"density_ranks": 8, "ranks": 8, "first_side": 12, "side": 20, "rays": 128},
+    "plenoxels": {"resolution": 24, "rays": 500},
 }
 """Small models; growth at every occasion and random backgrounds, so that resuming has more to keep."""
 
