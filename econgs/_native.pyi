@@ -1,8 +1,7 @@
 """Signatures of the compiled module; tests/econgs/test_native_stub.py compares them with it.
 
 All arrays are C-contiguous and on the CPU. The callers document shapes and meaning: econgs.splat.native,
-econgs.anchors.native, econgs.context.hash_grid, econgs.factors.lines and econgs.factors.rays.
-econgs.anchors.native, econgs.context.hash_grid and econgs.voxels.
+econgs.anchors.native, econgs.context.hash_grid, econgs.factors.lines, econgs.factors.rays and econgs.voxels.
 """
 
 from collections.abc import Sequence
@@ -128,6 +127,7 @@ def line_products(
 def line_products_backward(
     x: Floats, y: Floats, z: Floats, groups: int, mixing: Floats | None, places: Floats, rays: Ints,
     grad: Floats, to_x: OutFloats, to_y: OutFloats, to_z: OutFloats, to_mixing: OutFloats | None,
+) -> None: ...
 def march(
     links: Sequence[Ints], densities: Sequence[Floats], rows: Sequence[Floats], bricks: Sequence[Bytes],
     placements: Doubles, step: float, origins: Floats, directions: Floats, near: Floats,

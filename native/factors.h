@@ -25,7 +25,8 @@ void count_samples(const Box&, const RayBundle&, int64_t most, int32_t* counts);
 // The same samples: where in the box, of which ray, and k. first: the first sample of each ray in the outputs.
 void place_samples(const Box&, const RayBundle&, const int64_t* first, float* places, int32_t* rays, int32_t* numbers);
 
-// Weights of samples from optical depths; first has count + 1 entries. A gradient of the depths from one of the weights.
+// Weights of samples from optical depths; first has count + 1 entries. A gradient of the depths from one of the
+// weights.
 void ray_weights(const float* depths, const int64_t* first, int64_t count, float* weights);
 void ray_weights_backward(const float* depths, const int64_t* first, int64_t count, const float* grad, float* to);
 // Sums of the rows (of `width`) of consecutive samples of one ray; rays ascend.

@@ -160,7 +160,7 @@ def _drawn(
     densities = [
         factor * scene.densities(samples.places) for (scene, factor), samples in zip(there, own, strict=True)
     ]
-    union, slots = _union(own, count)
+    union, slots = _union(own, count, like.device)
     total = like.new_zeros(len(union.rays))
     for slot, density in zip(slots, densities, strict=True):
         total[slot] += density
@@ -182,15 +182,16 @@ def _drawn(
     return picture, alpha
 
 
-def _union(own: Sequence[Samples], count: int) -> tuple[Samples, list[Tensor]]:
+def _union(own: Sequence[Samples], count: int, device: torch.device) -> tuple[Samples, list[Tensor]]:
     """Samples that any scene has, and where among them those of each scene are."""
     if len(own) == 1:
         return own[0], [torch.arange(len(own[0].rays), device=own[0].rays.device)]
     keys = [(one.rays.long() << 32) | one.numbers.long() for one in own]
-    every, inverse = torch.unique(torch.cat([torch.empty(0, dtype=torch.int64), *keys]), return_inverse=True)
+    none = torch.empty(0, dtype=torch.int64, device=device)
+    every, inverse = torch.unique(torch.cat([none, *keys]), return_inverse=True)
     rays = every >> 32
     first = torch.searchsorted(rays, torch.arange(count + 1, device=rays.device))
-    samples = Samples(torch.empty(0, 3), rays.int(), (every & 0xFFFFFFFF).int(), first)
+    samples = Samples(torch.empty((0, 3), device=device), rays.int(), (every & 0xFFFFFFFF).int(), first)
     return samples, list(inverse.split([len(one) for one in keys]))
 
 

@@ -10,9 +10,6 @@ GROUPS = 5
 PUBLISHED: dict[str, OptionValue] = {
     "start": "box",
     "background": "white",
-    "first_side": 128,
-    "side": 300,
-    "rays": 4096,
     "visible": 1e-4,
     "search": "twice",
     "first": 0.2,
@@ -40,7 +37,7 @@ class CpOptions:
     background: Literal["scene", "white", "black", "random"] = option(
         "scene", "what training views are composited on: the scene's own, or another"
     )
-    rays: int = option(1024, "rays of an iteration", minimum=1, maximum=1_000_000)
+    rays: int = option(4096, "rays of an iteration", minimum=1, maximum=1_000_000)
     step: float = option(0.5, "distance of samples, in cells", minimum=0.05, maximum=4.0)
     weight_threshold: float = option(
         1e-4, "weight in a pixel up to which a sample has no color", minimum=0.0, maximum=0.1
@@ -83,8 +80,8 @@ SPEC = MethodSpec(
     uses_alpha="views are composited on the training background; alpha is also a target of its own",
     options=CpOptions,
     presets={
-        "quick": {"first_side": 64, "side": 128},
-        "standard": {"first_side": 96, "side": 160},
+        "quick": {"first_side": 64, "side": 128, "rays": 1024},
+        "standard": {"first_side": 96, "side": 160, "rays": 2048},
     },
     iterations={"quick": 1_500, "standard": 7_500, "paper": 30_000},
     rate_knobs=(RateKnob("rank groups", tuple(float(k + 1) for k in range(GROUPS)), refit=False),),

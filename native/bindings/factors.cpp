@@ -38,8 +38,8 @@ RayBundle rays_of(const Doubles& origins, const Doubles& directions, const Vecto
 }
 
 void count_checked(const Doubles& corners, const Cells& cells, double step, const Doubles& origins,
-                   const Doubles& directions, const Vector<const double>& shift,
-                   int64_t most, const Vector<int32_t>& counts) {
+                   const Doubles& directions, const Vector<const double>& shift, int64_t most,
+                   const Vector<int32_t>& counts) {
   const Box box = box_of(corners, cells, step);
   const RayBundle rays = rays_of(origins, directions, shift);
   expect(is(counts, {rays.count}) && most >= 1, "a count for each ray, and a limit of at least 1, are needed");
@@ -55,9 +55,8 @@ const int64_t* firsts_of(const Vector<const int64_t>& first, int64_t rays, int64
 }
 
 void place_checked(const Doubles& corners, const Cells& cells, double step, const Doubles& origins,
-                   const Doubles& directions, const Vector<const double>& shift,
-                   const Vector<const int64_t>& first, const Array& places, const Vector<int32_t>& owners,
-                   const Vector<int32_t>& numbers) {
+                   const Doubles& directions, const Vector<const double>& shift, const Vector<const int64_t>& first,
+                   const Array& places, const Vector<int32_t>& owners, const Vector<int32_t>& numbers) {
   const Box box = box_of(corners, cells, step);
   const RayBundle rays = rays_of(origins, directions, shift);
   const int64_t n = static_cast<int64_t>(owners.shape(0));
@@ -171,8 +170,10 @@ void products_backward_checked(const In& x, const In& y, const In& z, int groups
 }  // namespace
 
 void bind_factors(nb::module_& m) {
-  m.def("count_samples", count_checked, "corners"_a, "cells"_a, "step"_a, "origins"_a, "directions"_a, "shift"_a, "most"_a, "counts"_a);
-  m.def("place_samples", place_checked, "corners"_a, "cells"_a, "step"_a, "origins"_a, "directions"_a, "shift"_a, "first"_a, "places"_a, "rays"_a, "numbers"_a);
+  m.def("count_samples", count_checked, "corners"_a, "cells"_a, "step"_a, "origins"_a, "directions"_a, "shift"_a,
+        "most"_a, "counts"_a);
+  m.def("place_samples", place_checked, "corners"_a, "cells"_a, "step"_a, "origins"_a, "directions"_a, "shift"_a,
+        "first"_a, "places"_a, "rays"_a, "numbers"_a);
   m.def("ray_weights", weights_checked, "depths"_a, "first"_a, "weights"_a);
   m.def("ray_weights_backward", weights_backward_checked, "depths"_a, "first"_a, "grad"_a, "to"_a);
   m.def("ray_sums", sums_checked, "rows"_a, "rays"_a, "sums"_a);

@@ -16,11 +16,35 @@
 namespace ECONGS_ISA {
 
 extern const econgs::Kernels kernels;
-const econgs::Kernels kernels = {
-    STRING(ECONGS_ISA), LANES,        project,         project_backward, blend_scratch,  blend,
-    blend_backward,     sh,           sh_backward,     ssim_scratch,     ssim_rows,      ssim_map,
-    ssim_gradient,      absolute,     composite,       alpha_sums,       alpha_gradient, decode_scratch,
-    decode_opacity,     decode_block, decode_backward, shade_rows,       adam,           reference,
-    line_products,    line_products_backward, march_ray,   scatter_voxels,   voxel_variation, voxel_step};
+const econgs::Kernels kernels = {STRING(ECONGS_ISA),
+                                 LANES,
+                                 project,
+                                 project_backward,
+                                 blend_scratch,
+                                 blend,
+                                 blend_backward,
+                                 sh,
+                                 sh_backward,
+                                 ssim_scratch,
+                                 ssim_rows,
+                                 ssim_map,
+                                 ssim_gradient,
+                                 absolute,
+                                 composite,
+                                 alpha_sums,
+                                 alpha_gradient,
+                                 decode_scratch,
+                                 decode_opacity,
+                                 decode_block,
+                                 decode_backward,
+                                 shade_rows,
+                                 adam,
+                                 reference,
+                                 line_products,
+                                 line_products_backward,
+                                 march_ray,
+                                 scatter_voxels,
+                                 voxel_variation,
+                                 voxel_step};
 
 }  // namespace ECONGS_ISA
