@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from reports.charts.chart import INK, Chart, Panel, Series, Text, linear_axis, log_axis
 from reports.charts.elements import Section, cards, table
-from reports.style import MIB, MISSING, TITLES, Look, Model, absent, looks, mib
+from reports.style import MIB, MISSING, Look, Model, absent, label, looks, mib
 
 if TYPE_CHECKING:
     from reports.charts.rate_distortion import Curve
@@ -202,7 +202,7 @@ def _conclusion(found: Sequence[Verdict]) -> str:
         rows = [one for one in found if one.dataset == dataset]
         methods = dict.fromkeys(one.model.title for one in rows)
         paying = [name for name in methods if all(one.pays for one in rows if one.model.title == name)]
-        volumes = " and ".join(dict.fromkeys(TITLES[one.volume.model.method] for one in rows))
+        volumes = " and ".join(dict.fromkeys(label(one.volume.model.method) for one in rows))
         if paying:
             sentences.append(f"{dataset}: smaller than {volumes} at equal PSNR: {', '.join(paying)}.")
         else:
