@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from html import escape
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from reports.charts.chart import INK, Chart, Panel, Series, Text, linear_axis, log_axis
 from reports.charts.elements import Section, cards, table
-from reports.style import MIB, MISSING, TITLES, Look, Model, absent, looks, mib
+from reports.style import MIB, MISSING, Look, Model, absent, looks, mib
 
 if TYPE_CHECKING:
     from reports.charts.rate_distortion import Curve
@@ -196,18 +197,13 @@ def volumes_section(report: Report) -> Section | None:
 
 
 def _conclusion(found: Sequence[Verdict]) -> str:
-    """Which methods are smaller than every volume that is as good, by dataset."""
+    """Which models are smaller than a volume that is as good, by dataset and volume."""
     sentences = []
-    for dataset in dict.fromkeys(one.dataset for one in found):
-        rows = [one for one in found if one.dataset == dataset]
-        methods = dict.fromkeys(one.model.title for one in rows)
-        paying = [name for name in methods if all(one.pays for one in rows if one.model.title == name)]
-        volumes = " and ".join(dict.fromkeys(TITLES[one.volume.model.method] for one in rows))
-        if paying:
-            sentences.append(f"{dataset}: smaller than {volumes} at equal PSNR: {', '.join(paying)}.")
-        else:
-            sentences.append(f"{dataset}: no model is smaller than {volumes} at equal PSNR.")
-    return " ".join(sentences)
+    for dataset, volume in dict.fromkeys((one.dataset, one.volume.title) for one in found):
+        rows = [one for one in found if (one.dataset, one.volume.title) == (dataset, volume)]
+        paying = ", ".join(one.model.title for one in rows if one.pays)
+        sentences.append(f"{dataset}: {paying or 'no model'} smaller than the {volume} at equal PSNR.")
+    return escape(" ".join(sentences))
 
 
 def _row(one: Verdict) -> list[str]:
@@ -219,8 +215,12 @@ def _row(one: Verdict) -> list[str]:
     )
     return [
         *(one.dataset, one.model.title, f"{one.psnr:.2f}", mib(one.bytes), one.volume.title),
-        *(f"{sign}{mib(one.needed)}", f"{ratio}{one.bytes / one.needed:.2g}"),
+        *(f"{sign}{mib(one.needed)}", f"{ratio}{_digits(one.bytes / one.needed)}"),
         MISSING if one.meeting is None else mib(one.meeting[0]),
         *times,
         *memory,
     ]
+
+
+def _digits(value: float) -> str:
+    return f"{value:,.0f}" if value >= 10.0 else f"{value:.2g}"

@@ -43,6 +43,7 @@ BASELINE = {
     "MKL_CBWR": "COMPATIBLE",
     "ONEDNN_MAX_CPU_ISA": "SSE41",
     "CUDA_VISIBLE_DEVICES": "",
+    "DRJIT_LIBLLVM_PATH": "none",  # volumes are drawn by the marcher in torch
 }
 
 
