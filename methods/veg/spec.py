@@ -16,6 +16,7 @@ PUBLISHED: dict[str, OptionValue] = {
     "first_stage": "unshaded",
     "shading_start": 0.0,
     "opacity_lr": 0.025,
+    "growth_gradient": 2e-4,
     "normal_gradient": 4e-6,
     "shaded_normal_gradient": 2e-3,
     "normal_weight": 0.01,
@@ -82,7 +83,9 @@ class VegOptions(splatting.SplattingOptions):
     shading_lr: float = option(0.01, "learning rate of all attributes of shading", minimum=0.0, maximum=1.0)
     # Growth
     growth_gradient: float = option(
-        2e-4, "mean screen-space gradient (NDC) from which a Gaussian is cloned or split", minimum=0.0
+        1e-3,
+        "mean screen-space gradient (NDC) from which a Gaussian is cloned or split; 2e-4 as published",
+        minimum=0.0,
     )
     normal_gradient: float = option(
         2e-4, "mean gradient of normals from which a Gaussian is cloned or split, first stage", minimum=0.0
