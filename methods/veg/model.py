@@ -61,7 +61,7 @@ class ScalarGaussians:
         quats: (N, 4), w x y z.
         normals: (N, 3) of any length.
         scalars: (N,) in [0, 1].
-        opacities: (N,) gains > 0 (depth), or opacities in [0, 1] (product).
+        opacities: (N,) in [0, 1]: shares of the volume's density (depth), or opacities (product).
         factors: (N, 4) on k_a, k_d, k_s and β of a scene's light; None: nothing is shaded yet.
     """
 
@@ -112,7 +112,7 @@ class ScalarGaussians:
     def opaque(self, looks: Sequence[Appearance], extinctions: Sequence[Tensor]) -> Tensor:
         """(N,) opacities of Gaussians that have these extinctions in those looks.
 
-        Depth: 1 - exp(-gain · extinction · length), the length of a mean ray through the Gaussian.
+        Depth: 1 - exp(-share · extinction · length), the length of a mean ray through the Gaussian.
         Product: opacity · (1 - exp(-extinction · reference length)).
         """
         if self.law == "depth":
@@ -139,16 +139,15 @@ def visible_rows(scalars: Tensor, looks: Sequence[Appearance]) -> Tensor:
     return total.nonzero()[:, 0]
 
 
-def activated(raw: Mapping[str, Tensor], law: Law) -> dict[str, Tensor]:
+def activated(raw: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Fields of :class:`ScalarGaussians` from columns; differentiable."""
     quats = torch.cat([raw["rotation real"], raw["rotation imaginary"]], dim=1)
-    opacity = raw["opacity"][:, 0]
     return {
         "scales": raw["scale"].exp(),
         "quats": torch.nn.functional.normalize(quats, dim=1),
         "normals": raw["normal"],
         "scalars": raw["scalar"][:, 0].sigmoid(),
-        "opacities": opacity.exp() if law == "depth" else opacity.sigmoid(),
+        "opacities": raw["opacity"][:, 0].sigmoid(),
         "factors": torch.cat(
             [
                 raw["ambient"],
@@ -254,10 +253,9 @@ class Stored:
             raise ValueError(f"opacity law {law!r}, look-up of {table_size!r} entries")
         raw = {name: self.coded.column(name, width).to(device) for name, width in WIDTHS.items()}
         means = self.coded.positions.to(device)
-        gaussians = ScalarGaussians(law, means=means, **activated(raw, law))  # type: ignore[arg-type]
-        for values in (gaussians.scales, gaussians.opacities):
-            if not bool(torch.isfinite(values).all()):
-                raise ValueError("a scale or a gain is not finite")
+        gaussians = ScalarGaussians(law, means=means, **activated(raw))  # type: ignore[arg-type]
+        if not bool(torch.isfinite(gaussians.scales).all()):
+            raise ValueError("a scale is not finite")
         if not bool((gaussians.quats.square().sum(1) > 0).all()):
             raise ValueError("a rotation is zero")
         return Field(gaussians, table_size)

@@ -16,6 +16,7 @@ PUBLISHED: dict[str, OptionValue] = {
     "first_stage": "unshaded",
     "shading_start": 0.0,
     "opacity_lr": 0.025,
+    "growth_gradient": 2e-4,
     "normal_gradient": 4e-6,
     "shaded_normal_gradient": 2e-3,
     "normal_weight": 0.01,
@@ -46,8 +47,8 @@ class VegOptions(splatting.SplattingOptions):
     # Look-up
     opacity_law: Literal["depth", "product"] = option(
         "depth",
-        "opacity from the look-up's extinction along a Gaussian, times a learned gain; or the published "
-        "product of the look-up's opacity and a learned one",
+        "opacity from the look-up's extinction along a Gaussian, of which a learned share counts; or the "
+        "published product of the look-up's opacity and a learned one",
     )
     table_size: int = option(1024, "entries of the look-up; 100 as published", minimum=2, maximum=65536)
     first_stage: Literal["light", "unshaded"] = option(
@@ -71,9 +72,7 @@ class VegOptions(splatting.SplattingOptions):
     position_lr: float = option(
         1.6e-4, "first learning rate of positions, x extent", minimum=0.0, maximum=1.0
     )
-    opacity_lr: float = option(
-        5e-2, "learning rate of gains (logarithms) or opacities (logits)", minimum=0.0, maximum=1.0
-    )
+    opacity_lr: float = option(5e-2, "learning rate of opacities (logits)", minimum=0.0, maximum=1.0)
     scalar_lr: float = option(2.5e-4, "learning rate of scalars (logits)", minimum=0.0, maximum=1.0)
     shading_start: float = option(
         1.0,
@@ -84,7 +83,9 @@ class VegOptions(splatting.SplattingOptions):
     shading_lr: float = option(0.01, "learning rate of all attributes of shading", minimum=0.0, maximum=1.0)
     # Growth
     growth_gradient: float = option(
-        2e-4, "mean screen-space gradient (NDC) from which a Gaussian is cloned or split", minimum=0.0
+        1e-3,
+        "mean screen-space gradient (NDC) from which a Gaussian is cloned or split; 2e-4 as published",
+        minimum=0.0,
     )
     normal_gradient: float = option(
         2e-4, "mean gradient of normals from which a Gaussian is cloned or split, first stage", minimum=0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,11 +13,9 @@ from methods.interface import Refused, SceneInput
 from methods.veg.field import gradients_at, values_at
 from methods.veg.spec import VegOptions
 
-FIRST_GAIN = 0.3
-"""Of Gaussians that deviate by 0.6 of their spacing: they overlap, and their sum is (2π)^1.5 0.6³ = 3.4."""
-FIRST_OPACITY = 0.1
-FIRST_SHININESS = {"depth": 0.0, "product": 1.0}
-"""Before activation; the published one, and one that leaves the light's own power as it is."""
+FIRST_OPACITY = {"depth": 0.3, "product": 0.1}
+"""The published one of the product. Of the depth: Gaussians that deviate by 0.6 of their spacing overlap, and
+with the whole density each they would add up to (2π)^1.5 0.6³ = 3.4 times that of the volume."""
 _EDGE = 1e-4  # values nearer to 0 or 1 have no finite logit
 
 
@@ -43,12 +40,11 @@ def initial_parameters(
     quats[:, 0] = 1.0
     if options.start_normals == "random":
         normals = torch.randn((n, 3), generator=generator)
-    opacity = math.log(FIRST_GAIN if options.opacity_law == "depth" else FIRST_OPACITY / (1 - FIRST_OPACITY))
     full = {
         "ambient": options.shading_start,
         "diffuse": options.shading_start,
         "specular": 0.0,
-        "shininess": FIRST_SHININESS[options.opacity_law],
+        "shininess": 0.0,
     }
     return {
         "means": points,
@@ -56,7 +52,7 @@ def initial_parameters(
         "quats": quats,
         "normals": torch.nn.functional.normalize(normals, dim=1),
         "scalars": scalars.clamp(_EDGE, 1.0 - _EDGE).logit(),
-        "opacities": torch.full((n,), opacity),
+        "opacities": torch.full((n,), FIRST_OPACITY[options.opacity_law]).logit(),
         **{name: torch.full((n, 1), value) for name, value in full.items()},
     }
 

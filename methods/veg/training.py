@@ -298,7 +298,7 @@ def scalar_gaussians(parameters: HasColumns, options: VegOptions, shading: bool)
     In the first stage the scenes' own light shades them, or nothing does; by the law of the product their
     opacity is that of the look-up.
     """
-    values: dict[str, Any] = activated(columns(parameters), options.opacity_law)
+    values: dict[str, Any] = activated(columns(parameters))
     if not shading:
         plain = torch.ones_like(values["factors"])
         values["factors"] = plain if options.first_stage == "light" else None

@@ -232,21 +232,21 @@ def test_a_fit_approaches_views_that_it_never_saw(tiny, scenes, fitted):
     model, recorder = fitted
     assert model.scenes == ("tiny", "other")
     for scene in scenes:
-        assert tiny.psnr(model, scene.validation, scenes=[scene.name]) > 24.0
+        assert tiny.psnr(model, scene.validation, scenes=[scene.name]) > 28.0
     assert recorder.stages[0] == "growth"
     assert recorder.stages[-1] == "shading"
 
 
 def test_a_transfer_function_that_it_never_saw_shows_the_volume(tiny, scenes, fitted):
-    """Bumps shifted, of other opacity and color: nearer to the marcher's picture than what was learned."""
+    """A shifted bump of another color, against the marcher; what was learned is far from it."""
     model, _ = fitted
-    bumps = (replace(LOW, start=0.15, rise=0.25, fall=0.35, end=0.55, color=(0.1, 0.7, 0.2), opacity=0.35),)
+    bumps = (replace(LOW, start=0.15, rise=0.25, fall=0.35, end=0.55, color=(0.1, 0.7, 0.2)),)
     edit = Edit(transfer=TransferFunction("new", bumps, 0.05))
     views = scenes[0].validation
     truth = replace(views, images=marched(scenes[0], edit, views.cameras))
     seen = tiny.psnr(model, truth, scenes=["tiny"], edit={"tiny": edit})
-    assert seen > 22.0
-    assert seen > tiny.psnr(model, truth, scenes=["tiny"]) + 4.0
+    assert seen > 24.0
+    assert seen > tiny.psnr(model, truth, scenes=["tiny"]) + 6.0
 
 
 def test_a_composition_is_one_look_at_shared_gaussians(tiny, scenes, fitted):
@@ -256,7 +256,7 @@ def test_a_composition_is_one_look_at_shared_gaussians(tiny, scenes, fitted):
     layers = tuple(Layer.of(scene.scene, volume) for scene in scenes)
     views = scenes[0].validation
     truth = replace(views, images=ReferenceMarcher(volume).compose(views.cameras, layers))
-    assert tiny.psnr(model, truth) > 23.0
+    assert tiny.psnr(model, truth) > 27.0
     members = [model.scene(name) for name in model.scenes]
     (drawn,) = model.together(members, views.cameras[0], {})
     assert len(drawn.means) <= len(members[0].field.gaussians)
