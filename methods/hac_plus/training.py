@@ -36,8 +36,9 @@ class Trainer(hac.Trainer):
     def rates(self) -> dict[str, float]:
         """Learning rates of this iteration."""
         last = min(MOST_LAST_MASK_RATE, LAST_MASK_RATE * self.options.rate_weight / 1e-3)
-        masks = MASK_RATE[0], max(last, 1e-8)
-        own = {self.anchors.name(MASKS): self.decayed(masks), "intra": self.decayed(INTRA_RATE)}
+        share = self.options.mask_lr / MASK_RATE[0]
+        masks = share * self.decayed((MASK_RATE[0], max(last, 1e-8)))
+        own = {self.anchors.name(MASKS): masks, "intra": self.decayed(INTRA_RATE)}
         return super().rates() | own
 
     def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
