@@ -23,6 +23,7 @@ SMALL = {
     "hac": {**ANCHORS, "background": "random", "grid": "small", "context_hidden": 24},
     "econgs": {**ANCHORS, "hidden": 16, "embedding": 4},
     "vq-3dgs": {"max_gaussians": 300},
+    "3dgs-coded": {"max_gaussians": 300},
     "ivr-gs": {"max_gaussians": 300},
 }
 """Small models; growth at every occasion and random backgrounds, so that resuming has more to keep."""
