@@ -21,8 +21,8 @@ MIB = float(2**20)
 MISSING = "\N{EN DASH}"
 TITLES = {
     "3dgs": "3DGS", "econgs": "ECoNGS", "scaffold-gs": "Scaffold-GS", "hac": "HAC", "ivr-gs": "iVR-GS",
-    "vq-3dgs": "VQ-3DGS", "3dgs-coded": "3DGS, coded", "plenoxels": "Plenoxels", "ccnerf": "CCNeRF", "veg": "VEG",
-    "triangle-mesh": "Triangle mesh",
+    "vq-3dgs": "VQ-3DGS", "3dgs-coded": "3DGS, coded", "plenoxels": "Plenoxels", "ccnerf": "CCNeRF",
+    "veg": "VEG", "triangle-mesh": "Triangle mesh",
 }  # fmt: skip
 
 

@@ -75,16 +75,17 @@ def test_a_model_that_is_plain_is_exported_as_it_is(store, tmp_path, capsys):
     [
         (["--out", "x.xyz"], "its suffix names no format. Give --format, one of ply, spz, sog, glb"),
         (["--out", "x.ply", "--scene", "cor"], "Did you mean core"),
-        (["--out", "x.ply", "--distil", "-1"], "'-1' is not a number of at least 1"),
     ],
 )
 def test_what_cannot_be_exported_is_refused(store, capsys, more, says):
-    with_job = ["export", job(store, "fair"), "--runs", str(store), *more]
-    try:
-        assert main(with_job) == 2
-    except SystemExit as stopped:
-        assert stopped.code == 2
+    assert main(["export", job(store, "fair"), "--runs", str(store), *more]) == 2
     assert says in capsys.readouterr().err
+
+
+def test_a_negative_number_of_iterations_is_refused(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["export", "job", "--out", "x.ply", "--distil", "-1"])
+    assert "'-1' is not a number of at least 1" in capsys.readouterr().err
 
 
 def test_a_job_that_is_not_there_is_named(store, capsys):

@@ -22,8 +22,9 @@ CLOUD = LowPass(variance=0.03, compensated=True, ray_power=1.0)
 """How models are drawn by default here, and no viewer draws."""
 
 
-def model(rendering=Rendering(), count=60, seed=2):
+def model(rendering=None, count=60, seed=2):
     """Sheets and needles of any direction with colors of degree 3."""
+    rendering = rendering or Rendering()
     rng = np.random.default_rng(seed)
     values = {
         "means": rng.uniform(-0.3, 0.3, (count, 3)),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from tests.methods.test_formats import asymmetric
 
 from datasets.errors import DataError
 from methods.coded.model import CodedModel
@@ -11,6 +10,7 @@ from methods.coded.spec import CODECS, DEFAULT, SPEC
 from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.interface import Refused, check_ledger
 from reports.style import RATES, label
+from tests.methods.test_formats import asymmetric
 
 
 def test_it_is_the_fit_of_3dgs_and_its_rates_have_names():

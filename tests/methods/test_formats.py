@@ -1,4 +1,4 @@
-"""File formats of splats: bounds from their own steps, the axes of each, and the programs of others as judges."""
+"""File formats of splats: bounds by their own steps, the axes of each, and programs of others as judges."""
 
 from __future__ import annotations
 
