@@ -25,6 +25,7 @@ SMALL = {
     "econgs": {**ANCHORS, "hidden": 16, "embedding": 4},
     "3dgs-mcmc": {"cap": 300, "background": "random"},
     "vq-3dgs": {"max_gaussians": 300},
+    "3dgs-coded": {"max_gaussians": 300},
     "ivr-gs": {"max_gaussians": 300},
     "veg": {"max_gaussians": 300, "background": "random"},
     "ccnerf": {"density_ranks": 8, "ranks": 8, "first_side": 12, "side": 20, "rays": 128},

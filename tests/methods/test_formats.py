@@ -1,4 +1,4 @@
-"""File formats of splats: bounds from their own steps, the axes of each, and the programs of others as judges."""
+"""File formats of splats: bounds by their own steps, the axes of each, and programs of others as judges."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def within_spz(values, others):
 
 
 def within_sog(values, others):
-    """Steps of SOG 2: 16 bits of the logarithm's range, 8 bits of ±√½, 8 bits; 256 words for scales and colors."""
+    """Steps of SOG 2: 16 bits of the logarithm's range, 8 bits of ±√½, 8 bits; 256 words for the others."""
     off = differences(values, others)
     assert off["means"] <= 1e-4
     assert np.abs(opacities(values) - opacities(others)).max() <= 0.5 / 255 + 1e-5

@@ -1,0 +1,93 @@
+"""bench export: a finished model as a file of splats, baked where plain viewers would draw it otherwise."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from bench.__main__ import main
+from bench.store import Store
+from methods.formats import ply, sog, spz
+
+SUITE = """
+title = "t"
+methods = ["3dgs"]
+preset = "quick"
+[datasets]
+"shells@16" = ["core"]
+[presets.quick]
+train_views = 6
+test_views = 2
+width = 24
+height = 24
+prerendered_limit = 16
+"""
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """A run store with a model that is drawn as clouds, and one that is drawn as plain viewers draw."""
+    folder = tmp_path_factory.mktemp("export")
+    (folder / "suite.toml").write_text(SUITE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("BENCH_LOCKS", str(folder / "locks"))
+        patch.setenv("BENCH_CACHE", str(folder / "cache"))
+        for options in ((), ("--set", "3dgs.configuration=paper", "--set", "3dgs.random_points=300")):
+            command = ["run", str(folder / "suite.toml"), "--set", "3dgs.iterations=40", *options]
+            assert main([*command, "--out", str(folder / "runs"), "--no-report"]) == 0
+    return folder / "runs"
+
+
+def job(store, variant):
+    """The encode job of a configuration."""
+    opened = Store(store)
+    records = [opened.record(path.name) for path in (store / "jobs").glob("encode-*")]
+    (found,) = [one.job.id for one in records if one.job.overrides.get("configuration", "fair") == variant]
+    return found
+
+
+@pytest.mark.parametrize("form", ["ply", "spz", "sog", "glb"])
+def test_each_format_is_written_and_its_cost_told(store, tmp_path, capsys, form):
+    file = tmp_path / f"core.{form}"
+    command = ["export", job(store, "fair"), "--runs", str(store), "--distil", "4"]
+    assert main([*command, "--out", str(file)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("PSNR in 2 test views of core")
+    titles = [re.split(r" primitives  ", line)[1] for line in lines[1:]]
+    assert titles == ["3dgs, as it is", "baked", "distilled, 4 iterations", str(file)]
+    assert f"{file.stat().st_size:,} bytes" in lines[-1]
+    assert list(tmp_path.iterdir()) == [file]
+    readers = {"ply": ply, "spz": spz, "sog": sog}
+    if form in readers:
+        assert len(readers[form].read(file)["means"]) > 0
+
+
+def test_a_model_that_is_plain_is_exported_as_it_is(store, tmp_path, capsys):
+    file = tmp_path / "core.ply"
+    assert main(["export", job(store, "paper"), "--runs", str(store), "--out", str(file)]) == 0
+    first, last = capsys.readouterr().out.splitlines()[1:]
+    assert first.split()[:2] == last.split()[:2]  # the same PSNR
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (["--out", "x.xyz"], "its suffix names no format. Give --format, one of ply, spz, sog, glb"),
+        (["--out", "x.ply", "--scene", "cor"], "Did you mean core"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(store, capsys, more, says):
+    assert main(["export", job(store, "fair"), "--runs", str(store), *more]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_a_negative_number_of_iterations_is_refused(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["export", "job", "--out", "x.ply", "--distil", "-1"])
+    assert "'-1' is not a number of at least 1" in capsys.readouterr().err
+
+
+def test_a_job_that_is_not_there_is_named(store, capsys):
+    assert main(["export", "encode-nothing", "--runs", str(store), "--out", "x.ply"]) == 2
+    assert "is no finished encode or measure job" in capsys.readouterr().err
