@@ -37,11 +37,15 @@ def reference(name: str, match: Mapping[str, str] | None, published: str) -> dic
 def published_as(name: str, dataset: str) -> dict[str, Any]:
     """Published dataset -> its description in the layouts, if ``dataset`` is it or imitates it."""
     datasets = {row["dataset"] for row in reference_rows(name)}
+    return {published: one for published, one in known_as(dataset).items() if published in datasets}
+
+
+def known_as(dataset: str) -> dict[str, Any]:
+    """Published dataset -> its description, of all that ``dataset`` is or imitates, wholly or in part."""
     return {
-        published: description
-        for published, description in layouts()["datasets"].items()
-        if published in datasets
-        and dataset in (*description.get("real", ()), *description.get("stand_ins", ()))
+        published: one
+        for published, one in layouts()["datasets"].items()
+        if dataset in (*one.get("real", ()), *one.get("stand_ins", ()))
     }
 
 
