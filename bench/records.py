@@ -193,6 +193,8 @@ class ViewsResult(_Model):
             (:func:`datasets.unseen.transfer_distance`); None without an edit of them.
         transfer: part -> its transfer function and isosurfaces (:func:`bench.inputs.transfer_summary`);
             empty for pre-rendered views.
+        variable: what a basic scene shows; "" for others.
+        cloud_seconds: from the volume in memory to the candidates of initial clouds; None without a volume.
     """
 
     view_keys: dict[str, str]
@@ -202,6 +204,8 @@ class ViewsResult(_Model):
     cost: dict[str, dict[str, Any]] = Field(default_factory=dict)
     distance: float | None = None
     transfer: dict[str, dict[str, list[list[float]]]] = Field(default_factory=dict)
+    variable: str = ""
+    cloud_seconds: float | None = None
 
 
 class FrameTimes(_Model):

@@ -245,7 +245,11 @@ def _features(record: Record) -> Iterator[Row]:
 
 def _scenes(record: Record) -> Iterator[Row]:
     if record.views is not None and record.views.transfer:
-        yield {"transfer": json.dumps(record.views.transfer, separators=(",", ":"))}
+        yield {
+            "transfer": json.dumps(record.views.transfer, separators=(",", ":")),
+            "variable": record.views.variable or None,
+            "cloud_seconds": record.views.cloud_seconds,
+        }
 
 
 def _rungs(

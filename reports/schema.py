@@ -282,6 +282,9 @@ COLUMNS: dict[str, Column] = _declare(
     Column("values", "object", "values of a sample of primitives, row after row"),
     Column("transfer", _T, "JSON: part -> `transfer`, color and opacity in 128 bins of normalised values, "
            "and `levels`, value and color of isosurfaces"),
+    Column("variable", _T, "variable of the volume that a basic scene shows"),
+    Column("cloud_seconds", _F, "time from the volume in memory to the candidates of initial clouds, of a "
+           "basic scene", "Initial cloud", unit="s", write=seconds),
     # Cost of rendering volumes.
     Column("nx", _W, "voxels along x"),
     Column("ny", _W, "voxels along y"),
@@ -400,7 +403,7 @@ TABLES: dict[str, Table] = {
     "scenes": Table(
         "A scene whose views were rendered here.",
         ("dataset", "scene", "preset", "split", "requested_views"),
-        ("job", "transfer"),
+        ("job", "transfer", "variable", "cloud_seconds"),
     ),
     "dvr": Table(
         "Cost of direct rendering of a scene's volume, one view per launch, alone on the machine.",

@@ -37,6 +37,7 @@ def report(options: Namespace) -> int:
     from reports.charts.report import Report
     from reports.page.document import write_report
     from reports.paper import claims, documents, verdicts
+    from reports.paper.evidence import of_report
     from reports.paper.tables import paper_tables
 
     store = Store(Path(options.runs))
@@ -47,7 +48,7 @@ def report(options: Namespace) -> int:
     for table in paper:
         print(documents.to_text(table))
     if options.check_claims:
-        print(verdicts.to_text(claims.check(paper, contents.views)))
+        print(verdicts.to_text(claims.check([*paper, *of_report(contents)], contents.views)))
     _print_superseded(tables, sys.stdout)
     write_report(tables, store.root, page, paper, contents)
     print_answers(contents)

@@ -18,6 +18,7 @@ from reports.files import write_files, write_text
 from reports.page import answers, datasets, editing, ladders, provenance, scenes
 from reports.page import results as results_table
 from reports.paper import verdicts
+from reports.paper.evidence import of_report
 from reports.paper.tables import paper_tables
 from reports.style import absent, label
 
@@ -68,7 +69,7 @@ def write_report(
             parts = (
                 ("scenes", "Pictures", scenes.section(report, root, folder)),
                 ("results", "Results", results_table.section(report)),
-                ("paper", "The paper's tables", verdicts.section(paper, report.views)),
+                ("paper", "The paper's tables", verdicts.section(paper, of_report(report), report.views)),
                 ("editing", "Editing", editing.section(report, root, folder)),
             )
             sections = [*(Section(*part) for part in parts if part[2]), *charts]

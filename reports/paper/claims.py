@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -18,6 +18,9 @@ UNSURE = "not decided"
 UNKNOWN = "not measured"
 SKIPPED = "not evaluated"
 VERDICTS = (HOLDS, EXCEEDS, FAILS, UNSURE, UNKNOWN, SKIPPED)
+_LEAST_COLUMNS = 2
+_LEAST_DATASETS = 3
+"""Numbers of scenes that have a trend."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,7 @@ class Verdict:
             interval of the paired difference contains the bound.
         interval: 95 % interval over views of a difference of quality.
         why: why the claim is not evaluated, or a further difference between its rows.
+        published: the paper's name of the dataset; "" if it has none, or there are several.
     """
 
     claim: str
@@ -46,6 +50,12 @@ class Verdict:
     verdict: str
     interval: Interval | None = None
     why: str = ""
+    published: str = ""
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """Dataset, scenes and protocol of the check."""
+        return self.where, self.published
 
 
 @cache
@@ -58,21 +68,132 @@ def check(tables: Sequence[PaperTable], views: Views) -> list[Verdict]:
     """Every claim on every dataset of its table; one verdict without dataset if none was measured.
 
     Args:
-        tables: the measured tables of the paper.
+        tables: the measured tables of the paper, and those of :mod:`reports.paper.evidence`.
         views: the table `views`, for intervals of differences of quality.
     """
-    by_name = {table.name: table for table in tables}
-    verdicts: list[Verdict] = []
-    for claim in claims():
-        table = by_name.get(claim.get("table", ""))
-        blocks = [block for block in table.blocks if _about(claim, block)] if table else []
-        checks = [verdict for block in blocks if (verdict := _verdict(claim, block, views)) is not None]
-        if not checks:
-            why = claim.get("why", "")
-            state = SKIPPED if why else UNKNOWN
-            checks = [Verdict(claim["id"], claim["text"], "", False, None, _bounds(claim), state, None, why)]
-        verdicts += checks
-    return verdicts
+    evidence = _Evidence({table.name: table.blocks for table in tables}, views)
+    return [verdict for claim in claims() for verdict in evidence.verdicts(claim) or [_open(claim)]]
+
+
+def _open(claim: dict[str, Any]) -> Verdict:
+    """The verdict on a claim that no data decide."""
+    why = claim.get("why", "")
+    state = SKIPPED if why else UNKNOWN
+    return Verdict(claim["id"], claim["text"], "", False, None, _bounds(claim), state, None, why)
+
+
+@cache
+def _by_id() -> dict[str, dict[str, Any]]:
+    return {claim["id"]: claim for claim in claims()}
+
+
+@dataclass(frozen=True)
+class _Evidence:
+    """What claims are held against.
+
+    Attributes:
+        blocks: of each table, by name.
+        views: for intervals of differences of quality.
+    """
+
+    blocks: Mapping[str, Sequence[Block]]
+    views: Views
+
+    def verdicts(self, claim: dict[str, Any]) -> list[Verdict]:
+        """One for each dataset and protocol that has all values of a claim."""
+        if "all" in claim:
+            return _together(claim, [self.verdicts(_by_id()[part]) for part in claim["all"]])
+        blocks = [block for block in self.blocks.get(claim.get("table", ""), ()) if _about(claim, block)]
+        if "over" in claim:
+            return self._trends(claim, blocks)
+        one = self._in_all if "columns" in claim else self._verdict
+        return [verdict for block in blocks if (verdict := one(claim, block)) is not None]
+
+    def _verdict(self, claim: dict[str, Any], block: Block) -> Verdict | None:
+        """The verdict; None if the block lacks a value."""
+        rows = self._rows(claim, block, claim["column"])
+        measured = None if rows is None else _quantity(claim, rows)
+        if rows is None or measured is None:
+            return None
+        interval = None
+        if claim.get("what") == "gain" and claim["column"] in METRICS:
+            interval = self.views.difference(rows[0].jobs, rows[1].jobs, claim["column"])
+        verdict = _decide(claim, measured, interval)
+        return _stated(claim, block, measured, verdict, interval, _mixed(claim, rows))
+
+    def _in_all(self, claim: dict[str, Any], block: Block) -> Verdict | None:
+        """Whether the first row is ahead of the second in all columns; None if the block lacks a value.
+
+        A column that was measured nowhere in the block is left out, with a remark.
+        """
+        columns = [name for name in claim["columns"] if any(_has(row, name) for row in block.rows)]
+        if len(columns) < _LEAST_COLUMNS:
+            return None
+        behind, unsure = [], False
+        for name in columns:
+            rows = self._rows(claim, block, name)
+            if rows is None:
+                return None
+            gain = QUANTITIES[name].better * (_value(rows[0], name) - _value(rows[1], name))
+            interval = self.views.difference(rows[0].jobs, rows[1].jobs, name) if name in METRICS else None
+            if interval is not None and interval.contains(0.0):
+                unsure = True
+            elif gain < 0.0:
+                behind.append(name)
+        verdict = FAILS if behind else UNSURE if unsure else HOLDS
+        remarks = [f"behind in {QUANTITIES[name].title}" for name in behind]
+        remarks += [f"without {QUANTITIES[name].title}" for name in claim["columns"] if name not in columns]
+        return _stated(claim, block, len(columns) - len(behind), verdict, None, "; ".join(remarks))
+
+    def _trends(self, claim: dict[str, Any], blocks: Sequence[Block]) -> list[Verdict]:
+        """Share of the pairs of datasets in which that with more scenes has the larger quantity.
+
+        One verdict per protocol that has :data:`_LEAST_DATASETS` numbers of scenes.
+        """
+        verdicts = []
+        for protocol in dict.fromkeys(block.protocol for block in blocks):
+            points = []
+            for block in (one for one in blocks if one.protocol == protocol and one.published):
+                rows = self._rows(claim, block, claim["column"])
+                value = None if rows is None else _quantity(claim, rows)
+                if value is not None:
+                    points.append((block.count, value, block))
+            if len({count for count, _, _ in points}) < _LEAST_DATASETS:
+                continue
+            pairs = [b[1] > a[1] for a in points for b in points if b[0] > a[0]]
+            share = sum(pairs) / len(pairs)
+            names = dict.fromkeys(block.dataset for _, _, block in points)
+            where = ", ".join(filter(None, [*names, protocol]))
+            same = all(block.same for _, _, block in points)
+            verdict = _decide(claim, share, None)
+            verdicts.append(Verdict(claim["id"], claim["text"], where, same, share, _bounds(claim), verdict))
+        return verdicts
+
+    def _rows(self, claim: dict[str, Any], block: Block, column: str) -> list[Row] | None:
+        """The rows that a claim compares; None if one is missing.
+
+        Of several in the first place the worst, of several rivals the best that was measured.
+        """
+        rows = []
+        for place, labels in enumerate(claim["rows"]):
+            names = [labels] if isinstance(labels, str) else labels
+            found = [row for row in block.rows if row.label in names and _has(row, column)]
+            if not found:
+                return None
+            sign = QUANTITIES[column].better * (1.0 if place else -1.0)
+            rows.append(max(found, key=lambda row: sign * _value(row, column)))
+        if (other := claim.get("against")) is not None:
+            found = [
+                row
+                for one in self.blocks.get(other["table"], ())
+                if _beside(other, one, block)
+                for row in one.rows
+                if row.label == other["row"] and _has(row, column)
+            ]
+            if not found:
+                return None
+            rows.append(found[0])
+        return rows
 
 
 def _about(claim: dict[str, Any], block: Block) -> bool:
@@ -82,51 +203,86 @@ def _about(claim: dict[str, Any], block: Block) -> bool:
     return "datasets" not in claim or block.published in claim["datasets"]
 
 
-def _verdict(claim: dict[str, Any], block: Block, views: Views) -> Verdict | None:
-    """The verdict; None if the block lacks a value."""
-    rows = _rows(claim, block)
-    if rows is None:
-        return None
-    column, what = claim["column"], claim.get("what", "value")
-    values = [float(row.values[column].mean or 0.0) for row in rows]
-    if "of" in claim:
-        whole = rows[0].values[claim["of"]].mean
-        if whole is None:
-            return None
-        values = [values[0] / QUANTITIES[column].scale, whole / QUANTITIES[claim["of"]].scale]
-    measured = _measured(what, values)
-    interval = None
-    if what == "gain" and column in METRICS:
-        interval = views.difference(rows[0].jobs, rows[1].jobs, column)
-    verdict = _decide(claim, measured, interval)
+def _beside(other: Mapping[str, str], one: Block, block: Block) -> bool:
+    """Whether a block of another table is of the same data as ``block``, or of those that a claim names.
+
+    It has the conditions of ``block``, or fewer: what no model has part in has no training views.
+    """
+    published = other.get("published", block.published)
+    alike = "published" in other or one.dataset == block.dataset
+    conditions = [set(each.protocol.split(", ")) for each in (one, block)]
+    return alike and one.published == published and one.same == block.same and conditions[0] <= conditions[1]
+
+
+def _together(claim: dict[str, Any], parts: Sequence[Sequence[Verdict]]) -> list[Verdict]:
+    """One verdict for each dataset and protocol where all parts of a claim have one."""
+    verdicts = []
+    for place in dict.fromkeys(one.place for part in parts for one in part):
+        found = [one for part in parts for one in part if one.place == place]
+        if len(found) < len(parts):
+            continue
+        behind = [one.claim for one in found if one.verdict == FAILS]
+        unsure = any(one.verdict == UNSURE for one in found)
+        verdict = FAILS if behind else UNSURE if unsure else HOLDS
+        why = f"against {', '.join(behind)}" if behind else ""
+        first, good = found[0], float(len(found) - len(behind))
+        verdicts.append(
+            Verdict(claim["id"], claim["text"], first.where, first.same, good, _bounds(claim), verdict,
+                    None, why, first.published)
+        )  # fmt: skip
+    return verdicts
+
+
+def _stated(
+    claim: dict[str, Any],
+    block: Block,
+    measured: float,
+    verdict: str,
+    interval: Interval | None,
+    why: str,
+) -> Verdict:
     where = f"{block.dataset}, {block.protocol}" if block.protocol else block.dataset
-    why = _mixed(claim, rows)
     return Verdict(
-        claim["id"], claim["text"], where, block.same, measured, _bounds(claim), verdict, interval, why
-    )
+        claim["id"], claim["text"], where, block.same, measured, _bounds(claim), verdict, interval, why,
+        block.published,
+    )  # fmt: skip
 
 
 def _mixed(claim: dict[str, Any], rows: list[Row]) -> str:
     """A remark if rows of one method are from several versions, which may cause their difference."""
-    methods = {line["label"]: line["method"] for line in layouts()["tables"][claim["table"]]["rows"]}
+    lines = layouts()["tables"].get(claim["table"], {"rows": ()})["rows"]
+    methods = {line["label"]: line["method"] for line in lines}
     versions = {row.versions for row in rows}
     alike = len({methods.get(row.label) for row in rows}) == 1
     return "rows of several versions of the method" if alike and len(versions) > 1 else ""
 
 
-def _rows(claim: dict[str, Any], block: Block) -> list[Row] | None:
-    """The rows that a claim compares, the best one of several rivals; None if one is missing."""
+def _has(row: Row, column: str) -> bool:
+    return column in row.values and row.values[column].mean is not None
+
+
+def _value(row: Row, column: str) -> float:
+    return float(row.values[column].mean or 0.0)
+
+
+def _quantity(claim: dict[str, Any], rows: list[Row]) -> float | None:
+    """What a claim bounds; None if a value is missing."""
     column = claim["column"]
-    by_label = {row.label: row for row in block.rows if row.values[column].mean is not None}
-    rows = []
-    for labels in claim["rows"]:
-        names = [labels] if isinstance(labels, str) else labels
-        rivals = [by_label[name] for name in names if name in by_label]
-        if not rivals:
+    values = [_value(row, column) for row in rows]
+    if "of" in claim:
+        if not _has(rows[0], claim["of"]):
             return None
-        better = QUANTITIES[column].better
-        rows.append(max(rivals, key=lambda row: better * float(row.values[column].mean or 0.0)))
-    return rows
+        whole = _value(rows[0], claim["of"])
+        values = [values[0] / QUANTITIES[column].scale, whole / QUANTITIES[claim["of"]].scale]
+    what = claim.get("what", "value")
+    if what == "value":
+        return values[0]
+    first, second = values
+    if what == "gain":
+        return first - second
+    # Nothing is infinitely many times as large as nothing.
+    above, below = (second, first) if what == "ratio" else (first, second)
+    return above / below if below else None
 
 
 def _decide(claim: dict[str, Any], measured: float, interval: Interval | None) -> str:
@@ -144,15 +300,6 @@ def _decide(claim: dict[str, Any], measured: float, interval: Interval | None) -
     return EXCEEDS if top is not None and measured > top + half else HOLDS
 
 
-def _measured(what: str, values: list[float]) -> float:
-    if what == "value":
-        return values[0]
-    first, second = values
-    if what == "gain":
-        return first - second
-    return second / first if what == "ratio" else first / second
-
-
 def _digits(claim: dict[str, Any]) -> int:
     """Decimals of a claim's bounds as printed."""
     bounds = [str(claim[key]) for key in ("least", "most", "top") if key in claim]
@@ -160,8 +307,12 @@ def _digits(claim: dict[str, Any]) -> int:
 
 
 def _bounds(claim: dict[str, Any]) -> str:
+    if "all" in claim or "columns" in claim:
+        return f"all {len(claim.get('all', claim.get('columns')))}"
     if "column" not in claim:
         return ""
+    if "over" in claim:
+        return f"\N{GREATER-THAN OR EQUAL TO} {claim['least']:g} of the pairs"
     unit = {"gain": " dB", "value": "", "share": ""}.get(claim.get("what", "value"), " times")
     low, high = claim.get("least"), claim.get("most", claim.get("top"))
     if low is None or high is None or low == high:

@@ -54,11 +54,15 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
 
 
 def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFrame:
-    """The results with the parts of a frame as columns, in milliseconds, and the triangles of meshes."""
+    """The results with the parts of a frame as columns, in milliseconds, and the triangles of meshes.
+
+    Rasterising includes shading.
+    """
     columns: dict[str, Any] = {}
-    for column, part in (("decode_ms", "decode"), ("rasterise_ms", "rasterise"), ("frame_ms", "frame")):
-        rows = timing[timing["part"] == part] if timing is not None and not timing.empty else None
-        seconds = {} if rows is None else dict(zip(rows["job"], rows["seconds"], strict=True))
+    parts = {"decode_ms": ("decode",), "rasterise_ms": ("shade", "rasterise"), "frame_ms": ("frame",)}
+    for column, names in parts.items():
+        rows = timing[timing["part"].isin(names)] if timing is not None and not timing.empty else None
+        seconds = {} if rows is None else rows.groupby("job")["seconds"].sum().to_dict()
         columns[column] = [1e3 * float(seconds[job]) if job in seconds else None for job in results["job"]]
     # A table of another tool may lack the number of views that was requested.
     columns["triangles"] = results["primitives"].where(results["method"] == "mesh")
@@ -147,7 +151,7 @@ def _block(
     if superseded is not None:
         same_set = (superseded["dataset"] == dataset) & (superseded["preset"] == first["preset"])
         remarks += filter(None, [superseded_note(superseded[same_set])])
-    yield Block(dataset, published, same, scenes, rows, places, remarks, ", ".join(protocol))
+    yield Block(dataset, published, same, scenes, rows, places, remarks, ", ".join(protocol), count)
 
 
 def _version_remarks(rows: list[Row], methods: Mapping[str, str]) -> list[str]:

@@ -51,8 +51,12 @@ QUANTITIES = {
     "groups": Quantity("Groups", "groups_derived", 0),
     "partition_seconds": Quantity("Clustering [s]", "clustering_s", 2, clock=True),
     "decode_ms": Quantity("Decoding [ms]", "mlp_ms", 2, -1, clock=True),
-    "rasterise_ms": Quantity("Rasterising [ms]", "raster_ms", 2, -1, clock=True),
+    "rasterise_ms": Quantity("Shading, rasterising [ms]", "raster_ms", 2, -1, clock=True),
     "frame_ms": Quantity("Frame [ms]", "total_ms", 2, -1, clock=True),
+    "bd_psnr": Quantity("BD-PSNR [dB]", "", 2, 1),
+    "scenes": Quantity("Scenes", "scenes", 0),
+    "variables": Quantity("Variables", "variables", 0),
+    "cloud_seconds": Quantity("Initial cloud [s]", "", 3, -1, across="max", clock=True),
     "peak_host_bytes": Quantity("Host memory [GiB]", "host_gib", 2, -1, 1.0 / 2.0**30, "max"),
 }
 
@@ -122,6 +126,7 @@ class Block:
             :data:`reports.tables.ranks.UNDECIDED`.
         remarks: remarks on marks and on missing values.
         protocol: preset, number of views and split, as a short label.
+        count: number of basic scenes.
     """
 
     dataset: str
@@ -132,6 +137,7 @@ class Block:
     marks: Mapping[tuple[int, str], int]
     remarks: Sequence[str] = ()
     protocol: str = ""
+    count: int = 0
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 _TAGS = {HOLDS: "ok", EXCEEDS: "ok", UNSURE: "stale"}
 
 
-def section(tables: Sequence[PaperTable], views: Views) -> str:
-    """HTML of the paper's tables and of the claims that they decide; "" without tables."""
+def section(tables: Sequence[PaperTable], evidence: Sequence[PaperTable], views: Views) -> str:
+    """HTML of the paper's tables and of the claims that they and other evidence decide; "" without tables."""
     if not tables:
         return ""
     note = (
@@ -27,7 +27,9 @@ def section(tables: Sequence[PaperTable], views: Views) -> str:
         "RTX 4090, pictures of 800 \N{MULTIPLICATION SIGN} 800). Quality and FPS are means over scenes; "
         "size, time and anchors are sums. Published values of other data are no goal.</p>"
     )
-    return note + "\n".join(table_html(table) for table in tables) + to_html(check(tables, views))
+    return (
+        note + "\n".join(table_html(table) for table in tables) + to_html(check([*tables, *evidence], views))
+    )
 
 
 def to_html(verdicts: Sequence[Verdict]) -> str:

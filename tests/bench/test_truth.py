@@ -7,9 +7,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from bench import tables
 from bench.jobs import scenes
+from bench.jobs import views as views_job
 from bench.jobs.context import Context
 from bench.jobs.fit import read_volumes, refuse_without_volume
 from bench.jobs.truth import Truth, write_truth
@@ -139,3 +142,28 @@ def test_a_renderer_that_comes_or_goes_between_two_jobs_changes_nothing(bench, s
         (fit,) = [fit for fit in bench.of_kind("fit") if fit.job.method == record.job.method]
         # The four views of the curve are those that are measured on: from one truth, so the same number.
         assert fit.fit.curve[-1].psnr["shock"] == pytest.approx(record.measure.metrics["psnr"], abs=1e-9)
+
+
+def test_the_views_of_a_basic_scene_tell_what_it_shows_and_how_long_its_cloud_took(
+    suite, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
+    jobs = plan(suite('compositions = "all"'))
+    store = Store(tmp_path / "runs", create=True)
+    results, rows = {}, {}
+    for name in ("shock", "all"):
+        job = next(one for one in jobs if one.kind == "views" and one.subject == name)
+        folder = store.partial / job.id
+        folder.mkdir()
+        context = Context(job, folder, store, None, 1, Stop(), lambda **state: None)
+        results[name] = views_job.run(context)
+        record = Record(
+            job=job, status="ok", started="2026", finished="2026", wall_seconds=0.0, views=results[name]
+        )
+        (rows[name],) = tables.stored_tables([record])["scenes"].to_dict("records")
+    variable = open_dataset(job.dataset).scene("shock").variable
+    assert results["shock"].variable == rows["shock"]["variable"] == variable
+    assert 0.0 < results["shock"].cloud_seconds < 60.0
+    assert rows["shock"]["cloud_seconds"] == results["shock"].cloud_seconds
+    assert (results["all"].variable, results["all"].cloud_seconds) == ("", None)
+    assert pd.isna(rows["all"]["variable"])
