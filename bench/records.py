@@ -352,6 +352,7 @@ class Record(_Model):
         status: "ok", or the kind of failure; ``reason``, ``stage``, ``iteration`` and ``log_tail`` detail it.
         cause: id of the failed job without which this one could not run.
         peak_host_bytes: VmHWM of the process (of the timed part for measure).
+        peak_device_bytes: the same of the device.
     """
 
     schema_version: int = SCHEMA

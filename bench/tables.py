@@ -276,6 +276,8 @@ def _result(record: Record, lineage: Lineage, versions: Mapping[str, str]) -> Ro
         "fit_reference_seconds": _largest(fit.fit.reference_seconds for fit in fits if fit.fit is not None),
         **_costs(record.job, models),
         **_memory(record, fits),
+        "render_host_bytes": record.peak_host_bytes,
+        "render_device_bytes": record.peak_device_bytes,
     }
     return row | (_measured(record.measure) if record.measure is not None else {})
 

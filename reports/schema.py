@@ -261,6 +261,10 @@ COLUMNS: dict[str, Column] = _declare(
            mib, "peak device memory"),
     Column("group_peak_host_bytes", _W, "peak host memory of the fit", "Memory of the fit", unit="bytes",
            write=mib),
+    Column("render_host_bytes", _W, "peak host memory of loading and rendering alone, the program included",
+           "Memory of rendering", unit="bytes", write=mib),
+    Column("render_device_bytes", _W, "peak device memory of loading and rendering alone",
+           "Device memory of rendering", unit="bytes", write=mib),
     Column("seconds", _F, "median time of the part", unit="s"),
     # Views.
     Column("view", _T, "name of the view"),
@@ -366,7 +370,8 @@ TABLES: dict[str, Table] = {
          "flicker", "identical_views", "size_bytes", "group_bytes", "standalone_bytes", "primitives",
          "train_seconds", "group_seconds", "partition_seconds", "encode_seconds", "cpu_seconds",
          "load_seconds", "fps", "fps_p05", "fps_p95", "reference_seconds", "fit_reference_seconds",
-         "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes", "gaussians", *PRUNED),
+         "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes", "render_host_bytes",
+         "render_device_bytes", "gaussians", *PRUNED),
     ),
     "views": Table(
         "A measured view of a model.", _MEASURED,

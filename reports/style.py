@@ -22,7 +22,7 @@ MISSING = "\N{EN DASH}"
 TITLES = {
     "3dgs": "3DGS", "econgs": "ECoNGS", "scaffold-gs": "Scaffold-GS", "hac": "HAC", "ivr-gs": "iVR-GS",
     "vq-3dgs": "VQ-3DGS", "plenoxels": "Plenoxels", "ccnerf": "CCNeRF", "veg": "VEG",
-    "triangle-mesh": "Triangle mesh",
+    "mesh": "Triangle mesh",
 }  # fmt: skip
 
 

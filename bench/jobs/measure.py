@@ -15,7 +15,7 @@ from bench.jobs.context import Context
 from bench.monitor import as_numpy
 from bench.records import MeasureResult, PruningResult, ViewResult
 from bench.stress import stress_of
-from bench.timing import median_timings, synchronise, time_frames
+from bench.timing import median_timings, peak_device_bytes, synchronise, time_frames
 from datasets.memory import peak_host_bytes
 from datasets.units import camera_in_units
 from methods.interface import HasAttributes, HasGaussians, Method, Model, Refused
@@ -68,7 +68,7 @@ def run(context: Context) -> MeasureResult:
         job.device,
     )
     parts = median_timings(lambda camera: model.timings(camera, scenes=scenes), cameras)
-    context.peak_host_bytes = peak_host_bytes()
+    context.peak_host_bytes, context.peak_device_bytes = peak_host_bytes(), peak_device_bytes(job.device)
 
     context.report(stage="metrics")
     from bench.metrics import evaluate

@@ -54,13 +54,18 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
 
 
 def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFrame:
-    """The results with the parts of a frame as columns, in milliseconds; rasterising includes shading."""
+    """The results with columns of their own for what the paper's tables have.
+
+    The parts of a frame, in milliseconds, of which rasterising includes shading; triangles of meshes.
+    """
     columns: dict[str, Any] = {}
     parts = {"decode_ms": ("decode",), "rasterise_ms": ("shade", "rasterise"), "frame_ms": ("frame",)}
     for column, names in parts.items():
         rows = timing[timing["part"].isin(names)] if timing is not None and not timing.empty else None
         seconds = {} if rows is None else rows.groupby("job")["seconds"].sum().to_dict()
         columns[column] = [1e3 * float(seconds[job]) if job in seconds else None for job in results["job"]]
+    mesh = results["method"] == "mesh"
+    columns["triangles"] = results["primitives"].where(mesh)
     # A table of another tool may lack the number of views that was requested.
     columns["requested_views"] = results["requested_views"].fillna(results["train_views"])
     return results.assign(**columns)
@@ -239,7 +244,7 @@ def _by_seed(
     model = (results["method"] == method) & (results["variant"] == variant)
     kind = results["kind"] == ("composed" if line.get("composed") else "basic")
     if "scene" in line:
-        kind &= results["scene"] == line["scene"]
+        kind &= results["scene"].map(lambda scene: fnmatch.fnmatch(str(scene), line["scene"]))
     rows = results[kind & model]
     if "train_views" in line:
         rows = rows[rows["requested_views"] == line["train_views"]]

@@ -9,6 +9,7 @@ from typing import Any
 from reports.schema import COLUMNS
 
 NOT_MEASURED = "not measured"
+_GIB = 1.0 / 2.0**30
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,11 @@ QUANTITIES = {
     "scenes": Quantity("Scenes", "scenes", 0),
     "variables": Quantity("Variables", "variables", 0),
     "cloud_seconds": Quantity("Initial cloud [s]", "", 3, -1, across="max", clock=True),
-    "peak_host_bytes": Quantity("Host memory [GiB]", "", 2, -1, 1.0 / 2.0**30, "max"),
+    "triangles": Quantity("Triangles [million]", "triangles_million", 3, -1, 1e-6, "sum"),
+    "peak_host_bytes": Quantity("Host memory [GiB]", "", 2, -1, _GIB, "max"),
+    "peak_device_bytes": Quantity("Device memory [GiB]", "peak_gpu_gb", 2, -1, _GIB, "max"),
+    "render_host_bytes": Quantity("Host memory [GiB]", "host_gib", 2, -1, _GIB, "max"),
+    "render_device_bytes": Quantity("Device memory [GiB]", "gpu_gib", 2, -1, _GIB, "max"),
 }
 
 
