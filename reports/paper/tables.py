@@ -56,7 +56,8 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
 def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFrame:
     """The results with columns of their own for what the paper's tables have.
 
-    The parts of a frame, in milliseconds, of which rasterising includes shading; triangles of meshes.
+    The parts of a frame, in milliseconds, of which rasterising includes shading; triangles of meshes; bytes
+    of initial clouds.
     """
     columns: dict[str, Any] = {}
     parts = {"decode_ms": ("decode",), "rasterise_ms": ("shade", "rasterise"), "frame_ms": ("frame",)}
@@ -66,9 +67,29 @@ def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFr
         columns[column] = [1e3 * float(seconds[job]) if job in seconds else None for job in results["job"]]
     mesh = results["method"] == "mesh"
     columns["triangles"] = results["primitives"].where(mesh)
+    columns["init_bytes"] = [
+        _start_bytes(points, json.loads(options) if isinstance(options, str) else {})
+        for points, options in zip(results["start_points"], results["options"], strict=True)
+    ]
     # A table of another tool may lack the number of views that was requested.
     columns["requested_views"] = results["requested_views"].fillna(results["train_views"])
     return results.assign(**columns)
+
+
+def _start_bytes(points: Any, options: dict[str, Any]) -> float | None:
+    """Bytes of the points that a fit starts from, as the paper counts them: positions of 12, colors of 3.
+
+    Args:
+        points: of the cloud that the fit was given.
+        options: those that differ from the preset's.
+    """
+    start = options.get("start", "cloud")
+    if start == "random":
+        return 0.0
+    if absent(points):
+        return None
+    asked = options.get("cloud_points") or points
+    return float(min(points, asked) * (12 if start == "positions" else 15))
 
 
 def _protocols(results: pd.DataFrame, layout: dict[str, Any]) -> Iterator[tuple[str, pd.DataFrame]]:

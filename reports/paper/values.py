@@ -57,6 +57,8 @@ QUANTITIES = {
     "scenes": Quantity("Scenes", "scenes", 0),
     "variables": Quantity("Variables", "variables", 0),
     "cloud_seconds": Quantity("Initial cloud [s]", "", 3, -1, across="max", clock=True),
+    "drawn": Quantity("Gaussians drawn", "gaussians", 0, -1),
+    "init_bytes": Quantity("Initial file [MiB]", "init_mib", 2, -1, 2.0**-20, "sum"),
     "triangles": Quantity("Triangles [million]", "triangles_million", 3, -1, 1e-6, "sum"),
     "peak_host_bytes": Quantity("Host memory [GiB]", "", 2, -1, _GIB, "max"),
     "peak_device_bytes": Quantity("Device memory [GiB]", "peak_gpu_gb", 2, -1, _GIB, "max"),

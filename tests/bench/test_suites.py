@@ -1,5 +1,7 @@
 """Suites that come with the program: each can be planned anywhere, with stand-ins where data are missing."""
 
+from dataclasses import replace
+
 import pytest
 
 from bench.plan import Planner
@@ -183,3 +185,18 @@ def test_a_preset_of_a_name_of_its_own_takes_options_and_iterations_of_another(t
     for share in ("0.0", "-1.0", "1.5", "nan"):
         with pytest.raises(DataError, match="small: budget"):
             fit(half.replace("0.5", share), "small")
+
+
+def test_initial_clouds_have_the_points_that_an_option_asks_for():
+    """And, where it asks for less than the preset gives, that many: an older fit stays the same."""
+    selection = replace(Selection(load_suite("init-points")), datasets=("beetle_like",))
+    jobs = {job.variant: job for job in Planner(selection, {}).jobs(None) if job.kind == "partition"}
+    points = {variant: job.cloud_points for variant, job in jobs.items()}
+    assert points == {
+        "": 10_000, "cloud_points=1000": 10_000, "cloud_points=100000": 100_000,
+        "cloud_points=500000": 500_000,
+        "random_points=500000,start=random": 10_000, "random_points=100000,start=random": 10_000,
+        "start=random": 10_000, "random_points=1000,start=random": 10_000,
+    }  # fmt: skip
+    assert all(job.identity["cloud_points"] == job.cloud_points for job in jobs.values())
+    assert set(points) == {row.get("variant", "") for row in layouts()["tables"]["init-points"]["rows"]}

@@ -224,6 +224,38 @@ def test_scenes_of_unrelated_datasets_have_rows_by_dataset():
     assert (whole.mean, whole.published) == (6.0, 5.2)  # minutes of all scenes
 
 
+def test_initial_files_have_the_bytes_of_the_points_that_are_used():
+    def bytes_of(label, name="init-points", points=10_000, **options):
+        variant = ",".join(f"{key}={value}" for key, value in options.items())
+        rows = [
+            row(dataset="beetle", scene="shell", variant=one, options=json.dumps(given), start_points=points)
+            for one, given in {"": {}, variant: options}.items()
+        ]
+        return line(blocks(results(*rows), name)[0], label).values["init_bytes"]
+
+    ours = bytes_of("10,000 of the cloud")
+    assert (ours.mean, ours.published) == (pytest.approx(150_000 / 2**20), 0.15)
+    assert bytes_of("1,000 of the cloud", cloud_points=1000).mean == pytest.approx(15_000 / 2**20)
+    # A cloud has no more points than its volume.
+    few = bytes_of("500,000 of the cloud", points=276_784, cloud_points=500_000)
+    assert (few.mean, few.published) == (pytest.approx(276_784 * 15 / 2**20), 7.2)
+    assert bytes_of("500,000 random", random_points=500_000, start="random").mean == 0.0
+    assert bytes_of("+ position", "init-attributes", start="positions").mean == pytest.approx(
+        0.1144, abs=1e-4
+    )
+    assert bytes_of("10,000 of the cloud", points=None).mean is None, "older records do not tell"
+
+
+def test_the_table_of_times_has_the_gaussians_that_are_drawn():
+    rows = results(*four("econgs", 35.0, drawn=500.5), *four("3dgs", 34.0, drawn=1200.0))
+    timing = pd.DataFrame([{"job": job, "part": "frame", "seconds": 0.01} for job in rows["job"]])
+    block = blocks(rows, "timing", timing=timing)[0]
+    values = {label: line(block, label).values["drawn"] for label in ("ECoNGS", "3DGS")}
+    assert {label: (one.mean, one.published) for label, one in values.items()} == {
+        "ECoNGS": (500.5, 70905), "3DGS": (1200.0, 134156),
+    }  # fmt: skip
+
+
 def test_a_stand_in_may_have_another_resolution():
     rows = [row(dataset="beetle_like@255", scene="shell", variant=one) for one in ("", "start=random")]
     (block,) = blocks(results(*rows), "init-attributes")
