@@ -373,8 +373,8 @@ TABLES: dict[str, Table] = {
          "flicker", "identical_views", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "drawn",
          "start_points", "train_seconds", "group_seconds", "partition_seconds", "encode_seconds",
          "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95", "reference_seconds",
-         "fit_reference_seconds", "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes", "render_host_bytes",
-         "render_device_bytes", "gaussians", *PRUNED),
+         "fit_reference_seconds", "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes",
+         "render_host_bytes", "render_device_bytes", "gaussians", *PRUNED),
     ),
     "views": Table(
         "A measured view of a model.", _MEASURED,

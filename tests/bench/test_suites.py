@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from bench.edits import edits_of
 from bench.plan import Planner
 from bench.selection import Selection
 from bench.suites import VIEWS, load_suite, names
@@ -200,3 +201,23 @@ def test_initial_clouds_have_the_points_that_an_option_asks_for():
     }  # fmt: skip
     assert all(job.identity["cloud_points"] == job.cloud_points for job in jobs.values())
     assert set(points) == {row.get("variant", "") for row in layouts()["tables"]["init-points"]["rows"]}
+
+
+def test_starts_are_compared_early_as_well():
+    """A twentieth of the iterations, of each start, as a ladder."""
+    selection = replace(Selection(load_suite("init-attributes")), datasets=("beetle_like",))
+    jobs = [job for job in Planner(selection, {}).jobs(None) if job.kind == "partition"]
+    budgets = {(job.variant, job.stress): job.iterations for job in jobs}
+    assert set(budgets) == {
+        (start, stress) for start in ("", "start=positions", "start=random") for stress in ("", "budget=0.05")
+    }
+    assert budgets["", "budget=0.05"] == round(0.05 * budgets["", ""])
+
+
+def test_compositions_are_edited_step_by_step():
+    suite = load_suite("editing")
+    steps = [edits_of(["a", "b", "c"], chain) for chain in suite.chains]
+    assert [one["a"].light for one in steps] == [(1.0, 0.0, 0.0)] * 4
+    assert [one["a"].diffuse for one in steps] == [None, 1.5, 1.5, 1.5]
+    assert [one["b"].opacity for one in steps] == [None, None, 0.3, 0.3]
+    assert [one["c"].palette is not None for one in steps] == [False, False, False, True]
