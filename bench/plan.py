@@ -23,7 +23,7 @@ from bench.suites import SAMPLED
 from datasets.edits import changes_transfer
 from datasets.names import unknown
 from datasets.unseen import recipe
-from methods.interface import MethodSpec
+from methods.interface import CLOUD_POINTS, MethodSpec
 from methods.options import ITERATIONS, Settings, resolve
 from methods.registry import Registry
 from reports import schema
@@ -358,6 +358,7 @@ class Planner:
         if ITERATIONS not in settings.overrides:
             budget *= self._preset.budget
         iterations = max(1, round(budget * settings.budget(len(scenes))))
+        points = max(self._preset.cloud_points, int(settings.values.get(CLOUD_POINTS, 0)))
         identity = {
             "kind": kind,
             "dataset": subset.name,
@@ -369,7 +370,7 @@ class Planner:
             "device": device.split(":")[0],
             "views": [request.train_views, request.width, request.height],
             "trains_on": "train" if self._selection.split == "val" else "trainval",
-            "cloud_points": self._preset.cloud_points,
+            "cloud_points": points,
             **more,
         }
         if stress:
@@ -389,7 +390,7 @@ class Planner:
             iterations=iterations,
             stress=stress,
             device=device,
-            cloud_points=self._preset.cloud_points,
+            cloud_points=points,
         )
 
     def _job(self, subset: Subset, identity: dict[str, Any], **fields: Any) -> Job:

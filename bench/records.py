@@ -276,6 +276,7 @@ class FitResult(_Model):
         seconds: training clock, summed over resumes.
         cpu_seconds: processor time of all threads; other work on the machine hardly changes it.
         primitives: scene -> its primitives.
+        cloud_points: scene -> points of the initial cloud that the method was given; empty in older records.
         resumed: number of resumes.
     """
 
@@ -283,6 +284,7 @@ class FitResult(_Model):
     cpu_seconds: float | None = None
     iterations: int
     primitives: dict[str, int]
+    cloud_points: dict[str, int] = Field(default_factory=dict)
     train_views: int
     curve: list[CurvePoint]
     losses: list[LossPoint] = Field(default_factory=list)
@@ -332,6 +334,7 @@ class MeasureResult(FrameTimes):
         flicker: see :class:`bench.metrics.flicker.Flicker`; None where views are not neighbouring frames.
         features: attribute -> rows of some primitives; empty if the method does not expose attributes.
         pruning: None where the job does not ask for it, or the model tells no Gaussians apart.
+        drawn: Gaussians that are splatted in a test view, mean over a few; None of a model without Gaussians.
     """
 
     load_seconds: float
@@ -343,6 +346,7 @@ class MeasureResult(FrameTimes):
     flicker: float | None = None
     features: dict[str, list[list[float]]] = Field(default_factory=dict)
     pruning: PruningResult | None = None
+    drawn: float | None = None
 
 
 class Record(_Model):
@@ -352,6 +356,7 @@ class Record(_Model):
         status: "ok", or the kind of failure; ``reason``, ``stage``, ``iteration`` and ``log_tail`` detail it.
         cause: id of the failed job without which this one could not run.
         peak_host_bytes: VmHWM of the process (of the timed part for measure).
+        peak_device_bytes: the same of the device.
     """
 
     schema_version: int = SCHEMA

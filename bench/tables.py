@@ -276,6 +276,9 @@ def _result(record: Record, lineage: Lineage, versions: Mapping[str, str]) -> Ro
         "fit_reference_seconds": _largest(fit.fit.reference_seconds for fit in fits if fit.fit is not None),
         **_costs(record.job, models),
         **_memory(record, fits),
+        "start_points": _start_points(record.job, fits),
+        "render_host_bytes": record.peak_host_bytes,
+        "render_device_bytes": record.peak_device_bytes,
     }
     return row | (_measured(record.measure) if record.measure is not None else {})
 
@@ -294,8 +297,15 @@ def _measured(measured: MeasureResult) -> Row:
         "reference_seconds": measured.reference_seconds,
         "identical_views": sum(view.identical for view in measured.views),
         "flicker": measured.flicker,
+        "drawn": measured.drawn,
         **({"gaussians": measured.pruning.gaussians, **measured.pruning.shares} if measured.pruning else {}),
     }
+
+
+def _start_points(job: Job, fits: list[Record]) -> int | None:
+    """Points of the initial clouds of a job's scenes."""
+    counts = {name: count for one in fits if one.fit for name, count in one.fit.cloud_points.items()}
+    return sum(counts[scene] for scene in job.rendered) if counts.keys() >= set(job.rendered) else None
 
 
 def _memory(record: Record, fits: list[Record]) -> Row:

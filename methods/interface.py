@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 OptionValue = bool | int | float | str
 OPTION = "option"  # where the metadata of a dataclass field hold its Option
+CLOUD_POINTS = "cloud_points"
+"""Name of an option that asks for an initial cloud of more points than the preset's."""
 V = TypeVar("V", bound=OptionValue)
 
 

@@ -227,6 +227,9 @@ COLUMNS: dict[str, Column] = _declare(
     Column("standalone_bytes", _W, "own part and the whole shared part; of a composition, the shared part of "
            "each group once", "Files for this scene alone", unit="bytes", write=mib),
     Column("primitives", _W, "primitives of the scene", "Primitives", write=lambda value: f"{int(value):,}"),
+    Column("drawn", _F, "Gaussians that are splatted in a test view, mean over at most 8 views",
+           "Drawn Gaussians", write=lambda value: f"{round(value):,}"),
+    Column("start_points", _W, "points of the initial cloud that the method was given"),
     Column("gaussians", _W, "Gaussians that the model splats in any training view", "Gaussians",
            write=lambda value: f"{int(value):,}"),
     *(
@@ -261,6 +264,10 @@ COLUMNS: dict[str, Column] = _declare(
            mib, "peak device memory"),
     Column("group_peak_host_bytes", _W, "peak host memory of the fit", "Memory of the fit", unit="bytes",
            write=mib),
+    Column("render_host_bytes", _W, "peak host memory of loading and rendering alone, the program included",
+           "Memory of rendering", unit="bytes", write=mib),
+    Column("render_device_bytes", _W, "peak device memory of loading and rendering alone",
+           "Device memory of rendering", unit="bytes", write=mib),
     Column("seconds", _F, "median time of the part", unit="s"),
     # Views.
     Column("view", _T, "name of the view"),
@@ -363,10 +370,11 @@ TABLES: dict[str, Table] = {
         "the maximum. A method that cannot make an edit, or cannot render models of several groups together, "
         "has a row with status `refused`.", _RESULT,
         ("job", "status", "reason", "omissions", "stage", "stale", "recipe", "distance", *METRICS, *COVERAGE,
-         "flicker", "identical_views", "size_bytes", "group_bytes", "standalone_bytes", "primitives",
-         "train_seconds", "group_seconds", "partition_seconds", "encode_seconds", "cpu_seconds",
-         "load_seconds", "fps", "fps_p05", "fps_p95", "reference_seconds", "fit_reference_seconds",
-         "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes", "gaussians", *PRUNED),
+         "flicker", "identical_views", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "drawn",
+         "start_points", "train_seconds", "group_seconds", "partition_seconds", "encode_seconds",
+         "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95", "reference_seconds",
+         "fit_reference_seconds", "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes",
+         "render_host_bytes", "render_device_bytes", "gaussians", *PRUNED),
     ),
     "views": Table(
         "A measured view of a model.", _MEASURED,

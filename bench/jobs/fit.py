@@ -53,6 +53,7 @@ def run(context: Context) -> FitResult:
         cpu_seconds=monitor.cpu_seconds,
         iterations=job.iterations,
         primitives={name: model.primitives(name) for name in job.scenes},
+        cloud_points={scene.name: len(scene.cloud) for scene in scenes},
         train_views=sum(len(scene.train) for scene in scenes) // len(scenes),
         curve=monitor.curve,
         losses=monitor.losses.points,

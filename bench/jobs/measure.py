@@ -15,11 +15,15 @@ from bench.jobs.context import Context
 from bench.monitor import as_numpy
 from bench.records import MeasureResult, PruningResult, ViewResult
 from bench.stress import stress_of
-from bench.timing import median_timings, synchronise, time_frames
+from bench.timing import median_timings, peak_device_bytes, synchronise, time_frames
 from datasets.memory import peak_host_bytes
 from datasets.units import camera_in_units
+from datasets.views import evenly_spaced
 from methods.interface import HasAttributes, HasGaussians, Method, Model, Refused
 from reports.schema import COVERAGE
+
+COUNTED = 8
+"""Most views in which the drawn Gaussians are counted."""
 
 if TYPE_CHECKING:
     from datasets.camera import Camera
@@ -68,7 +72,7 @@ def run(context: Context) -> MeasureResult:
         job.device,
     )
     parts = median_timings(lambda camera: model.timings(camera, scenes=scenes), cameras)
-    context.peak_host_bytes = peak_host_bytes()
+    context.peak_host_bytes, context.peak_device_bytes = peak_host_bytes(), peak_device_bytes(job.device)
 
     context.report(stage="metrics")
     from bench.metrics import evaluate
@@ -118,6 +122,7 @@ def run(context: Context) -> MeasureResult:
         flicker=None if flicker is None else flicker.mean,
         features=_attributes(model, scenes, job.sampled),
         pruning=_pruning(context, model, cameras, views) if job.prunable else None,
+        drawn=None if job.edit else mean_drawn(model, scenes, cameras),
     )
 
 
@@ -133,6 +138,21 @@ def _pruning(
     scene = context.job.subject
     training = context.truth(scene).cameras("train" if context.job.split == "val" else "trainval")
     return pruning(model, scene, training, cameras, views)
+
+
+def mean_drawn(model: Model, scenes: Sequence[str], cameras: Sequence[Camera]) -> float | None:
+    """Gaussians of scenes that are splatted in a view, mean over at most :data:`COUNTED`, evenly spaced.
+
+    None for a model that tells no Gaussians apart.
+    """
+    if not isinstance(model, HasGaussians):
+        return None
+    import torch
+
+    chosen = evenly_spaced(len(cameras), COUNTED)
+    with torch.inference_mode():
+        counts = [len(model.splats(scene, cameras[view])[1]) for view in chosen for scene in scenes]
+    return sum(counts) / len(chosen)
 
 
 def _attributes(model: Model, scenes: Sequence[str], sampled: int) -> dict[str, list[list[float]]]:

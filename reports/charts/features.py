@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ MOST_ANCHORS = 4000
 _LEAST_ANCHORS = 30
 VECTOR = "features"
 """Name of the attribute that the map is of."""
+SCALINGS = "scalings"
+"""Name of the attribute whose rows of six hold three scalings of offsets and three of Gaussians."""
 
 
 class Missing(Exception):
@@ -50,6 +52,8 @@ class Histogram:
 def histograms(features: pd.DataFrame) -> list[Histogram]:
     """Of all attributes; scenes, seeds and the components of a vector are pooled.
 
+    Scalings of offsets and of Gaussians are of other sizes, and two attributes.
+
     With many variants only the defaults are shown (:func:`reports.style.named`), and of fits that differ only
     in a rate knob the default's.
 
@@ -59,20 +63,29 @@ def histograms(features: pd.DataFrame) -> list[Histogram]:
     panels = []
     for dataset, every in comparable(at_default_rates(features)):
         own = named(models(every))
-        for attribute, rows in every.groupby("name", sort=False):
-            pools: dict[Model, list[NDArray[np.float64]]] = {}
-            for row in rows.itertuples(index=False):
-                values = np.asarray(row.values, dtype=np.float64)
-                mine = model(row.method, row.variant)
-                if mine in own:
-                    pools.setdefault(mine, []).append(values[np.isfinite(values)])
+        attributes: dict[str, dict[Model, list[NDArray[np.float64]]]] = {}
+        for row in every.itertuples(index=False):
+            mine = model(row.method, row.variant)
+            for attribute, values in _apart(str(row.name), row.values, row.width) if mine in own else ():
+                pools = attributes.setdefault(attribute, {})
+                pools.setdefault(mine, []).append(values[np.isfinite(values)])
+        for attribute, pools in attributes.items():
             samples = {each: np.concatenate(arrays) for each, arrays in pools.items()}
             samples = {each: values for each, values in samples.items() if len(values)}
             if samples:
                 edges = _edges(list(samples.values()))
                 shares = {each: _shares(values, edges).tolist() for each, values in samples.items()}
-                panels.append(Histogram(dataset, str(attribute), edges.tolist(), shares))
+                panels.append(Histogram(dataset, attribute, edges.tolist(), shares))
     return panels
+
+
+def _apart(name: str, values: Any, width: Any) -> list[tuple[str, NDArray[np.float64]]]:
+    """Name and values of the parts of an attribute."""
+    numbers = np.asarray(values, dtype=np.float64)
+    if name != SCALINGS or width != 6:
+        return [(name, numbers)]
+    rows = numbers.reshape(-1, 6)
+    return [("scalings of offsets", rows[:, :3].ravel()), ("scalings of Gaussians", rows[:, 3:].ravel())]
 
 
 def _edges(samples: list[NDArray[np.float64]]) -> NDArray[np.float64]:

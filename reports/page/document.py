@@ -15,7 +15,7 @@ from reports.charts.elements import Section
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections, variant_sections
 from reports.files import write_files, write_text
-from reports.page import answers, datasets, editing, ladders, provenance, scenes
+from reports.page import answers, datasets, editing, ladders, provenance, scenes, training_views
 from reports.page import results as results_table
 from reports.paper import verdicts
 from reports.paper.evidence import of_report
@@ -71,6 +71,7 @@ def write_report(
                 ("results", "Results", results_table.section(report)),
                 ("paper", "The paper's tables", verdicts.section(paper, of_report(report), report.views)),
                 ("editing", "Editing", editing.section(report, root, folder)),
+                ("views", "Numbers of training views", training_views.section(report, root, folder)),
             )
             sections = [*(Section(*part) for part in parts if part[2]), *charts]
             first = answers.section(report, [part.anchor for part in sections])

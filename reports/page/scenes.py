@@ -160,6 +160,8 @@ def _shot(panel: Panel, shot: Shot, where: str, models: list[Model]) -> str:
         f"<span><b>{cell('psnr', shot.psnr)}</b> dB ·</span> <span>SSIM {cell('ssim', shot.ssim)} ·</span> "
         f"<span>ΔE {cell('delta_e_uv', shot.delta_e)}</span>"
     )
+    if shot.cost:
+        values += f" <span>· {escape(shot.cost)}</span>"
     return (
         f'<div class="shot">{name}{_picture(panel, shot.picture, where, model)}'
         f'<div class="pair"><div>{zoom}</div>{difference}</div><p class="values">{values}</p></div>'

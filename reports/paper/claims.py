@@ -307,8 +307,9 @@ def _digits(claim: dict[str, Any]) -> int:
 
 
 def _bounds(claim: dict[str, Any]) -> str:
-    if "all" in claim or "columns" in claim:
-        return f"all {len(claim.get('all', claim.get('columns')))}"
+    for several in ("all", "columns"):
+        if several in claim:
+            return f"all {len(claim[several])}"
     if "column" not in claim:
         return ""
     if "over" in claim:

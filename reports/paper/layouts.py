@@ -42,10 +42,11 @@ def published_as(name: str, dataset: str) -> dict[str, Any]:
 
 def known_as(dataset: str) -> dict[str, Any]:
     """Published dataset -> its description, of all that ``dataset`` is or imitates, wholly or in part."""
+    name = dataset.partition("@")[0]
     return {
         published: one
         for published, one in layouts()["datasets"].items()
-        if dataset in (*one.get("real", ()), *one.get("stand_ins", ()))
+        if name in (*one.get("real", ()), *one.get("stand_ins", ()))
     }
 
 

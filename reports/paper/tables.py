@@ -54,9 +54,10 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
 
 
 def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFrame:
-    """The results with the parts of a frame as columns, in milliseconds, and the triangles of meshes.
+    """The results with columns of their own for what the paper's tables have.
 
-    Rasterising includes shading.
+    The parts of a frame, in milliseconds, of which rasterising includes shading; triangles of meshes; bytes
+    of initial clouds.
     """
     columns: dict[str, Any] = {}
     parts = {"decode_ms": ("decode",), "rasterise_ms": ("shade", "rasterise"), "frame_ms": ("frame",)}
@@ -64,10 +65,31 @@ def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFr
         rows = timing[timing["part"].isin(names)] if timing is not None and not timing.empty else None
         seconds = {} if rows is None else rows.groupby("job")["seconds"].sum().to_dict()
         columns[column] = [1e3 * float(seconds[job]) if job in seconds else None for job in results["job"]]
+    mesh = results["method"] == "mesh"
+    columns["triangles"] = results["primitives"].where(mesh)
+    columns["init_bytes"] = [
+        _start_bytes(points, json.loads(options) if isinstance(options, str) else {})
+        for points, options in zip(results["start_points"], results["options"], strict=True)
+    ]
     # A table of another tool may lack the number of views that was requested.
-    columns["triangles"] = results["primitives"].where(results["method"] == "mesh")
     columns["requested_views"] = results["requested_views"].fillna(results["train_views"])
     return results.assign(**columns)
+
+
+def _start_bytes(points: Any, options: dict[str, Any]) -> float | None:
+    """Bytes of the points that a fit starts from, as the paper counts them: positions of 12, colors of 3.
+
+    Args:
+        points: of the cloud that the fit was given.
+        options: those that differ from the preset's.
+    """
+    start = options.get("start", "cloud")
+    if start == "random":
+        return 0.0
+    if absent(points):
+        return None
+    asked = options.get("cloud_points") or points
+    return float(min(points, asked) * (12 if start == "positions" else 15))
 
 
 def _protocols(results: pd.DataFrame, layout: dict[str, Any]) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -243,7 +265,7 @@ def _by_seed(
     model = (results["method"] == method) & (results["variant"] == variant)
     kind = results["kind"] == ("composed" if line.get("composed") else "basic")
     if "scene" in line:
-        kind &= results["scene"] == line["scene"]
+        kind &= results["scene"].map(lambda scene: fnmatch.fnmatch(str(scene), line["scene"]))
     rows = results[kind & model]
     if "train_views" in line:
         rows = rows[rows["requested_views"] == line["train_views"]]

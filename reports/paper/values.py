@@ -9,6 +9,7 @@ from typing import Any
 from reports.schema import COLUMNS
 
 NOT_MEASURED = "not measured"
+_GIB = 1.0 / 2.0**30
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,6 @@ QUANTITIES = {
     "train_seconds": Quantity("Training [min]", "train_min", 2, -1, 1.0 / 60.0, "sum", clock=True),
     "size_bytes": _measured("size_bytes", "size_mib", 2, across="sum"),
     "primitives": Quantity("Anchors", "anchors", 0, -1, across="sum"),
-    "triangles": Quantity("Triangles [M]", "triangles_million", 3, -1, 1e-6, "sum"),
     "groups": Quantity("Groups", "groups_derived", 0),
     "partition_seconds": Quantity("Clustering [s]", "clustering_s", 2, clock=True),
     "decode_ms": Quantity("Decoding [ms]", "mlp_ms", 2, -1, clock=True),
@@ -57,7 +57,13 @@ QUANTITIES = {
     "scenes": Quantity("Scenes", "scenes", 0),
     "variables": Quantity("Variables", "variables", 0),
     "cloud_seconds": Quantity("Initial cloud [s]", "", 3, -1, across="max", clock=True),
-    "peak_host_bytes": Quantity("Host memory [GiB]", "host_gib", 2, -1, 1.0 / 2.0**30, "max"),
+    "drawn": Quantity("Gaussians drawn", "gaussians", 0, -1),
+    "init_bytes": Quantity("Initial file [MiB]", "init_mib", 2, -1, 2.0**-20, "sum"),
+    "triangles": Quantity("Triangles [million]", "triangles_million", 3, -1, 1e-6, "sum"),
+    "peak_host_bytes": Quantity("Host memory [GiB]", "", 2, -1, _GIB, "max"),
+    "peak_device_bytes": Quantity("Device memory [GiB]", "peak_gpu_gb", 2, -1, _GIB, "max"),
+    "render_host_bytes": Quantity("Host memory [GiB]", "host_gib", 2, -1, _GIB, "max"),
+    "render_device_bytes": Quantity("Device memory [GiB]", "gpu_gib", 2, -1, _GIB, "max"),
 }
 
 

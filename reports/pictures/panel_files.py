@@ -95,6 +95,7 @@ def _row(axes: Axes, panel: Panel, top: float) -> None:
         values = f"{cell('psnr', shot.psnr)} dB, ΔE {cell('delta_e_uv', shot.delta_e)}"
         if shot.picture is None:
             values = str(shot.row["status"]) if shot.row["status"] != "ok" else "no picture"
+        values += f"\n{shot.cost}" if shot.cost else ""
         shots.append((_name(shot), shot.picture, shot.difference, values))
     for column, (name, picture, difference, values) in enumerate(shots):
         left = _GAP + column * (_CELL + _GAP)

@@ -17,6 +17,7 @@ from reports.pictures.cieluv import delta_e_uv
 from reports.pictures.difference import colored, largest_window
 from reports.pictures.files import background, inside, read
 from reports.style import absent
+from reports.tables.columns import cell
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,6 +59,14 @@ class Shot:
     picture: NDArray[np.uint8] | None = None
     difference: NDArray[np.uint8] | None = None
     problem: str = ""
+
+    @property
+    def cost(self) -> str:
+        """Size and frame rate of the model; what is missing is left out, as is all of a failed one."""
+        units = {"size_bytes": "MiB", "fps": "FPS"}
+        values = {name: self.row.get(name) for name in units} if self.row["status"] == "ok" else {}
+        texts = [f"{cell(name, value)} {units[name]}" for name, value in values.items() if not absent(value)]
+        return ", ".join(texts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,7 +82,8 @@ def _result(job) -> dict:
     if job.kind == "fit":
         seconds = {"shock": 10.0, "bubble": 20.0}[job.group]
         fit = FitResult(seconds=seconds, cpu_seconds=2.0 * seconds, iterations=1, primitives={},
-                        train_views=12, curve=[], resumed=0, reference_seconds=None)  # fmt: skip
+                        cloud_points={job.group: int(50 * seconds)}, train_views=12, curve=[],
+                        resumed=0, reference_seconds=None)  # fmt: skip
         return {"fit": fit}
     if job.kind == "encode":
         own = {"shock": 100, "bubble": 200}[job.group]
@@ -98,8 +99,9 @@ def test_costs_of_a_composition_are_those_of_its_scenes(suite, tmp_path) -> None
     assert list(tables["results"]["kind"]) == ["basic", "basic", "composed"]
     a, b, both = found["shock"], found["bubble"], found["all"]
     for name in ("size_bytes", "train_seconds", "standalone_bytes", "primitives", "group_bytes",
-                 "group_seconds", "cpu_seconds"):  # fmt: skip
+                 "group_seconds", "cpu_seconds", "start_points"):  # fmt: skip
         assert both[name] == a[name] + b[name], name
+    assert (a["start_points"], b["start_points"]) == (500, 1000)
     assert both["size_bytes"] == 314
     assert both["train_seconds"] == 10.0 + 20.0 + 2 * 1.0 + 4.0
     assert set(tables["views"]["background"]) == {"#ff8000"}

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from bench.jobs.measure import mean_drawn
 from bench.monitor import as_numpy
 from bench.pruning import by_weight, pruning, removable
 from datasets.views import ViewSet
@@ -110,3 +111,15 @@ def test_bisection_of_many_is_as_fine_as_a_thousandth():
     assert found == pytest.approx(300_000, abs=1_000_000 / 1000)
     assert found <= 300_000
     assert len(asked) <= 12
+
+
+def test_the_drawn_gaussians_are_counted_in_a_few_views_and_summed_over_scenes():
+    model = Balls(hidden=(0, 20))
+    away = look_at((2.0, -2.0, 0.5))
+    assert mean_drawn(model, ["s"], [SEEN[0]]) == 2 * HALF - 2
+    assert mean_drawn(model, ["s"], [SEEN[0], away]) == 2 * HALF - 1
+    assert mean_drawn(model, ["s", "t"], [away]) == 4 * HALF
+    assert mean_drawn(model, ["s"], [SEEN[0]] + [away] * 7) == 2 * HALF - 2 / 8
+    # Of nine views one is left out.
+    assert mean_drawn(model, ["s"], [away] * 8 + [SEEN[0]]) == 2 * HALF
+    assert mean_drawn(object(), ["s"], [away]) is None

@@ -1,7 +1,10 @@
 """Suites that come with the program: each can be planned anywhere, with stand-ins where data are missing."""
 
+from dataclasses import replace
+
 import pytest
 
+from bench.edits import edits_of
 from bench.plan import Planner
 from bench.selection import Selection
 from bench.suites import VIEWS, load_suite, names
@@ -53,7 +56,11 @@ def test_stand_ins_take_the_place_of_missing_data_only():
     assert "vortex_views" not in some
 
 
-@pytest.mark.parametrize("name", layouts()["tables"])
+LATER = {"cross-dataset"}
+"""Tables without a suite."""
+
+
+@pytest.mark.parametrize("name", sorted(layouts()["tables"].keys() - LATER))
 def test_a_table_of_the_paper_shows_what_its_suite_runs(name):
     suite = load_suite(name)
     for dataset in {*suite.datasets, *suite.stand_ins.values()} - {""}:
@@ -61,8 +68,8 @@ def test_a_table_of_the_paper_shows_what_its_suite_runs(name):
     extra = layouts()["tables"][name].get("data", [])
     assert set(extra) <= set(suite.datasets)
     methods = {row["method"] for row in layouts()["tables"][name]["rows"]}
-    unknown = {"plenoxels", "ccnerf", "mesh"}
-    assert methods - unknown <= set(suite.methods)
+    unknown = {"plenoxels", "ccnerf"}
+    assert methods - unknown <= {*suite.methods, *suite.optional}
 
 
 @pytest.mark.parametrize(
@@ -179,3 +186,38 @@ def test_a_preset_of_a_name_of_its_own_takes_options_and_iterations_of_another(t
     for share in ("0.0", "-1.0", "1.5", "nan"):
         with pytest.raises(DataError, match="small: budget"):
             fit(half.replace("0.5", share), "small")
+
+
+def test_initial_clouds_have_the_points_that_an_option_asks_for():
+    """And, where it asks for less than the preset gives, that many: an older fit stays the same."""
+    selection = replace(Selection(load_suite("init-points")), datasets=("beetle_like",))
+    jobs = {job.variant: job for job in Planner(selection, {}).jobs(None) if job.kind == "partition"}
+    points = {variant: job.cloud_points for variant, job in jobs.items()}
+    assert points == {
+        "": 10_000, "cloud_points=1000": 10_000, "cloud_points=100000": 100_000,
+        "cloud_points=500000": 500_000,
+        "random_points=500000,start=random": 10_000, "random_points=100000,start=random": 10_000,
+        "start=random": 10_000, "random_points=1000,start=random": 10_000,
+    }  # fmt: skip
+    assert all(job.identity["cloud_points"] == job.cloud_points for job in jobs.values())
+    assert set(points) == {row.get("variant", "") for row in layouts()["tables"]["init-points"]["rows"]}
+
+
+def test_starts_are_compared_early_as_well():
+    """A twentieth of the iterations, of each start, as a ladder."""
+    selection = replace(Selection(load_suite("init-attributes")), datasets=("beetle_like",))
+    jobs = [job for job in Planner(selection, {}).jobs(None) if job.kind == "partition"]
+    budgets = {(job.variant, job.stress): job.iterations for job in jobs}
+    assert set(budgets) == {
+        (start, stress) for start in ("", "start=positions", "start=random") for stress in ("", "budget=0.05")
+    }
+    assert budgets["", "budget=0.05"] == round(0.05 * budgets["", ""])
+
+
+def test_compositions_are_edited_step_by_step():
+    suite = load_suite("editing")
+    steps = [edits_of(["a", "b", "c"], chain) for chain in suite.chains]
+    assert [one["a"].light for one in steps] == [(1.0, 0.0, 0.0)] * 4
+    assert [one["a"].diffuse for one in steps] == [None, 1.5, 1.5, 1.5]
+    assert [one["b"].opacity for one in steps] == [None, None, 0.3, 0.3]
+    assert [one["c"].palette is not None for one in steps] == [False, False, False, True]

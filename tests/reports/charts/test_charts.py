@@ -394,6 +394,17 @@ def test_histograms_pool_scenes_and_components():
     assert shares == pytest.approx(100 * counted / len(values))
 
 
+def test_scalings_of_offsets_and_of_gaussians_have_histograms_of_their_own():
+    rows = np.concatenate([np.full((500, 3), 0.2), np.full((500, 3), 5.0)], axis=1)
+    table = features_table().iloc[:1].assign(name="scalings", values=[rows.ravel().tolist()], width=6)
+    offsets, gaussians = features.histograms(table)
+    assert [one.attribute for one in (offsets, gaussians)] == ["scalings of offsets", "scalings of Gaussians"]
+    assert offsets.edges[0] < 0.2 < offsets.edges[-1] < 1.0
+    assert 4.0 < gaussians.edges[0] < 5.0 < gaussians.edges[-1]
+    (explicit,) = features.histograms(table.assign(width=3))
+    assert explicit.attribute == "scalings", "another method's"
+
+
 def test_attributes_are_of_the_default_rate():
     rates = pd.concat([features_table().assign(**settings(v)) for v in ("", "rate_weight=0.01", "offsets=5")])
     assert list(features.histograms(rates)[0].shares) == [ECONGS, Model("econgs", "offsets=5")]

@@ -39,10 +39,11 @@ CONTRADICTED = {
     "mv-gap", "mv-gap-psnr", "mv-gap-size", "mv-gap-fps",  # the gap grows in time alone
     "fuzzy-lpips",  # LPIPS of two fuzzy scenes of three is higher
     "qual-bp",  # shading and rasterising take half of what rasterising takes 3DGS
+    "infer-mem", "iso-mem", "iso-mem-device",  # 3.4 GB; a mesh takes a quarter of the memory
     "concl",  # 3DGS is trained faster on supernova
 }  # fmt: skip
 """Claims that the paper's own numbers contradict somewhere."""
-UNTABULATED = {"abl-init-size", "rd-hac", "ext-1s", "fig-dvr"}
+UNTABULATED = {"abl-init-size", "rd-hac", "ext-1s", "fig-dvr", "scal-oom"}
 """Claims whose numbers the paper does not print."""
 
 
@@ -85,7 +86,7 @@ def test_every_claim_of_the_paper_is_evaluated_or_says_why_not():
     every = set(PUBLISHED.split())
     assert len(every) == 86
     assert every <= set(by_id)
-    assert sum("why" not in by_id[name] for name in every) >= 77
+    assert sum("why" not in by_id[name] for name in every) >= 80
     labels = {name: {row["label"] for row in one["rows"]} for name, one in layouts()["tables"].items()}
     columns = {name: set(one["columns"]) for name, one in layouts()["tables"].items()}
     for name, (_, rows, cells) in LAYOUTS.items():

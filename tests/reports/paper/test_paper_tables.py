@@ -165,6 +165,103 @@ def test_scenes_and_their_composition_have_lines_of_their_own():
     assert (block.published, block.same) == ("RPCOM", False)
 
 
+def test_meshes_have_triangles_and_rendering_has_memory_of_its_own():
+    of = {"dataset": "jet_flame_iso"}
+    memory = {"render_host_bytes": 2**29, "peak_host_bytes": 2**31}
+    rows = [row(scene=name, primitives=700, **of, **memory) for name in ("low", "middle", "high")]
+    rows += [
+        row("mesh", name, primitives=count, variant=variant, **of)
+        for name in ("low", "middle", "high")
+        for variant, count in (("configuration=paper", 4_000_000), ("", 2_000_000))
+    ]
+    rows += [row("mesh", "all", kind="composed", primitives=6_000_000, **of)]
+    (block,) = blocks(results(*rows), "isosurface")
+    plain, coded = line(block, "low, triangle mesh"), line(block, "low, triangle mesh, reduced and coded")
+    assert (plain.values["triangles"].mean, plain.values["triangles"].published) == (4.0, 17.1)
+    assert (coded.values["triangles"].mean, coded.values["triangles"].published) == (2.0, None)
+    assert line(block, "composed, triangle mesh, reduced and coded").values["triangles"].mean == 6.0
+    ours = line(block, "low, ECoNGS").values
+    assert ours["triangles"].mean is None, "anchors are no triangles"
+    assert (ours["render_host_bytes"].mean, ours["render_host_bytes"].published) == (0.5, 7.61)
+    assert ours["render_device_bytes"].mean is None
+
+
+def test_basic_scenes_and_compositions_of_veg():
+    scenes = [f"t_{i}" for i in range(1, 5)]
+    rows = [
+        row(
+            method, scene, psnr - loss, dataset="ionisation_like", kind=kind, fitted_scenes=json.dumps(scenes)
+        )
+        for method, psnr in (("econgs", 34.0), ("veg", 30.0))
+        for scene, kind, loss in [*((one, "basic", 0.0) for one in scenes), ("t", "composed", 1.0)]
+    ]
+    (block,) = blocks(results(*rows), "veg")
+    assert (block.published, block.same, block.count) == ("ionization (T)", False, 4)
+    values = {one.label: one.values["psnr"] for one in block.rows}
+    assert {label: (one.mean, one.published) for label, one in values.items()} == {
+        "basic, VEG": (30.0, 30.38), "basic, ECoNGS": (34.0, 34.34),
+        "composed, VEG": (29.0, 28.94), "composed, ECoNGS": (33.0, 33.45),
+    }  # fmt: skip
+    alone = [one for one in rows if one["method"] == "econgs"]
+    assert not [one for one in paper_tables(results(*alone)) if one.name == "veg"]
+
+
+def test_scenes_of_unrelated_datasets_have_rows_by_dataset():
+    of = {"dataset": "beetle_like+argon_bubble_like"}
+    levels = {"beetle_like.shell": 36.0, "argon_bubble_like.shock": 31.0, "argon_bubble_like.bubble": 33.0}
+    rows = [
+        row(scene=scene, psnr=psnr - loss, variant=variant, **of)
+        for scene, psnr in levels.items()
+        for variant, loss in (("joint=false", 0.0), ("threshold=1000", 2.0), ("", 0.1))
+    ]
+    (block,) = blocks(results(*rows), "cross-dataset")
+    assert (block.published, block.same) == ("beetle + argon bubble", False)
+    alone, joint = line(block, "argon bubble, alone").values, line(block, "argon bubble, joint").values
+    assert (alone["psnr"].mean, alone["psnr"].published) == (32.0, 31.76)
+    assert (joint["psnr"].mean, joint["psnr"].published) == (30.0, 16.82)
+    assert line(block, "beetle, groups by distance").values["psnr"].mean == pytest.approx(35.9)
+    whole = line(block, "all, joint").values["train_seconds"]
+    assert (whole.mean, whole.published) == (6.0, 5.2)  # minutes of all scenes
+
+
+def test_initial_files_have_the_bytes_of_the_points_that_are_used():
+    def bytes_of(label, name="init-points", points=10_000, **options):
+        variant = ",".join(f"{key}={value}" for key, value in options.items())
+        rows = [
+            row(dataset="beetle", scene="shell", variant=one, options=json.dumps(given), start_points=points)
+            for one, given in {"": {}, variant: options}.items()
+        ]
+        return line(blocks(results(*rows), name)[0], label).values["init_bytes"]
+
+    ours = bytes_of("10,000 of the cloud")
+    assert (ours.mean, ours.published) == (pytest.approx(150_000 / 2**20), 0.15)
+    assert bytes_of("1,000 of the cloud", cloud_points=1000).mean == pytest.approx(15_000 / 2**20)
+    # A cloud has no more points than its volume.
+    few = bytes_of("500,000 of the cloud", points=276_784, cloud_points=500_000)
+    assert (few.mean, few.published) == (pytest.approx(276_784 * 15 / 2**20), 7.2)
+    assert bytes_of("500,000 random", random_points=500_000, start="random").mean == 0.0
+    assert bytes_of("+ position", "init-attributes", start="positions").mean == pytest.approx(
+        0.1144, abs=1e-4
+    )
+    assert bytes_of("10,000 of the cloud", points=None).mean is None, "older records do not tell"
+
+
+def test_the_table_of_times_has_the_gaussians_that_are_drawn():
+    rows = results(*four("econgs", 35.0, drawn=500.5), *four("3dgs", 34.0, drawn=1200.0))
+    timing = pd.DataFrame([{"job": job, "part": "frame", "seconds": 0.01} for job in rows["job"]])
+    block = blocks(rows, "timing", timing=timing)[0]
+    values = {label: line(block, label).values["drawn"] for label in ("ECoNGS", "3DGS")}
+    assert {label: (one.mean, one.published) for label, one in values.items()} == {
+        "ECoNGS": (500.5, 70905), "3DGS": (1200.0, 134156),
+    }  # fmt: skip
+
+
+def test_a_stand_in_may_have_another_resolution():
+    rows = [row(dataset="beetle_like@255", scene="shell", variant=one) for one in ("", "start=random")]
+    (block,) = blocks(results(*rows), "init-attributes")
+    assert (block.dataset, block.published) == ("beetle_like@255", "beetle")
+
+
 def test_scenes_learned_with_others_are_not_those_of_a_smaller_dataset():
     t = [f"t_{i}" for i in range(1, 5)]
     h = [f"h_{i}" for i in range(20)]
@@ -306,7 +403,12 @@ def test_times_of_a_frame_come_from_their_own_table():
         [
             {"job": job, "part": part, "seconds": seconds * (2.0 if job.startswith("3dgs") else 1.0)}
             for job in rows["job"]
-            for part, seconds in (("frame", 0.004), ("decode", 0.001), ("rasterise", 0.003))
+            for part, seconds in (
+                ("frame", 0.004),
+                ("decode", 0.001),
+                ("shade", 0.0005),
+                ("rasterise", 0.0025),
+            )
         ]
     )
     assert not [one for one in paper_tables(rows) if one.name == "timing"]

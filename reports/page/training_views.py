@@ -1,0 +1,71 @@
+"""Pictures of models by their number of training views: one view of a scene, a row per number."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from reports.page.scenes import block, figure, heading
+from reports.pictures.panels import Panel, choose, in_view, models
+from reports.pictures.transfer import beside
+from reports.tables.protocols import conditions
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from reports.charts.report import Report
+
+PICTURE_BYTES = 2_000_000
+"""Most bytes of pictures on the page; the files contain all of them."""
+
+
+def section(report: Report, root: Path, charts: Path) -> str:
+    """Each scene that was trained from several numbers of views, as pictures; "" without any.
+
+    Args:
+        report: the tables.
+        root: folder that the paths of pictures are relative to.
+        charts: folder for the grids as PDF and PNG.
+    """
+    parts, room, omitted = [], PICTURE_BYTES, 0
+    for name, panels in grids(report.stored, root):
+        head = heading(panels, name, f"{name} by training views", charts)
+        figures = [figure(panel, f"{name}, {panel.caption}", report.models) for panel in panels]
+        if sum(map(len, figures)) > room:
+            omitted += 1
+            continue
+        room -= sum(map(len, figures))
+        parts.append(block(head, figures))
+    if omitted:
+        parts.append(f'<p class="note">Only the files contain the pictures of {omitted} further scenes.</p>')
+    if not parts:
+        return ""
+    words = "All pictures of a scene are of one test view, the median of all its models."
+    return "\n".join([f"<p>{words}</p>", *parts])
+
+
+def grids(tables: dict[str, pd.DataFrame], root: Path) -> Iterator[tuple[str, list[Panel]]]:
+    """Name of a scene, and a panel per number of training views, the fewest first, all of one test view.
+
+    Args:
+        tables: as stored, where a dataset has one name whatever the number of views.
+        root: folder that the paths of pictures are relative to.
+    """
+    results, views = tables["results"], tables["views"]
+    results = results[results["kind"] != "edited"]
+    keys = ["dataset", "scene", "preset", "split"]
+    for (dataset, scene, *_), rows in results.groupby(keys, dropna=False, sort=False):
+        numbers = sorted(int(number) for number in rows["requested_views"].dropna().unique())
+        if len(numbers) < 2:
+            continue
+        view = choose(views[views["job"].isin(set(rows["job"].dropna()))]).get("median", "")
+        panels: list[Panel] = []
+        for number in numbers:
+            trained = models(rows[rows["requested_views"] == number])
+            panel = in_view(trained, views, root, view, f"{number} training views")
+            if panel.window is not None:
+                panels += beside([panel], tables.get("scenes"), trained.iloc[0])
+        if len(panels) > 1:
+            name = " \N{MIDDLE DOT} ".join([f"{dataset} / {scene}", *conditions(rows.iloc[0], results)])
+            yield name, panels
