@@ -27,7 +27,7 @@ from methods.interface import Edit, Refused, edits_by_scene
 from methods.plenoxels.spec import DEFLATE
 from methods.shared.edits import opacity_factor, triple
 from methods.shared.files import saved_files
-from methods.shared.model import ScenesModel, seconds
+from methods.shared.model import SceneSet, seconds
 
 FORMAT = "econgs-bench plenoxels 1"
 PER_VOXEL = 4 + 2 * SH
@@ -88,7 +88,7 @@ class VoxelScene:
         return parts | {"metadata": file.stat().st_size - sum(parts.values())}
 
 
-class VoxelModel(ScenesModel[VoxelScene]):
+class VoxelModel(SceneSet[VoxelScene]):
     """Voxel grids of scenes; drawn together, their densities add and their colors mix by density."""
 
     method = "plenoxels"

@@ -82,7 +82,7 @@ class NamedScenes(Generic[S]):
         return sum(map(len, self.chosen(None if scene is None else (scene,))))
 
 
-class ScenesModel(NamedScenes[S], ABC):
+class SceneSet(NamedScenes[S], ABC):
     """A :class:`methods.interface.Model` of scenes, whatever they are made of.
 
     A method's model adds ``render``, ``timings``, ``write`` (``write_size``, if it has several) and ``load``.
@@ -155,7 +155,7 @@ class ScenesModel(NamedScenes[S], ABC):
         return camera if units == 1.0 else camera_in_units(camera, 1.0 / units)
 
 
-class SceneModel(ScenesModel[S]):
+class SceneModel(SceneSet[S]):
     """A model of Gaussians: those of all its scenes are concatenated and sorted once.
 
     A method's model adds ``gaussians``, ``write`` (``write_size``, if it has several), ``load`` and ``join``.
