@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from numpy import float32, float64, int32, int64, uint8
 from numpy.typing import NDArray
 
+Bytes = NDArray[uint8]
 Floats = NDArray[float32]
 Doubles = NDArray[float64]
 Ints = NDArray[int32]
 Longs = NDArray[int64]
-Bytes = NDArray[uint8]
 OutFloats = NDArray[float32]  # written, as all that begins with Out
 OutBytes = NDArray[uint8]
 OutInts = NDArray[int32]

@@ -25,14 +25,14 @@ from methods.ccnerf.field import BANDS, Factors, drawn
 from methods.interface import Edit, Refused, edits_by_scene
 from methods.shared.edits import opacity_factor, triple
 from methods.shared.files import saved_files
-from methods.shared.model import ScenesModel, seconds
+from methods.shared.model import SceneSet, seconds
 
 FORMAT = "econgs-bench ccnerf 1"
 SUFFIX = ".safetensors"
 _AXES = "xyz"
 
 
-class CpModel(ScenesModel[Factors]):
+class CpModel(SceneSet[Factors]):
     """Scenes of factors, drawn by samples along rays."""
 
     method = "ccnerf"

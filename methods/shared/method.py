@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
-from methods.shared.model import ScenesModel
+from methods.shared.model import SceneSet
 from methods.shared.rendering import Rendering
 from methods.shared.training import TrainingLoop, TrainingState, low_pass_of
 from methods.shared.units import in_units, units_of
@@ -26,7 +26,7 @@ class TrainerMethod:
 
     name: ClassVar[str]
     trainer: ClassVar[type[TrainingLoop]]
-    model: ClassVar[type[ScenesModel[Any]]]
+    model: ClassVar[type[SceneSet[Any]]]
     joint: ClassVar[bool] = False
 
     def partition(self, scenes: Sequence[SceneInput], options: Any) -> list[list[SceneInput]]:
@@ -75,7 +75,7 @@ class TrainerMethod:
         """One model of the scenes of all; they are concatenated and sorted once when rendered."""
         if not models or not all(isinstance(model, self.model) for model in models):
             raise Refused(f"{self.name} composes with models of its own only")
-        renderings = {model.rendering for model in models if isinstance(model, ScenesModel)}
+        renderings = {model.rendering for model in models if isinstance(model, SceneSet)}
         if len(renderings) > 1:
             raise Refused(f"{self.name} composes models of like scene units and low-pass filter only")
         joined = self.model.join(models)

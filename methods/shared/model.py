@@ -37,17 +37,18 @@ class Scene(Protocol):
 S = TypeVar("S", bound=Scene)
 
 
-class ScenesModel(ABC, Generic[S]):
+class SceneSet(ABC, Generic[S]):
     """A :class:`methods.interface.Model` of scenes, whatever they are made of.
 
-    A method's model adds ``render``, ``timings``, ``write`` (``write_size``, if it has several) and ``load``.
+    A method's model adds ``render``, ``timings``, ``write`` (``write_size``, if it has several), ``load`` and
+    ``join``.
 
     Args:
         scenes: at least one, with distinct names, on one device.
 
     Attributes:
         method: name, for messages.
-        rendering: units, and the filter of what is splatted.
+        rendering: units of its scenes, and filter of Gaussians.
 
     Raises:
         Refused: two scenes have the same name.
@@ -140,8 +141,8 @@ class ScenesModel(ABC, Generic[S]):
         return camera if units == 1.0 else camera_in_units(camera, 1.0 / units)
 
 
-class SceneModel(ScenesModel[S]):
-    """A model of Gaussians: those of all its scenes are concatenated and sorted once.
+class SceneModel(SceneSet[S]):
+    """A model of Gaussians, which are concatenated and sorted once.
 
     A method's model adds ``gaussians``, ``write`` (``write_size``, if it has several), ``load`` and ``join``.
 
