@@ -14,7 +14,6 @@ Floats = NDArray[float32]
 Doubles = NDArray[float64]
 Ints = NDArray[int32]
 Longs = NDArray[int64]
-Bytes = NDArray[uint8]
 OutFloats = NDArray[float32]  # written, as all that begins with Out
 OutBytes = NDArray[uint8]
 OutInts = NDArray[int32]
