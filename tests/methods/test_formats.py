@@ -9,6 +9,7 @@ import shutil
 import struct
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -121,6 +122,15 @@ def test_spz_keeps_its_steps(tmp_path):
     within_spz(values, spz.read(file))
     spz.write(file, asymmetric(), spz.FINEST)
     assert differences(values, spz.read(file))["sh_rest"] <= 0.5 / 128 + 1e-6
+
+
+def test_spz_is_the_same_at_any_time(tmp_path, monkeypatch):
+    found = []
+    for now in (1.0e9, 2.0e9):
+        monkeypatch.setattr(time, "time", lambda now=now: now)
+        spz.write(tmp_path / "a.spz", asymmetric())
+        found.append((tmp_path / "a.spz").read_bytes())
+    assert found[0] == found[1]
 
 
 def test_spz_points_right_up_and_back(tmp_path):
