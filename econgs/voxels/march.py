@@ -267,6 +267,6 @@ def _torch_trace(grid: VoxelGrid, rays: Rays, step: float) -> Trace:
 
 def _harmonics(directions: Tensor) -> Tensor:
     """(B, 9) real spherical harmonics up to degree 2."""
-    from econgs.splat.sh import _basis
+    from econgs.splat.sh import harmonics
 
-    return _basis(2, directions)
+    return harmonics(2, directions)

@@ -14,7 +14,7 @@ from torch.nn import functional
 from datasets.scene import RGB
 from econgs.factors.lines import Lines, line_products
 from econgs.factors.rays import Rays, Region, Samples, march, ray_sums, ray_weights
-from econgs.splat.sh import _basis
+from econgs.splat.sh import harmonics
 
 DEGREE = 3
 BANDS = (DEGREE + 1) ** 2
@@ -89,7 +89,7 @@ class Factors:
 
 def harmonics_of(rays: Rays, like: Tensor) -> Tensor:
     """(B, 16) spherical harmonics of directions, of the type and on the device of a tensor."""
-    return _basis(DEGREE, rays.directions).to(like)
+    return harmonics(DEGREE, rays.directions).to(like)
 
 
 class Traced(NamedTuple):

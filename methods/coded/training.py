@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from methods.coded.model import CodedModel
-from methods.gaussian_splatting.spec import GaussianOptions
+from methods.gaussian_splatting.spec import HarmonicsOptions
 from methods.gaussian_splatting.training import Trainer, plain_gaussians
 from methods.shared.training import TrainingState
 
@@ -12,7 +12,7 @@ class CodedTrainer(Trainer):
     """A fit of 3DGS; arguments as there."""
 
     @staticmethod
-    def restored(state: TrainingState, options: GaussianOptions) -> CodedModel:
+    def restored(state: TrainingState, options: HarmonicsOptions) -> CodedModel:
         """The Gaussians as they are until training ends, then as the default codec keeps them."""
         scene = plain_gaussians(state, options.sh_degree)
         if state.iteration < state.iterations:
