@@ -143,7 +143,8 @@ class _Evidence:
         verdict = FAILS if behind else UNSURE if unsure else HOLDS
         remarks = [f"behind in {QUANTITIES[name].title}" for name in behind]
         remarks += [f"without {QUANTITIES[name].title}" for name in claim["columns"] if name not in columns]
-        return _stated(claim, block, len(columns) - len(behind), verdict, None, "; ".join(remarks))
+        good = len(columns) - len(behind)
+        return _stated(claim | {"columns": columns}, block, good, verdict, None, "; ".join(remarks))
 
     def _trends(self, claim: dict[str, Any], blocks: Sequence[Block]) -> list[Verdict]:
         """Share of the pairs of datasets in which that with more scenes has the larger quantity.

@@ -228,7 +228,7 @@ def test_a_claim_on_several_columns_asks_for_all_of_them():
         return verdicts_of(rows)["rw-four"]
 
     good = verdict()
-    assert (good.verdict, good.measured, good.bounds) == (HOLDS, 4, "all 5")
+    assert (good.verdict, good.measured, good.bounds) == (HOLDS, 4, "all 4")
     assert good.why == "without LPIPS", "no row has it"
     slower = verdict(fps=200.0)
     assert (slower.verdict, slower.measured) == (FAILS, 3)
