@@ -81,7 +81,10 @@ MEASURED = ROOT / "reports" / "measured"
 BLOCK = re.compile(
     r"(<!-- (table|chart|ladders|departures|economy|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S
 )
-METHODS = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")
+METHODS = (
+    "3dgs", "3dgs-mcmc", "vq-3dgs", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs", "veg", "plenoxels",
+    "ccnerf", "econgs", "mesh", "sz3", "zfp",
+)  # fmt: skip
 BY_ITSELF = "kind == 'basic' and rate.isna()"
 
 
