@@ -82,8 +82,8 @@ BLOCK = re.compile(
     r"(<!-- (table|chart|ladders|departures|economy|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S
 )
 METHODS = (
-    "3dgs", "3dgs-mcmc", "vq-3dgs", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs", "veg", "plenoxels",
-    "ccnerf", "econgs", "mesh", "sz3", "zfp",
+    "3dgs", "3dgs-mcmc", "vq-3dgs", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs", "veg",
+    "plenoxels", "ccnerf", "econgs", "mesh", "sz3", "zfp",
 )  # fmt: skip
 BY_ITSELF = "kind == 'basic' and rate.isna()"
 
