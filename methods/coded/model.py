@@ -16,7 +16,7 @@ import torch
 
 from datasets.errors import DataError
 from methods.coded.spec import CODECS, DEFAULT
-from methods.formats.gaussians import drawable, scene_of
+from methods.formats.gaussians import scene_of
 from methods.gaussian_splatting.model import SceneGaussians, SplatModel
 from methods.interface import Refused
 from methods.shared.edits import triple
@@ -60,8 +60,7 @@ class CodedModel(SplatModel):
     @classmethod
     def of(cls, trained: Sequence[SceneGaussians]) -> CodedModel:
         """A model of trained scenes, shown as the default codec keeps them."""
-        seen = [drawable(scene) for scene in trained]
-        return cls([_through(DEFAULT, scene) for scene in seen], seen)
+        return cls([_through(DEFAULT, scene) for scene in trained], trained)
 
     def write_size(self, folder: Path, rate: float | None) -> Mapping[str, Mapping[str, int]]:
         """Write a file of Gaussians and a short one beside it per scene.

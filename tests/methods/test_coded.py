@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+import torch
 
 from datasets.errors import DataError
 from methods.coded.model import CodedModel
@@ -38,6 +39,16 @@ def test_every_codec_counts_its_bytes_and_names_itself(tmp_path):
         again.mkdir()
         loaded.save(again)
         assert {f.name: f.read_bytes() for f in again.iterdir()} == {f.name: f.read_bytes() for f in files}
+
+
+def test_without_loss_means_every_gaussian(tmp_path):
+    """Faint ones too: along a long ray they show."""
+    scene = asymmetric(30)
+    scene.logits[:5] = -7.0
+    CodedModel.of([scene]).save(tmp_path, 1)
+    kept = CodedModel.load(tmp_path, "cpu").scene("a")
+    assert torch.equal(kept.logits, scene.logits)
+    assert torch.equal(kept.means, scene.means)
 
 
 def test_a_loaded_model_has_one_size(tmp_path):
