@@ -59,11 +59,11 @@ def spherical_harmonics(
         coefficients = torch.cat([coefficients, rest[:, : needed - 1]], dim=1)
     if degree == 0:  # no direction enters, so none is computed
         return (0.5 + 0.28209479177387814 * coefficients[:, 0]).clamp(min=0)
-    basis = _basis(degree, torch.nn.functional.normalize(means - camera_position, dim=-1))
+    basis = harmonics(degree, torch.nn.functional.normalize(means - camera_position, dim=-1))
     return (0.5 + (basis[:, :, None] * coefficients[:, : basis.shape[1]]).sum(1)).clamp(min=0)
 
 
-def _basis(degree: int, direction: Tensor) -> Tensor:
+def harmonics(degree: int, direction: Tensor) -> Tensor:
     """(N, (degree+1)²) real spherical harmonics of unit vectors; constants √((2l+1)/4π · …) in decimals."""
     x, y, z = direction.unbind(-1)
     basis = [torch.full_like(x, 0.28209479177387814)]
