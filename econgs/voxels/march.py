@@ -20,6 +20,7 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from econgs.context.hash_grid import compiled, native
+from econgs.splat.sh import harmonics
 from econgs.voxels.grid import SH, VoxelGrid, Voxels
 
 LEAST_DENSITY = 1e-8
@@ -227,7 +228,7 @@ def _torch_march(
 ) -> tuple[Tensor, Tensor]:
     samples = _samples(grids, rays, factors, step)
     like = grids[0].voxels.densities
-    basis = _harmonics(rays.directions.to(like))
+    basis = harmonics(2, rays.directions.to(like))
     shown = samples.shown
     at, _ = shown.nonzero(as_tuple=True)
     colors = like.new_zeros((len(at), 3))
@@ -263,10 +264,3 @@ def _torch_trace(grid: VoxelGrid, rays: Rays, step: float) -> Trace:
                 target += grad
 
     return Trace(colors.detach(), alpha.detach(), backward)
-
-
-def _harmonics(directions: Tensor) -> Tensor:
-    """(B, 9) real spherical harmonics up to degree 2."""
-    from econgs.splat.sh import harmonics
-
-    return harmonics(2, directions)

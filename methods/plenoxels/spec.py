@@ -7,7 +7,6 @@ from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionVa
 
 DEFLATE = "deflate"
 PUBLISHED: dict[str, OptionValue] = {
-    "resolution": 512,
     "start": "box",
     "background": "white",
     "sh_lr": 1e-2,
