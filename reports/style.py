@@ -25,6 +25,13 @@ TITLES = {
     "mesh": "Triangle mesh", "sz3": "SZ3 volume", "zfp": "zfp volume", "3dgs-mcmc": "3DGS-MCMC",
     "hac-plus": "HAC++", "3dgs-coded": "3DGS, coded",
 }  # fmt: skip
+RATES: dict[str, dict[float, str]] = {
+    "3dgs-coded": {
+        1: "ply-zstd", 2: "spz-8bit-sh", 3: "spz", 4: "sog",
+        5: "integer-half", 6: "integer", 7: "integer-double", 8: "integer-fourfold",
+    },
+}  # fmt: skip
+"""Names of the rates of a method whose knob is a choice: the codecs of methods/coded/spec.py."""
 
 
 def absent(value: Any) -> bool:
@@ -40,7 +47,7 @@ def label(method: Any, variant: Any = "", rate: Any = None) -> str:
     if not absent(variant) and variant:
         parts.append(f"[{variant}]")
     if not absent(rate):
-        parts.append(f"@ {rate:g}")
+        parts.append(f"@ {RATES.get(str(method), {}).get(rate, f'{rate:g}')}")
     return " ".join(parts)
 
 
