@@ -29,7 +29,7 @@ def test_every_method_has_a_fair_configuration_and_its_authors(name):
     spec = Registry().spec(name)
     fair, paper = (resolve(spec, "paper", {"configuration": one}) for one in ("fair", "paper"))
     assert fair == resolve(spec, "paper")
-    assert fair.values.get("start", "cloud") == "cloud"
+    assert fair.values.get("start", "cloud") in ("cloud", "hull")
     assert fair.values.get("background", "scene") == "scene"
     assert paper.variant == "configuration=paper"
     assert paper.options != fair.options
