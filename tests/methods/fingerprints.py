@@ -8,7 +8,8 @@
 The fits run on the tiny scene of the contract kit, each method in a process of its own: one thread; our
 kernels, torch and MKL held to their baseline instruction set, so that every x86-64 machine does the same
 arithmetic. Where the software behind it is the recorded one too (:func:`arithmetic`), results must be equal
-byte for byte; elsewhere (another compiler, C library or release of torch) they must lie within ``TOLERANCE``.
+byte for byte; elsewhere (another compiler, C library, release of torch or model of processor, by which
+libraries choose their code) they must lie within ``TOLERANCE``.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def fingerprint(name: str) -> dict[str, Any]:
 
 
 def arithmetic() -> dict[str, str]:
-    """Software that decides the last bit of a result, and a digest of what it makes of some numbers."""
+    """Software and processor that decide the last bit of a result, and a digest of some numbers of theirs."""
     import numpy as np
     import torch
 
@@ -106,7 +107,21 @@ def arithmetic() -> dict[str, str]:
         "libc": " ".join(platform.libc_ver()),
         "compiler": compiler[0].decode() if compiler else "",
         "probe": digest.hexdigest()[:16],
+        "processor": _processor(),
     }
+
+
+def _processor() -> str:
+    """Vendor, family and model, as "AuthenticAMD 25 17"; what Python says where Linux does not."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    fields: dict[str, str] = {}
+    for line in lines:
+        name, _, value = (part.strip() for part in line.partition(":"))
+        fields.setdefault(name, value)
+    return " ".join(fields.get(name, "") for name in ("vendor_id", "cpu family", "model")).strip()
 
 
 def _fit(subject: Any) -> dict[str, Any]:
