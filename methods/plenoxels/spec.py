@@ -9,7 +9,11 @@ DEFLATE = "deflate"
 PUBLISHED: dict[str, OptionValue] = {
     "start": "box",
     "background": "white",
+    "density_lr": 30.0,
     "sh_lr": 1e-2,
+    "tv_density": 1e-5,
+    "tv_sh": 1e-3,
+    "tv_stage": "coarse",
     "alpha_weight": 0.0,
 }
 
@@ -29,14 +33,17 @@ class PlenoxelsOptions:
     )
     background: Literal["scene", "white"] = option("scene", "what training views are composited on")
     rays: int = option(5_000, "rays per iteration", minimum=1, maximum=1_000_000)
-    density_lr: float = option(30.0, "first learning rate of densities", minimum=0.0)
+    density_lr: float = option(
+        5.0, "first learning rate of densities; the published one is too coarse for faint matter", minimum=0.0
+    )
     sh_lr: float = option(
         3e-2,
         "first learning rate of SH coefficients; the published one is too slow for short schedules",
         minimum=0.0,
     )
-    tv_density: float = option(1e-5, "weight of the total variation of densities", minimum=0.0)
-    tv_sh: float = option(1e-3, "weight of the total variation of SH coefficients", minimum=0.0)
+    tv_density: float = option(1e-4, "weight of the total variation of densities", minimum=0.0)
+    tv_sh: float = option(1e-2, "weight of the total variation of SH coefficients", minimum=0.0)
+    tv_stage: Literal["coarse", "both"] = option("both", "stages in which total variation counts")
     prune_weight: float = option(
         0.256,
         "voxels that never have more than this, / vertices along the longest side, in a pixel are pruned",

@@ -126,7 +126,7 @@ class Trainer(TrainingLoop):
             grad_alpha += missing * (2.0 * self.options.alpha_weight / len(missing))
         losses = self.numbers(parts)
         seen.backward(grad_colors, grad_alpha, self.optimiser.grads)
-        if self.iteration <= self.schedule.finer:
+        if self.options.tv_stage == "both" or self.iteration <= self.schedule.finer:
             losses["variation"] = self._variation()
         rates = (
             self.schedule.density_rate(self.iteration, self.options.density_lr),
