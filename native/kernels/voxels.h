@@ -168,7 +168,7 @@ static int64_t march_ray(const March& march, const float* origin, const float* d
       do {
         const int l = __builtin_ctz(active);
         active &= active - 1;
-        if (active && !most) {
+        if (active && !most && march.count == 1) {
           const int soon = __builtin_ctz(active);
           for (int c = 0; c < 8; ++c) {
             const int32_t link = samples[0].corner[c][soon];
