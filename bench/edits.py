@@ -94,6 +94,8 @@ def _value(text: str, kind: str, value: str) -> Any:
         if len(numbers) != 1 or not math.isfinite(numbers[0]):
             raise DataError(f"--edit {text}", f"{value!r} is no number of widths", "Write 0.5 or -0.5")
         return numbers[0]
+    if kind == "width" and numbers[:1] == [0.0]:
+        raise DataError(f"--edit {text}", "a bump of no width shows nothing", "Give a number above 0")
     if len(numbers) != 1 or not math.isfinite(numbers[0]) or numbers[0] < 0.0:
         raise DataError(f"--edit {text}", f"{value!r} is no factor", "Give a number of at least 0")
     return numbers[0]

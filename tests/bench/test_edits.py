@@ -32,6 +32,8 @@ def test_edits_of_a_scene_are_joined() -> None:
         ("a.opacity=-1", "'-1' is no factor"),
         ("a.opacity=inf", "'inf' is no factor"),
         ("a.opacity=1,2", "is no factor"),
+        ("a.width=0", "no width"),
+        ("a.shift=far", "no number of widths"),
     ],
 )
 def test_unusable_edits_are_named(text: str, words: str) -> None:
