@@ -17,52 +17,42 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.errors import DataError
-from datasets.scene import RGB
 from econgs.factors.lines import Lines
 from econgs.factors.rays import Region, camera_rays
-from econgs.splat.composite import over
 from methods.ccnerf.field import BANDS, Factors, drawn
-from methods.interface import Edit, Refused, edits_by_scene
-from methods.shared.edits import opacity_factor, triple
+from methods.interface import Refused
+from methods.shared.edits import triple
+from methods.shared.fields import FieldModel
 from methods.shared.files import saved_files
-from methods.shared.model import SceneSet, seconds
+from methods.shared.model import seconds
 
 FORMAT = "econgs-bench ccnerf 1"
 SUFFIX = ".safetensors"
 _AXES = "xyz"
 
 
-class CpModel(SceneSet[Factors]):
+class CpModel(FieldModel[Factors]):
     """Scenes of factors, drawn by samples along rays."""
 
     method = "ccnerf"
 
-    def render(
-        self,
-        camera: Camera,
-        scenes: Sequence[str] | None = None,
-        edit: Mapping[str, Edit] | None = None,
-        background: RGB | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`."""
-        subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
-        back = subset[0].background if background is None else background
-        edits = edits_by_scene(edit, [scene.name for scene in subset])
-        factors = [opacity_factor(self.method, scene.name, edits.get(scene.name, Edit())) for scene in subset]
-        colors, alpha = self._drawn(subset, factors, camera, {})
-        return over(colors, alpha, back).clamp_(0.0, 1.0), alpha.clamp(0.0, 1.0)
-
     def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
         """Seconds of one frame: densities and weights ("decode"), colors ("shade")."""
-        subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
+        subset = self.chosen(scenes)
         times = {"decode": 0.0, "shade": 0.0, "rasterise": 0.0}
-        self._drawn(subset, [1.0] * len(subset), camera, times)
+        self._timed(subset, camera, [1.0] * len(subset), times)
         return times
 
-    def _drawn(
-        self, scenes: Sequence[Factors], factors: Sequence[float], camera: Camera, times: dict[str, float]
+    def drawn(
+        self, scenes: Sequence[Factors], camera: Camera, factors: Sequence[float]
     ) -> tuple[Tensor, Tensor]:
-        """Premultiplied colors (H, W, 3) and alpha (H, W); seconds are added to ``times``."""
+        """Premultiplied colors (H, W, 3) and alpha (H, W)."""
+        return self._timed(scenes, camera, factors, {})
+
+    def _timed(
+        self, scenes: Sequence[Factors], camera: Camera, factors: Sequence[float], times: dict[str, float]
+    ) -> tuple[Tensor, Tensor]:
+        """The same; seconds are added to ``times``."""
         last = seconds()
 
         def clock(part: str) -> None:

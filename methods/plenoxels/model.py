@@ -21,13 +21,13 @@ from torch import Tensor
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.scene import RGB
-from econgs.splat.composite import over
 from econgs.voxels import SH, VoxelGrid, Voxels, bricks_of, drawn, rays_of
-from methods.interface import Edit, Refused, edits_by_scene
+from methods.interface import Refused
 from methods.plenoxels.spec import DEFLATE
-from methods.shared.edits import opacity_factor, triple
+from methods.shared.edits import triple
+from methods.shared.fields import FieldModel
 from methods.shared.files import saved_files
-from methods.shared.model import SceneSet, seconds
+from methods.shared.model import seconds
 
 FORMAT = "econgs-bench plenoxels 1"
 PER_VOXEL = 4 + 2 * SH
@@ -88,29 +88,15 @@ class VoxelScene:
         return parts | {"metadata": file.stat().st_size - sum(parts.values())}
 
 
-class VoxelModel(SceneSet[VoxelScene]):
+class VoxelModel(FieldModel[VoxelScene]):
     """Voxel grids of scenes; drawn together, their densities add and their colors mix by density."""
 
     method = "plenoxels"
 
-    def render(
-        self,
-        camera: Camera,
-        scenes: Sequence[str] | None = None,
-        edit: Mapping[str, Edit] | None = None,
-        background: RGB | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`."""
-        subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
-        back = subset[0].background if background is None else background
-        edits = edits_by_scene(edit, [scene.name for scene in subset])
-        factors = [opacity_factor(self.method, one.name, edits.get(one.name, Edit())) for one in subset]
-        colors, alpha = self._drawn(subset, camera, factors)
-        return over(colors, alpha, back).clamp_(0.0, 1.0), alpha.clamp(0.0, 1.0)
-
-    def _drawn(
+    def drawn(
         self, scenes: Sequence[VoxelScene], camera: Camera, factors: Sequence[float]
     ) -> tuple[Tensor, Tensor]:
+        """Premultiplied colors (H, W, 3) and alpha (H, W)."""
         grids = [scene.grid for scene in scenes]
         rays = rays_of(self._in_units(camera), str(grids[0].links.device))
         colors, alpha = drawn(grids, rays, factors)
@@ -119,9 +105,9 @@ class VoxelModel(SceneSet[VoxelScene]):
 
     def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
         """Seconds of one frame of scenes (default: all) by part."""
-        subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
+        subset = self.chosen(scenes)
         start = seconds()
-        self._drawn(subset, camera, [1.0] * len(subset))
+        self.drawn(subset, camera, [1.0] * len(subset))
         return {"decode": 0.0, "shade": 0.0, "rasterise": seconds() - start}
 
     def bytes_estimate(self) -> int:

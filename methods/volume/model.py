@@ -19,13 +19,12 @@ from datasets.edits import edited
 from datasets.errors import DataError
 from datasets.ground_truth.model import Draw, Layer, Marcher
 from datasets.ground_truth.probe import find_backend
-from datasets.names import unknown
 from datasets.render_views import marcher_of
 from datasets.scene import RGB, BasicScene
 from econgs.splat.composite import over
 from methods.interface import Edit, Refused, edits_by_scene
 from methods.shared.files import saved_files
-from methods.shared.model import seconds
+from methods.shared.model import NamedScenes, seconds
 from methods.volume.codecs import Codec
 from methods.volume.stored import Samples, StoredVolume, read
 
@@ -50,11 +49,15 @@ class VolumeScene:
     def name(self) -> str:
         return self.scene.name
 
+    @property
+    def background(self) -> RGB:
+        return self.scene.background
+
     def __len__(self) -> int:
         return int(self.stored.volume.values.size)
 
 
-class VolumeModel:
+class VolumeModel(NamedScenes[VolumeScene]):
     """A :class:`methods.interface.Model` whose primitives are voxels.
 
     Args:
@@ -67,32 +70,10 @@ class VolumeModel:
     """
 
     def __init__(self, scenes: Iterable[VolumeScene], codec: Codec, device: str) -> None:
-        every = list(scenes)
-        self._scenes = {scene.name: scene for scene in every}
-        if len(self._scenes) != len(every):
-            raise Refused("two of the scenes to compose have the same name")
+        super().__init__(scenes)
         self.codec, self.device = codec, device
         self._marchers: dict[tuple[int, ...], Marcher] = {}
         self._last: tuple[Any, Draw] | None = None
-
-    @property
-    def scenes(self) -> tuple[str, ...]:
-        """Names of the scenes it holds."""
-        return tuple(self._scenes)
-
-    def scene(self, name: str) -> VolumeScene:
-        """A scene of the model.
-
-        Raises:
-            UnknownName: it does not hold that scene.
-        """
-        if name not in self._scenes:
-            raise unknown("scene", name, self._scenes, of="this model")
-        return self._scenes[name]
-
-    def primitives(self, scene: str | None = None) -> int:
-        """Voxels that a scene is drawn from, or the sum over all scenes."""
-        return sum(len(self.scene(name)) for name in (self.scenes if scene is None else (scene,)))
 
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
         """Write every file; see :class:`methods.interface.Model`.
@@ -185,8 +166,8 @@ class VolumeModel:
         background: RGB | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Render scenes together; see :class:`methods.interface.Model`."""
-        subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
-        back = subset[0].scene.background if background is None else background
+        subset = self.chosen(scenes)
+        back = subset[0].background if background is None else background
         draw = self._draw(subset, edits_by_scene(edit, [scene.name for scene in subset]))
         with torch.inference_mode():
             picture = torch.from_numpy(draw((camera,))[0]).to(self.device)
@@ -199,7 +180,7 @@ class VolumeModel:
         The marcher classifies, shades and composites in one kernel. Volumes are decompressed when the model
         is loaded, not in a frame.
         """
-        subset = [self.scene(name) for name in (self.scenes if scenes is None else scenes)]
+        subset = self.chosen(scenes)
         start = seconds()
         self._draw(subset, {})((camera,))
         return {"decode": 0.0, "shade": 0.0, "rasterise": seconds() - start}
