@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from reports import markup
-from reports.page.scenes import block, figure, heading
+from reports.page.scenes import sheets
 from reports.pictures.panels import Panel, choose, in_view, models
 from reports.pictures.transfer import beside
 from reports.style import MISSING, label
@@ -44,15 +44,8 @@ def section(report: Report, root: Path, charts: Path) -> str:
     ]
     for name, heads, rows in quality(results):
         parts.append(markup.table(name, heads, ([escape(text) for text in row] for row in rows)))
-    room, omitted = PICTURE_BYTES, 0
-    for name, panels in sequences(report.tables, root):
-        head = heading(panels, name, f"{name} edited", charts)
-        figures = [figure(panel, f"{name}, {panel.caption}", report.models) for panel in panels]
-        if sum(map(len, figures)) > room:
-            omitted += 1
-            continue
-        room -= sum(map(len, figures))
-        parts.append(block(head, figures))
+    shown, omitted = sheets(sequences(report.tables, root), "edited", charts, report.models, PICTURE_BYTES)
+    parts += shown
     if omitted:
         parts.append(f'<p class="note">Only the files contain the edits of {omitted} further scenes.</p>')
     return "\n".join(parts)

@@ -103,6 +103,30 @@ def block(head: str, figures: Iterable[str]) -> str:
     return f'<section class="scene"><h3>{head}</h3><div class="panels">{"".join(figures)}</div></section>'
 
 
+def sheets(
+    sequences: Iterable[tuple[str, list[Panel]]], about: str, charts: Path, models: list[Model], room: int
+) -> tuple[list[str], int]:
+    """Scenes with their panels as HTML, and how many have no room on the page; the files contain all.
+
+    Args:
+        sequences: name of a scene, and its panels.
+        about: what the panels are of; follows the scene in the names of files.
+        charts: folder for the panels as PDF and PNG.
+        models: all of the report.
+        room: most bytes of all figures.
+    """
+    blocks, omitted = [], 0
+    for name, views in sequences:
+        head = heading(views, name, f"{name} {about}", charts)
+        figures = [figure(panel, f"{name}, {panel.caption}", models) for panel in views]
+        if sum(map(len, figures)) > room:
+            omitted += 1
+            continue
+        room -= sum(map(len, figures))
+        blocks.append(block(head, figures))
+    return blocks, omitted
+
+
 def _within(room: int, scenes: list[dict[str, str]]) -> tuple[list[list[str]], int]:
     """The figures of each scene that fit into ``room`` bytes, and the number of those that do not."""
     selection: list[list[str]] = [[] for _ in scenes]

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.page.scenes import block, figure, heading
+from reports.page.scenes import sheets
 from reports.pictures.panels import Panel, choose, in_view, models
 from reports.pictures.transfer import beside
 from reports.tables.protocols import conditions
@@ -28,15 +28,9 @@ def section(report: Report, root: Path, charts: Path) -> str:
         root: folder that the paths of pictures are relative to.
         charts: folder for the grids as PDF and PNG.
     """
-    parts, room, omitted = [], PICTURE_BYTES, 0
-    for name, panels in grids(report.stored, root):
-        head = heading(panels, name, f"{name} by training views", charts)
-        figures = [figure(panel, f"{name}, {panel.caption}", report.models) for panel in panels]
-        if sum(map(len, figures)) > room:
-            omitted += 1
-            continue
-        room -= sum(map(len, figures))
-        parts.append(block(head, figures))
+    parts, omitted = sheets(
+        grids(report.stored, root), "by training views", charts, report.models, PICTURE_BYTES
+    )
     if omitted:
         parts.append(f'<p class="note">Only the files contain the pictures of {omitted} further scenes.</p>')
     if not parts:
