@@ -23,21 +23,25 @@ _LEAST = 0.02
 def transfer_distance(before: Sequence[BasicScene], after: Sequence[BasicScene]) -> float | None:
     """Distance of two sets of transfer functions that are drawn together, in [0, 1].
 
-    It is 1 - sum of minima / sum of maxima of extinction and extinction-weighted color over the values: 0
-    where both are the same, 1 where no value is visible in both. How often values occur does not matter.
+    It is 1 - sum of minima / sum of maxima of extinction and extinction-weighted color over the values, both
+    sets scaled to the same total extinction: 0 where both are the same at another opacity, 1 where no value
+    is visible in both. How often values occur does not matter.
 
     Args:
         before: a scene, or all of a composition.
         after: the same for the other set.
 
     Returns:
-        None for isosurfaces, views that were rendered elsewhere, and where nothing is visible.
+        None for isosurfaces, views that were rendered elsewhere, and where nothing is visible in one.
     """
     if any(scene.transfer is None for scene in (*before, *after)):
         return None
-    first, second = (sum(_classified(scene) for scene in scenes) for scenes in (before, after))
-    most = float(np.maximum(first, second).sum())
-    return 1.0 - float(np.minimum(first, second).sum()) / most if most > 0.0 else None
+    first, second = (np.sum([_classified(scene) for scene in scenes], axis=0) for scenes in (before, after))
+    totals = [float(values[:, 0].sum()) for values in (first, second)]
+    if min(totals) <= 0.0:
+        return None
+    first, second = first / totals[0], second / totals[1]
+    return 1.0 - float(np.minimum(first, second).sum() / np.maximum(first, second).sum())
 
 
 def recipe(scene: BasicScene, edit: Edit, trained: Sequence[BasicScene], *, palette: bool) -> dict[str, Edit]:

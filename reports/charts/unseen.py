@@ -29,9 +29,9 @@ _CLEAR = 0.1
 _WORDS = (
     "Transfer functions between and beyond those that were trained on: their bumps are moved by shares of "
     "their widths, narrowed and widened, and scenes are blended. Distance is 0 where the transfer function "
-    "is one of the training, and 1 where no value is visible in both. A method whose models hold their "
-    "colors and opacities cannot follow a bump: it is given the trained scenes that come nearest, at "
-    "opacities (and palettes, where it edits them) fitted to the transfer function."
+    "is one of the training, at any opacity, and 1 where no value is visible in both. A method whose models "
+    "hold their colors and opacities cannot follow a bump: it is given the trained scenes that come "
+    "nearest, at opacities (and palettes, where it edits them) fitted to the transfer function."
 )
 
 

@@ -29,12 +29,11 @@ LOW, HIGH = box("low", 0.2, 0.3), box("high", 0.6, 0.7, BLUE)
         ([LOW], 0.0),
         ([box("half", 0.25, 0.35)], 2 / 3),  # half of each is shared: 0.5 of 1.5
         ([HIGH], 1.0),
-        ([LOW, HIGH], None),
+        ([box("faint", 0.2, 0.3, opacity=0.1)], 0.0),
+        ([LOW, HIGH], 2 / 3),  # half of the extinction is shared: 0.5 of 1.5
     ],
 )
 def test_distance_is_what_is_not_shared(after, distance):
-    if distance is None:  # extinction and colors of HIGH come on top
-        distance = 1.0 - 2.1 / (2.1 + 2.1)  # 1 + 0.9 + 0.1 + 0.1 of either
     assert transfer_distance([LOW], after) == pytest.approx(distance, abs=5e-3)
 
 
