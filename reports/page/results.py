@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -45,8 +46,7 @@ def section(report: Report) -> str:
         f'<button type="button" title="{escape(column.doc)}">{escape(column.header)}</button></th>'
         for column in columns
     )
-    titles = [by_name(name).header for name in DETAILS]
-    data = json.dumps({"names": titles, "rows": writer.details}, separators=(",", ":")).replace("</", "<\\/")
+    data = json.dumps(_interned(writer.details), separators=(",", ":")).replace("</", "<\\/")
     return (
         f"{_controls(results)}"
         '<div class="wide tall" role="region" tabindex="0" aria-label="Results">'
@@ -56,6 +56,14 @@ def section(report: Report) -> str:
         f'<script type="application/json" id="details">{data}</script>'
         f"{_notes(report, names, writer.marks)}{_failures(report)}"
     )
+
+
+def _interned(rows: list[list[str]]) -> dict[str, Any]:
+    """Details of the rows as numbers of words, of which most are in many rows; frequent words first."""
+    words = [word for word, _ in Counter(word for row in rows for word in row).most_common()]
+    places = {word: i for i, word in enumerate(words)}
+    titles = [by_name(name).header for name in DETAILS]
+    return {"names": titles, "words": words, "rows": [[places[word] for word in row] for row in rows]}
 
 
 def _records(table: pd.DataFrame) -> Iterable[tuple[Any, dict[str, Any]]]:
@@ -123,21 +131,21 @@ class _Rows:
         for name in self.numbers:
             if absent(row[name]):
                 why = reasons.get(name) or reasons.get("", "not measured")
-                cells.append(f'<td class="r">{markup.hint(MISSING, why)}</td>')
+                cells.append(f"<td>{markup.hint(MISSING, why)}</td>")
                 continue
             text = escape(cell(name, row[name]))
             if name == "psnr" and not absent(spread):
                 text += f" ± {spread:.2f}"
             mark = marks.get((index, name), 0)
             if mark == UNDECIDED:
-                text += f" {markup.hint(UNDECIDED_SIGN, UNDECIDED_NOTE)}"
+                text += f" {UNDECIDED_SIGN}"
             if self.clocks.busy(row, name):
                 slower = (
                     f"the reference kernel took {self.clocks.slowdown(row, name):.1f} times its quiet time"
                 )
                 text += f" {markup.hint('busy', f'{slower}: the machine was busy')}"
-            place = {1: " first", 2: " second"}.get(mark, "")
-            cells.append(f'<td class="r{place}" data-v="{float(row[name]):.7g}">{text}</td>')
+            place = {1: " class=first", 2: " class=second"}.get(mark, "")
+            cells.append(f"<td{place} data-v={float(row[name]):.7g}>{text}</td>")
         return "".join(cells)
 
 

@@ -90,7 +90,8 @@
     const cell = line.insertCell();
     cell.colSpan = heads.length;
     const list = document.createElement("dl");
-    details.rows[row.index].forEach((text, i) => {
+    details.rows[row.index].forEach((word, i) => {
+      const text = details.words[word];
       if (!text) return;
       const pair = document.createElement("div");
       const name = document.createElement("dt"), value = document.createElement("dd");
