@@ -10,30 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.camera import Camera
 from econgs.context.hash_grid import compiled, native
+from econgs.rays import Rays
 
 Corner = tuple[float, float, float]
 _AT_ONCE = 1024  # rays of a batch in plain PyTorch
-
-
-class Rays(NamedTuple):
-    """A batch of rays, float64.
-
-    Attributes:
-        origins: (B, 3).
-        directions: (B, 3), of length 1.
-    """
-
-    origins: Tensor
-    directions: Tensor
-
-
-def camera_rays(camera: Camera) -> Rays:
-    """Rays through all pixel centres, row by row."""
-    origin, directions = camera.rays()
-    flat = torch.from_numpy(np.ascontiguousarray(directions.reshape(-1, 3)))
-    return Rays(torch.from_numpy(np.array(origin, dtype=np.float64)).expand_as(flat).contiguous(), flat)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +62,7 @@ def march(region: Region, step: float, rays: Rays, shift: Tensor) -> Samples:
     Args:
         region: the box.
         step: distance between samples, > 0.
-        rays: B rays on the CPU.
+        rays: B rays, float64, on the CPU.
         shift: (B,) float64 in [0, 1], of the samples of each ray, in steps.
     """
     counts = _counts(region, step, rays, shift, 1 << 30)
@@ -91,12 +72,14 @@ def march(region: Region, step: float, rays: Rays, shift: Tensor) -> Samples:
     places = torch.empty((total, 3))
     owners, numbers = (torch.empty(total, dtype=torch.int32) for _ in range(2))
     if compiled(places):
-        arrays = (one.numpy() for one in (*rays, shift, first, places, owners, numbers))
+        arrays = (
+            one.numpy() for one in (rays.origins, rays.directions, shift, first, places, owners, numbers)
+        )
         native().place_samples(region.corners, region.cells.numpy(), step, *arrays)
     else:
         for begin in range(0, len(shift), _AT_ONCE):
             part = slice(begin, begin + _AT_ONCE)
-            where, inside, k = _torch_march(region, step, Rays(*(one[part] for one in rays)), shift[part])
+            where, inside, k = _torch_march(region, step, rays[part], shift[part])
             ray, column = inside.nonzero(as_tuple=True)
             own = slice(int(first[begin]), int(first[begin]) + len(ray))
             places[own], owners[own], numbers[own] = where[inside].float(), ray.int() + begin, k[column].int()
@@ -105,19 +88,19 @@ def march(region: Region, step: float, rays: Rays, shift: Tensor) -> Samples:
 
 def hits(region: Region, step: float, rays: Rays) -> Tensor:
     """(B,) whether a ray has any sample, at shift ½."""
-    shift = torch.full((len(rays.origins),), 0.5, dtype=torch.float64)
+    shift = torch.full((len(rays),), 0.5, dtype=torch.float64)
     return _counts(region, step, rays, shift, 1) > 0
 
 
 def _counts(region: Region, step: float, rays: Rays, shift: Tensor, most: int) -> Tensor:
     counts = torch.zeros(len(shift), dtype=torch.int32)
     if compiled(torch.empty(0)):
-        arrays = [one.numpy() for one in (*rays, shift)]
+        arrays = [one.numpy() for one in (rays.origins, rays.directions, shift)]
         native().count_samples(region.corners, region.cells.numpy(), step, *arrays, most, counts.numpy())
         return counts
     for begin in range(0, len(shift), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
-        _, inside, _ = _torch_march(region, step, Rays(*(one[part] for one in rays)), shift[part])
+        _, inside, _ = _torch_march(region, step, rays[part], shift[part])
         counts[part] = inside.sum(1).clamp(max=most).int()
     return counts
 

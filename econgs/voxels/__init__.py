@@ -4,13 +4,12 @@ Plenoxels (S. Fridovich-Keil, A. Yu et al.: Plenoxels: Radiance Fields without N
 """
 
 from econgs.voxels.grid import ROW, SH, VoxelGrid, Voxels, bricks_of, lattice, links_of, occupied
-from econgs.voxels.march import Rays, Trace, drawn, rays_of, trace, voxel_weights
+from econgs.voxels.march import Trace, drawn, trace, voxel_weights
 from econgs.voxels.optimise import rms_step, variation
 
 __all__ = [
     "ROW",
     "SH",
-    "Rays",
     "Trace",
     "VoxelGrid",
     "Voxels",
@@ -19,7 +18,6 @@ __all__ = [
     "lattice",
     "links_of",
     "occupied",
-    "rays_of",
     "rms_step",
     "trace",
     "variation",

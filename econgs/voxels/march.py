@@ -18,8 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
 from econgs.context.hash_grid import compiled, native
+from econgs.rays import Rays
 from econgs.splat.sh import harmonics
 from econgs.voxels.grid import SH, VoxelGrid, Voxels
 
@@ -30,36 +30,6 @@ LEAST_THROUGH = 1e-7
 STEP = 0.5
 """Between samples, of the spacing of vertices (published)."""
 _AT_ONCE = 4096  # rays drawn at once by torch
-
-
-@dataclass(frozen=True, eq=False)
-class Rays:
-    """Rays of a camera, or of several.
-
-    Attributes:
-        origins: (B, 3).
-        directions: (B, 3) unit vectors.
-        near: (B,) distance from the origin of the first sample, at least.
-    """
-
-    origins: Tensor
-    directions: Tensor
-    near: Tensor
-
-    def __len__(self) -> int:
-        return len(self.near)
-
-    def __getitem__(self, rows: slice) -> Rays:
-        return Rays(self.origins[rows], self.directions[rows], self.near[rows])
-
-
-def rays_of(camera: Camera, device: str = "cpu") -> Rays:
-    """Rays through all pixels of a camera, row after row."""
-    origin, directions = camera.rays()
-    flat = directions.reshape(-1, 3)
-    near = camera.near / (flat @ camera.camera_to_world[:3, 2])
-    arrays = (np.broadcast_to(origin, flat.shape), flat, near)
-    return Rays(*(torch.from_numpy(np.ascontiguousarray(one, np.float32)).to(device) for one in arrays))
 
 
 @torch.no_grad()

@@ -13,7 +13,8 @@ from torch.nn import functional
 
 from datasets.scene import RGB
 from econgs.factors.lines import Lines, line_products
-from econgs.factors.rays import Rays, Region, Samples, march, ray_sums, ray_weights
+from econgs.factors.rays import Region, Samples, march, ray_sums, ray_weights
+from econgs.rays import Rays
 from econgs.splat.sh import harmonics
 
 DEGREE = 3
@@ -121,7 +122,7 @@ def trace(scene: Factors, rays: Rays, shift: Tensor, groups: int) -> Traced:
     owners = samples.rays[seen]
     features = scene.features(samples.places[seen], owners, harmonics_of(rays, like), groups)
     colors = features.cumsum(1).sigmoid() * weights[seen][:, None, None]
-    count = len(rays.origins)
+    count = len(rays)
     picture = ray_sums(colors.flatten(1), owners, count).reshape(count, groups, 3)
     return Traced(picture, ray_sums(weights[:, None], samples.rays, count)[:, 0])
 
@@ -142,8 +143,8 @@ def drawn(
         clock: is told "decode" and "shade" when densities and colors are done, of each part of the rays.
     """
     parts = []
-    for begin in range(0, len(rays.origins), _AT_ONCE):
-        part = Rays(*(one[begin : begin + _AT_ONCE] for one in rays))
+    for begin in range(0, len(rays), _AT_ONCE):
+        part = rays[begin : begin + _AT_ONCE]
         parts.append(_drawn(scenes, factors, part, clock))
     colors, alphas = zip(*parts, strict=True)
     return torch.cat(colors), torch.cat(alphas)
@@ -152,7 +153,7 @@ def drawn(
 def _drawn(
     scenes: Sequence[Factors], factors: Sequence[float], rays: Rays, clock: Callable[[str], None]
 ) -> tuple[Tensor, Tensor]:
-    count, like = len(rays.origins), scenes[0].harmonics
+    count, like = len(rays), scenes[0].harmonics
     shift = torch.full((count,), 0.5, dtype=torch.float64)
     step = min(scene.step for scene in scenes)
     there = [(scene, factor) for scene, factor in zip(scenes, factors, strict=True) if factor > 0.0]

@@ -18,7 +18,8 @@ from torch import Tensor
 from datasets.camera import Camera
 from datasets.errors import DataError
 from econgs.factors.lines import Lines
-from econgs.factors.rays import Region, camera_rays
+from econgs.factors.rays import Region
+from econgs.rays import camera_rays
 from methods.ccnerf.field import BANDS, Factors, drawn
 from methods.interface import Refused
 from methods.shared.edits import triple

@@ -11,9 +11,10 @@ from torch import Tensor
 from datasets.scene import RGB
 from datasets.views import ViewSet
 from econgs.factors.lines import Lines, dense, resampled
-from econgs.factors.rays import Corner, Rays, Region, camera_rays, hits
+from econgs.factors.rays import Corner, Region, hits
 from econgs.losses import RESCUE, VANISHING
 from econgs.optim import Adam
+from econgs.rays import PixelRays, Rays, camera_rays
 from methods.ccnerf.field import BANDS, SCALE, SHIFT, Factors, trace
 from methods.ccnerf.model import CpModel
 from methods.ccnerf.schedule import Schedule
@@ -251,10 +252,7 @@ class _Pixels:
         self.values = torch.from_numpy(views.images).reshape(-1, 4)
         self.cameras = views.cameras
         self.size = views.images.shape[1] * views.images.shape[2]
-        self.width = views.images.shape[2]
-        self.poses = torch.from_numpy(np.stack([one.camera_to_world[:3] for one in views.cameras]))
-        intrinsics = [[one.fx, one.fy, one.cx, one.cy] for one in views.cameras]
-        self.intrinsics = torch.tensor(intrinsics, dtype=torch.float64)
+        self.rays_of = PixelRays(views.cameras)
 
     def hitting(self, region: Region, step: float) -> Tensor:
         """Numbers of the pixels whose rays have samples in a region."""
@@ -266,15 +264,7 @@ class _Pixels:
 
     def batch(self, numbers: Tensor) -> tuple[Rays, Tensor]:
         """Rays and values of pixels."""
-        view, within = numbers // self.size, numbers % self.size
-        fx, fy, cx, cy = self.intrinsics[view].unbind(1)
-        u = (within % self.width + 0.5 - cx) / fx
-        v = (within // self.width + 0.5 - cy) / fy
-        poses = self.poses[view]
-        ahead = torch.stack([u, v, torch.ones_like(u)], dim=1)
-        directions = (poses[:, :, :3] * ahead[:, None]).sum(-1)
-        directions = torch.nn.functional.normalize(directions, dim=1)
-        return Rays(poses[:, :, 3].contiguous(), directions), self.values[numbers]
+        return self.rays_of(numbers), self.values[numbers]
 
 
 def _scene(

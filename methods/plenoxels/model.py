@@ -21,7 +21,8 @@ from torch import Tensor
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.scene import RGB
-from econgs.voxels import SH, VoxelGrid, Voxels, bricks_of, drawn, rays_of
+from econgs.rays import camera_rays
+from econgs.voxels import SH, VoxelGrid, Voxels, bricks_of, drawn
 from methods.interface import Refused
 from methods.plenoxels.spec import DEFLATE
 from methods.shared.edits import triple
@@ -98,7 +99,7 @@ class VoxelModel(FieldModel[VoxelScene]):
     ) -> tuple[Tensor, Tensor]:
         """Premultiplied colors (H, W, 3) and alpha (H, W)."""
         grids = [scene.grid for scene in scenes]
-        rays = rays_of(self._in_units(camera), str(grids[0].links.device))
+        rays = camera_rays(self._in_units(camera), torch.float32).to(str(grids[0].links.device))
         colors, alpha = drawn(grids, rays, factors)
         shape = (camera.height, camera.width)
         return colors.reshape(*shape, 3), alpha.reshape(shape)

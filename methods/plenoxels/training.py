@@ -6,18 +6,16 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from datasets.scene import RGB
+from econgs.rays import PixelRays, camera_rays
 from econgs.voxels import (
     SH,
-    Rays,
     VoxelGrid,
     Voxels,
     bricks_of,
-    rays_of,
     rms_step,
     trace,
     variation,
@@ -87,7 +85,7 @@ class Trainer(TrainingLoop):
         grid = first_grid(scene, hull, longest, options.start, FIRST_DENSITY)
         self.pixels = _pixels(hull, 2.0 * grid.spacing)
         self.truth = images.reshape(-1, 4)
-        self.cameras = Cameras(scene)
+        self.rays = PixelRays(scene.train.cameras, torch.float32)
         self._take(on(grid, device))
 
     def _take(self, grid: VoxelGrid, moments: Voxels | None = None) -> None:
@@ -111,7 +109,7 @@ class Trainer(TrainingLoop):
         self.iteration += 1
         chosen = torch.randint(len(self.pixels), (self.options.rays,), generator=self.generator)
         pixels = self.pixels[chosen]
-        seen = trace(self.grid, on(self.cameras.rays(pixels), self.device))
+        seen = trace(self.grid, self.rays(pixels).to(self.device))
         truth = self.truth[pixels].to(self.device)
         back = torch.tensor(self.background, device=self.device)
         alpha = truth[:, 3:]
@@ -154,7 +152,7 @@ class Trainer(TrainingLoop):
         most = torch.zeros(self.count, device=self.device)
         for camera in self.scene.train.cameras:
             half = camera.resized(max(1, camera.width // 2), max(1, camera.height // 2))
-            voxel_weights(self.grid, rays_of(half, self.device), most)
+            voxel_weights(self.grid, camera_rays(half, torch.float32).to(self.device), most)
         keep = most >= self.options.prune_weight / max(self.grid.size)
         self._take(self.grid.finer(max(8, self.options.resolution), keep))
 
@@ -191,29 +189,6 @@ class Trainer(TrainingLoop):
                 raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
 
 
-class Cameras:
-    """Rays through any pixels of the training views, all views' pixels numbered in a row."""
-
-    def __init__(self, scene: SceneInput) -> None:
-        cameras = scene.train.cameras
-        self.height, self.width = scene.train.images.shape[1:3]
-        self.poses = torch.from_numpy(np.stack([one.camera_to_world for one in cameras])).float()
-        numbers = [[one.fx, one.fy, one.cx, one.cy, one.near] for one in cameras]
-        self.numbers = torch.tensor(numbers, dtype=torch.float32)
-
-    def rays(self, pixels: Tensor) -> Rays:
-        """Rays through pixels (B,)."""
-        view = pixels // (self.height * self.width)
-        row, column = pixels // self.width % self.height, pixels % self.width
-        fx, fy, cx, cy, near = self.numbers[view].unbind(1)
-        x, y = (column + 0.5 - cx) / fx, (row + 0.5 - cy) / fy
-        local = torch.stack([x, y, torch.ones_like(x)], dim=1)
-        length = local.norm(dim=1)
-        poses = self.poses[view]
-        directions = (poses[:, :3, :3] @ local[:, :, None])[:, :, 0] / length[:, None]
-        return Rays(poses[:, :3, 3].contiguous(), directions, near * length)
-
-
 def _pixels(hull: Hull, radius: float) -> Tensor:
     """Numbers of the pixels whose rays may meet the hull; all, if none does."""
     count, height, width = hull.masks.shape
@@ -223,10 +198,10 @@ def _pixels(hull: Hull, radius: float) -> Tensor:
 
 
 def on(value: Any, device: str) -> Any:
-    """Rays, voxels or a grid on a device."""
+    """Voxels or a grid on a device."""
     if isinstance(value, Tensor):
         return value.to(device)
-    if isinstance(value, Rays | Voxels | VoxelGrid):
+    if isinstance(value, Voxels | VoxelGrid):
         return replace(value, **{name: on(one, device) for name, one in vars(value).items()})
     return value
 

@@ -8,7 +8,8 @@ import torch
 from scipy.interpolate import RegularGridInterpolator
 
 from econgs.factors.lines import dense, line_products, resampled
-from econgs.factors.rays import Rays, Region, Samples, hits, march, ray_sums, ray_weights
+from econgs.factors.rays import Region, Samples, hits, march, ray_sums, ray_weights
+from econgs.rays import Rays
 from econgs.splat import native
 
 SIZES, GROUPS, RANKS, RAYS, COUNT = (5, 7, 4), 3, 16, 6, 40
@@ -135,7 +136,9 @@ def bundle(count=50, seed=3):
     )
     aims = torch.rand((count, 3), generator=generator, dtype=torch.float64) - 0.5
     directions = torch.nn.functional.normalize(aims - origins, dim=1)
-    return Rays(origins, directions), torch.rand(count, generator=generator, dtype=torch.float64)
+    return Rays(origins, directions, torch.zeros(count)), torch.rand(
+        count, generator=generator, dtype=torch.float64
+    )
 
 
 def region(seed=4):
@@ -165,13 +168,13 @@ def test_samples_are_all_those_in_occupied_cells(backend):
 
 def test_rays_that_miss_have_no_samples(backend):
     rays, _ = bundle(8)
-    away = Rays(rays.origins, -rays.directions)
+    away = Rays(rays.origins, -rays.directions, rays.near)
     full = Region((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0), torch.ones((1, 1, 1), dtype=torch.uint8))
     assert hits(full, 0.05, rays).all()
     assert not hits(full, 0.05, away).any()
     assert not hits(Region(full.low, full.high, torch.zeros((2, 2, 2), dtype=torch.uint8)), 0.05, rays).any()
     outwards = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
-    inside = Rays(torch.zeros_like(outwards), outwards)
+    inside = Rays(torch.zeros_like(outwards), outwards, torch.zeros(1))
     samples = march(full, 0.125, inside, torch.full((1,), 0.5, dtype=torch.float64))
     assert samples.numbers.tolist() == list(range(8))
 

@@ -11,11 +11,11 @@ import pytest
 import torch
 from scipy.ndimage import map_coordinates
 
+from econgs.rays import Rays
 from econgs.splat import native
 from econgs.splat.sh import spherical_harmonics
 from econgs.voxels import (
     SH,
-    Rays,
     VoxelGrid,
     Voxels,
     bricks_of,

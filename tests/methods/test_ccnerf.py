@@ -11,7 +11,8 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from datasets.errors import DataError
-from econgs.factors.rays import Region, camera_rays
+from econgs.factors.rays import Region
+from econgs.rays import camera_rays
 from econgs.splat.sh import spherical_harmonics
 from methods.ccnerf.field import SCALE, SHIFT, Factors, trace
 from methods.ccnerf.model import CpModel

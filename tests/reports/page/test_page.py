@@ -141,8 +141,8 @@ def test_failures_are_shown_escaped_with_reasons(maker):
     for words in ("1 oom", "1 refused", "1 timeout", "1 stale", "the fit passed its limit of 8 GiB"):
         assert words in text
     assert re.search(r'<abbr title="[^"]*tf1: oom">', source), "why 3DGS has no mean"
-    assert re.search(r'class=first [^>]*>36.00', source)
-    assert re.search(r'class=second [^>]*>33.98', source)
+    assert re.search(r"class=first [^>]*>36.00", source)
+    assert re.search(r"class=second [^>]*>33.98", source)
 
 
 def test_the_page_of_an_empty_store_has_the_command_to_fill_it(maker):
