@@ -44,6 +44,12 @@ changes. Keys:
                 "prunable": percent of Gaussians that can go at ``level`` dB of loss
     level       of :data:`reports.charts.economy.LEVELS`, or a value of :data:`reports.schema.PRUNED`
 
+``verdict``  what a section of the report concludes, its table, and a line with the conditions. Keys:
+
+    bundles     as above
+    section     "unseen" or "volumes"
+    where       as above; which rows the section sees
+
 ``index``    what each bundle holds; ``commands``: every command of ``bench`` with its options.
 """
 
@@ -67,7 +73,7 @@ from bench.suites import load_suite
 from bench.tables import build_tables
 from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
 from methods.registry import Registry
-from reports.charts import economy, svg
+from reports.charts import economy, svg, unseen, volumes
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.conclusions.ladders import amount, by_method, verdict
@@ -79,7 +85,8 @@ from reports.tables.protocols import by_scene_choice
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
 BLOCK = re.compile(
-    r"(<!-- (table|chart|ladders|departures|economy|index|commands)\b(.*?)-->\n).*?(<!-- end -->)", re.S
+    r"(<!-- (table|chart|ladders|departures|economy|verdict|index|commands)\b(.*?)-->\n).*?(<!-- end -->)",
+    re.S,
 )
 METHODS = (
     "3dgs", "3dgs-mcmc", "vq-3dgs", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs", "veg",
@@ -443,6 +450,22 @@ def economy_of(description: str) -> str:
     return f"{_markdown(heads, lines)}\n{_conditions(usual[usual['variant'] == ''])}"
 
 
+def verdict_of(description: str) -> str:
+    """What a section of the report concludes, as Markdown, its table, and a line with the conditions."""
+    block = tomllib.loads(description)
+    parts = dict(tables(tuple(block["bundles"])))
+    parts["results"] = parts["results"].query(block.get("where", "index >= 0"), engine="python")
+    report = Report(parts)
+    if block["section"] == "unseen":
+        targets = unseen.targets(report.results)
+        sentence, heads, lines = unseen.conclusion(targets), unseen.HEADS, unseen.rows(targets)
+    else:
+        verdicts = volumes.verdicts(report.curves)
+        sentence, heads = volumes.conclusion(verdicts), volumes.HEADS
+        lines = [volumes.row(one) for one in verdicts]
+    return f"**{sentence}**\n\n{_markdown(list(heads), lines)}\n{_conditions(report.results)}"
+
+
 def index(_: str) -> str:
     """What each bundle holds, as Markdown."""
     titles = ["bundle", "MB", "rows", "datasets", "methods", "presets", "seeds"]
@@ -492,6 +515,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "ladders": ladders_of,
     "departures": departures,
     "economy": economy_of,
+    "verdict": verdict_of,
     "index": index,
     "commands": commands,
 }

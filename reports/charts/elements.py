@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from html import escape
 
@@ -54,7 +54,7 @@ def card(panel: Panel, caption: str) -> str:
     return f'<figure class="card">{head}{svg.page_panel(panel)}</figure>'
 
 
-def table(caption: str, heads: list[str], rows: list[list[str]]) -> str:
+def table(caption: str, heads: Sequence[str], rows: list[list[str]]) -> str:
     """A table whose long cells are broken."""
     return markup.table(caption, heads, ([_cell(text) for text in row] for row in rows))
 

@@ -24,6 +24,8 @@ BANDS = (
     (1.0, "beyond"),
 )
 """Highest distance of a band, and its name."""
+HEADS = ("Dataset", "Method", *(name for _, name in BANDS), "Loss to the farthest")
+"""Of :func:`rows`."""
 _CLEAR = 0.1
 """Lead in dB from which a method is named alone."""
 _WORDS = (
@@ -153,23 +155,27 @@ def conclusion(found: list[Target]) -> str:
     return " ".join(sentences)
 
 
+def rows(found: list[Target]) -> list[list[str]]:
+    """Mean PSNR of each dataset and model by band, under :data:`HEADS`."""
+    lines = []
+    for panel in dict.fromkeys(one.panel for one in found):
+        for each, own in band_means(found, panel).items():
+            cells = [f"{own[band][1]:.2f}" if band in own else MISSING for _, band in BANDS]
+            values = [own[band][1] for _, band in BANDS if band in own]
+            loss = f"{values[0] - values[-1]:.2f}" if "trained" in own and len(values) > 1 else MISSING
+            lines.append([panel, each.title, *cells, loss])
+    return lines
+
+
 def unseen_section(report: Report) -> Section | None:
     """The section of the page; None where no bump was moved."""
     found = targets(report.results)
     if not any(one.distance > 0.0 for one in found):
         return None
     chart = unseen_chart(found, report.models)
-    heads = ["Dataset", "Method", *(name for _, name in BANDS), "Loss to the farthest"]
-    rows = []
-    for panel in dict.fromkeys(one.panel for one in found):
-        for each, own in band_means(found, panel).items():
-            cells = [f"{own[band][1]:.2f}" if band in own else MISSING for _, band in BANDS]
-            values = [own[band][1] for _, band in BANDS if band in own]
-            loss = f"{values[0] - values[-1]:.2f}" if "trained" in own and len(values) > 1 else MISSING
-            rows.append([panel, each.title, *cells, loss])
     note = "Mean PSNR [dB] over the transfer functions that all methods have, at their default rates."
     html = (
         f"<p><b>{conclusion(found)}</b></p><p>{_WORDS}</p>{legend(chart.legend)}{cards(chart.panels)}"
-        f'{table("PSNR by distance of the transfer function", heads, rows)}<p class="note">{note}</p>'
+        f'{table("PSNR by distance of the transfer function", HEADS, rows(found))}<p class="note">{note}</p>'
     )
     return Section("unseen", "Unseen transfer functions", html, {"unseen-psnr": chart})

@@ -19,6 +19,12 @@ if TYPE_CHECKING:
 
 VOLUMES = ("sz3", "zfp")
 """Methods that store the volume itself."""
+HEADS = (
+    "Dataset", "Method", "PSNR [dB]", "Size [MiB]", "Volume", "Its size at that PSNR [MiB]", "Ratio",
+    "Volume is better from [MiB]", "View [ms]", "View of the volume [ms]", "Memory [MiB]",
+    "Memory of the volume [MiB]",
+)  # fmt: skip
+"""Of :func:`row`."""
 _ABOVE = 6.0
 """dB of the volumes' curves that a chart shows above all models: without loss they go to 90 dB and more."""
 _WORDS = (
@@ -186,27 +192,25 @@ def volumes_section(report: Report) -> Section | None:
     if not found:
         return None
     chart = volumes_chart(report.curves, found, report.models)
-    heads = ["Dataset", "Method", "PSNR [dB]", "Size [MiB]", "Volume", "Its size at that PSNR [MiB]", "Ratio"]
-    heads += ["Volume is better from [MiB]", "View [ms]", "View of the volume [ms]"]
-    heads += ["Memory [MiB]", "Memory of the volume [MiB]"]
     html = (
-        f"<p><b>{_conclusion(found)}</b></p><p>{_WORDS}</p>{cards(chart.panels)}"
-        f"{table('Models and the volume at equal PSNR', heads, [_row(one) for one in found])}"
+        f"<p><b>{escape(conclusion(found))}</b></p><p>{_WORDS}</p>{cards(chart.panels)}"
+        f"{table('Models and the volume at equal PSNR', HEADS, [row(one) for one in found])}"
     )
     return Section("volumes", "When does a model pay", html, {"volumes": chart})
 
 
-def _conclusion(found: Sequence[Verdict]) -> str:
+def conclusion(found: Sequence[Verdict]) -> str:
     """Which models are smaller than a volume that is as good, by dataset and volume."""
     sentences = []
     for dataset, volume in dict.fromkeys((one.dataset, one.volume.title) for one in found):
         rows = [one for one in found if (one.dataset, one.volume.title) == (dataset, volume)]
         paying = ", ".join(one.model.title for one in rows if one.pays)
         sentences.append(f"{dataset}: {paying or 'no model'} smaller than the {volume} at equal PSNR.")
-    return escape(" ".join(sentences))
+    return " ".join(sentences)
 
 
-def _row(one: Verdict) -> list[str]:
+def row(one: Verdict) -> list[str]:
+    """A line of the table, under :data:`HEADS`."""
     sign = {"": "", "below": "\N{LESS-THAN OR EQUAL TO} ", "above": "> "}[one.bound]
     ratio = {"": "", "below": "\N{GREATER-THAN OR EQUAL TO} ", "above": "< "}[one.bound]
     memory, times = (
