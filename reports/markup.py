@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +36,18 @@ def status(row: Any) -> str:
     if not absent(row["stale"]) and row["stale"]:
         tag += f" {STALE}"
     return tag
+
+
+def data(value: Any, anchor: str = "") -> str:
+    """A value for the page's script, as JSON in which no text can end or open an element.
+
+    Args:
+        value: anything that JSON holds.
+        anchor: id of the element.
+    """
+    text = json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    name = f' id="{anchor}"' if anchor else ""
+    return f'<script type="application/json"{name}>{text}</script>'
 
 
 def hint(text: str, why: str) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from collections.abc import Iterator
 from functools import cache
 from html import escape
 from typing import Any
 
+from reports import markup
 from reports.charts.chart import INK, Axis, Chart, Panel
 from reports.charts.labels import LINE, SIZE, text_width
 from reports.style import DARK, Look
@@ -46,8 +46,7 @@ _LEAST, _MOST = 300.0, 1.5
 
 def page_panel(panel: Panel) -> str:
     """A panel as an element of the page, and after it, as JSON, the points that its script names."""
-    points = json.dumps(_points(panel), allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
-    data = f'<script type="application/json">{points}</script>' if panel.series else ""
+    data = markup.data(_points(panel)) if panel.series else ""
     least = min(panel.width, _LEAST)
     size = f' class="chart" style="min-width:{least:.0f}px;max-width:{_MOST * panel.width:.0f}px"'
     return f"{_document(panel.width, panel.height, drawing(panel, links=True), size)}{data}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable
 from html import escape
@@ -46,14 +45,13 @@ def section(report: Report) -> str:
         f'<button type="button" title="{escape(column.doc)}">{escape(column.header)}</button></th>'
         for column in columns
     )
-    data = json.dumps(_interned(writer.details), separators=(",", ":")).replace("</", "<\\/")
     return (
         f"{_controls(results)}"
         '<div class="wide tall" role="region" tabindex="0" aria-label="Results">'
         '<table class="results"><caption>One row per scene and method; below them the means of the dataset. '
         "A row opens to show the origin of its numbers.</caption>"
         f"<thead><tr>{heads}</tr></thead>{''.join(bodies)}</table></div>"
-        f'<script type="application/json" id="details">{data}</script>'
+        f"{markup.data(_interned(writer.details), anchor='details')}"
         f"{_notes(report, names, writer.marks)}{_failures(report)}"
     )
 

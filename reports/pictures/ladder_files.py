@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reports.conclusions.ladders import amount
-from reports.pictures.panel_files import canvas, save
+from reports.pictures.panel_files import canvas, caption, save
 from reports.pictures.strips import FACTOR, Flicker, ViewsOfJobs, psnr_of, read_pair
 from reports.style import label
 
@@ -123,7 +123,7 @@ def draw_breaks(breaks: Sequence[Break]) -> Figure:
     for row, head in zip(rows, heads, strict=True):
         for column, at in enumerate(row):
             left = _SPACE + column * (wide + _SPACE)
-            axes.text(left, top, lines[at], fontsize=6.5, va="top", weight="bold", linespacing=1.1)
+            caption(axes, left, top, lines[at], weight="bold", linespacing=1.1)
             shots = (
                 ("truth", breaks[at].truth),
                 (_caption(breaks[at].rung), breaks[at].broken),
@@ -149,7 +149,7 @@ def draw_flicker(pair: Flicker) -> Figure:
         len(shots) * (_CELL + _GAP) + 2 * _SPACE - _GAP, _TEXT + 0.05 + _CELL + _TEXT + _GAP + _SPACE
     )
     words = f"{pair.subject}, {pair.views[0]} to {pair.views[1]}: change of the error, {FACTOR} times"
-    axes.text(_SPACE, _GAP, words, fontsize=6.5, va="top", weight="bold")
+    caption(axes, _SPACE, _GAP, words, weight="bold")
     for place, (name, picture) in enumerate(shots):
         _show(axes, picture, _SPACE + place * (_CELL + _GAP), _GAP + _TEXT + 0.05, name)
     return figure
@@ -161,7 +161,7 @@ def _show(axes: Axes, picture: Picture, left: float, top: float, name: str) -> N
     scale = _CELL / max(height, width)
     place = (left, left + width * scale, top + height * scale, top)
     axes.imshow(picture, extent=place, aspect="auto", interpolation="nearest")
-    axes.text(left, top + _CELL + 0.02, name, fontsize=5.5, va="top", color="#555555")
+    caption(axes, left, top + _CELL + 0.02, name, fontsize=5.5, color="#555555")
 
 
 def _words(one: Break) -> str:

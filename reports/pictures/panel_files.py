@@ -79,8 +79,8 @@ def draw(panels: list[Panel], scene: str) -> Figure:
         top += height
     _show(axes, scale()[None], _GAP, top + 0.06, _CELL, 0.09)
     text = f"ΔE*uv to the ground truth, 0 to {DELTA_E_MAX:.0f}"
-    _write(axes, 2 * _GAP + _CELL, top + 0.03, text if columns > 2 else f"ΔE*uv 0 to {DELTA_E_MAX:.0f}")
-    _write(axes, _GAP, top + 0.03 + _TEXT, scene, color="#555555")
+    caption(axes, 2 * _GAP + _CELL, top + 0.03, text if columns > 2 else f"ΔE*uv 0 to {DELTA_E_MAX:.0f}")
+    caption(axes, _GAP, top + 0.03 + _TEXT, scene, color="#555555")
     return figure
 
 
@@ -99,8 +99,8 @@ def _row(axes: Axes, panel: Panel, top: float) -> None:
         shots.append((_name(shot), shot.picture, shot.difference, values))
     for column, (name, picture, difference, values) in enumerate(shots):
         left = _GAP + column * (_CELL + _GAP)
-        _write(axes, left, bottom - 0.03, name, weight="bold", va="bottom")
-        _write(axes, left, below + _HALF + 0.03, values)
+        caption(axes, left, bottom - 0.03, name, weight="bold", va="bottom")
+        caption(axes, left, below + _HALF + 0.03, values)
         if picture is None:
             continue
         _show(axes, picture, left, bottom, _CELL, _CELL * aspect, panel.window)
@@ -139,8 +139,9 @@ def _frame(axes: Axes, left: float, top: float, width: float, height: float, col
     axes.add_patch(Rectangle((left, top), width, height, fill=False, ec=color, lw=line, joinstyle="miter"))
 
 
-def _write(axes: Axes, left: float, top: float, text: str, **style: Any) -> None:
-    axes.text(left, top, text, **{"fontsize": 6.5, "va": "top", **style})
+def caption(axes: Axes, left: float, top: float, text: str, **style: Any) -> None:
+    """Text from an upper left corner, in inches; a dollar sign is one."""
+    axes.text(left, top, text, **{"fontsize": 6.5, "va": "top", "parse_math": False, **style})
 
 
 def _name(shot: Shot) -> str:

@@ -97,6 +97,19 @@ def test_a_normal_report_is_whole_and_works_offline(maker):
     assert all((maker.root / f"results.{ending}").stat().st_size for ending in ("csv", "md", "tex"))
 
 
+def test_names_are_text_whatever_they_hold(maker):
+    name = '$\\frac{x$ <!--<script>alert(1)</script> & "q"'
+    for dataset in (name, "vortex"):
+        for method in ("3dgs", "econgs"):
+            maker.run(dataset=dataset, scene=name, method=method, views=1)
+    source, text = page(maker, draw=True)
+    assert name in text
+    for body in re.findall(r"<script[^>]*>(.*?)</script>", source, re.S):
+        assert "<!--" not in body
+    assert Outline(source).tags["script"] == source.count("<script")
+    assert list((maker.root / "charts").glob("panel-*.pdf"))
+
+
 def test_a_screen_reader_finds_its_way(maker):
     fill(maker, "failures")
     maker.run("other", method="econgs")
