@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from bench.edits import edit_of
 from bench.ladders import Ladder, ladder_of
 from datasets.errors import DataError
 from datasets.names import unknown
+from datasets.toml import read_toml
 
 FOLDER = Path(__file__).parent / "suites"
 SAMPLED = 100
@@ -49,6 +51,80 @@ VIEWS = {
     "paper": ViewPreset(92, 181, 800, 800, 800),
 }
 """Presets of every suite, unless it declares its own of that name; "paper" is the published protocol."""
+
+
+Count = Annotated[int, Field(ge=1)]
+Pixels = Annotated[int, Field(ge=1, le=16_384)]
+Views = Annotated[int, Field(ge=1, le=100_000)]
+# NumPy takes no other seeds.
+Seed = Annotated[int, Field(ge=0, lt=2**32)]
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise ValueError("is no list of names")
+    return tuple(value)
+
+
+def _choices(value: Any) -> tuple[tuple[str, ...], ...]:
+    """A list of names is one choice of scenes, a list of lists several."""
+    several = isinstance(value, list) and [one for one in value if isinstance(one, list)]
+    if several and len(several) < len(value):
+        raise ValueError("scenes are names, or lists of names, not both")
+    return tuple(map(_names, several)) if several else (_names(value),)
+
+
+def _compositions(value: Any) -> Literal["all"] | tuple[str, ...]:
+    if value == "all":
+        return "all"
+    if isinstance(value, str):
+        raise ValueError('write "all", or a list of names')
+    return _names(value)
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, hide_input_in_errors=True)
+
+
+class _Views(_Part):
+    """A preset of a suite file (:class:`ViewPreset`)."""
+
+    train_views: Views
+    test_views: Views
+    width: Pixels
+    height: Pixels
+    prerendered_limit: Pixels
+    cloud_points: Annotated[int, Field(ge=1, le=100_000_000)] = 10_000
+    like: str = ""
+    budget: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+
+
+class _File(_Part):
+    """A suite file (:class:`Suite`)."""
+
+    title: str
+    datasets: Annotated[dict[str, Annotated[Any, AfterValidator(_choices)]], Field(min_length=1)]
+    methods: list[str] = []
+    optional: list[str] = []
+    seeds: Annotated[list[Seed], Field(min_length=1)] = [0]
+    preset: str
+    presets: dict[str, _Views] = {}
+    variants: Annotated[list[dict[str, dict[str, Any]]], Field(min_length=1)] = [{}]
+    rates: Literal["default", "all"] = "default"
+    compositions: Annotated[Any, AfterValidator(_compositions)] = ()
+    dvr: bool = False
+    parsimony: bool = False
+    stand_ins: dict[str, str] = {}
+    train_views: list[Views] = []
+    edits: list[str] = []
+    chains: list[str] = []
+    sampled: Count = SAMPLED
+    ladders: list[dict[str, Any]] = []
+    repeats: list[Seed] = []
+    threads: Count | None = None
+
+
+_KEYS = (*_File.model_fields, *_Views.model_fields)
 
 
 @dataclass(frozen=True)
@@ -128,72 +204,44 @@ def load_suite(name: str) -> Suite:
         if name.endswith(".toml"):
             raise DataError(path, "no such file", "Name a suite of `bench list suites`, or a TOML file")
         raise unknown("suite", name, names())
+    return _parse(path, read_toml(path, _File, "See bench/suites/quick.toml", _KEYS))
+
+
+def _parse(path: Path, file: _File) -> Suite:
+    presets = {name: ViewPreset(**table.model_dump()) for name, table in file.presets.items()}
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise DataError(path, f"not valid TOML ({error})", "Correct the file") from error
-    return _parse(path, data)
-
-
-def _choices(scenes: list[Any]) -> tuple[tuple[str, ...], ...]:
-    """A list of names is one choice of scenes, a list of lists several."""
-    several = [choice for choice in scenes if isinstance(choice, list)]
-    if several and len(several) < len(scenes):
-        raise TypeError("scenes are names, or lists of names, not both")
-    return tuple(map(tuple, several)) or (tuple(scenes),)
-
-
-def _parse(path: Path, data: dict[str, Any]) -> Suite:
-    keys = {field.name for field in fields(Suite)} - {"name"}
-    for key in data:
-        if key not in keys:
-            raise unknown("key", key, keys, of=str(path))
-    compositions = data.get("compositions", [])
-    try:
-        presets = {name: ViewPreset(**table) for name, table in data.get("presets", {}).items()}
-        suite = Suite(
-            name=path.stem,
-            title=str(data["title"]),
-            datasets={str(name): _choices(scenes) for name, scenes in data["datasets"].items()},
-            methods=tuple(data.get("methods", ())),
-            optional=tuple(data.get("optional", ())),
-            seeds=tuple(int(seed) for seed in data.get("seeds", [0])),
-            preset=str(data["preset"]),
-            presets={**VIEWS, **presets},
-            variants=tuple(data.get("variants", [{}])),
-            rates=str(data.get("rates", "default")),
-            compositions="all" if compositions == "all" else tuple(compositions),
-            dvr=bool(data.get("dvr", False)),
-            parsimony=bool(data.get("parsimony", False)),
-            stand_ins={str(name): str(other) for name, other in data.get("stand_ins", {}).items()},
-            train_views=tuple(int(count) for count in data.get("train_views", ())),
-            edits=tuple(str(edit) for edit in data.get("edits", ())),
-            chains=tuple(str(chain) for chain in data.get("chains", ())),
-            sampled=int(data.get("sampled", SAMPLED)),
-            ladders=tuple(ladder_of(table, str(path)) for table in data.get("ladders", ())),
-            repeats=tuple(int(seed) for seed in data.get("repeats", ())),
-            threads=int(data["threads"]) if "threads" in data else None,
-        )
+        ladders = tuple(ladder_of(table, str(path)) for table in file.ladders)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(
-            path, f"not a suite ({type(error).__name__}: {error})", "See bench/suites/quick.toml"
-        ) from error
-    if suite.sampled < 1:
-        raise DataError(path, f"sampled = {suite.sampled}", "Give a number of primitives, 1 or more")
-    if suite.threads is not None and suite.threads < 1:
-        raise DataError(path, f"threads = {suite.threads}", "Give a number of threads, 1 or more")
+        reason = f"ladders: {type(error).__name__}: {error}"
+        raise DataError(path, reason, "See bench/suites/stability.toml") from error
+    suite = Suite(
+        name=path.stem,
+        title=file.title,
+        datasets=file.datasets,
+        methods=tuple(file.methods),
+        optional=tuple(file.optional),
+        seeds=tuple(file.seeds),
+        preset=file.preset,
+        presets={**VIEWS, **presets},
+        variants=tuple(file.variants),
+        rates=file.rates,
+        compositions=file.compositions,
+        dvr=file.dvr,
+        parsimony=file.parsimony,
+        stand_ins=file.stand_ins,
+        train_views=tuple(file.train_views),
+        edits=tuple(file.edits),
+        chains=tuple(file.chains),
+        sampled=file.sampled,
+        ladders=ladders,
+        repeats=tuple(file.repeats),
+        threads=file.threads,
+    )
     for name in suite.stand_ins:
         if name not in suite.datasets:
             raise unknown("dataset", name, suite.datasets, of=f"{path} (stand_ins)")
     if suite.preset not in suite.presets:
         raise unknown("preset", suite.preset, suite.presets, of=str(path))
-    for name, preset in presets.items():
-        if not 0.0 < preset.budget <= 1.0:
-            raise DataError(
-                path, f"preset {name}: budget = {preset.budget!r}", "Give a share, above 0, at most 1"
-            )
-    if suite.rates not in ("default", "all"):
-        raise DataError(path, f"rates = {suite.rates!r}", 'Use "default" or "all"')
     for edit in suite.edits:
         if not edit_of("scene", edit):
             raise DataError(path, "an edit that changes nothing", 'Write edits = ["opacity=0.5"]')
@@ -208,10 +256,6 @@ def _parse(path: Path, data: dict[str, Any]) -> Suite:
                 raise unknown("dataset", name, suite.datasets, of=f"{path} (ladder {ladder.name})")
     if len({ladder.name for ladder in suite.ladders}) < len(suite.ladders):
         raise DataError(path, "two ladders have one name", "Give each a name of its own")
-    if not suite.datasets or not suite.seeds:
-        raise DataError(path, "no datasets or seeds in it", "Name at least one of each")
     if not suite.methods and not suite.dvr:
         raise DataError(path, "has nothing to run", "Name methods, or write dvr = true")
-    if isinstance(compositions, str) and compositions != "all":
-        raise DataError(path, f"compositions = {compositions!r}", 'Write "all", or a list of names')
     return suite

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
-from difflib import get_close_matches
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from datasets.errors import DataError
+from datasets.toml import read_toml
 
 REMEDY = "Mend it as docs/guide/data.md shows"
 
@@ -146,28 +144,9 @@ def read_entry(path: Path) -> dict[str, Any]:
     """A checked entry as a table; what is optional and not given is left out.
 
     Raises:
-        DataError: the file cannot be read, is no TOML, or has an unusable key, which the reason names.
+        DataError: as :func:`datasets.toml.read_toml`.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(path, f"cannot be read ({error.strerror})", "Name a readable file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataError(path, f"is no TOML file ({error})", REMEDY) from error
-    try:
-        entry = Entry.model_validate(table)
-    except ValidationError as error:
-        # An unknown key first: what a misspelt key leaves missing would mislead.
-        first, *others = sorted(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
-        parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
-        key = "".join(parts).lstrip(".")
-        reason = first["msg"].removeprefix("Value error, ")
-        if first["type"] == "extra_forbidden":
-            near = get_close_matches(str(first["loc"][-1]), KEYS, n=1)
-            reason = "unknown key" + "".join(f", perhaps {name}" for name in near)
-        reason = f"{key}: {reason}" if key else reason
-        more = f" (and {len(others)} more)" if others else ""
-        raise DataError(path, reason + more, REMEDY) from error
+    entry = read_toml(path, Entry, REMEDY, KEYS)
     whole = {"title": f"scenes of {path.name}", "acknowledgement": ""} | entry.model_dump(exclude_unset=True)
     whole["kind"] = entry.kind
     for table, scene in zip(whole["scenes"], entry.scenes, strict=True):

@@ -13,17 +13,17 @@ Sidecar ``fuel.raw.toml`` beside ``fuel.raw`` (it wins over the name)::
 from __future__ import annotations
 
 import re
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.errors import DataError
 from datasets.readers.finish import UNIT, Spacing, positive_dims, read_values
+from datasets.toml import read_toml
 
 _DTYPES = tuple(f"{sign}int{bits}" for bits in (8, 16, 32, 64) for sign in ("u", ""))
 _DTYPES = (*_DTYPES, "float16", "float32", "float64")
@@ -91,13 +91,7 @@ def _dtype(name: str, big: bool, path: Path) -> np.dtype:
 
 
 def _from_sidecar(path: Path) -> Layout:
-    try:
-        sidecar = _Sidecar.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataError(path, f"is not TOML ({error})", _REMEDY) from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise DataError(path, f"{first['loc'][0]}: {first['msg']}", _REMEDY) from error
+    sidecar = read_toml(path, _Sidecar, _REMEDY, _Sidecar.model_fields)
     dtype = _dtype(sidecar.dtype, sidecar.endian == "big", path)
     x, y, z = sidecar.spacing
     return Layout(tuple(sidecar.dims), dtype, (x, y, z), sidecar.header_bytes)

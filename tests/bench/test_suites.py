@@ -149,8 +149,17 @@ def test_a_suite_may_record_more_anchors_than_others(dataset, tmp_path):
 @pytest.mark.parametrize(
     ("datasets", "more", "error", "words"),
     [
-        ("shells = []", "sampled = 0", DataError, "sampled = 0"),
-        ("shells = []", "threads = 0", DataError, "threads = 0"),
+        ("shells = []", "sampled = 0", DataError, r"sampled \(line \d+\): .*greater than or equal to 1"),
+        ("shells = []", "threads = 0", DataError, r"threads \(line \d+\)"),
+        ("shells = []", "train_views = [true]", DataError, r"train_views\[0\] \(line \d+\): .*integer"),
+        ("shells = []", "train_views = [1_000_000_000]", DataError, r"train_views\[0\]"),
+        ("shells = []", "variants = [{ econgs = 3 }]", DataError, r"variants\[0\].econgs \(line \d+\)"),
+        ("shells = []", "compositions = 3", DataError, r"compositions \(line \d+\): is no list of names"),
+        ("shells = []", "sedes = [1]", DataError, r"sedes \(line \d+\): unknown key, perhaps seeds"),
+        ("shells = []", "repeats = [inf]", DataError, r"repeats\[0\]"),
+        ("shells = []", "repeats = [-1]", DataError, r"repeats\[0\]"),
+        ("shells = []", f"edits = {'[' * 5000}{']' * 5000}", DataError, "nested too deeply"),
+        ("shells = [3]", "", DataError, r"datasets.shells \(line \d+\): is no list of names"),
         ('shells = []\n[stand_ins]\nshels = ""', "", UnknownName, r"shels.*shells"),
         ('vortex = []\n[stand_ins]\nvortex = ""', "", DataError, "none of its datasets has data"),
         ('shells = ["outer", ["core"]]', "", DataError, "names, or lists of names"),
@@ -159,6 +168,30 @@ def test_a_suite_may_record_more_anchors_than_others(dataset, tmp_path):
 def test_bad_suites_are_refused_by_name(tmp_path, datasets, more, error, words):
     with pytest.raises(error, match=words):
         plan(suite_file(tmp_path, datasets, more))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("width", '"x"'), ("width", "0"), ("height", "-5"), ("test_views", "-3"), ("cloud_points", "-1")]
+    + [
+        ("width", "1_000_000"),
+        ("cloud_points", "100_000_000_000"),
+        ("train_views", "true"),
+        ("budget", "nan"),
+    ],
+)
+def test_a_preset_that_cannot_be_is_refused_with_key_and_line(tmp_path, key, value):
+    numbers = dict.fromkeys(["train_views", "test_views", "width", "height", "prerendered_limit"], "8")
+    lines = [f"{name} = {number}" for name, number in (numbers | {key: value}).items()]
+    head = 'title = "t"\npreset = "mine"\nmethods = ["3dgs"]\n[datasets]\nshells = []\n[presets.mine]'
+    path = tmp_path / "mine.toml"
+    path.write_text("\n".join([head, *lines]), encoding="utf-8")
+    line = 7 + list(numbers | {key: value}).index(key)
+    with pytest.raises(DataError, match=rf"presets.mine.{key} \(line {line}\)"):
+        load_suite(str(path))
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(DataError, match="is no TOML file"):
+        load_suite(str(path))
 
 
 def test_a_suite_may_limit_the_threads_of_its_jobs(bench):
@@ -187,7 +220,7 @@ def test_a_preset_of_a_name_of_its_own_takes_options_and_iterations_of_another(t
     with pytest.raises(UnknownName, match="preset"):
         fit(own.replace("quick", "quik"), "small")
     for share in ("0.0", "-1.0", "1.5", "nan"):
-        with pytest.raises(DataError, match="small: budget"):
+        with pytest.raises(DataError, match=r"presets\.small\.budget"):
             fit(half.replace("0.5", share), "small")
 
 
