@@ -13,6 +13,9 @@ from PIL import Image
 
 from datasets.errors import DataError
 
+_EIGHT_BIT = {"1", "RGB", "RGBA", "L", "LA", "P", "PA"}
+"""Modes of Pillow whose conversion to RGBA loses nothing."""
+
 
 def write_png(path: Path, premultiplied: NDArray[np.float32]) -> None:
     """Write a picture: a temporary file, then renamed.
@@ -41,9 +44,14 @@ def read_png(path: Path) -> NDArray[np.float32]:
     """(height, width, 4) float32 premultiplied RGBA of an 8-bit picture; alpha is 1 in files without.
 
     Raises:
-        DataError: the file is missing or not a picture.
+        DataError: the file is missing, not a picture, or not of 8 bits.
     """
     with open_picture(path) as image:
+        layouts = [tile[3] if isinstance(tile[3], str) else tile[3][0] for tile in getattr(image, "tile", ())]
+        deep = any(";16" in str(layout) for layout in layouts)  # Pillow would cut colors to 8 bits
+        if image.mode not in _EIGHT_BIT or deep:
+            bits = "16 bits a channel" if deep else f"mode {image.mode}"
+            raise DataError(path, f"has pixels of {bits}", "Write it again as 8-bit RGB or RGBA")
         pixels = np.asarray(image.convert("RGBA"), dtype=np.float32) / 255.0
     pixels[..., :3] *= pixels[..., 3:]
     return pixels
@@ -61,7 +69,7 @@ def open_picture(path: Path) -> Iterator[Image.Image]:
             yield image
     except FileNotFoundError as error:
         raise DataError(path, "no such picture", "Check the path") from error
-    except (OSError, ValueError, SyntaxError) as error:
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise DataError(
             path, f"cannot be read as a picture ({error})", "Write it again as an 8-bit PNG"
         ) from error

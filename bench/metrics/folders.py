@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff"})
-_EIGHT_BIT = {"RGB", "RGBA", "L", "LA", "P", "PA"}
 
 
 def score(renders: Path, truth: Path, background: Sequence[float] = (1.0, 1.0, 1.0)) -> pd.DataFrame:
@@ -113,7 +112,5 @@ def _pair(render: Path, truth: Path, background: Sequence[float]) -> Pair:
 def _read(path: Path) -> tuple[NDArray[np.float32], bool]:
     """Premultiplied RGBA, and whether the file has alpha."""
     with open_picture(path) as image:
-        mode, has_alpha = image.mode, image.has_transparency_data
-    if mode not in _EIGHT_BIT:
-        raise DataError(path, f"has pixels of mode {mode}", "Write it again as 8-bit RGB or RGBA")
+        has_alpha = image.has_transparency_data
     return read_png(path), has_alpha

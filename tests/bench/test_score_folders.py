@@ -92,7 +92,7 @@ def test_pictures_without_alpha_have_no_foreground(folders):
         (lambda r, t: save(r / "a.png", 0, size=(8, 9)), "8x9 pixels"),
         (lambda r, t: (r / "a.png").write_bytes(b"\x89PNG broken"), "cannot be read"),
         (lambda r, t: (r / "a.png").write_bytes((r / "a.png").read_bytes()[:200]), "cannot be read"),
-        (lambda r, t: Image.new("I;16", (24, 20)).save(r / "a.png"), "mode I;16"),
+        (lambda r, t: Image.new("I;16", (24, 20)).save(r / "a.png"), "16 bits a channel"),
         (lambda r, t: (r / "a.png").rename(r / "a.txt"), "no images"),
         (lambda r, t: save(r / "a.bmp", 0, "RGB"), "same name"),
     ],

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import os
 import signal
+import struct
 import subprocess
 import sys
 import time
+import zlib
 from functools import partial
 from pathlib import Path
 
@@ -188,6 +190,31 @@ def test_what_is_no_picture_is_refused_by_name(tmp_path):
         read_png(tmp_path / "a.png")
     with pytest.raises(DataError, match="no such"):
         read_png(tmp_path / "b.png")
+
+
+def png(width, height, depth, kind, rows=b""):
+    """A PNG file with these numbers in its head, and these rows."""
+    head = struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0)
+    chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
+    packed = (
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_deep_pictures_are_refused_as_they_would_lose_bits(tmp_path, channels):
+    rows = b"".join(b"\0" + bytes(range(2 * 5 * channels)) for _ in range(4))
+    (tmp_path / "a.png").write_bytes(png(5, 4, 16, {1: 0, 3: 2, 4: 6}[channels], rows))
+    with pytest.raises(DataError, match=r"a\.png: has pixels of 16 bits a channel.*8-bit"):
+        read_png(tmp_path / "a.png")
+
+
+def test_a_picture_that_would_fill_memory_is_refused(tmp_path):
+    (tmp_path / "a.png").write_bytes(png(20_000, 20_000, 8, 2))
+    with pytest.raises(DataError, match=r"a\.png: cannot be read as a picture"):
+        read_png(tmp_path / "a.png")
 
 
 def test_linked_pictures_outlive_their_entry(cache, tmp_path):
