@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -92,9 +93,13 @@ def _number(path: Path, index: int, fields: dict[str, Any], key: str) -> float |
     value = fields.get(key)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    number = math.nan
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        with suppress(OverflowError):
+            number = float(value)
+    if not math.isfinite(number):
         raise DataError(path, f"{key} of frame {index} is not a number", _REMEDY)
-    return float(value)
+    return number
 
 
 def _rigid(path: Path, index: int, value: Any) -> NDArray[np.float64]:

@@ -16,6 +16,7 @@ from torch import Tensor
 from datasets.errors import DataError
 from datasets.scene import RGB
 from methods.gaussian_splatting.model import SH_REST, SceneGaussians
+from methods.gaussian_splatting.ply import LARGEST_LOG
 
 Tables = Mapping[str, NDArray[np.float32]]
 """``means`` (N, 3), ``log_scales`` (N, 3), ``quats`` (N, 4), ``logits`` (N,), ``sh_dc`` (N, 1, 3) and
@@ -40,7 +41,6 @@ SHAPES = {
 }
 _PARITIES = ("y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z", "x")
 """Axes in which each harmonic above the constant one is odd."""
-_LARGEST_LOG = math.log(torch.finfo(torch.float32).max)
 
 
 class Format(Protocol):
@@ -124,7 +124,7 @@ def checked(file: Path, format: str, read: Callable[[], Tables]) -> Tables:
                 raise ValueError(f"{name} that are not finite")
         if count and not (values["quats"] != 0.0).any(1).all():
             raise ValueError("a rotation that is zero")
-        if count and float(values["log_scales"].max()) > _LARGEST_LOG:
+        if count and float(values["log_scales"].max()) > LARGEST_LOG:
             raise ValueError("a scale that is not finite")
     except DataError:
         raise

@@ -23,6 +23,8 @@ PARTS: Parts = {
 }
 """Part of the ledger -> its properties, in the order of the file."""
 
+LARGEST_LOG = float(np.log(np.finfo(np.float32).max))
+"""Of a scale in float32."""
 _MAX_HEADER = 1 << 16
 
 
@@ -68,9 +70,20 @@ def read_ply(path: Path, parts: Parts = PARTS) -> NDArray[np.float32]:
         raise DataError(path, f"cannot be read ({error.strerror})", "Check the path") from error
     columns = [names.index(name) for name in properties(parts)]
     rows = values.reshape(count, len(names))[:, columns].astype(np.float32, copy=False)
+    wrong = ""
     if not np.isfinite(rows).all():
-        raise DataError(path, "holds NaN or infinite values", "The file is damaged, or its training diverged")
+        wrong = "NaN or infinite values"
+    elif (rows[:, _places(parts, "scale_")] > LARGEST_LOG).any():
+        wrong = "a scale whose exponential is infinite"
+    elif "rotation" in parts and not rows[:, _places(parts, "rot_")].any(axis=1).all():
+        wrong = "a rotation that is zero"
+    if wrong:
+        raise DataError(path, f"holds {wrong}", "The file is damaged, or its training diverged")
     return rows
+
+
+def _places(parts: Parts, prefix: str) -> list[int]:
+    return [place for place, name in enumerate(properties(parts)) if name.startswith(prefix)]
 
 
 def _parse_header(path: Path, head: bytes, columns: tuple[str, ...]) -> tuple[int, list[str], int]:
@@ -91,7 +104,7 @@ def _parse_header(path: Path, head: bytes, columns: tuple[str, ...]) -> tuple[in
                 pass
             case ["format", "binary_little_endian", "1.0"]:
                 pass
-            case ["element", "vertex", number] if number.isdecimal() and count is None:
+            case ["element", "vertex", number] if number.isdecimal() and len(number) < 16 and count is None:
                 count = int(number)
             case ["property", "float" | "float32", name] if count is not None and name not in names:
                 names.append(name)

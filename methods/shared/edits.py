@@ -16,8 +16,17 @@ Direction = tuple[float, float, float]
 
 
 def triple(values: Iterable[float]) -> Direction:
-    """A color or direction from JSON; anything but three numbers raises ``TypeError`` or ``ValueError``."""
-    x, y, z = (float(value) for value in values)
+    """A color or direction from JSON.
+
+    Raises:
+        TypeError, ValueError: anything but three finite numbers.
+    """
+    try:
+        x, y, z = (float(value) for value in values)
+    except OverflowError as error:
+        raise ValueError(str(error)) from error
+    if not all(map(math.isfinite, (x, y, z))):
+        raise ValueError(f"{x}, {y}, {z} are not finite")
     return x, y, z
 
 
