@@ -35,6 +35,7 @@ COMMANDS = {
     "cache": "bench.commands.stores:cache",
     "bundle": "bench.commands.stores:bundle",
     "verify": "bench.commands.stores:verify",
+    "repair": "bench.commands.stores:repair",
     "baseline": "bench.commands.gate:baseline",
     "gate": "bench.commands.gate:gate",
     "check-plugin": "bench.commands.check_plugin:check_plugin",
@@ -247,6 +248,7 @@ def parser() -> _Parser:
     bundle.add_argument("--models", action="store_true", help="with the encoded models")
     verify = command("verify", "check a bundle: hashes, names of jobs, tables, bytes of models")
     verify.add_argument("bundle", metavar="FILE")
+    command("repair", "set damaged records of a run store aside, so that their jobs run again", runs)
     cache = command("cache", "ground-truth cache: what it takes, or make it smaller")
     cache.add_argument("action", choices=("info", "prune"))
     cache.add_argument(

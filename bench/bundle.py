@@ -158,7 +158,7 @@ def _manifest(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
         lengths = [int(entry["bytes"]) for entry in files.values()]
         names = [str(entry["sha256"]) for entry in files.values()]
         manifest["schema_version"] = int(manifest["schema_version"])
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
+    except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise DataError(path, f"is no bundle ({MANIFEST}: {error})", "Make it with `bench bundle`") from error
     if form != FORMAT:
         raise DataError(path, f"is a bundle of format {form}, not {FORMAT}", "Use the program that wrote it")
@@ -187,6 +187,10 @@ def _leads_out(name: str) -> bool:
 
 
 def _check_store(root: Path, files: set[str], schema: int) -> list[str]:
+    try:
+        Store(root)
+    except DataError as error:
+        return [f"store.json: {error.reason}"]
     problems, records = [], []
     for path in sorted((root / "jobs").glob("*/record.json")):
         try:

@@ -1,9 +1,10 @@
 """The run store: a folder per job, written aside and renamed in place.
 
-    RUNS/store.json  jobs/<kind>-<key>/  partial/<kind>-<key>/  locks/  tables/*.parquet
+    RUNS/store.json  jobs/<kind>-<key>/  partial/<kind>-<key>/  locks/  tables/*.parquet  damaged/
 
 A record is either whole or absent: ``record.json`` is written last (temporary file, fsync, rename)
-and its folder then moves from ``partial/`` to ``jobs/`` by one rename.
+and its folder then moves from ``partial/`` to ``jobs/`` by one rename. A record that somebody has damaged
+counts as none: it is in no table, its job runs again, and its folder is kept in ``damaged/``.
 """
 
 from __future__ import annotations
@@ -33,6 +34,9 @@ class Store:
         root: its folder.
         create: create it if it does not exist.
 
+    Attributes:
+        damaged: folder in ``jobs/`` -> why its record cannot be read, as far as records were looked at.
+
     Raises:
         DataError: the folder is no run store, or one of another schema version.
     """
@@ -40,6 +44,7 @@ class Store:
     def __init__(self, root: Path, *, create: bool = False) -> None:
         self.root = root.expanduser().resolve()
         self._cache: dict[str, tuple[int, Record]] = {}
+        self.damaged: dict[str, str] = {}
         marker = self.root / "store.json"
         # Looked up before the marker: another run may be writing that, and its folders after it.
         foreign = self.root.is_file() or any(
@@ -92,22 +97,21 @@ class Store:
             return False
 
     def record(self, job: str) -> Record | None:
-        """The record of a finished job, or None.
-
-        Raises:
-            DataError: the file exists but cannot be read.
-        """
+        """The record of a finished job; None without one, or if it is damaged."""
         path = self.jobs / job / "record.json"
+        self.damaged.pop(job, None)
         try:
             stamp = path.stat().st_mtime_ns
-        except FileNotFoundError:
-            self._cache.pop(job, None)
-            return None
-        cached = self._cache.get(job)
-        if cached is None or cached[0] != stamp:
-            cached = (stamp, read_record(path))
-            self._cache[job] = cached
-        return cached[1]
+            cached = self._cache.get(job)
+            if cached is None or cached[0] != stamp:
+                cached = self._cache[job] = (stamp, read_record(path))
+            return cached[1]
+        except (FileNotFoundError, NotADirectoryError):
+            pass
+        except DataError as error:
+            self.damaged[job] = error.reason
+        self._cache.pop(job, None)
+        return None
 
     def records(self) -> Iterator[Record]:
         """All finished jobs, by id."""
@@ -134,6 +138,8 @@ class Store:
     def put_in_place(self, folder: Path, job: str) -> None:
         """Rename a folder with a whole record into ``jobs/``; it replaces an older one."""
         target = self.jobs / job
+        if target.exists() and self.record(job) is None:
+            self.set_aside(job)
         if target.exists():
             aside = self.partial / f"old-{uuid.uuid4().hex}"
             os.rename(target, aside)
@@ -155,6 +161,13 @@ class Store:
         if record.status not in ("timeout", "oom") and not (record.reason or "").startswith("killed"):
             shutil.rmtree(target)
 
+    def set_aside(self, job: str) -> Path:
+        """Move what is in ``jobs/`` under this name to ``damaged/``; returns where it is now."""
+        target = self.root / "damaged" / f"{job}-{uuid.uuid4().hex[:8]}"
+        target.parent.mkdir(exist_ok=True)
+        os.rename(self.jobs / job, target)
+        return target
+
     def sweep(self) -> None:
         """Remove folders that a killed process set aside."""
         for leftover in self.partial.glob("old-*"):
@@ -173,18 +186,21 @@ def read_record(path: Path) -> Record:
         wrong = error.errors()[0]
         first = ": ".join(map(str, [*wrong["loc"], wrong["msg"]]))
         raise DataError(
-            path, f"not a whole record ({first})", "Delete its folder; the job then runs again"
+            path, f"not a whole record ({first})", "`bench repair` sets it aside; the job then runs again"
         ) from error
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a file atomically: after a crash or power cut it is whole or as before."""
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    with temporary.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
     _sync(path.parent)
 
 

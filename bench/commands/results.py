@@ -23,6 +23,7 @@ def results(options: Namespace) -> int:
     """Print a table of a store."""
     store = Store(Path(options.runs))
     tables = build_tables(store, current(options.plugins, store.root), write=False)
+    report_damage(store)
     if options.format is None and options.table == "results" and sys.stdout.isatty():
         print_results(tables["results"], jobs=True)
     else:
@@ -43,6 +44,7 @@ def report(options: Namespace) -> int:
     store = Store(Path(options.runs))
     page = _page(Path(options.out)) if options.out else store.root / "report.html"
     tables = build_tables(store, current(options.plugins, store.root))
+    report_damage(store)
     contents = Report(tables)
     paper = paper_tables(tables, contents.views)
     for table in paper:
@@ -62,6 +64,15 @@ def print_answers(contents: Report) -> None:
 
     if contents.contests:
         print("\n".join(to_text(contents.contests[0], contents.answers)))
+
+
+def report_damage(store: Store) -> None:
+    """Name the damaged records of a store whose records were read, if there are any."""
+    if store.damaged:
+        (name, reason), *others = store.damaged.items()
+        more = f", and {len(others)} more" if others else ""
+        text = f"{store.jobs / name}: {reason}{more}. `bench repair --runs {store.root}` sets them aside"
+        print(f"bench: damaged record left out: {text}", file=sys.stderr)
 
 
 def _print_superseded(tables: dict[str, pd.DataFrame], out: TextIO) -> None:

@@ -1,4 +1,4 @@
-"""``bench merge``, ``bench compare``, ``bench bundle``, ``bench verify`` and ``bench cache``."""
+"""``bench merge``, ``compare``, ``bundle``, ``verify``, ``repair`` and ``cache``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from argparse import Namespace
 from contextlib import ExitStack
 from pathlib import Path
 
-from bench.commands.results import current
+from bench.commands.results import current, report_damage
 from bench.comparison import compared
 from bench.plugins import remember, resolved
 from bench.rungs import ladders_of
@@ -51,6 +51,7 @@ def _merge(sources: list[Store], options: Namespace) -> int:
                 taken += 1
     for source in sources:
         remember_ladders(target, ladders_of(source.root))
+        report_damage(source)
     remember(target, resolved(options.plugins))
     folders = [Path(name) for name in options.stores if Path(name).is_dir()]
     build_tables(target, current(options.plugins, target.root, *folders))
@@ -101,9 +102,20 @@ def bundle(options: Namespace) -> int:
     """Write a submission bundle of a store."""
     from bench.bundle import write_bundle
 
-    out = Path(options.out)
-    count = write_bundle(Store(Path(options.runs)), out, models=options.models)
+    out, store = Path(options.out), Store(Path(options.runs))
+    count = write_bundle(store, out, models=options.models)
+    report_damage(store)
     print(f"{out}: {count} records, {out.stat().st_size / 2**20:.1f} MiB")
+    return 0
+
+
+def repair(options: Namespace) -> int:
+    """Set the damaged records of a store aside, so that their jobs run again."""
+    store = Store(Path(options.runs))
+    count = sum(1 for _ in store.records())
+    for name, reason in list(store.damaged.items()):
+        print(f"{store.set_aside(name)}: {reason}")
+    print(f"{store.root}: {count} records are whole, {len(store.damaged)} were set aside")
     return 0
 
 

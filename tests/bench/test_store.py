@@ -52,12 +52,33 @@ def test_a_record_survives_its_file(store) -> None:
     assert not list(store.partial.iterdir())
 
 
-def test_a_torn_record_is_named(store) -> None:
-    store.finish(_record())
-    path = store.jobs / "encode-0123" / "record.json"
+def test_a_damaged_record_blocks_nothing_and_is_kept(store, capsys) -> None:
+    from bench.__main__ import main
+
+    whole, torn = _record(), _record(key="4567")
+    for record in (whole, torn):
+        store.finish(record)
+    path = store.jobs / torn.job.id / "record.json"
     path.write_text(path.read_text()[:-40])
-    with pytest.raises(DataError, match="not a whole record"):
-        list(Store(store.root).records())
+    (store.jobs / "notes.txt").write_text("a stray file")
+    (store.jobs / "empty").mkdir()
+    again = Store(store.root)
+    assert list(again.records()) == [whole]
+    assert again.record(torn.job.id) is None
+    assert list(again.damaged) == [torn.job.id]
+    assert main(["results", "--runs", str(store.root)]) == 0
+    shown = capsys.readouterr().err
+    assert f"{torn.job.id}: not a whole record" in shown
+    assert "bench repair" in shown
+    again.finish(torn)  # the job runs again
+    assert list(Store(store.root).records()) == [whole, torn]
+    (kept,) = (store.root / "damaged").iterdir()
+    assert (kept / "record.json").is_file()
+    path.write_bytes(b"\xff")
+    assert main(["repair", "--runs", str(store.root)]) == 0
+    assert "1 records are whole, 1 were set aside" in capsys.readouterr().out
+    assert list(Store(store.root).records()) == [whole]
+    assert len(list((store.root / "damaged").iterdir())) == 2
 
 
 def test_a_store_of_another_schema_is_refused(store) -> None:
