@@ -78,7 +78,7 @@ def _compositions(value: Any) -> Literal["all"] | tuple[str, ...]:
     if value == "all":
         return "all"
     if isinstance(value, str):
-        raise ValueError('write "all", or a list of names')
+        raise ValueError('Write "all", or a list of names')
     return _names(value)
 
 

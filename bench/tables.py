@@ -39,7 +39,7 @@ def build_tables(
     Args:
         store: where the records are.
         versions: method -> its current version; rows of other versions are stale.
-        write: whether to write files.
+        write: whether to write files, if the store can be written.
 
     Returns:
         The tables as readers get them (:func:`reports.schema.joined`).
@@ -49,7 +49,7 @@ def build_tables(
     newest = elected(lineage, versions or {}, choices)
     names = {record.job.id for record in newest}
     tables = _stored(lineage, versions or {}, choices, names, ladders_of(store.root))
-    if write:
+    if write and os.access(store.tables, os.W_OK):
         with store.lock("tables"):
             for name, table in tables.items():
                 target = store.tables / f"{name}.parquet"

@@ -28,7 +28,7 @@ from bench.monitor import Progress, Stop, Stopped
 from bench.records import Record, Status, Task
 from bench.store import Store
 from bench.timing import machine_lock, peak_device_bytes
-from datasets.errors import DataError
+from datasets.errors import DataError, printable, text_of
 from datasets.memory import peak_host_bytes
 from methods.failures import failure, is_memory_error
 from methods.interface import Diverged, Refused
@@ -95,15 +95,15 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         context = Context(job, folder, store, spec, task.threads, stop, report)
         fields = {job.kind: import_module(f"bench.jobs.{job.kind}").run(context)}
     except Refused as error:
-        status, reason = "refused", str(error)
+        status, reason = "refused", text_of(error)
     except Diverged as error:
-        status, reason = "diverged", str(error)
+        status, reason = "diverged", text_of(error)
     except DataError as error:
-        status, reason = "failed", str(error)
+        status, reason = "failed", text_of(error)
     except Exception as error:
         traceback.print_exc()
         status = "oom" if is_memory_error(error) else "failed"
-        reason = f"{type(error).__name__}: {error}".strip().splitlines()[0]
+        reason = f"{type(error).__name__}: {text_of(error)}"
         if spec is not None and (place := failure(error, spec).place):
             reason = f"{reason} ({place})"
     stop.deferred = True  # the job is finished: its record must be written
@@ -133,7 +133,7 @@ def log_tail(folder: Path) -> str | None:
             text = file.read().decode(errors="replace")
     except OSError:
         return None
-    return "\n".join(text.splitlines()[-_TAIL:]) or None
+    return printable("\n".join(text.splitlines()[-_TAIL:])) or None
 
 
 def read_progress(folder: Path, offset: int = 0) -> tuple[list[dict[str, Any]], int]:

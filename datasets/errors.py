@@ -26,5 +26,22 @@ class DataError(Exception):
         return f"{self.what}: {self.reason}. {self.remedy}"
 
 
+def text_of(error: BaseException) -> str:
+    """The text of an exception of foreign code: one line that no terminal takes for a command."""
+    try:
+        text = str(error)
+    except Exception:
+        text = "an exception without text"
+    line = next(iter(text.strip().splitlines()), "")
+    return printable(line)
+
+
+def printable(text: str) -> str:
+    """A text with escapes in the place of all that is not printed, line breaks and tabs aside."""
+    return "".join(
+        one if one.isprintable() or one in "\n\t" else one.encode("unicode_escape").decode() for one in text
+    )
+
+
 class UnknownName(DataError):
     """A name outside its list; the remedy holds near matches."""

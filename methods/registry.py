@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import methods
-from datasets.errors import DataError
+from datasets.errors import DataError, text_of
 from datasets.names import unknown
 from methods.interface import PRESETS, MethodSpec
 from methods.options import CONFIGURATION, ITERATIONS, check, declared
@@ -76,7 +76,7 @@ class Registry:
         except DataError:
             raise
         except Exception as error:
-            reason = f"its spec cannot be imported ({type(error).__name__}: {error})"
+            reason = f"its spec cannot be imported ({type(error).__name__}: {text_of(error)})"
             raise DataError(candidate.origin, reason, "Repair the plugin") from error
         check_spec(spec, candidate.origin)
         if candidate.name is not None and candidate.name != spec.name:
@@ -141,7 +141,7 @@ def load_method(spec: MethodSpec) -> Method:
     except (ImportError, AttributeError) as error:
         raise DataError(
             f"method {spec.name!r}",
-            f"its implementation {spec.implementation!r} cannot be imported ({error})",
+            f"its implementation {spec.implementation!r} cannot be imported ({text_of(error)})",
             "Install what it needs, or correct the spec",
         ) from error
     return cast("Method", implementation() if isinstance(implementation, type) else implementation)

@@ -126,6 +126,8 @@ def test_failures_are_rows_and_the_rest_goes_on(bench, method) -> None:
         ("diverge", (), "diverged", "the color went away"),
         ("nan", (), "diverged", "not finite at iteration 10"),
         ("raise", (), "failed", "ValueError: a bug in the method (fake.py:"),
+        ("mute", (), "failed", "Mute: an exception without text (fake.py:"),
+        ("escape", (), "refused", r"\x1b[2Jgone\x07 \u202eout of order"),
         ("exit", (), "failed", "exit code 3"),
         ("no-checkpoint", (), "failed", "without a checkpoint"),
         ("sleep", ("--time-limit", "3"), "timeout", "time limit of 3 s"),
@@ -140,6 +142,7 @@ def test_how_a_fit_can_end(bench, behaviour: str, limits: tuple[str, ...], statu
     assert (measure.status, measure.cause) == (status, fit.job.id)
     assert measure.reason == f"fit: {fit.reason}"
     assert "Traceback" not in done.stderr
+    assert not {"\x1b", "\x07", "\u202e"} & {*done.stdout, *done.stderr}
     log = bench.store / "jobs" / fit.job.id / "log.txt"
     assert (f"log: {log}" in done.stderr) is (status not in ("refused", "diverged"))
     assert log.is_file()

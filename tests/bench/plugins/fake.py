@@ -21,7 +21,7 @@ from methods.interface import Checkpoint, Diverged, MethodSpec, RateKnob, Refuse
 
 Behaviour = Literal[
     "good", "refuse", "diverge", "nan", "raise", "abort", "exit", "hog", "sleep", "ledger", "no-checkpoint",
-    "hold", "apart", "child", "child-abort", "thread", "hang",
+    "hold", "apart", "child", "child-abort", "thread", "hang", "mute", "escape",
 ]  # fmt: skip
 
 
@@ -32,6 +32,13 @@ class Options:
     pace: float = option(0.0, "seconds per iteration", minimum=0.0)
     group_budget: float = option(0.0, "power of the number of scenes that multiplies the iterations")
     file: str = option("", "if this file exists, all is well")
+
+
+class Mute(Exception):
+    """An exception whose text raises another."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("no text")
 
 
 def _spec(name: str, joint: bool, implementation: str = "") -> MethodSpec:
@@ -174,6 +181,10 @@ def _misbehave(behaviour: str, loss: float) -> float:
         return float("nan")
     if behaviour == "raise":
         raise ValueError("a bug in the method")
+    if behaviour == "mute":
+        raise Mute
+    if behaviour == "escape":
+        raise Refused("\x1b[2Jgone\x07 \u202eout of order")
     if behaviour == "abort":
         print("about to abort", flush=True)
         os.abort()
