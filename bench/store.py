@@ -23,6 +23,8 @@ from bench.migration import migrated
 from bench.records import READABLE, SCHEMA, Record
 from datasets.errors import DataError
 
+_LONGEST = 256 * 2**20
+"""Bytes of a record that is read; whole ones have a few MiB at most."""
 _OUTPUTS = {"views": "views.json", "fit": "checkpoint", "encode": "model"}
 """Kind of a job -> what other jobs read of its folder; all else is in its record."""
 
@@ -180,6 +182,9 @@ def read_record(path: Path) -> Record:
     Raises:
         DataError: it is no record of this schema.
     """
+    if (size := path.stat().st_size) > _LONGEST:
+        reason = f"not a whole record ({size} bytes, more than any has)"
+        raise DataError(path, reason, "`bench repair` sets it aside; the job then runs again")
     try:
         return migrated(Record.model_validate_json(path.read_bytes()))
     except ValidationError as error:

@@ -34,7 +34,9 @@ FORMAT = "econgs-bench plenoxels 1"
 PER_VOXEL = 4 + 2 * SH
 """Bytes: density in single, coefficients in half precision."""
 _DATE = (1980, 1, 1, 0, 0, 0)
-_MOST = 1 << 30  # vertices of a lattice
+_HEAD = 4096
+"""Bytes before the numbers of an array, and of the description of a scene, at most."""
+_MOST = 1 << 28  # vertices of a lattice
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,12 +136,12 @@ class VoxelModel(FieldModel[VoxelScene]):
 def _load_scene(file: Path, device: str) -> VoxelScene:
     try:
         with zipfile.ZipFile(file) as archive:
-            about = json.loads(_array(archive, "about", np.uint8, 1).tobytes())
+            about = json.loads(_array(archive, "about", np.uint8, 1, _HEAD).tobytes())
             if about["format"] != FORMAT:
                 raise ValueError(f"format {about['format']!r} instead of {FORMAT!r}")
-            links = _array(archive, "links", np.int32, 3)
-            densities = _array(archive, "density_data", np.float32, 1)
-            coefficients = _array(archive, "sh_data", np.float16, 2)
+            links = _array(archive, "links", np.int32, 3, _MOST)
+            densities = _array(archive, "density_data", np.float32, 1, links.size)
+            coefficients = _array(archive, "sh_data", np.float16, 2, SH * len(densities))
         name, background, origin = str(about["scene"]), triple(about["background"]), triple(about["origin"])
         spacing, unit = float(about["spacing"]), float(about["unit"])
         _check(links, densities, coefficients, (*origin, *background, spacing, unit))
@@ -152,8 +154,12 @@ def _load_scene(file: Path, device: str) -> VoxelScene:
     return VoxelScene(name, background, VoxelGrid(placed, voxels, bricks_of(placed), origin, spacing, unit))
 
 
-def _array(archive: zipfile.ZipFile, name: str, kind: type, axes: int) -> NDArray[Any]:
-    data = io.BytesIO(archive.read(f"{name}.npy"))
+def _array(archive: zipfile.ZipFile, name: str, kind: type, axes: int, most: int) -> NDArray[Any]:
+    """An array of at most so many numbers."""
+    info = archive.getinfo(f"{name}.npy")
+    if info.file_size > _HEAD + most * np.dtype(kind).itemsize:
+        raise ValueError(f"{name} of {info.file_size} bytes")
+    data = io.BytesIO(archive.read(info))
     array: NDArray[Any] = np.lib.format.read_array(data, allow_pickle=False)
     if array.dtype != kind or array.ndim != axes or data.read(1):
         raise ValueError(f"{name} is {array.dtype} of {array.ndim} axes")
