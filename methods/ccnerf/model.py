@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,8 +10,7 @@ from urllib.parse import quote
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save as to_safetensors
+from safetensors import SafetensorError
 from torch import Tensor
 
 from datasets.camera import Camera
@@ -26,6 +24,7 @@ from methods.shared.edits import triple
 from methods.shared.fields import FieldModel
 from methods.shared.files import saved_files
 from methods.shared.model import seconds
+from methods.shared.sealed import read_tensors, write_tensors
 
 FORMAT = "econgs-bench ccnerf 1"
 SUFFIX = ".safetensors"
@@ -128,14 +127,12 @@ def _write(scene: Factors, folder: Path) -> dict[str, int]:
         "spacing": scene.spacing,
         "threshold": scene.threshold,
     }
-    # In one text: safetensors writes several in any order.
-    data = to_safetensors(tensors, metadata={"model": json.dumps(about)})
-    (folder / f"{quote(scene.name, safe=' ')}{SUFFIX}").write_bytes(data)
+    sizes = write_tensors(folder / f"{quote(scene.name, safe=' ')}{SUFFIX}", tensors, about)
     parts: dict[str, int] = {}
-    for name, tensor in tensors.items():
+    for name, size in sizes.items():
         part = name.partition(".")[0]
-        parts[part] = parts.get(part, 0) + _bytes(tensor)
-    return parts | {"metadata": len(data) - sum(parts.values())}
+        parts[part] = parts.get(part, 0) + size
+    return parts
 
 
 def _bytes(tensor: Tensor) -> int:
@@ -144,11 +141,7 @@ def _bytes(tensor: Tensor) -> int:
 
 def _read(file: Path, device: str) -> Factors:
     try:
-        with safe_open(file, framework="pt") as opened:
-            about = json.loads((opened.metadata() or {})["model"])
-            if about["format"] != FORMAT:
-                raise ValueError(f"format {about['format']!r} instead of {FORMAT!r}")
-            tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+        about, tensors = read_tensors(file, FORMAT)
         return _checked(about, tensors, device)
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         raise DataError(file, f"not a scene of ccnerf ({error})", "Save the model again") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from methods.interface import Edit
 from methods.shared.edits import opacity_factor, triple
 from methods.shared.files import saved_files
 from methods.shared.model import SceneModel
+from methods.shared.sealed import read_facts, write_facts
 
 FORMAT = "econgs-bench 3dgs 1"
 SH_REST = 15  # coefficients above the DC part, degree 3
@@ -123,7 +123,7 @@ class GaussianModel(SplatModel):
                 "background": list(scene.background),
                 "sh_degree": scene.sh_degree,
             }
-            parts["metadata"] = (folder / f"{stem}.json").write_bytes(json.dumps(about).encode())
+            parts["metadata"] = write_facts(folder / f"{stem}.json", about)
             ledger[name] = parts
         return ledger
 
@@ -134,9 +134,7 @@ class GaussianModel(SplatModel):
 
 def _load_scene(file: Path, device: str) -> SceneGaussians:
     try:
-        about = json.loads(file.read_bytes())
-        if about["format"] != FORMAT:
-            raise ValueError(f"format {about['format']!r} instead of {FORMAT!r}")
+        about = read_facts(file, FORMAT)
         name, degree = str(about["scene"]), int(about["sh_degree"])
         background = triple(about["background"])
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -25,6 +26,8 @@ PARTS: Parts = {
 
 LARGEST_LOG = float(np.log(np.finfo(np.float32).max))
 """Of a scale in float32."""
+_SUM = "crc32"
+"""Name of the comment with the checksum of the data, which other writers lack."""
 _MAX_HEADER = 1 << 16
 
 
@@ -39,12 +42,14 @@ def write_ply(path: Path, rows: NDArray[np.float32], parts: Parts = PARTS) -> di
     Returns:
         Bytes by part; "header" and the parts sum to the size of the file.
     """
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    data = np.ascontiguousarray(rows, dtype="<f4").tobytes()
+    lines = ["ply", "format binary_little_endian 1.0", f"comment {_SUM} {zlib.crc32(data):08x}"]
+    lines += [f"element vertex {len(rows)}"]
     lines += [f"property float {name}" for name in properties(parts)]
     header = "\n".join([*lines, "end_header\n"]).encode("ascii")
     with path.open("wb") as file:
         file.write(header)
-        file.write(np.ascontiguousarray(rows, dtype="<f4").tobytes())
+        file.write(data)
     return {"header": len(header)} | {part: 4 * len(names) * len(rows) for part, names in parts.items()}
 
 
@@ -57,7 +62,7 @@ def read_ply(path: Path, parts: Parts = PARTS) -> NDArray[np.float32]:
     try:
         with path.open("rb") as file:
             head = file.read(_MAX_HEADER)
-            count, names, start = _parse_header(path, head, properties(parts))
+            count, names, start, checksum = _parse_header(path, head, properties(parts))
             payload = path.stat().st_size - start
             expected = 4 * len(names) * count
             if payload != expected:
@@ -68,6 +73,8 @@ def read_ply(path: Path, parts: Parts = PARTS) -> NDArray[np.float32]:
             values = np.fromfile(file, dtype="<f4", count=len(names) * count)
     except OSError as error:
         raise DataError(path, f"cannot be read ({error.strerror})", "Check the path") from error
+    if checksum not in (None, f"{zlib.crc32(values.tobytes()):08x}"):
+        raise DataError(path, "its checksum differs", "The file is damaged: save the model again")
     columns = [names.index(name) for name in properties(parts)]
     rows = values.reshape(count, len(names))[:, columns].astype(np.float32, copy=False)
     wrong = ""
@@ -86,8 +93,10 @@ def _places(parts: Parts, prefix: str) -> list[int]:
     return [place for place, name in enumerate(properties(parts)) if name.startswith(prefix)]
 
 
-def _parse_header(path: Path, head: bytes, columns: tuple[str, ...]) -> tuple[int, list[str], int]:
-    """Number of vertices, property names in file order, offset of the data."""
+def _parse_header(
+    path: Path, head: bytes, columns: tuple[str, ...]
+) -> tuple[int, list[str], int, str | None]:
+    """Number of vertices, property names in file order, offset of the data, and its checksum, if any."""
     remedy = (
         f"Give a binary little-endian PLY with these {len(columns)} float32: {columns[0]} ... {columns[-1]}"
     )
@@ -97,9 +106,12 @@ def _parse_header(path: Path, head: bytes, columns: tuple[str, ...]) -> tuple[in
         raise DataError(path, "not a PLY file", remedy)
     lines = [line.split() for line in head[:end].decode("ascii", "replace").splitlines()]
     count: int | None = None
+    checksum: str | None = None
     names: list[str] = []
     for words in lines[1:]:
         match words:
+            case ["comment", name, digits] if name == _SUM:
+                checksum = digits
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case ["format", "binary_little_endian", "1.0"]:
@@ -115,4 +127,4 @@ def _parse_header(path: Path, head: bytes, columns: tuple[str, ...]) -> tuple[in
     missing = [name for name in columns if name not in names]
     if missing:
         raise DataError(path, f"property {missing[0]!r} is missing ({len(missing)} in all)", remedy)
-    return count, names, end + len(marker)
+    return count, names, end + len(marker), checksum

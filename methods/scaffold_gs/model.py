@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,8 +10,7 @@ from urllib.parse import quote
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save as to_safetensors
+from safetensors import SafetensorError
 from torch import Tensor
 
 from datasets.camera import Camera
@@ -27,6 +25,7 @@ from methods.interface import Edit
 from methods.shared.edits import opacity_factor, triple
 from methods.shared.files import saved_files
 from methods.shared.model import SceneModel
+from methods.shared.sealed import read_tensors, write_tensors
 
 FORMAT = "econgs-bench scaffold-gs 1"
 
@@ -177,11 +176,9 @@ class ScaffoldModel(AnchorModel):
                 "distance": decoders.distance,
             }
             weights = {name: one.cpu().contiguous() for name, one in decoders.state_dict().items()}
-            # In one text: safetensors writes several in any order.
-            data = to_safetensors(weights, metadata={"model": json.dumps(about)})
-            (folder / f"{stem}.safetensors").write_bytes(data)
-            numbers = 4 * sum(one.numel() for one in weights.values())
-            ledger[scene.name] = parts | {"decoders": numbers, "metadata": len(data) - numbers}
+            sizes = write_tensors(folder / f"{stem}.safetensors", weights, about)
+            metadata = sizes.pop("metadata")
+            ledger[scene.name] = parts | {"decoders": sum(sizes.values()), "metadata": metadata}
         return ledger
 
     @classmethod
@@ -196,15 +193,11 @@ class ScaffoldModel(AnchorModel):
 
 def _load_scene(file: Path, device: str) -> StoredScene:
     try:
-        with safe_open(file, framework="pt") as opened:
-            about = json.loads((opened.metadata() or {})["model"])
-            if about["format"] != FORMAT:
-                raise ValueError(f"format {about['format']!r} instead of {FORMAT!r}")
-            features, offsets = int(about["features"]), int(about["offsets"])
-            if not (1 <= features <= 1024 and 1 <= offsets <= 256):
-                raise ValueError(f"{features} features and {offsets} offsets")
-            decoders = ColorDecoders(features, offsets, distance=bool(about["distance"]))
-            weights = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+        about, weights = read_tensors(file, FORMAT)
+        features, offsets = int(about["features"]), int(about["offsets"])
+        if not (1 <= features <= 1024 and 1 <= offsets <= 256):
+            raise ValueError(f"{features} features and {offsets} offsets")
+        decoders = ColorDecoders(features, offsets, distance=bool(about["distance"]))
         if not all(bool(torch.isfinite(one).all()) for one in weights.values()):
             raise ValueError("a weight is not finite")
         decoders.load_state_dict(weights)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +10,7 @@ from urllib.parse import quote
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save as to_safetensors
+from safetensors import SafetensorError
 from torch import Tensor
 
 from datasets.errors import DataError
@@ -20,6 +18,7 @@ from datasets.scene import RGB
 from econgs.codebooks import Codebook, code_ids, decode_ids, decoded, pack_ids, unpack_ids
 from methods.shared.edits import triple
 from methods.shared.files import saved_files
+from methods.shared.sealed import read_tensors, write_tensors
 
 SUFFIX = ".safetensors"
 R = TypeVar("R")
@@ -89,10 +88,8 @@ class QuantisedScene:
             "stages": {n: 0 if isinstance(c, Tensor) else len(c) for n, c in self.columns.items()},
             "about": self.about,
         }
-        # In one text: safetensors writes several in any order.
-        data = to_safetensors(tensors, metadata={"model": json.dumps(about)})
-        (folder / f"{quote(self.name, safe=' ')}{SUFFIX}").write_bytes(data)
-        return parts | {"metadata": len(data) - sum(parts.values())}
+        sizes = write_tensors(folder / f"{quote(self.name, safe=' ')}{SUFFIX}", tensors, about)
+        return parts | {"metadata": sizes["metadata"]}
 
 
 def read_folder(
@@ -122,11 +119,7 @@ def read_folder(
 
 
 def _read(file: Path, kind: str, widths: Mapping[str, int]) -> QuantisedScene:
-    with safe_open(file, framework="pt") as opened:
-        about = json.loads((opened.metadata() or {})["model"])
-        if about["format"] != kind:
-            raise ValueError(f"format {about['format']!r} instead of {kind!r}")
-        tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+    about, tensors = read_tensors(file, kind)
     ids = about["ids"]
     if ids not in ("fixed", "entropy"):
         raise ValueError(f"ids {ids!r}")

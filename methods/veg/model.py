@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 from urllib.parse import quote
 
 import torch
@@ -24,6 +23,7 @@ from methods.interface import Edit, Refused
 from methods.shared.files import saved_files
 from methods.shared.model import SceneModel
 from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, read_folder
+from methods.shared.sealed import read_facts, write_facts
 from methods.veg.appearance import Appearance, scene_as_json, scene_from_json
 
 FORMAT = "econgs-bench veg 1"
@@ -356,9 +356,8 @@ class VegModel(SceneModel[VegScene]):
             ledger[""] = {name: ledger[""].get(name, 0) + size for name, size in parts.items()}
             for scene in group.scenes:
                 about = {"format": FORMAT, "gaussians": place, "scene": scene_as_json(scene)}
-                data = json.dumps(about, separators=(",", ":")).encode()
-                (folder / f"{quote(scene.name, safe=' ')}{SCENE_SUFFIX}").write_bytes(data)
-                ledger[scene.name] = {"transfer function": len(data)}
+                size = write_facts(folder / f"{quote(scene.name, safe=' ')}{SCENE_SUFFIX}", about)
+                ledger[scene.name] = {"transfer function": size}
         return ledger
 
     @classmethod
@@ -367,9 +366,7 @@ class VegModel(SceneModel[VegScene]):
         scenes: dict[str, list[BasicScene]] = {coded.name: [] for coded, _ in read}
         for file in saved_files(folder, SCENE_SUFFIX, METHOD):
             try:
-                about: Any = json.loads(file.read_bytes())
-                if about["format"] != FORMAT:
-                    raise ValueError(f"format {about['format']!r} instead of {FORMAT!r}")
+                about = read_facts(file, FORMAT)
                 scenes[str(about["gaussians"])].append(scene_from_json(about["scene"]))
             except (OSError, ValueError, KeyError, TypeError) as error:
                 raise DataError(file, f"not a scene of veg ({error})", "Save the model again") from error

@@ -9,6 +9,7 @@ import numpy as np
 
 from reports.charts.chart import Axis, Chart, Panel, Series, linear_axis
 from reports.charts.elements import Section, cards, legend, table
+from reports.charts.volumes import VOLUMES
 from reports.style import MISSING, Model, legend_entries, looks, model
 from reports.tables.columns import records
 
@@ -133,13 +134,20 @@ def unseen_chart(found: list[Target], models: list[Model]) -> Chart:
 
 
 def conclusion(found: list[Target]) -> str:
-    """Who is best on trained and on unseen transfer functions, in sentences; a method alone shows nothing."""
+    """Which model is best on trained and on unseen transfer functions, in sentences.
+
+    A method alone shows nothing. The compressed volume takes every transfer function: it stands apart.
+    """
     sentences = []
     for panel in dict.fromkeys(one.panel for one in found):
         means = band_means(found, panel)
         parts = []
         for _, band in BANDS:
-            scores = {each.title: own[band][1] for each, own in means.items() if band in own}
+            scores = {
+                each.title: own[band][1]
+                for each, own in means.items()
+                if band in own and each.method not in VOLUMES
+            }
             if len(scores) < 2:
                 continue
             first, second = sorted(scores, key=scores.__getitem__, reverse=True)[:2]
@@ -151,7 +159,11 @@ def conclusion(found: list[Target]) -> str:
             else:
                 parts.append(f"{where} {first} ({scores[first]:.1f} dB, {second} {scores[second]:.1f})")
         if parts:
-            sentences.append(f"{panel}, best PSNR by distance of the transfer function: {'; '.join(parts)}.")
+            sentences.append(f"{panel}, best model by distance of the transfer function: {'; '.join(parts)}.")
+        for each, own in means.items():
+            if each.method in VOLUMES and len(own) > 1:
+                near, *_, far = (psnr for _, psnr in own.values())
+                sentences.append(f"The {each.title} itself has {near:.1f} and, farthest, {far:.1f} dB.")
     return " ".join(sentences)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from datasets.errors import DataError
 from methods.contract.checks import CHECKS, Subject, files_of, run_checks
 from methods.gaussian_splatting.method import GaussianSplatting
 from methods.gaussian_splatting.model import GaussianModel
@@ -45,6 +46,30 @@ def subject(request, tmp_path_factory):
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 def test_built_in_methods_keep_the_contract(subject, check):
     assert check(subject)
+
+
+def test_a_changed_byte_is_refused_or_changes_no_picture(subject):
+    model, _ = subject.first()
+    folder, _ = subject.saved(model, "changed")
+    camera = subject.scene.train.cameras[0]
+    before = [part.numpy() for part in subject.method.load(folder, "cpu").render(camera)]
+    random = np.random.default_rng(0)
+    refused = 0
+    for file in [path for path in sorted(folder.rglob("*")) if path.is_file()]:
+        whole = file.read_bytes()
+        for place in random.choice(len(whole), min(20, len(whole)), replace=False):
+            file.write_bytes(
+                whole[:place] + bytes([whole[place] ^ 1 << random.integers(8)]) + whole[place + 1 :]
+            )
+            try:
+                after = subject.method.load(folder, "cpu").render(camera)
+            except DataError:
+                refused += 1
+            else:
+                for one, other in zip(before, after, strict=True):
+                    np.testing.assert_array_equal(one, other.numpy(), f"{file.name}, byte {place}")
+        file.write_bytes(whole)
+    assert refused
 
 
 def test_another_seed_gives_another_model(subject):

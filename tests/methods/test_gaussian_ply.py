@@ -34,7 +34,8 @@ def parse(path):
     assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
     (count,) = (int(line.split()[2]) for line in lines if line.startswith("element vertex "))
     names = [line.split()[2] for line in lines if line.startswith("property float ")]
-    assert len(lines) == 3 + len(names)
+    assert lines[2].startswith("comment ")
+    assert len(lines) == 4 + len(names)
     values = [struct.unpack_from(f"<{len(names)}f", body, i * 4 * len(names)) for i in range(count)]
     assert len(body) == count * 4 * len(names)
     return dict(zip(names, np.array(values, dtype=np.float32).reshape(count, len(names)).T, strict=True))
@@ -104,6 +105,11 @@ def test_properties_in_another_order_and_extra_ones_are_read_by_name(tmp_path):
     np.testing.assert_array_equal(read_ply(tmp_path / "s.ply"), rows)
 
 
+def unsealed(data):
+    """As another program would write it."""
+    return b"".join(line for line in data.splitlines(keepends=True) if not line.startswith(b"comment crc32"))
+
+
 @pytest.mark.parametrize(
     ("damage", "reason"),
     [
@@ -117,10 +123,14 @@ def test_properties_in_another_order_and_extra_ones_are_read_by_name(tmp_path):
         (lambda data: data.replace(b"vertex 3", b"vertex 9999999999999"), "instead of"),
         (lambda data: data.replace(b"vertex 3", b"vertex -3"), "unexpected header line"),
         (lambda data: data.replace(b"vertex 3", b"vertex " + b"9" * 5000), "unexpected header line"),
-        (lambda data: data[:-16] + bytes(16), "a rotation that is zero"),
-        (lambda data: data[:-20] + np.float32(89.0).tobytes() + data[-16:], "exponential is infinite"),
+        (lambda data: unsealed(data[:-16] + bytes(16)), "a rotation that is zero"),
+        (
+            lambda data: unsealed(data[:-20] + np.float32(89.0).tobytes() + data[-16:]),
+            "exponential is infinite",
+        ),
         (lambda data: data.replace(b"element vertex 3\n", b""), "unexpected header line"),
-        (lambda data: data[:-4] + np.float32(np.nan).tobytes(), "NaN"),
+        (lambda data: unsealed(data[:-4] + np.float32(np.nan).tobytes()), "NaN"),
+        (lambda data: data[:-5] + bytes([data[-5] ^ 1]) + data[-4:], "checksum"),
     ],
 )
 def test_damaged_files_are_named(tmp_path, damage, reason):
