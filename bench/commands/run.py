@@ -126,7 +126,7 @@ def _state(job: Job, record: Record | None, estimate: Estimate | None, store: St
         return "done" if record.ok else record.status
     words = "to do"
     if store is not None and (store.partial / job.id).is_dir():
-        words = "running" if store.is_held(job.id) else "interrupted"
+        words = "running" if store.lease(job.id).is_held else "interrupted"
     return f"{words}, about {span(estimate.seconds)}" if estimate is not None else words
 
 
