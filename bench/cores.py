@@ -29,7 +29,7 @@ def claim_cores(count: int, stack: ExitStack) -> set[int] | None:
         Their numbers; None if too few are left.
     """
     usable = sorted(os.sched_getaffinity(0))
-    cores = set()
+    cores: set[int] = set()
     with ExitStack() as claims, _lock(lock_file("cores"), fcntl.LOCK_EX):
         for core in usable:
             if len(cores) < min(count, len(usable)):

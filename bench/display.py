@@ -94,7 +94,10 @@ class LiveDisplay(Display):
         color = "green" if record is not None and record.ok else "yellow" if record is None else "red"
         self._console.print(title, style="bold", end=": ", highlight=False, markup=False)
         self._console.print(
-            f"{ending(record, note)}, {time.monotonic() - start:.1f} s", style=color, highlight=False, markup=False
+            f"{ending(record, note)}, {time.monotonic() - start:.1f} s",
+            style=color,
+            highlight=False,
+            markup=False,
         )
 
 

@@ -198,9 +198,7 @@ class Runner:
         return finish_dead(self._store, job, status, reason, time.time() - self._started, lease)
 
 
-def finish_dead(
-    store: Store, job: Job, status: Status, reason: str, seconds: float, lease: Lease
-) -> Record:
+def finish_dead(store: Store, job: Job, status: Status, reason: str, seconds: float, lease: Lease) -> Record:
     """The record of a job whose process is dead: its own, if it wrote one, or one of its failure."""
     folder = store.partial / job.id
     if (folder / "record.json").is_file():

@@ -192,7 +192,7 @@ def prepare_device(device: str, spec: MethodSpec) -> None:
 
 
 def _follow(stop: Stop, lease: Lease) -> None:
-    """Renew the lease; stop, as on SIGTERM, once the parent process has died, and at once without the lease."""
+    """Renew the lease; stop, as on SIGTERM, once the parent process has died; end once the lease is lost."""
     parent = os.getppid()
 
     def watch() -> None:

@@ -35,6 +35,9 @@ def run(options: Namespace) -> int:
         make_display(),
         retry=options.retry,
         limits=Limits(options.time_limit, options.memory_limit),
+        executor=options.executor,
+        scheduler=options.scheduler,
+        workers=options.workers,
     )
     store, planner, outcome = done.store, done.planner, done.outcome
     versions = planner.registry.versions
