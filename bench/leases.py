@@ -4,7 +4,8 @@
 
 Network file systems may lack locks, or free them while their holder lives. So a lease is made of renames
 alone, which they do at once or not at all: a folder with the holder's token is renamed in place, which fails
-while another token is there. A token names machine, process and its start; its time of change is the heartbeat.
+while another token is there. A token names machine, process and its start; its time of change is the
+heartbeat.
 
 A lease is free once it is released, or its holder has died (seen from the same machine), or its heartbeat is
 older than :data:`EXPIRY` (seen from another machine, or if the holder is stopped). Who takes it over renames

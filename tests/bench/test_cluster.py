@@ -63,7 +63,11 @@ def _at_work(process: subprocess.Popen) -> list[psutil.Process]:
 def _tables(bench: Bench) -> dict[str, str]:
     """The tables without what depends on the machine and its speed."""
     apart = {"processor", "fit_processor", "threads", "timing"}
-    apart |= {name for name, one in COLUMNS.items() if one.unit in ("s", "ms", "FPS") or "peak" in name}
+    apart |= {
+        name
+        for name, one in COLUMNS.items()
+        if one.unit in ("s", "ms", "FPS") or name.endswith(("host_bytes", "device_bytes"))
+    }
     return {
         name: table.drop(columns=[column for column in table if column in apart]).to_csv()
         for name, table in build_tables(Store(bench.store), write=False).items()
