@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import dask
 from distributed import Client, Future, KilledWorker, LocalCluster
 
 from bench.display import Display
@@ -64,7 +65,7 @@ class _Flight:
         future: None while another process works on the job.
         before: when an earlier record of the job was finished, which failed.
         offset: bytes of its progress that were read.
-        death: why its worker died, if it did once too often.
+        begun: how often a worker began it.
         seen: when its record was seen, by this process's clock.
     """
 
@@ -72,8 +73,8 @@ class _Flight:
     before: str
     start: float
     offset: int
+    begun: int = 0
     future: Future | None = None
-    death: str = ""
     seen: float | None = None
 
 
@@ -103,6 +104,7 @@ class DaskExecutor(Executor):
         self._plugins = plugins
         self._threads = threads
         self._name = uuid.uuid4().hex[:8]
+        self._most = 1 + int(dask.config.get("distributed.scheduler.allowed-failures"))
         self._flights: dict[str, _Flight] = {}
         self._replies: queue.SimpleQueue[Future] = queue.SimpleQueue()
         self._look_time = 0.0
@@ -251,7 +253,7 @@ class DaskExecutor(Executor):
             if isinstance(error, DataError):
                 raise error
             if isinstance(error, KilledWorker):
-                flight.death = f"{error.allowed_failures + 1} workers died while they ran it"
+                flight.begun = max(flight.begun, error.allowed_failures + 1)
                 return None
             return Ending(job, None, f"not run: {type(error).__name__}: {error}")
         if future.status != "finished":
@@ -270,6 +272,7 @@ class DaskExecutor(Executor):
         folder = self._store.partial / job.id
         states, flight.offset = read_progress(folder, flight.offset)
         for state in states:
+            flight.begun += state.get("waiting") is False
             self._display.state(job, state)
         record = self._store.record(job.id)
         if record is not None and record.finished != flight.before:
@@ -278,10 +281,10 @@ class DaskExecutor(Executor):
             if flight.future is None or time.monotonic() - flight.seen > REPLY_SECONDS:
                 return Ending(job, record, "by another run" if flight.future is None else "")
         elif flight.future is None and not self._store.lease(job.id).is_held:
-            if flight.death:
+            if flight.begun >= self._most:
                 return Ending(job, self._dead(flight))
             self._submit(flight)
-        if self._signals and (flight.future is None or time.monotonic() - self._stop_time > GRACE_SECONDS):
+        if self._stops_sent and (flight.future is None or time.monotonic() - self._stop_time > GRACE_SECONDS):
             return Ending(job, None, "stopped")
         return None
 
@@ -290,7 +293,8 @@ class DaskExecutor(Executor):
         try:
             with self._store.lease(flight.job.id).acquire(timeout=0) as lease:
                 seconds = time.monotonic() - flight.start
-                return finish_dead(self._store, flight.job, "failed", flight.death, seconds, lease)
+                reason = f"{flight.begun} workers died while they ran it"
+                return finish_dead(self._store, flight.job, "failed", reason, seconds, lease)
         except Held:
             return None
 
