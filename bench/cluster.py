@@ -65,7 +65,7 @@ class _Flight:
         future: None while another process works on the job.
         before: when an earlier record of the job was finished, which failed.
         offset: bytes of its progress that were read.
-        begun: how often a worker began it.
+        begun: how often a worker began it since its last checkpoint.
         seen: when its record was seen, by this process's clock.
     """
 
@@ -245,7 +245,7 @@ class DaskExecutor(Executor):
         return endings
 
     def _reply(self, flight: _Flight, future: Future) -> Ending | None:
-        """What a task that has ended says; None: its job goes on elsewhere."""
+        """What a task that has ended says; None: its job goes on elsewhere, or must be submitted again."""
         job = flight.job
         flight.future = None
         if future.status == "error":
@@ -253,7 +253,7 @@ class DaskExecutor(Executor):
             if isinstance(error, DataError):
                 raise error
             if isinstance(error, KilledWorker):
-                flight.begun = max(flight.begun, error.allowed_failures + 1)
+                flight.begun += 1  # also where none began it
                 return None
             return Ending(job, None, f"not run: {type(error).__name__}: {error}")
         if future.status != "finished":
@@ -261,10 +261,12 @@ class DaskExecutor(Executor):
                 return Ending(job, None, "stopped")
             raise self._lost()
         reply: Reply = future.result()
-        if reply.busy:
-            self._display.state(job, {"stage": "another run works on it"})
-            return None
-        return Ending(job, visible_record(self._store, job.id) if reply.recorded else None, reply.note)
+        if reply.recorded:
+            return Ending(job, visible_record(self._store, job.id), reply.note)
+        if self._signals:
+            return Ending(job, None, reply.note)
+        self._display.state(job, {"stage": reply.note})
+        return None
 
     def _seen(self, flight: _Flight) -> Ending | None:
         """What the store says about a job under way; None: it goes on."""
@@ -272,7 +274,7 @@ class DaskExecutor(Executor):
         folder = self._store.partial / job.id
         states, flight.offset = read_progress(folder, flight.offset)
         for state in states:
-            flight.begun += state.get("waiting") is False
+            flight.begun = 0 if state.get("stored") else flight.begun + (state.get("waiting") is False)
             self._display.state(job, state)
         record = self._store.record(job.id)
         if record is not None and record.finished != flight.before:
@@ -293,7 +295,7 @@ class DaskExecutor(Executor):
         try:
             with self._store.lease(flight.job.id).acquire(timeout=0) as lease:
                 seconds = time.monotonic() - flight.start
-                reason = f"{flight.begun} workers died while they ran it"
+                reason = f"killed with its worker {self._most} times or more, without a checkpoint between"
                 return finish_dead(self._store, flight.job, "failed", reason, seconds, lease)
         except Held:
             return None

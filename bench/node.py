@@ -63,13 +63,11 @@ class Reply:
 
     Attributes:
         recorded: the job has a record.
-        busy: another process works on it.
         note: why there is no record, or what is to be said about it.
     """
 
-    recorded: bool = False
-    busy: bool = False
-    note: str = ""
+    recorded: bool
+    note: str
 
 
 class Node(WorkerPlugin):
@@ -115,7 +113,7 @@ class _State:
     def run(self, order: Order) -> Reply:
         with self._turn:
             if self.stops[order.run]:
-                return Reply(note="stopped")
+                return Reply(False, "stopped")
             if not (order.root / "store.json").is_file():
                 where = f"a worker on {os.uname().nodename}"
                 raise DataError(
@@ -129,8 +127,8 @@ class _State:
             try:
                 record, note = self._runner_of(order, store).run(order.job, order.limit)
             except Held:
-                return Reply(busy=True)
-            return Reply(recorded=record is not None, note=note)
+                return Reply(False, "another run works on it")
+            return Reply(record is not None, note)
 
     def _runner_of(self, order: Order, store: Store) -> Runner:
         """The runner of a run: that of the order before, if it is of the same one."""
