@@ -125,6 +125,19 @@ def parser() -> _Parser:
         "--memory-limit", type=_memory_limit, metavar="SIZE",
         help="per job: 8G, 500M, or none; default: 95 %% of the machine's memory",
     )  # fmt: skip
+    run.add_argument(
+        "--executor", choices=("local", "dask"), default="local",
+        help="one job after the other on this machine, or jobs beside each other on workers of Dask "
+        "(default: local)",
+    )  # fmt: skip
+    run.add_argument(
+        "--scheduler", default="", metavar="ADDRESS",
+        help="with --executor dask: the scheduler, or its file; default: one on this machine",
+    )  # fmt: skip
+    run.add_argument(
+        "--workers", type=_count, metavar="N",
+        help="with --executor dask on this machine: how many share its cores (default: 1)",
+    )  # fmt: skip
     plan = command("plan", "show the jobs of a suite, which are done, and an estimate", stored)
     _add_selection(plan)
     _repeatable(plan, "--like", metavar="STORE", help="estimate from the finished jobs of this run store too")

@@ -116,6 +116,9 @@ def run(
     device: str = "cpu",
     plugins: Sequence[_Path] = (),
     retry: bool = False,
+    executor: Literal["local", "dask"] = "local",
+    scheduler: str = "",
+    workers: int | None = None,
     quiet: bool = False,
 ) -> Runs:
     """Run the jobs of a suite that are not finished yet, as ``bench run`` does, and return the run store.
@@ -136,6 +139,9 @@ def run(
         device: "cpu", "cuda" or "cuda:N".
         plugins: folders with methods of your own; default: those of earlier runs of this store.
         retry: run failed jobs again.
+        executor: "dask" runs jobs beside each other on workers of Dask.
+        scheduler: address of Dask's scheduler; default: one on this machine.
+        workers: how many are started on this machine; default: 1.
         quiet: no progress on standard error.
 
     Raises:
@@ -160,7 +166,10 @@ def run(
         device=device,
     )
     display = Silence() if quiet else make_display()
-    done = execute(selection, Path(out), plugins, display, retry=retry)
+    done = execute(
+        selection, Path(out), plugins, display, retry=retry, executor=executor, scheduler=scheduler,
+        workers=workers,
+    )  # fmt: skip
     if done.outcome.stopped:
         raise KeyboardInterrupt("the run was stopped; the same call resumes it")
     return Runs(done.store.root, plugins=done.plugins)

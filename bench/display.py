@@ -22,6 +22,7 @@ class Display:
     """Progress as lines on standard error: begin and end of each job, and a state now and then."""
 
     def __init__(self) -> None:
+        self._begun: dict[str, tuple[str, float]] = {}
         self._printed = 0.0
 
     def note(self, text: str) -> None:
@@ -29,18 +30,19 @@ class Display:
         self._print(f"bench: {text}")
 
     def begin(self, job: Job, number: int, total: int) -> None:
-        self._started = self._printed = time.monotonic()
-        self._prefix = f"[{number}/{total}]"
-        self._print(f"{self._prefix} {job.title}")
+        self._printed = time.monotonic()
+        prefix = f"[{number}/{total}]"
+        self._begun[job.id] = prefix, self._printed
+        self._print(f"{prefix} {job.title}")
 
-    def state(self, state: dict[str, Any]) -> None:
+    def state(self, job: Job, state: dict[str, Any]) -> None:
         if time.monotonic() - self._printed >= PLAIN_SECONDS:
             self._printed = time.monotonic()
-            self._print(f"{self._prefix}   {describe(state)}")
+            self._print(f"{self._begun[job.id][0]}   {describe(state)}")
 
     def end(self, job: Job, record: Record | None, note: str = "") -> None:
-        seconds = time.monotonic() - self._started
-        self._print(f"{self._prefix}   {ending(record, note)} after {seconds:.1f} s")
+        prefix, start = self._begun.pop(job.id)
+        self._print(f"{prefix}   {ending(record, note)} after {time.monotonic() - start:.1f} s")
 
     def _print(self, line: str) -> None:
         print(line, file=sys.stderr, flush=True)
@@ -59,36 +61,43 @@ class LiveDisplay(Display):
     def __init__(self) -> None:
         from rich.console import Console
 
+        super().__init__()
         self._console = Console(stderr=True)
         self._live: Any = None
+        self._lines: dict[str, Any] = {}
+
+    def note(self, text: str) -> None:
+        self._console.print(f"bench: {text}", highlight=False, markup=False)
 
     def begin(self, job: Job, number: int, total: int) -> None:
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
         from rich.table import Column
 
-        self._started = time.monotonic()
-        self._number = f"{number}/{total}"
-        self._title = f"{self._number} {job.title}"
-        text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True))
-        columns = (SpinnerColumn(), TimeElapsedColumn(), text)
-        self._live = Progress(*columns, console=self._console, transient=True)
-        self._task = self._live.add_task(self._title, total=None)
-        self._live.start()
+        if not self._begun:
+            text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True))
+            columns = (SpinnerColumn(), TimeElapsedColumn(), text)
+            self._live = Progress(*columns, console=self._console, transient=True)
+            self._live.start()
+        title = f"{number}/{total} {job.title}"
+        self._begun[job.id] = title, time.monotonic()
+        self._lines[job.id] = self._live.add_task(title, total=None)
 
-    def state(self, state: dict[str, Any]) -> None:
-        if self._live is not None:
-            line = status_line(self._title, state, self._console.width - _CLOCK)
-            self._live.update(self._task, description=line)
+    def state(self, job: Job, state: dict[str, Any]) -> None:
+        line = status_line(self._begun[job.id][0], state, self._console.width - _CLOCK)
+        self._live.update(self._lines[job.id], description=line)
 
     def end(self, job: Job, record: Record | None, note: str = "") -> None:
-        self._live.stop()
+        title, start = self._begun.pop(job.id)
+        self._live.remove_task(self._lines.pop(job.id))
+        if not self._begun:
+            self._live.stop()
         color = "green" if record is not None and record.ok else "yellow" if record is None else "red"
-        seconds = time.monotonic() - self._started
+        self._console.print(title, style="bold", end=": ", highlight=False, markup=False)
         self._console.print(
-            f"{self._number} {job.title}", style="bold", end=": ", highlight=False, markup=False
-        )
-        self._console.print(
-            f"{ending(record, note)}, {seconds:.1f} s", style=color, highlight=False, markup=False
+            f"{ending(record, note)}, {time.monotonic() - start:.1f} s",
+            style=color,
+            highlight=False,
+            markup=False,
         )
 
 

@@ -1,38 +1,26 @@
-"""Runs a plan on this machine: one job after the other, each in a process of its own."""
+"""Walks a plan: starts jobs whose needs have records, until nothing is left; on this machine, one by one."""
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
-import site
-import subprocess
-import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
-
-from filelock import Timeout
+from typing import Any, NamedTuple
 
 from bench.display import Display
-from bench.limits import Limits, finished_here, memory_reason, time_reason, used_memory
+from bench.estimates import Past
+from bench.leases import Held
+from bench.limits import Limit, Limits, finished_here
 from bench.plan import Planner
-from bench.processes import Process, Processes, end_session
-from bench.provenance import imports_torch
-from bench.records import Job, Record, Status, Task
-from bench.store import Store, write_text
+from bench.records import Job, Record
+from bench.runner import POLL_SECONDS, Runner
+from bench.store import Store
 from bench.timing import available_cores
-from bench.worker import BUSY, STOPPED, log_tail, now, read_progress, traces
-
-POLL_SECONDS = 0.1
-GRACE_SECONDS = 60.0
-EXIT_SECONDS = 5.0
-"""How long a worker may take to exit once its record is written."""
-LOOK_PAUSE = 50.0
-"""Looks at memory take this part of the time: they must not slow down what is timed."""
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "ECONGS_THREADS")
+from bench.worker import log_tail, now
 
 
 @dataclass
@@ -55,17 +43,27 @@ class Outcome:
         return [record for record in self.records if not record.ok]
 
 
-class LocalExecutor:
+class Ending(NamedTuple):
+    """How a job ended: with a record, or with a note that says why there is none."""
+
+    job: Job
+    record: Record | None
+    note: str = ""
+
+
+class Executor(ABC):
     """Runs the jobs of a planner into a store.
 
-    A first SIGINT or SIGTERM asks the running job to checkpoint and ends the run. A second one kills the job.
+    A first SIGINT or SIGTERM asks the running jobs to checkpoint and ends the run. A second one kills them.
     Finished jobs stay finished.
 
     Args:
+        store: where the jobs go.
+        planner: makes the plan; again after a partition, and for repeats of broken rungs.
+        display: shows progress.
+        past: finished jobs, from which limits of time follow.
         retry: run failed jobs again.
         limits: of each job; default: those of :mod:`bench.limits`.
-        plugins: plugin folders for the workers.
-        threads: most threads of a job; default: a thread per core.
     """
 
     def __init__(
@@ -73,24 +71,39 @@ class LocalExecutor:
         store: Store,
         planner: Planner,
         display: Display,
+        past: Past,
         *,
         retry: bool = False,
         limits: Limits | None = None,
-        plugins: tuple[str, ...] = (),
-        threads: int | None = None,
     ) -> None:
         self._store = store
         self._planner = planner
         self._display = display
+        self._past = past
         self._retry = retry
         self._limits = limits or Limits()
-        self._memory = self._limits.bytes()
-        self._past = finished_here(store)
-        self._plugins = plugins
-        self._threads = min(available_cores(), threads or available_cores())
-        self._processes = Processes(self._environment())
         self._signals = 0
+        self._numbers: dict[str, int] = {}
+        self._waiting: dict[str, Job] = {}
+        self._running: dict[str, Job] = {}
         self._attempted: set[str] = set()
+        self._restored: set[str] = set()
+
+    @abstractmethod
+    def _workers(self) -> AbstractContextManager[Any]:
+        """What runs the jobs, for as long as the run lasts."""
+
+    @abstractmethod
+    def _has_room(self) -> bool:
+        """Whether another job may be started beside the running ones."""
+
+    @abstractmethod
+    def _start(self, job: Job) -> None:
+        """Start a job."""
+
+    @abstractmethod
+    def _endings(self) -> Iterable[Ending]:
+        """Running jobs that have ended, after some wait; after a signal, in the end all."""
 
     def run(self) -> Outcome:
         """Run every job that is not finished yet; the failure of one does not end the run."""
@@ -98,11 +111,9 @@ class LocalExecutor:
         before = {s: signal.signal(s, self._on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
         try:
             self._store.sweep()
-            with self._processes.adopting():
-                while self._pass(outcome) and not self._signals:
-                    pass
+            with self._workers():
+                self._walk(outcome)
         finally:
-            self._processes.close()
             for number, handler in before.items():
                 signal.signal(number, handler)
         outcome.stopped = bool(self._signals)
@@ -115,61 +126,93 @@ class LocalExecutor:
     def _on_signal(self, number: int, frame: Any) -> None:
         self._signals += 1
 
-    # ------------------------------------------------------------------ the graph
+    def _walk(self, outcome: Outcome) -> None:
+        self._plan()
+        while True:
+            if not self._signals:
+                self._start_ready()
+            if self._running:
+                for ending in self._endings():
+                    self._take(ending, outcome)
+                continue
+            # A rung on which a method broke is repeated with further seeds.
+            known = set(self._numbers)
+            if not self._signals:
+                self._plan()
+            if self._numbers.keys() <= known:
+                return
 
-    def _pass(self, outcome: Outcome) -> bool:
-        """Go once through the plan; True if it must be planned again."""
+    def _plan(self) -> None:
+        """Make the plan, again if there is one; what runs goes on."""
         jobs = self._planner.jobs(self._store)
-        for number, job in enumerate(jobs, 1):
-            if self._signals:
-                return False
+        self._numbers = {job.id: number for number, job in enumerate(jobs, 1)}
+        self._waiting = {job.id: job for job in jobs if not self._is_final(job)}
+
+    def _start_ready(self) -> None:
+        """Start jobs whose needs have records, as long as there is room."""
+        for job in list(self._waiting.values()):
+            if not self._has_room():
+                return
+            if any(need in self._waiting or need in self._running for need in job.needs):
+                continue
+            del self._waiting[job.id]
             if self._is_final(job):
                 continue
-            records = {need: self._store.record(need) for need in job.needs}
-            if any(record is None for record in records.values()):
+            records = [self._store.record(need) for need in job.needs]
+            needs = [record for record in records if record is not None]
+            if len(needs) < len(records):
                 continue
-            self._attempted.add(job.id)
-            cause = next((record for record in records.values() if record and not record.ok), None)
+            cause = next((record for record in needs if not record.ok), None)
             if cause is not None:
-                record = self._give_up(job, cause)
-            elif note := self._without_files(records.values(), number, len(jobs)):
-                self._display.begin(job, number, len(jobs))
-                self._display.end(job, None, note)
-                continue
+                self._attempted.add(job.id)
+                if self._give_up(job, cause) and job.kind == "partition":
+                    return self._plan()
+            elif (lack := next((r for r in needs if not self._store.holds_files_of(r)), None)) is None:
+                self._attempted.add(job.id)
+                self._begin(job)
+            elif lack.job.kind == "views" and lack.job.id not in self._restored:
+                self._waiting[job.id] = job
+                self._restored.add(lack.job.id)
+                self._begin(lack.job)
             else:
-                if job.kind == "views" and any(map(self._forks, jobs)):
-                    self._processes.prepare()  # views are not timed: its imports may run beside
-                self._display.begin(job, number, len(jobs))
-                record, note = self._run_job(job)
-                if record is not None:
-                    self._past.add(self._store, record)
-                self._display.end(job, record, note)
-                outcome.ran.append(job.id)
-            if record is not None and job.kind == "partition":
-                return True
-        # A rung on which a method broke is repeated with further seeds.
-        known = {job.id for job in jobs}
-        return any(job.id not in known for job in self._planner.jobs(self._store))
+                self._attempted.add(job.id)
+                self._announce(job)
+                self._display.end(job, None, self._without_files(lack))
+        return None
 
-    def _without_files(self, needs: Iterable[Record | None], number: int, total: int) -> str:
-        """Why a job cannot run: records that it needs came without their files. Views are rendered again."""
-        for record in needs:
-            if record is None or self._store.holds_files_of(record):
-                continue
-            if record.job.kind == "views":
-                self._display.begin(record.job, number, total)
-                attempt, note = self._run_job(record.job)
-                success = self._store.holds_files_of(record)
-                self._display.end(record.job, attempt if success else None, note)
-                if success:
-                    continue
-                reason = (log_tail(self._store.partial / record.job.id) or "stopped").splitlines()[-1]
-                return f"not run: the views cannot be made again: {reason}"
-            return (
-                f"not run: {record.job.id} came from a bundle, without the files that this needs; "
-                "run into a new store (--out) and join the two (bench merge)"
-            )
-        return ""
+    def _begin(self, job: Job) -> None:
+        self._running[job.id] = job
+        self._announce(job)
+        self._start(job)
+
+    def _announce(self, job: Job) -> None:
+        self._display.begin(job, self._numbers[job.id], len(self._numbers))
+
+    def _take(self, ending: Ending, outcome: Outcome) -> None:
+        """Take note of a job that has ended."""
+        job, record, note = ending
+        del self._running[job.id]
+        if job.id in self._restored and job.id not in self._attempted:
+            done = self._store.record(job.id)
+            success = done is not None and self._store.holds_files_of(done)
+            self._display.end(job, record if success else None, note)
+            return
+        if record is not None:
+            self._past.add(self._store, record)
+        self._display.end(job, record, note)
+        outcome.ran.append(job.id)
+        if record is not None and job.kind == "partition":
+            self._plan()
+
+    def _without_files(self, need: Record) -> str:
+        """Why a job cannot run: a record that it needs came without its files."""
+        if need.job.kind == "views":
+            reason = (log_tail(self._store.partial / need.job.id) or "stopped").splitlines()[-1]
+            return f"not run: the views cannot be made again: {reason}"
+        return (
+            f"not run: {need.job.id} came from a bundle, without the files that this needs; "
+            "run into a new store (--out) and join the two (bench merge)"
+        )
 
     def _is_final(self, job: Job) -> bool:
         """Whether a job has a record and is not to run again."""
@@ -199,171 +242,70 @@ class LocalExecutor:
             provenance=cause.provenance,
         )
         try:
-            with self._store.lock(job.id).acquire(timeout=0):
+            with self._store.lease(job.id).acquire(timeout=0) as lease:
                 folder = self._store.partial / job.id
                 shutil.rmtree(folder, ignore_errors=True)
-                self._store.finish(record)
-        except Timeout:
+                self._store.finish(record, lease=lease)
+        except Held:
             return None
         return record
 
-    # ------------------------------------------------------------------ one job
-
-    def _run_job(self, job: Job) -> tuple[Record | None, str]:
-        """Run one job to its record; without one, the note says why."""
-        while True:
-            code, verdict = self._attempt(job)
-            if code != BUSY or self._signals:
-                break
-            self._display.state({"stage": "another run works on it"})
-            self._wait_for(job)
-            if (record := self._store.record(job.id)) is not None:
-                return record, "by another run"
-        record = self._store.record(job.id)
-        if record is not None:
-            return record, ""
-        if code == STOPPED or self._signals:
-            return None, "stopped; resumes from its last checkpoint"
-        try:
-            with self._store.lock(job.id).acquire(timeout=5):
-                return self._post_mortem(job, code, verdict), ""
-        except Timeout:
-            return None, "another run took it over"
-
-    def _attempt(self, job: Job) -> tuple[int, tuple[Status, str] | None]:
-        """Start a worker and watch it: its exit code, and status and reason if this program ended it."""
-        folder = self._store.partial / job.id
-        previous = self._store.record(job.id)
-        if previous is not None and not previous.ok:
-            with self._store.lock(job.id):
-                self._store.reopen(previous)
-        task = Task(job=job, plugins=self._plugins, threads=self._threads)
-        self._started = time.time()
-        try:
-            folder.mkdir(exist_ok=True)
-            write_text(folder / "job.json", task.model_dump_json(indent=1) + "\n")
-            log = (folder / "log.txt").open("ab")
-        except FileNotFoundError:  # another run has just renamed the folder in place
-            return BUSY, None
-        with log:
-            start = self._processes.fork if self._forks(job) else self._processes.start
-            process = start(folder, log)
-        try:
-            return self._watch(process, job)
-        finally:
-            if process.poll() is None:
-                _kill(process)
-            # Before the next job: what is left may hold its locks and take its time.
-            if names := self._processes.end_leftovers():
-                self._log(job, f"ended what the job left behind: {', '.join(names)}")
-
-    def _forks(self, job: Job) -> bool:
-        """Whether a job is forked from the server: its method uses torch, on the CPU."""
-        if job.method is None or job.device != "cpu" or sys.platform != "linux":
-            return False
-        return imports_torch(*self._planner.registry.spec(job.method).source)
-
-    def _watch(self, process: Process, job: Job) -> tuple[int, tuple[Status, str] | None]:
-        folder = self._store.partial / job.id
+    def _limit(self, job: Job) -> Limit:
+        """The limit of a job's time."""
         spec = self._planner.registry.spec(job.method) if job.method is not None else None
-        limit = self._limits.time(job, self._past, spec)
-        offset = 0
-        start: float | None = None
-        stop_time: float | None = None
-        end_time: float | None = None
-        look_time = 0.0
-        while (code := process.poll()) is None:
-            states, offset = read_progress(folder, offset)
-            for state in states:
-                if state["time"] < self._started:
-                    continue  # from an earlier attempt
-                if state.get("waiting") is False:
-                    start = time.monotonic()
-                self._display.state(state)
-            if self._signals:
-                if stop_time is None:
-                    stop_time = time.monotonic()
-                    process.send_signal(signal.SIGTERM)
-                    self._display.state({"stage": "stopping (again to kill)"})
-                elif self._signals > 1 or time.monotonic() - stop_time > GRACE_SECONDS:
-                    _kill(process)
-                    return STOPPED, None
-            elif not folder.exists():  # the record is written, and its folder renamed
-                end_time = end_time or time.monotonic()
-                if time.monotonic() - end_time > EXIT_SECONDS:
-                    _kill(process)
-                    self._log(job, f"ended {EXIT_SECONDS:g} s after its record was written: it did not exit")
-                    return 0, None
-            elif start is not None and time.monotonic() - start > limit.amount:
-                _kill(process)
-                return process.wait(), ("timeout", time_reason(limit))
-            elif time.monotonic() >= look_time:
-                look = time.monotonic()
-                used = used_memory(process.pid, self._memory.amount)
-                look_time = time.monotonic() + LOOK_PAUSE * (time.monotonic() - look)
-                if used > self._memory.amount:
-                    _kill(process)
-                    return process.wait(), ("oom", memory_reason(self._memory, used))
-            try:
-                process.wait(POLL_SECONDS)
-            except subprocess.TimeoutExpired:
-                continue
-        return code, None
+        return self._limits.time(job, self._past, spec)
 
-    def _log(self, job: Job, text: str) -> None:
-        """Add a line to a job's log, wherever that is by now."""
-        for folder in (self._store.jobs / job.id, self._store.partial / job.id):
-            if folder.is_dir():
-                with (folder / "log.txt").open("a", encoding="utf-8") as log:
-                    log.write(f"bench: {text}\n")
-                return
 
-    def _post_mortem(self, job: Job, code: int, verdict: tuple[Status, str] | None) -> Record:
-        """A record for a job whose process died without writing one."""
-        folder = self._store.partial / job.id
-        if (folder / "record.json").is_file():
-            self._store.put_in_place(folder, job.id)
-            record = self._store.record(job.id)
-            assert record is not None
-            return record
-        if verdict is None and code < 0:
-            verdict = ("failed", f"killed by signal {-code} ({signal.Signals(-code).name})")
-        status, reason = verdict or ("failed", f"its process ended with exit code {code}")
-        record = Record(
-            job=job,
-            status=status,
-            reason=reason,
-            started=now(),
-            finished=now(),
-            wall_seconds=time.time() - self._started,
-            **traces(folder),
+class LocalExecutor(Executor):
+    """Runs the jobs on this machine, one after the other.
+
+    Args:
+        plugins: plugin folders for the workers.
+        threads: most threads of a job; default: a thread per core.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        planner: Planner,
+        display: Display,
+        *,
+        retry: bool = False,
+        limits: Limits | None = None,
+        plugins: tuple[str, ...] = (),
+        threads: int | None = None,
+    ) -> None:
+        super().__init__(store, planner, display, finished_here(store), retry=retry, limits=limits)
+        self._runner = Runner(
+            store,
+            planner.registry,
+            self._limits.bytes(),
+            plugins=plugins,
+            threads=min(available_cores(), threads or available_cores()),
+            stops=lambda: self._signals,
+            show=display.state,
         )
-        self._store.finish(record)
-        return record
 
-    def _wait_for(self, job: Job) -> None:
-        while not self._signals:
+    def _workers(self) -> Runner:
+        return self._runner
+
+    def _has_room(self) -> bool:
+        return not self._running
+
+    def _start(self, job: Job) -> None:
+        if job.kind == "views" and any(map(self._runner.forks, self._waiting.values())):
+            self._runner.prepare()  # views are not timed: its imports may run beside
+
+    def _endings(self) -> Iterable[Ending]:
+        (job,) = self._running.values()
+        while True:
             try:
-                with self._store.lock(job.id).acquire(timeout=0):
-                    return
-            except Timeout:
+                return [Ending(job, *self._runner.run(job, self._limit(job)))]
+            except Held:
+                self._display.state(job, {"stage": "another run works on it"})
+            while not self._signals and self._store.lease(job.id).is_held:
                 time.sleep(POLL_SECONDS)
-
-    def _environment(self) -> dict[str, str]:
-        """The worker's: pinned threads, and this very package before any other of its name."""
-        environment = dict(os.environ)
-        environment.update(dict.fromkeys(THREAD_VARIABLES, str(self._threads)))
-        # Spinning OpenMP threads take the cores from the native kernels' own threads: an iteration of
-        # 3DGS took 75 to 180 ms instead of 18 on a busy machine.
-        environment.setdefault("OMP_WAIT_POLICY", "passive")
-        environment["PYTHONSAFEPATH"] = "1"
-        root = str(Path(__file__).resolve().parent.parent)
-        if root not in site.getsitepackages():
-            environment["PYTHONPATH"] = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
-        return environment
-
-
-def _kill(process: Process) -> None:
-    """End a worker and all that it started."""
-    end_session(process.pid)
-    process.wait()
+            if (record := self._store.record(job.id)) is not None:
+                return [Ending(job, record, "by another run")]
+            if self._signals:
+                return [Ending(job, None, "stopped; resumes from its last checkpoint")]

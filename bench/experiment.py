@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from datasets.errors import DataError
 
 if TYPE_CHECKING:
     from bench.display import Display
-    from bench.executor import Outcome
+    from bench.executor import Executor, Outcome
     from bench.limits import Limits
     from bench.selection import Selection
 
@@ -47,6 +48,9 @@ def execute(
     *,
     retry: bool = False,
     limits: Limits | None = None,
+    executor: str = "local",
+    scheduler: str = "",
+    workers: int | None = None,
 ) -> Experiment:
     """Run the jobs of a selection that are not finished yet; the store remembers its plugins and ladders.
 
@@ -57,12 +61,14 @@ def execute(
         display: shows progress and notices.
         retry: run failed jobs again.
         limits: of each job.
+        executor: "local", or "dask" for workers beside each other.
+        scheduler: address of Dask's scheduler; default: one on this machine.
+        workers: how many are started on this machine; default: 1.
 
     Raises:
         DataError: the selection or the store cannot be used.
     """
-    from bench.executor import LocalExecutor
-
+    run_on = _executor(executor, scheduler, workers)
     given = resolved(os.fspath(folder) for folder in plugins)
     folders = plugin_folders(given, out)
     planner = Planner(replace(selection, plugins=folders))
@@ -71,10 +77,34 @@ def execute(
     remember_ladders(store, planner.ladders)
     _announce(planner, store, display)
     threads = selection.suite.threads
-    executor = LocalExecutor(
-        store, planner, display, retry=retry, limits=limits, plugins=folders, threads=threads
-    )
-    return Experiment(store, planner, folders, executor.run())
+    run = run_on(store, planner, display, retry=retry, limits=limits, plugins=folders, threads=threads)
+    return Experiment(store, planner, folders, run.run())
+
+
+def _executor(name: str, scheduler: str, workers: int | None) -> Callable[..., Executor]:
+    """What makes the executor of that name.
+
+    Raises:
+        DataError: its package is missing, or the choices do not go together.
+    """
+    from bench.executor import LocalExecutor
+
+    if name == "local":
+        if scheduler or workers is not None:
+            given = "--scheduler" if scheduler else "--workers"
+            raise DataError(given, "is for clusters", "Add --executor dask")
+        return LocalExecutor
+    if scheduler and workers is not None:
+        raise DataError(
+            "--workers", "are started on this machine alone", "Leave out --workers or --scheduler"
+        )
+    try:
+        from bench.cluster import Cluster, DaskExecutor
+    except ModuleNotFoundError as error:
+        raise DataError(
+            "--executor dask", f"needs the package {error.name}", "pip install 'econgs-bench[cluster]'"
+        ) from error
+    return partial(DaskExecutor, cluster=Cluster(scheduler, workers or 1))
 
 
 def _announce(planner: Planner, store: Store, display: Display) -> None:

@@ -74,12 +74,17 @@ class Limits:
         cap = CAPS.get(job.preset, LONGEST_CAP) * max(len(job.scenes), budgets) * max(1.0, larger)
         return Limit(cap, f"the default of preset {job.preset}; --time-limit none lifts it")
 
-    def bytes(self) -> Limit:
-        """The limit of any job's memory."""
+    def bytes(self, granted: float | None = None) -> Limit:
+        """The limit of any job's memory.
+
+        Args:
+            granted: bytes that the worker of a cluster may use; default: those of this machine.
+        """
         if self.memory is not None:
             return Limit(self.memory, "--memory-limit")
-        origin = f"{SHARE:.0%} of this machine's memory; --memory-limit none lifts it"
-        return Limit(SHARE * available_memory(), origin)
+        whose = "this machine's" if granted is None else "its Dask worker's"
+        origin = f"{SHARE:.0%} of {whose} memory; --memory-limit none lifts it"
+        return Limit(SHARE * (available_memory() if granted is None else granted), origin)
 
 
 def finished_here(store: Store) -> Past:

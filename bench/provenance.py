@@ -17,6 +17,7 @@ from pathlib import Path
 import psutil
 
 from bench.records import Provenance
+from bench.timing import available_cores
 from methods.interface import MethodSpec
 
 PACKAGES = (
@@ -31,6 +32,7 @@ def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance
         machine=platform.node() or "unknown",
         cpu=cpu(),
         cores=os.cpu_count() or 1,
+        usable=available_cores(),
         threads=threads,
         memory_bytes=psutil.virtual_memory().total,
         gpu=_gpu(device),

@@ -123,19 +123,29 @@ class Job(_Model):
 
 
 class Task(_Model):
-    """``job.json``: a job, and the plugins and threads with which this machine runs it."""
+    """``job.json``: a job, and the plugins and threads with which this machine runs it.
+
+    Attributes:
+        alone: it has the machine to itself while it is timed; else its cores, beside jobs on other cores.
+    """
 
     job: Job
     plugins: tuple[str, ...] = ()
     threads: int
+    alone: bool = True
 
 
 class Provenance(_Model):
-    """Machine and software of a job; recorded, never hashed."""
+    """Machine and software of a job; recorded, never hashed.
+
+    Attributes:
+        usable: cores of the machine that the job could use; None in older records.
+    """
 
     machine: str
     cpu: str
     cores: int
+    usable: int | None = None
     threads: int
     memory_bytes: int
     gpu: str | None

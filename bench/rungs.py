@@ -21,7 +21,7 @@ FILE = "ladders.json"
 def remember(store: Store, ladders: Iterable[Ladder]) -> None:
     """Keep the ladders of a suite for the tables of a store; a ladder replaces an older one of its name."""
     if new := {ladder.name: ladder for ladder in ladders}:
-        with store.lock("tables"):
+        with store.lease("tables"):
             every = {ladder.name: ladder for ladder in ladders_of(store.root)} | new
             text = json.dumps([asdict(ladder) for ladder in every.values()], indent=1)
             write_text(store.root / FILE, text + "\n")

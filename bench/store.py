@@ -16,9 +16,9 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
-from filelock import FileLock, Timeout
 from pydantic import ValidationError
 
+from bench.leases import Lease
 from bench.migration import migrated
 from bench.records import READABLE, SCHEMA, Record
 from datasets.errors import DataError
@@ -84,19 +84,9 @@ class Store:
         for folder in folders:
             folder.mkdir(exist_ok=True)
 
-    def lock(self, name: str) -> FileLock:
-        """The lock of a job or of "tables"; the system frees it when its holder dies."""
-        return FileLock(self.locks / f"{name}.lock")
-
-    def is_held(self, name: str) -> bool:
-        """Whether a process holds that lock now."""
-        try:
-            with self.lock(name).acquire(timeout=0):
-                return False
-        except Timeout:
-            return True
-        except OSError:  # a store that cannot be written is worked on by nobody
-            return False
+    def lease(self, name: str) -> Lease:
+        """The lease of a job or of "tables", not held at first."""
+        return Lease(self.locks / name)
 
     def record(self, job: str) -> Record | None:
         """The record of a finished job; None without one, or if it is damaged."""
@@ -127,18 +117,32 @@ class Store:
         name = _OUTPUTS.get(record.job.kind)
         return name is None or (self.jobs / record.job.id / name).exists()
 
-    def finish(self, record: Record, folder: Path | None = None) -> None:
+    def finish(self, record: Record, folder: Path | None = None, lease: Lease | None = None) -> None:
         """Write a record into its partial folder and rename that folder into ``jobs/``.
 
-        The caller holds the job's lock.
+        Args:
+            record: of the job.
+            folder: of its files; default: its partial folder.
+            lease: of the job, which the caller holds.
+
+        Raises:
+            Lost: another process has taken the lease over; nothing was put in place.
         """
         folder = folder or self.partial / record.job.id
+        if lease is not None:
+            lease.renew()
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / "record.json", record.model_dump_json(indent=1) + "\n")
-        self.put_in_place(folder, record.job.id)
+        self.put_in_place(folder, record.job.id, lease)
 
-    def put_in_place(self, folder: Path, job: str) -> None:
-        """Rename a folder with a whole record into ``jobs/``; it replaces an older one."""
+    def put_in_place(self, folder: Path, job: str, lease: Lease | None = None) -> None:
+        """Rename a folder with a whole record into ``jobs/``; it replaces an older one.
+
+        Raises:
+            Lost: another process has taken the lease over; nothing was put in place.
+        """
+        if lease is not None:
+            lease.renew()
         target = self.jobs / job
         if target.exists() and self.record(job) is None:
             self.set_aside(job)

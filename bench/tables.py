@@ -50,7 +50,7 @@ def build_tables(
     names = {record.job.id for record in newest}
     tables = _stored(lineage, versions or {}, choices, names, ladders_of(store.root))
     if write and os.access(store.tables, os.W_OK):
-        with store.lock("tables"):
+        with store.lease("tables"):
             for name, table in tables.items():
                 target = store.tables / f"{name}.parquet"
                 aside = target.with_name(f".{name}.{uuid.uuid4().hex}")
@@ -174,12 +174,16 @@ def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
 
 
 def _processors(records: list[Record]) -> str | None:
-    """As "AMD EPYC, 2 cores, avx2": host names mean nothing where machines come and go."""
-    names = [
-        ", ".join([where.gpu or where.cpu, f"{where.cores} cores", *([where.isa] if where.isa else [])])
-        for where in (record.provenance for record in records)
-        if where is not None
-    ]
+    """As "AMD EPYC, 2 cores, avx2": host names mean nothing where machines come and go.
+
+    A job that could not use all cores had neighbours: it is told by "1 of 2 cores".
+    """
+    names = []
+    for where in (record.provenance for record in records):
+        if where is not None:
+            part = where.usable is not None and where.usable < where.cores
+            cores = f"{where.usable} of {where.cores} cores" if part else f"{where.cores} cores"
+            names.append(", ".join(filter(None, [where.gpu or where.cpu, cores, where.isa])))
     return "; ".join(dict.fromkeys(names)) or None
 
 

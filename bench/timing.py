@@ -30,9 +30,14 @@ def machine_lock() -> FileLock:
 
     The environment variable BENCH_LOCKS names another folder for it; runs that share it do not overlap.
     """
+    return FileLock(lock_file("timing"), mode=0o666)
+
+
+def lock_file(name: str) -> Path:
+    """The file of a lock of this machine."""
     folder = Path(os.environ.get("BENCH_LOCKS") or tempfile.gettempdir())
     folder.mkdir(parents=True, exist_ok=True)
-    return FileLock(folder / "econgs-bench-timing.lock", mode=0o666)
+    return folder / f"econgs-bench-{name}.lock"
 
 
 def synchronise(device: str) -> None:

@@ -16,14 +16,13 @@ import sys
 import threading
 import time
 import traceback
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from filelock import Timeout
-
+from bench.leases import BEAT, Held, Lease, Lost
 from bench.monitor import Progress, Stop, Stopped
 from bench.records import Record, Status, Task
 from bench.store import Store
@@ -37,6 +36,8 @@ if TYPE_CHECKING:
     from methods.interface import MethodSpec
 
 STOPPED, BUSY = 75, 76
+GRACE_SECONDS = 60.0
+"""How long a fit may take to its next checkpoint once it is to stop."""
 _TAIL = 40
 
 
@@ -47,11 +48,11 @@ def main(folder: Path) -> int:
     stop = Stop()
     with ExitStack() as stack:
         try:
-            stack.enter_context(store.lock(task.job.id).acquire(timeout=0))
-        except Timeout:
+            lease = stack.enter_context(store.lease(task.job.id).acquire(timeout=0))
+        except Held:
             return BUSY
         if (folder / "record.json").is_file():  # a kill came between record and rename
-            store.put_in_place(folder, task.job.id)
+            store.put_in_place(folder, task.job.id, lease)
             return 0
         before = store.record(task.job.id)
         # From another run meanwhile.
@@ -59,12 +60,12 @@ def main(folder: Path) -> int:
             shutil.rmtree(folder, ignore_errors=True)
             return 0
         stop.install()
-        _follow_parent(stop)
+        _follow(stop, lease)
         report = Progress(folder / "progress.jsonl")
         try:
             if task.job.kind != "views":  # timed jobs have the machine to themselves
                 report(stage="waiting for the machine", waiting=True)
-                stack.enter_context(machine_lock())
+                stack.enter_context(machine_lock() if task.alone else _share())
             report(stage=task.job.kind, waiting=False)
             record = run(task, folder, store, stop, report)
         except Stopped:
@@ -72,8 +73,17 @@ def main(folder: Path) -> int:
         if before is not None and before.ok and not record.ok:  # the record from the bundle stays
             print(record.reason)
             return 1
-        store.finish(record, folder)
+        try:
+            store.finish(record, folder, lease)
+        except Lost:
+            return BUSY
     return 0
+
+
+def _share() -> AbstractContextManager[None]:
+    from bench.cores import machine_share
+
+    return machine_share()
 
 
 def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) -> Record:
@@ -181,19 +191,29 @@ def prepare_device(device: str, spec: MethodSpec) -> None:
         torch.cuda.reset_peak_memory_stats(device)
 
 
-def _follow_parent(stop: Stop) -> None:
-    """Stop, as on SIGTERM, once the parent process has died."""
+def _follow(stop: Stop, lease: Lease) -> None:
+    """Renew the lease; stop, as on SIGTERM, once the parent process has died; end once the lease is lost."""
     parent = os.getppid()
 
     def watch() -> None:
+        beat = time.monotonic()
         while os.getppid() == parent:
             time.sleep(0.5)
+            if time.monotonic() - beat > BEAT:
+                beat = time.monotonic()
+                try:
+                    lease.renew()
+                except Lost:
+                    print("bench: another process took this job over", flush=True)
+                    os._exit(BUSY)
+                except OSError:  # the disk is away: the lease expires if that lasts
+                    pass
         if stop.deferred:
             stop.requested.set()
-        else:
-            if os.getpgrp() == os.getpid():
-                os.killpg(0, signal.SIGKILL)  # with all that the method started
-            os._exit(STOPPED)
+            time.sleep(GRACE_SECONDS)
+        if os.getpgrp() == os.getpid():
+            os.killpg(0, signal.SIGKILL)  # with all that the method started
+        os._exit(STOPPED)
 
     threading.Thread(target=watch, daemon=True).start()
 

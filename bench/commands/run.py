@@ -35,6 +35,9 @@ def run(options: Namespace) -> int:
         make_display(),
         retry=options.retry,
         limits=Limits(options.time_limit, options.memory_limit),
+        executor=options.executor,
+        scheduler=options.scheduler,
+        workers=options.workers,
     )
     store, planner, outcome = done.store, done.planner, done.outcome
     versions = planner.registry.versions
@@ -126,7 +129,7 @@ def _state(job: Job, record: Record | None, estimate: Estimate | None, store: St
         return "done" if record.ok else record.status
     words = "to do"
     if store is not None and (store.partial / job.id).is_dir():
-        words = "running" if store.is_held(job.id) else "interrupted"
+        words = "running" if store.lease(job.id).is_held else "interrupted"
     return f"{words}, about {span(estimate.seconds)}" if estimate is not None else words
 
 

@@ -37,7 +37,7 @@ def _merge(sources: list[Store], options: Namespace) -> int:
             raise DataError(source.root, "is the target itself", "Name the other stores only")
         for record in source.records():
             name = record.job.id
-            with target.lock(name):
+            with target.lease(name) as lease:
                 there = target.record(name)
                 if there is not None and (there.ok or not record.ok):
                     kept += 1
@@ -45,7 +45,7 @@ def _merge(sources: list[Store], options: Namespace) -> int:
                 aside = target.partial / f"merge-{uuid.uuid4().hex}"
                 try:
                     shutil.copytree(source.jobs / name, aside)
-                    target.put_in_place(aside, name)
+                    target.put_in_place(aside, name, lease)
                 finally:
                     shutil.rmtree(aside, ignore_errors=True)
                 taken += 1

@@ -154,9 +154,15 @@ class Bench:
                     "--plugins", self.plugins, "--out", out, *more).stdout  # fmt: skip
 
     def start(self, *more: object, method: str = "fake") -> subprocess.Popen[str]:
+        return self._start(self.run_arguments("--no-report", *more, method=method))
+
+    def start_suite(self, suite: str, *more: object) -> subprocess.Popen[str]:
+        arguments = ("run", suite, "--plugins", self.plugins, "--out", self.store, "--no-report", *more)
+        return self._start(self.command(*arguments))
+
+    def _start(self, command: list[str]) -> subprocess.Popen[str]:
         return subprocess.Popen(
-            self.run_arguments("--no-report", *more, method=method),
-            env=self.environment, cwd=self.store.parent, start_new_session=True,
+            command, env=self.environment, cwd=self.store.parent, start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
 

@@ -298,6 +298,6 @@ def test_a_plan_distinguishes_running_jobs_from_interrupted_ones(tmp_path) -> No
     assert _state(job, None, None, store) == "to do"
     (store.partial / job.id).mkdir()
     assert _state(job, None, None, store) == "interrupted"
-    with store.lock(job.id):
+    with store.lease(job.id):
         assert _state(job, None, None, store) == "running"
     assert _state(job, None, None, store) == "interrupted"

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.executor import THREAD_VARIABLES
 from bench.processes import Fork, Processes
 from bench.provenance import imports_torch
+from bench.runner import THREAD_VARIABLES
 from bench.store import Store
 from bench.timing import available_cores
 

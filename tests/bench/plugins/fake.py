@@ -21,14 +21,14 @@ from methods.interface import Checkpoint, Diverged, MethodSpec, RateKnob, Refuse
 
 Behaviour = Literal[
     "good", "refuse", "diverge", "nan", "raise", "abort", "exit", "hog", "sleep", "ledger", "no-checkpoint",
-    "hold", "apart", "child", "child-abort", "thread", "hang", "mute", "escape",
+    "hold", "apart", "child", "child-abort", "thread", "hang", "mute", "escape", "parent",
 ]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Options:
     behaviour: Behaviour = option("good", "what it does wrong, in the fit")
-    only: str = option("", "name of the one scene on which it does wrong")
+    only: str = option("", "names of the only scenes on which it does wrong")
     pace: float = option(0.0, "seconds per iteration", minimum=0.0)
     group_budget: float = option(0.0, "power of the number of scenes that multiplies the iterations")
     file: str = option("", "if this file exists, all is well")
@@ -169,7 +169,7 @@ def _target(images: np.ndarray) -> np.ndarray:
 def _behaviour(options, scenes) -> str:
     if options.file and os.path.exists(options.file):
         return "good"
-    if options.only and options.only not in scenes:
+    if options.only and not set(options.only.split(",")) & set(scenes):
         return "good"
     return options.behaviour
 
@@ -204,6 +204,9 @@ def _misbehave(behaviour: str, loss: float) -> float:
     if behaviour == "thread":
         threading.Thread(target=time.sleep, args=[600], daemon=False).start()
         atexit.register(time.sleep, 600)
+    if behaviour == "parent":
+        os.kill(os.getppid(), signal.SIGKILL)
+        os._exit(3)
     if behaviour == "hang":
         sys.stdout.flush = lambda: time.sleep(600)
     return loss
