@@ -179,7 +179,7 @@ COLUMNS: dict[str, Column] = _declare(
     Column("height", _W, "height of a view in pixels"),
     Column("device", _T, "device of the fit: `cpu`, `cuda`"),
     Column("machine", _T, "host name"),
-    Column("processor", _T, "processor, cores and instruction set; `1 of 2 cores`: of a share of the machine"),
+    Column("processor", _T, "processor, cores and instruction set; `1 of 2 cores`: a share of the machine"),
     Column("fit_processor", _T, "the same of the fits behind the job, joined by `; `", "Trained on"),
     Column("threads", _W, "threads of the job"),
     Column("commit", _T, "commit of this program; `+` means that files were changed"),
