@@ -14,9 +14,8 @@ import threading
 import time
 import uuid
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +61,7 @@ class _Flight:
     """A job that was given to the cluster.
 
     Attributes:
-        future: None while another process works on the job.
+        future: None once Dask has answered without a record: another process works on the job.
         before: when an earlier record of the job was finished, which failed.
         offset: bytes of its progress that were read.
         begun: how often a worker began it since its last checkpoint.
@@ -139,6 +138,7 @@ class DaskExecutor(Executor):
         for name in ("distributed", "distributed.scheduler", "distributed.worker", "distributed.nanny"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         address: Any = self._cluster.scheduler
+        named = Path(address).is_file()
         if not address:
             count = self._cluster.workers
             address = stack.enter_context(
@@ -150,10 +150,8 @@ class DaskExecutor(Executor):
                     silence_logs=logging.CRITICAL,
                 )
             )
-        elif Path(address).is_file():
-            return Client(scheduler_file=address, set_as_default=False)
         try:
-            return Client(address, set_as_default=False)
+            return Client(**{"scheduler_file" if named else "address": address}, set_as_default=False)
         except (OSError, ValueError) as error:
             raise DataError(
                 f"--scheduler {address}",
@@ -282,7 +280,7 @@ class DaskExecutor(Executor):
             flight.seen = flight.seen or time.monotonic()
             if flight.future is None or time.monotonic() - flight.seen > REPLY_SECONDS:
                 return Ending(job, record, "by another run" if flight.future is None else "")
-        elif flight.future is None and not self._store.lease(job.id).is_held:
+        elif flight.future is None and not self._signals and not self._store.lease(job.id).is_held:
             if flight.begun >= self._most:
                 return Ending(job, self._dead(flight))
             self._submit(flight)
@@ -304,9 +302,13 @@ class DaskExecutor(Executor):
         """Tell the workers of a signal; what none has begun is taken back."""
         self._stops_sent += 1
         self._stop_time = time.monotonic()
-        tell = partial(self._client.run, stop_run, self._name, on_error="ignore")
-        threading.Thread(target=tell, daemon=True).start()  # a worker that hangs does not answer
+        threading.Thread(target=self._tell, daemon=True).start()
         for flight in self._flights.values():
             self._display.state(flight.job, {"stage": "stopping (again to kill)"})
             if flight.future is not None and not self._workers_here:
                 flight.future.cancel()
+
+    def _tell(self) -> None:
+        """Ask all workers to stop the jobs of this run; one that hangs may not answer in time."""
+        with suppress(Exception):
+            self._client.run(stop_run, self._name, on_error="ignore")

@@ -26,8 +26,10 @@ def claim_cores(count: int, stack: ExitStack) -> set[int] | None:
         stack: holds the claim; the system ends it with the process.
 
     Returns:
-        Their numbers; None if too few are left.
+        Their numbers; None if too few are left, or the system pins no processes.
     """
+    if not hasattr(os, "sched_setaffinity"):
+        return None
     usable = sorted(os.sched_getaffinity(0))
     cores: set[int] = set()
     with ExitStack() as claims, _lock(lock_file("cores"), fcntl.LOCK_EX):
