@@ -188,7 +188,7 @@ def test_pre_rendered_views_have_other_training_input_but_no_other_truth(suite, 
         ('rungs = ["", { stres = "noise=8" }]', UnknownName, "Did you mean stress"),
         ('rungs = ["", "noise=8"], datasets = ["vortices"]', UnknownName, "vortices"),
         ('rungs = ["", "noise=8"], steps = 3', UnknownName, "steps"),
-        ("rungs = 5", DataError, "not a suite"),
+        ("rungs = 5", DataError, "ladders: TypeError"),
     ],
 )
 def test_bad_ladders_are_refused_by_name(suite, ladder, error, words) -> None:
