@@ -14,8 +14,7 @@ from datasets.camera import Camera
 from datasets.edits import edited
 from datasets.errors import DataError
 from datasets.scene import RGB, BasicScene
-from econgs.splat.composite import over
-from methods.interface import Edit, Refused, edits_by_scene
+from methods.interface import Edit, Refused
 from methods.mesh.canvas import Drawn, Sheet, canvas
 from methods.mesh.geometry import Mesh, decimated
 from methods.mesh.spec import Coding
@@ -152,21 +151,13 @@ class MeshModel(NamedScenes[MeshScene]):
             for definition, coding, stored in read_folder(folder)
         )
 
-    def render(
-        self,
-        camera: Camera,
-        scenes: Sequence[str] | None = None,
-        edit: Mapping[str, Edit] | None = None,
-        background: RGB | None = None,
+    def picture(
+        self, scenes: Sequence[MeshScene], camera: Camera, edits: Mapping[str, Edit]
     ) -> tuple[Tensor, Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`."""
-        subset = self.chosen(scenes)
-        back = subset[0].background if background is None else background
-        edits = edits_by_scene(edit, [scene.name for scene in subset])
-        drawn = [one for scene in subset for one in scene.drawn(edits.get(scene.name, Edit()))]
-        picture = torch.from_numpy(canvas().draw(drawn, camera)).to(subset[0].device)
-        alpha = picture[..., 3].clamp(0.0, 1.0)
-        return over(picture[..., :3], alpha, back).clamp_(0.0, 1.0), alpha
+        """All surfaces of the scenes, drawn at once."""
+        drawn = [one for scene in scenes for one in scene.drawn(edits.get(scene.name, Edit()))]
+        picture = torch.from_numpy(canvas().draw(drawn, camera)).to(scenes[0].device)
+        return picture[..., :3], picture[..., 3].clamp(0.0, 1.0)
 
     def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
         """Seconds of one frame of scenes (default: all) by part; VTK shades while it rasterises."""

@@ -8,9 +8,7 @@ from collections.abc import Mapping, Sequence
 from torch import Tensor
 
 from datasets.camera import Camera
-from datasets.scene import RGB
-from econgs.splat.composite import over
-from methods.interface import Edit, edits_by_scene
+from methods.interface import Edit
 from methods.shared.edits import opacity_factor
 from methods.shared.model import S, SceneSet
 
@@ -25,17 +23,9 @@ class FieldModel(SceneSet[S]):
     def drawn(self, scenes: Sequence[S], camera: Camera, factors: Sequence[float]) -> tuple[Tensor, Tensor]:
         """Premultiplied colors (H, W, 3) and alpha (H, W) of scenes, densities times their factors."""
 
-    def render(
-        self,
-        camera: Camera,
-        scenes: Sequence[str] | None = None,
-        edit: Mapping[str, Edit] | None = None,
-        background: RGB | None = None,
+    def picture(
+        self, scenes: Sequence[S], camera: Camera, edits: Mapping[str, Edit]
     ) -> tuple[Tensor, Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`."""
-        subset = self.chosen(scenes)
-        back = subset[0].background if background is None else background
-        edits = edits_by_scene(edit, [scene.name for scene in subset])
-        factors = [opacity_factor(self.method, scene.name, edits.get(scene.name, Edit())) for scene in subset]
-        colors, alpha = self.drawn(subset, camera, factors)
-        return over(colors, alpha, back).clamp_(0.0, 1.0), alpha.clamp(0.0, 1.0)
+        """All fields of the scenes, marched at once."""
+        factors = [opacity_factor(self.method, scene.name, edits.get(scene.name, Edit())) for scene in scenes]
+        return self.drawn(scenes, camera, factors)

@@ -37,8 +37,8 @@ class Scene(Protocol):
 S = TypeVar("S", bound=Scene)
 
 
-class NamedScenes(Generic[S]):
-    """The part of a :class:`methods.interface.Model` that knows its scenes by name.
+class NamedScenes(Generic[S], ABC):
+    """The part of a :class:`methods.interface.Model` that knows its scenes by name and composites pictures.
 
     Args:
         scenes: at least one, with distinct names, on one device.
@@ -81,11 +81,37 @@ class NamedScenes(Generic[S]):
         """Number of primitives of one scene or of all."""
         return sum(map(len, self.chosen(None if scene is None else (scene,))))
 
+    @abstractmethod
+    def picture(
+        self, scenes: Sequence[S], camera: Camera, edits: Mapping[str, Edit]
+    ) -> tuple[Tensor, Tensor]:
+        """Premultiplied colors (H, W, 3) and alpha (H, W) of scenes together, without a background.
 
-class SceneSet(NamedScenes[S], ABC):
+        Raises:
+            Refused: an edit that the method cannot make.
+        """
+
+    def render(
+        self,
+        camera: Camera,
+        scenes: Sequence[str] | None = None,
+        edit: Mapping[str, Edit] | None = None,
+        background: RGB | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Render scenes together; see :class:`methods.interface.Model`."""
+        subset = self.chosen(scenes)
+        back = subset[0].background if background is None else background
+        edits = edits_by_scene(edit, [scene.name for scene in subset])
+        with torch.inference_mode():
+            colors, alpha = self.picture(subset, camera, edits)
+            return over(colors, alpha, back).clamp_(0.0, 1.0), alpha.clamp(0.0, 1.0)
+
+
+class SceneSet(NamedScenes[S]):
     """A :class:`methods.interface.Model` of scenes, whatever they are made of.
 
-    A method's model adds ``render``, ``timings``, ``write`` (``write_size``, if it has several) and ``load``.
+    A method's model adds ``picture``, ``timings``, ``write`` (or ``write_size``, if it has several) and
+    ``load``.
 
     Args:
         scenes: at least one, with distinct names, on one device.
@@ -100,16 +126,6 @@ class SceneSet(NamedScenes[S], ABC):
 
     method: ClassVar[str]
     rendering: Rendering = Rendering()
-
-    @abstractmethod
-    def render(
-        self,
-        camera: Camera,
-        scenes: Sequence[str] | None = None,
-        edit: Mapping[str, Edit] | None = None,
-        background: RGB | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`."""
 
     @abstractmethod
     def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
@@ -178,23 +194,13 @@ class SceneModel(SceneSet[S]):
         """The Gaussians of scenes that are shown together: those of each, unless scenes share some."""
         return [self.gaussians(scene, camera, edits.get(scene.name, Edit())) for scene in scenes]
 
-    def render(
-        self,
-        camera: Camera,
-        scenes: Sequence[str] | None = None,
-        edit: Mapping[str, Edit] | None = None,
-        background: RGB | None = None,
+    def picture(
+        self, scenes: Sequence[S], camera: Camera, edits: Mapping[str, Edit]
     ) -> tuple[Tensor, Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`."""
-        subset = self.chosen(scenes)
-        back = subset[0].background if background is None else background
-        edits = edits_by_scene(edit, [scene.name for scene in subset])
-        with torch.inference_mode():
-            camera = self._in_units(camera)
-            parts = self.together(subset, camera, edits)
-            splats = draw(parts, camera, low_pass=self.rendering.low_pass)
-            rgb = over(splats.features, splats.alpha, back)
-            return rgb.clamp_(0.0, 1.0), splats.alpha.clamp(0.0, 1.0)
+        """All Gaussians of the scenes, splatted at once."""
+        camera = self._in_units(camera)
+        splats = draw(self.together(scenes, camera, edits), camera, low_pass=self.rendering.low_pass)
+        return splats.features, splats.alpha
 
     def splats(self, scene: str, camera: Camera) -> tuple[Splats, Tensor]:
         """What is splatted of a scene; see :class:`methods.interface.HasGaussians`."""

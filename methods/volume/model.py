@@ -21,8 +21,7 @@ from datasets.ground_truth.model import Draw, Layer, Marcher
 from datasets.ground_truth.probe import find_backend
 from datasets.render_views import marcher_of
 from datasets.scene import RGB, BasicScene
-from econgs.splat.composite import over
-from methods.interface import Edit, Refused, edits_by_scene
+from methods.interface import Edit, Refused
 from methods.shared.files import saved_files
 from methods.shared.model import NamedScenes, seconds
 from methods.volume.codecs import Codec
@@ -158,21 +157,12 @@ class VolumeModel(NamedScenes[VolumeScene]):
         shared = (replace(scene, stored=same[scene.stored.file]) for scene in scenes)
         return cls(shared, models[0].codec, models[0].device)
 
-    def render(
-        self,
-        camera: Camera,
-        scenes: Sequence[str] | None = None,
-        edit: Mapping[str, Edit] | None = None,
-        background: RGB | None = None,
+    def picture(
+        self, scenes: Sequence[VolumeScene], camera: Camera, edits: Mapping[str, Edit]
     ) -> tuple[Tensor, Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`."""
-        subset = self.chosen(scenes)
-        back = subset[0].background if background is None else background
-        draw = self._draw(subset, edits_by_scene(edit, [scene.name for scene in subset]))
-        with torch.inference_mode():
-            picture = torch.from_numpy(draw((camera,))[0]).to(self.device)
-            alpha = picture[..., 3].clamp(0.0, 1.0)
-            return over(picture[..., :3], alpha, back).clamp_(0.0, 1.0), alpha
+        """All volumes of the scenes, marched at once."""
+        picture = torch.from_numpy(self._draw(scenes, edits)((camera,))[0]).to(self.device)
+        return picture[..., :3], picture[..., 3].clamp(0.0, 1.0)
 
     def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
         """Seconds of one frame of scenes (default: all) by part.
