@@ -249,7 +249,7 @@ def _resident_pages() -> list[int]:
     """
     size = os.sysconf("SC_PAGE_SIZE")
     pages: list[int] = []
-    with open("/proc/self/maps") as maps, open("/proc/self/pagemap", "rb") as table:
+    with open("/proc/self/maps", encoding="utf-8") as maps, open("/proc/self/pagemap", "rb") as table:
         for line in maps:
             span, mode, _, _, inode, *_ = line.split()
             start, end = (int(address, 16) for address in span.split("-"))

@@ -118,11 +118,11 @@ def commit_here() -> str | None:
     here = Path(__file__).resolve()
     root, built = here.parent.parent, here.with_name("commit.txt")  # see CMakeLists.txt
     if not (root / ".git").exists():
-        return built.read_text().strip() if built.exists() else None
+        return built.read_text(encoding="ascii").strip() if built.exists() else None
     try:
         head = subprocess.run(
             ["git", "-C", str(root), "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"],
-            capture_output=True, text=True, timeout=10, check=True,
+            capture_output=True, encoding="utf-8", timeout=10, check=True,
         )  # fmt: skip
     except (OSError, subprocess.SubprocessError):
         return None

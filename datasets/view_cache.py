@@ -98,7 +98,7 @@ class ViewCache:
         try:
             index = write_views(aside / "images.zst", stored)
             entry = {"schema": _SCHEMA, **index, "record": record}
-            (aside / "entry.json").write_text(json.dumps(entry, indent=1))
+            (aside / "entry.json").write_text(json.dumps(entry, indent=1), encoding="utf-8")
             self._place(aside, key)
         finally:
             shutil.rmtree(aside, ignore_errors=True)
@@ -158,7 +158,7 @@ class ViewCache:
     def _entry(self, key: str) -> dict[str, Any] | None:
         folder = self.folder / key
         try:
-            entry = json.loads((folder / "entry.json").read_text())
+            entry = json.loads((folder / "entry.json").read_text(encoding="utf-8"))
             size = (folder / "images.zst").stat().st_size
             whole = entry["schema"] == _SCHEMA and size == sum(entry["frames"])
             if not (whole and isinstance(entry["record"], dict)):

@@ -34,7 +34,7 @@ def test_skips_in_ci(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ci: str, e
     some, module = (
         subprocess.run(
             [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", name],
-            cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+            cwd=tmp_path, capture_output=True, encoding="utf-8", timeout=120, check=False,
         )
         for name in ("test_some.py", "test_module.py")
     )  # fmt: skip

@@ -131,7 +131,7 @@ def _trial_failure(backend: str, library: str) -> str:
     key = f"{backend} {library} {stamp} {device} drjit {version('drjit')}"
     record = cache_root() / "probe" / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.json"
     try:
-        return str(json.loads(record.read_text())["failure"])
+        return str(json.loads(record.read_text(encoding="utf-8"))["failure"])
     except (OSError, ValueError, KeyError, TypeError):
         pass
     failure = _try(backend, library)
@@ -155,7 +155,7 @@ def _try(backend: str, library: str) -> str:
             [sys.executable, "-c", trial],
             env=environment,
             capture_output=True,
-            text=True,
+            encoding="utf-8",
             timeout=_PATIENCE,
             check=False,
         )
@@ -189,7 +189,7 @@ def _remember(record: Path, key: str, failure: str) -> None:
     try:
         record.parent.mkdir(parents=True, exist_ok=True)
         aside = record.with_suffix(f".{os.getpid()}")
-        aside.write_text(json.dumps({"key": key, "failure": failure}))
+        aside.write_text(json.dumps({"key": key, "failure": failure}), encoding="utf-8")
         os.replace(aside, record)
     except OSError:
         pass  # a read-only cache costs a second each time, no more

@@ -319,7 +319,7 @@ def saved_and_loaded(subject: Subject) -> str:
     arguments = [subject.spec.name, subject.device, str(subject.folder), *plugins]
     done = subprocess.run(
         [sys.executable, "-m", "methods.contract.fresh", *arguments],
-        cwd=Path(__file__).resolve().parents[2], capture_output=True, text=True, check=False,
+        cwd=Path(__file__).resolve().parents[2], capture_output=True, encoding="utf-8", check=False,
     )  # fmt: skip
     if done.returncode != 0:
         raise _elsewhere(done, subject.folder / "failure.json")

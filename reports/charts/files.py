@@ -48,7 +48,7 @@ def output(folder: Path) -> Iterator[Callable[[Mapping[str, Chart]], None]]:
                 if not processes:
                     folder.mkdir(parents=True, exist_ok=True)
                     child = subprocess.Popen(
-                        command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+                        command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8"
                     )
                     processes.append(stack.enter_context(child))
                 path = folder / f"{name}.svg"

@@ -163,12 +163,12 @@ class Bench:
     def _start(self, command: list[str]) -> subprocess.Popen[str]:
         return subprocess.Popen(
             command, env=self.environment, cwd=self.store.parent, start_new_session=True,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding="utf-8",
         )  # fmt: skip
 
     def _finish(self, command: list[str], code: int) -> subprocess.CompletedProcess[str]:
         done = subprocess.run(
-            command, env=self.environment, cwd=self.store.parent, capture_output=True, text=True,
+            command, env=self.environment, cwd=self.store.parent, capture_output=True, encoding="utf-8",
             timeout=PATIENCE, check=False,
         )  # fmt: skip
         assert done.returncode == code, done.stdout + done.stderr

@@ -137,7 +137,7 @@ def test_views_that_cannot_be_made_again_leave_their_record(unpacked):
         "w.run = lambda *a: r.model_copy(update=change); sys.exit(w.main(f))"
     )
     done = subprocess.run([sys.executable, "-c", script, str(folder)], env=unpacked.environment, check=False,
-                          capture_output=True, text=True)  # fmt: skip
+                          capture_output=True, encoding="utf-8")  # fmt: skip
     assert (done.returncode, done.stdout.strip()) == (1, "no volume"), done.stderr
     assert Store(unpacked.store).record(views.job.id) == views
 

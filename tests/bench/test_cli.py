@@ -36,7 +36,11 @@ def test_lists_start_without_heavy_imports(bench, what: str) -> None:
         "assert not heavy, heavy"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, what], env=bench.environment, capture_output=True, text=True, check=False
+        [sys.executable, "-c", code, what],
+        env=bench.environment,
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     assert {"methods": "3dgs", "datasets": "vortices", "suites": "quick", "metrics": "psnr"}[

@@ -90,7 +90,7 @@ def cluster(tmp_path_factory):
     environment = Bench(file.parent, file.parent).environment
     environment["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "1"
     process = subprocess.Popen(
-        [sys.executable, file], env=environment, text=True,
+        [sys.executable, file], env=environment, encoding="utf-8",
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     yield process.stdout.readline().strip()

@@ -39,7 +39,7 @@ def holder(bench, folder):
     """Another process with the lease."""
     folder.parent.mkdir()
     command = [sys.executable, "-c", HOLDER, str(folder)]
-    process = subprocess.Popen(command, env=bench.environment, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, env=bench.environment, stdout=subprocess.PIPE, encoding="utf-8")
     assert process.stdout.readline() == "held\n"
     yield process
     process.kill()

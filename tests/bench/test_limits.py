@@ -98,7 +98,7 @@ def test_pages_of_files_are_no_memory_of_a_job(tmp_path) -> None:
         assert used_memory(process.pid, OFF) == pytest.approx(resident, rel=0.1)
         held = used_memory(process.pid, 0)
         assert held <= resident - 2**26
-        lines = Path("/proc/self/status").read_text().splitlines()
+        lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
         counts = [int(line.split()[1]) for line in lines if line.startswith(("RssAnon", "RssShmem"))]
         assert held == pytest.approx(1024 * sum(counts), rel=0.05)
     assert 0 < available_memory() <= psutil.virtual_memory().total + psutil.swap_memory().total

@@ -39,7 +39,7 @@ def shown(rgba: np.ndarray) -> np.ndarray:
 def test_the_registry_imports_nothing_heavy():
     heavy = "('torch', 'numpy', 'skimage', 'PIL')"
     code = f"import bench.metrics, sys; print([m for m in {heavy} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
     assert done.stdout.strip() == "[]"
 
 

@@ -61,7 +61,7 @@ def test_propose_edit_look(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     pixels = np.asarray(Image.open(sheet))
     assert 0.02 < (pixels.min(axis=-1) < 250).mean() < 0.9
 
-    text = entry.read_text()
+    text = entry.read_text(encoding="utf-8")
     first = re.search(r"range = \[([0-9.]+).*?ends: (\S+)", text)
     assert first is not None
     low, high = float(np.load(file).min()), float(np.load(file).max())
@@ -73,10 +73,10 @@ def test_propose_edit_look(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     )
 
     edited = text.replace("opacity = ", "opacity = 0.0001 #", 1)
-    entry.write_text(edited)
+    entry.write_text(edited, encoding="utf-8")
     for again in (str(file), str(entry)):  # the volume's name or the entry's
         assert main(["scenes", again, *SMALL]) == 0
-        assert entry.read_text() == edited, "never overwritten"
+        assert entry.read_text(encoding="utf-8") == edited, "never overwritten"
         assert "nearly empty" in capsys.readouterr().out
     assert (np.asarray(Image.open(sheet)) != pixels).any()
     assert not list(Path().glob(".*.toml"))
@@ -91,7 +91,12 @@ def test_several_variables_and_choices_round_trip(tmp_path: Path) -> None:
     _same(open_dataset(str(file)), open_dataset(str(entry)))
     assert {one["path"] for one in tomllib.loads(entry.read_text())["files"]} == {"two.npz"}, "beside it"
     assert main(["scenes", f"{file}:variable=turned", *SMALL]) == 0
-    (scenes,) = ({one["variable"] for one in tomllib.loads(Path("two-turned.toml").read_text())["files"]},)
+    (scenes,) = (
+        {
+            one["variable"]
+            for one in tomllib.loads(Path("two-turned.toml").read_text(encoding="utf-8"))["files"]
+        },
+    )
     assert len(scenes) == 1
 
 

@@ -45,7 +45,7 @@ def seconds(folder: Path, suite: Path, *more: str) -> tuple[float, int]:
     plugins = ("--plugins", str(ROOT / "tests" / "bench" / "plugins"))
     environment = os.environ | {"PYTHONPATH": str(ROOT), "BENCH_CACHE": str(folder / "cache")}
     done = subprocess.run(
-        [*command, *plugins, *more], env=environment, check=False, capture_output=True, text=True
+        [*command, *plugins, *more], env=environment, check=False, capture_output=True, encoding="utf-8"
     )
     if done.returncode:
         sys.exit(done.stderr)

@@ -135,7 +135,7 @@ def main() -> int:
     options = parser.parse_args()
     bad = 0
     write = [sys.executable, "-m", "tests.datasets.samples"]  # apart: a small process forks faster
-    for name in options.formats or subprocess.check_output(write, text=True).split():
+    for name in options.formats or subprocess.check_output(write, encoding="utf-8").split():
         folder = Path(tempfile.mkdtemp())
         start = time.monotonic()
         subprocess.check_call([*write, name, str(folder)])

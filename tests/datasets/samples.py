@@ -192,6 +192,7 @@ def _itk(path: Path) -> None:
 def _dicom(path: Path) -> None:
     """A series of slices, the names in another order than the positions."""
     path.mkdir()
+    before = locale.setlocale(locale.LC_CTYPE)
     writer = sitk.ImageFileWriter()
     writer.KeepOriginalImageUIDOn()
     for k, plane in enumerate(FIELD.astype(np.int16)):
@@ -205,6 +206,7 @@ def _dicom(path: Path) -> None:
         picture.SetOrigin((0.0, 0.0, 0.5 * k))
         writer.SetFileName(str(path / f"image{9 - k}.dcm"))
         writer.Execute(picture)
+    locale.setlocale(locale.LC_CTYPE, before)  # GDCM sets that of the whole process to C
 
 
 def _tiff(path: Path) -> None:

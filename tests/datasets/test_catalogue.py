@@ -24,7 +24,7 @@ def test_every_set_is_listed_without_numpy() -> None:
         "import sys; from datasets.catalogue import list_datasets; print(*[d.name for d in list_datasets()]);"
         "print([m for m in ('numpy', 'torch', 'mitsuba', 'nibabel') if m in sys.modules])"
     )
-    names, heavy = subprocess.check_output([sys.executable, "-c", code], text=True).splitlines()
+    names, heavy = subprocess.check_output([sys.executable, "-c", code], encoding="utf-8").splitlines()
     assert set(names.split()) >= ALL
     assert heavy == "[]"
 

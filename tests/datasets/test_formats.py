@@ -119,7 +119,7 @@ def test_dataset_of_a_folder(forks: None, tmp_path: Path) -> None:
 def test_the_limits_of_a_child(tmp_path: Path) -> None:
     """A process of its own, with limits of memory and time."""
     source = sandbox.Stored(samples.write(tmp_path, "v.h5"), "hdf5")
-    limits = Path(f"/proc/{source._child._child.pid}/limits").read_text()
+    limits = Path(f"/proc/{source._child._child.pid}/limits").read_text(encoding="utf-8")
     memory = int(re.search(r"Max address space +(\d+)", limits)[1])
     assert 4 << 30 <= memory < (4 << 30) + (2 << 30)
     assert re.search(r"Max cpu time +3600", limits)

@@ -223,7 +223,7 @@ def test_without_libllvm_the_reference_renders_with_a_notice(no_backend, cache, 
 def output_of(code, **environment):
     """Output of a fresh process."""
     command, environment = [sys.executable, "-c", code], {**os.environ, **environment}
-    return subprocess.check_output(command, text=True, env=environment, cwd=ROOT)
+    return subprocess.check_output(command, encoding="utf-8", env=environment, cwd=ROOT)
 
 
 def trial(library, cache_folder):

@@ -169,7 +169,7 @@ def render(jobs: Sequence[Job]) -> list[NDArray[np.float32]]:
         done = subprocess.run(
             [sys.executable, str(Path(__file__).resolve()), str(job_file), str(result_file)],
             capture_output=True,
-            text=True,
+            encoding="utf-8",
             timeout=600,
             check=False,
         )

@@ -89,7 +89,7 @@ def test_survives_a_fork(restored: None) -> None:
 def run_with(**environment: str) -> subprocess.CompletedProcess[str]:
     code = "from econgs.splat import native; print(native.isa(), native.threads())"
     return subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, **environment}, capture_output=True, text=True
+        [sys.executable, "-c", code], env={**os.environ, **environment}, capture_output=True, encoding="utf-8"
     )
 
 

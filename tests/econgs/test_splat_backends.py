@@ -313,6 +313,6 @@ with warnings.catch_warnings(record=True) as caught:
 """
     environment = {name: value for name, value in os.environ.items() if name != "ECONGS_BACKEND"}
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, env=environment, check=True
+        [sys.executable, "-c", program], capture_output=True, encoding="utf-8", env=environment, check=True
     )
     assert done.stdout.startswith("torch torch 1 the native splatting backend is not installed")

@@ -52,7 +52,7 @@ def measure(name: str) -> dict[str, Any]:
     """The fingerprint of a method, by a process held to the baseline."""
     command = [sys.executable, "-P", __file__, "--measure", name]
     run = subprocess.run(
-        command, env=os.environ | BASELINE, cwd=FILE.parents[1], capture_output=True, text=True
+        command, env=os.environ | BASELINE, cwd=FILE.parents[1], capture_output=True, encoding="utf-8"
     )
     if run.returncode:
         raise RuntimeError(f"the fit of {name} failed:\n{run.stderr[-4000:]}")

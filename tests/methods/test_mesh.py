@@ -289,7 +289,11 @@ def test_a_machine_without_egl_is_refused_with_the_remedy():
     code = "from methods.mesh.canvas import Canvas; Canvas()"
     hidden = dict.fromkeys(("__EGL_VENDOR_LIBRARY_DIRS", "__EGL_VENDOR_LIBRARY_FILENAMES"), "/nowhere")
     done = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | hidden, capture_output=True, text=True, check=False
+        [sys.executable, "-c", code],
+        env=os.environ | hidden,
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
     )
     assert done.returncode == 1
     assert "Refused" in done.stderr

@@ -52,7 +52,7 @@ def write(folder, module, name="toy", file="spec.py", preset="{}", extra=""):
 
 def python(code):
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, encoding="utf-8", check=False, timeout=60
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.split()

@@ -210,11 +210,11 @@ class Proof:
         own = {"PYTHONPATH": str(folder), "BENCH_CACHE": str(self.work / "cache"),
                "BENCH_LOCKS": str(self.work / "locks")}  # fmt: skip
         words = list(map(str, command))
-        return subprocess.run(words, cwd=folder, env=os.environ | own, capture_output=True, text=True)
+        return subprocess.run(words, cwd=folder, env=os.environ | own, capture_output=True, encoding="utf-8")
 
 
 def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    return _check(subprocess.run(command, capture_output=True, text=True))
+    return _check(subprocess.run(command, capture_output=True, encoding="utf-8"))
 
 
 def _check(done: subprocess.CompletedProcess[str]) -> subprocess.CompletedProcess[str]:

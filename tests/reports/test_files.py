@@ -101,7 +101,7 @@ def check_latex(text, folder):
         head = r"\documentclass{article}\usepackage{booktabs,longtable}\begin{document}\tiny "
         (folder / "t.tex").write_text(head + text + r"\end{document}", encoding="utf-8")
         command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, cwd=folder, capture_output=True, encoding="utf-8", check=False)
         assert done.returncode == 0, done.stdout[-2000:]
     return kind, after
 
@@ -190,7 +190,7 @@ def test_reports_needs_no_other_package_of_this_project(tmp_path):
         "from reports.__main__ import main\n"
         f"sys.exit(main(['--table', {str(csv(tmp_path, SMALL))!r}, '--out', {str(tmp_path / 'out')!r}]))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=False)
     assert done.returncode == 0, done.stderr
 
 
