@@ -131,10 +131,8 @@ def test_rungs_of_two_ladders_with_the_same_options_stay_apart(suite) -> None:
         ] }},
         {{ name = "start", title = "", datasets = ["vortices@16"], rungs = ["", "start=random"] }},
     ]""")
-    text_of = (
-        Path(text).read_text(encoding="utf-8").replace("[datasets]", '[datasets]\n"vortices@16" = ["cores"]')
-    )
-    Path(text).write_text(text_of, encoding="utf-8")
+    text_of = Path(text).read_text().replace("[datasets]", '[datasets]\n"vortices@16" = ["cores"]')
+    Path(text).write_text(text_of)
     ladders = load_suite(text).ladders
     places = {
         (job.dataset, job.subject, row["ladder"], row["rung"])

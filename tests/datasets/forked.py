@@ -44,10 +44,7 @@ class Fork:
             os.dup2(stderr, 2)
             os.closerange(3, 256)
             ctypes.CDLL(None).mallopt(_M_PERTURB, perturb)
-            sys.stdin, sys.stderr = (
-                open(0, encoding="utf-8", closefd=False),
-                open(2, "w", encoding="utf-8", closefd=False),
-            )  # noqa: SIM115
+            sys.stdin, sys.stderr = open(0, closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
             sys.argv = ["child", *options]
             child.main()
             code = 0

@@ -7,6 +7,7 @@ written here by their specifications.
 
 from __future__ import annotations
 
+import locale
 import sys
 from collections.abc import Callable
 from pathlib import Path

@@ -140,8 +140,8 @@ def test_pytest_has_a_test_per_result(gate: Bench, tmp_path: Path) -> None:
         command = [sys.executable, "-m", "pytest", *plugin, "-p", "no:cacheprovider"]
         command += ["--rootdir", str(tmp_path), "test_own.py", "--bench-gate", "base.json", *more]
         return subprocess.run(
-            command, cwd=tmp_path, env=gate.environment, capture_output=True, encoding="utf-8", timeout=PATIENCE,
-            check=False,
+            command, cwd=tmp_path, env=gate.environment, capture_output=True, encoding="utf-8",
+            timeout=PATIENCE, check=False,
         )  # fmt: skip
 
     done = run()
