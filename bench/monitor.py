@@ -152,13 +152,13 @@ class FitMonitor:
 
     def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
         self.iteration, self._primitives = iteration, primitives
-        total = losses.get("loss", sum(losses.values())) if losses else None
-        if total is not None and not math.isfinite(total):
-            values = ", ".join(f"{name} = {value}" for name, value in losses.items())
-            raise Diverged(f"loss is not finite at iteration {iteration}: {values}")
-        self._loss = total
-        self._parts = {name: float(value) for name, value in losses.items() if name != "loss"}
-        if total is not None:
+        if losses:
+            total = losses.get("loss", sum(losses.values()))
+            if not math.isfinite(total):
+                values = ", ".join(f"{name} = {value}" for name, value in losses.items())
+                raise Diverged(f"loss is not finite at iteration {iteration}: {values}")
+            self._loss = total
+            self._parts = {name: float(value) for name, value in losses.items() if name != "loss"}
             self.losses.add(iteration, self._stage, {"loss": total, **self._parts})
         self._report_state()
 

@@ -158,7 +158,7 @@ def marcher_of(
 
         from datasets.ground_truth.reference import ReferenceMarcher
 
-        return ReferenceMarcher(volumes, settings, torch.float32)
+        return ReferenceMarcher(volumes, settings, torch.float32, _torch_device())
     probe.activate(backend)
     from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
 
@@ -248,7 +248,8 @@ class _Work:
 
     def _renderer(self) -> dict[str, Any]:
         if self.backend.name == "none":
-            return {"renderer": "reference", "version": version("torch"), "backend": "torch"}
+            backend = {"cpu": "torch", "cuda": "torch-cuda"}[_torch_device()]
+            return {"renderer": "reference", "version": version("torch"), "backend": backend}
         return {
             "renderer": "mitsuba",
             "version": f"{version('mitsuba')}+drjit{version('drjit')}",
@@ -265,6 +266,13 @@ class _Work:
             **(parts[0] if len(parts) == 1 else {"parts": parts}),
         }
         return hashlib.sha256(json.dumps(ingredients, sort_keys=True).encode()).hexdigest()[:40]
+
+
+def _torch_device() -> str:
+    """Where the reference marcher runs."""
+    import torch
+
+    return "cuda" if torch.cuda.is_available() else "cpu"
 
 
 def _edited(parts: tuple[BasicScene, ...], edit: Mapping[str, Edit] | None) -> tuple[BasicScene, ...]:

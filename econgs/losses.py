@@ -89,9 +89,11 @@ def view_losses(
         return pair
     target = over(truth[..., :3], truth[..., 3], back)
     picture = photometric_loss(over(colors, alpha, back), target, ssim_weight, backend=backend)
-    if alpha_weight > 0.0 and float(alpha.detach().sum()) < VANISHING * float(truth[..., 3].sum()):
-        alpha_weight = max(alpha_weight, RESCUE)
-    return picture, alpha_weight * (alpha - truth[..., 3]).abs().mean()
+    distance = (alpha - truth[..., 3]).abs().mean()
+    if 0.0 < alpha_weight < RESCUE:  # no branch on a value: on a GPU the host would wait for it
+        vanishes = alpha.detach().sum() < VANISHING * truth[..., 3].sum()
+        return picture, torch.where(vanishes, RESCUE, alpha_weight) * distance
+    return picture, alpha_weight * distance
 
 
 def ssim(rendered: Tensor, target: Tensor, *, backend: str | None = None) -> Tensor:

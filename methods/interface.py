@@ -233,6 +233,7 @@ class Monitor(Protocol):
         Args:
             iteration: just done, from 1.
             losses: "loss", which is minimised, and by other names its parts and further figures to show.
+                Empty: they were not looked at, as on a GPU, where each look waits for it.
             primitives: number of primitives of the group.
 
         Raises:

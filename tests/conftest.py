@@ -14,6 +14,7 @@ os.environ["PYTHONSAFEPATH"] = "1"
 
 MAY_BE_MISSING = (
     "no CUDA device with gsplat here",
+    "no CUDA device here",
     "root may read everything",
     "no fork here",
     "neither libLLVM 15 nor 16 is installed here",

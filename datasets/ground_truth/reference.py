@@ -28,7 +28,7 @@ from datasets.ground_truth.occlusion import bake
 from datasets.scene import Light
 from datasets.volume import Volume
 
-_SAMPLES_AT_ONCE = 2**20
+_SAMPLES_AT_ONCE = {"cpu": 2**20, "cuda": 2**24}
 
 
 @dataclass(eq=False)
@@ -67,6 +67,7 @@ class ReferenceMarcher(Marcher):
         volume: the field, or the fields of a composition.
         settings: step and table size.
         dtype: torch.float64 for the oracle, torch.float32 for speed.
+        device: "cpu" or "cuda".
 
     Raises:
         DataError: the volumes differ in grid or box.
@@ -77,11 +78,12 @@ class ReferenceMarcher(Marcher):
         volume: Volume | Sequence[Volume],
         settings: MarchSettings = MarchSettings(),  # noqa: B008  (frozen)
         dtype: torch.dtype = torch.float64,
+        device: str = "cpu",
     ) -> None:
         super().__init__(volume, settings)
-        self._dtype = dtype
+        self._dtype, self._device = dtype, device
         self._normalised = [each.normalised() for each in self._volumes]
-        self._values = [torch.from_numpy(values).to(dtype) for values in self._normalised]
+        self._values = [self._tensor(values) for values in self._normalised]
         self._masks = [None if v.mask is None else self._tensor(v.mask) for v in self._volumes]
         first = self._volumes[0]
         scale, offset = index_transform(first)
@@ -95,7 +97,7 @@ class ReferenceMarcher(Marcher):
         def draw(cameras: tuple[Camera, ...], progress: Progress | None = None) -> NDArray[np.float32]:
             images = []
             for done, camera in enumerate(cameras, start=1):
-                images.append(self._image(camera, scene).to(torch.float32).numpy())
+                images.append(self._image(camera, scene).to("cpu", torch.float32).numpy())
                 if progress:
                     progress(done, len(cameras))
             return np.stack(images)
@@ -126,16 +128,18 @@ class ReferenceMarcher(Marcher):
         origin, directions = (self._tensor(a) for a in camera.rays())
         rays = directions.reshape(-1, 3)
         near, far = self._box_interval(origin, rays)
-        image = torch.zeros(len(rays), 4, dtype=self._dtype)
+        image = torch.zeros(len(rays), 4, dtype=self._dtype, device=self._device)
         hits = torch.nonzero(far > near)[:, 0]
         if len(hits):
             steps = int(torch.ceil((far - near)[hits].max() / self._dt))
-            for part in hits.split(max(1, _SAMPLES_AT_ONCE // steps)):
-                image[part] = self._march(origin, rays[part], near[part], far[part], scene)
+            at_once = _SAMPLES_AT_ONCE[torch.device(self._device).type]
+            for part in hits.split(max(1, at_once // steps)):
+                with torch.device(self._device):
+                    image[part] = self._march(origin, rays[part], near[part], far[part], scene)
         return image.reshape(camera.height, camera.width, 4)
 
     def _tensor(self, array: NDArray[Any]) -> Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array)).to(self._dtype)
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self._device, self._dtype)
 
     def _box_interval(self, origin: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
         """Distances along each ray at which it enters and leaves the box (far <= near: a miss)."""
@@ -210,7 +214,7 @@ class ReferenceMarcher(Marcher):
                 shaded = self._shade(scene, part, color.expand(len(at), 3), at, -rays[ray[segment]])
                 crossings.append((segment, torch.full_like(segment, n), share, alpha, shaded))
         segment, number, share, alpha, shaded = (torch.cat(column) for column in zip(*crossings, strict=True))
-        order = torch.from_numpy(np.lexsort((share.numpy(), number.numpy(), segment.numpy())))
+        order = _order(share, number, segment)
         return _Hits(segment[order], share[order], alpha[order], shaded[order])
 
     def _shade(self, scene: _Scene, part: _Part, color: Tensor, index: Tensor, view: Tensor) -> Tensor:
@@ -298,8 +302,14 @@ def _split(
     depth = torch.cat([depth[hits.segment] * before, nothing, depth * (1.0 - done)])
     opacity = torch.cat([nan[hits.segment], hits.opacity, nan])
     color = torch.cat([color[hits.segment], hits.color, color])
-    order = torch.from_numpy(np.lexsort((slot.numpy(), segment.numpy())))
+    order = _order(slot, segment)
     return segment[order], depth[order], opacity[order], color[order]
+
+
+def _order(*keys: Tensor) -> Tensor:
+    """Positions that sort by the last key first, as ``numpy.lexsort`` has them."""
+    order = np.lexsort([key.cpu().numpy() for key in keys])
+    return torch.from_numpy(order).to(keys[0].device)
 
 
 def _composite(ray: Tensor, alpha: Tensor, color: Tensor, rays: int) -> Tensor:

@@ -16,7 +16,7 @@ from econgs.anchors.decoders import NETWORKS, Decoders
 from econgs.anchors.gaussians import UnshadedGaussians, ViewGaussians
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, unit
 from econgs.splat.composite import scale_depth
-from econgs.splat.rasterise import choose_backend
+from econgs.splat.rasterise import choose_backend, values_trusted
 
 MIN_QUATERNION = 1e-12  # a shorter quaternion becomes the identity
 Vector = Sequence[float] | NDArray[np.float64] | Tensor
@@ -70,8 +70,8 @@ def decode(
     _check_shapes(inputs, decoders)
     view = _vector(eye, anchors, "eye")
     toward = None if light is None else _vector(light, anchors, "light")
-    if toward is not None and abs(math.hypot(*toward.tolist()) - 1.0) > 1e-3:
-        raise ValueError(f"light is {toward.tolist()}, not a unit vector")
+    if light is not None and abs(math.hypot(*map(float, light)) - 1.0) > 1e-3:
+        raise ValueError(f"light is {[float(x) for x in light]}, not a unit vector")
     factors = factors or Factors()
     if decoders.storage == "implicit":
         refuse_non_finite(inputs, decoders)
@@ -239,11 +239,11 @@ def visible_anchors(camera: Camera, anchors: Tensor, scalings: Tensor) -> Tensor
 
 
 def _vector(value: Vector, like: Tensor, name: str) -> Tensor:
-    vector = torch.as_tensor(value, dtype=like.dtype, device=like.device).detach()
-    numbers = vector.tolist()
+    vector = torch.as_tensor(value, dtype=like.dtype).detach()
+    numbers = vector.tolist()  # where the caller has it: a look at a GPU would wait for it
     if vector.shape != (3,) or not all(map(math.isfinite, numbers)):
         raise ValueError(f"{name} must be three finite numbers, not {numbers}")
-    return vector
+    return vector.to(like.device)
 
 
 def _check_shapes(inputs: dict[str, Tensor], decoders: Decoders) -> None:
@@ -273,11 +273,13 @@ def _check_shapes(inputs: dict[str, Tensor], decoders: Decoders) -> None:
 
 @torch.no_grad()
 def refuse_non_finite(inputs: dict[str, Tensor], decoders: nn.Module) -> None:
-    """Raises for the first tensor that holds NaN or infinity.
+    """Raises for the first tensor that holds NaN or infinity, unless values are trusted.
 
     Raises:
         ValueError: the message names the tensor and the index.
     """
+    if values_trusted():
+        return
     weights = {f"decoders.{name}": tensor for name, tensor in decoders.named_parameters()}
     tensors = {**inputs, **weights}
     # A sum is finite only if every term is: one synchronisation for all.

@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 from econgs.splat.low_pass import LINEAGE, LowPass
-from econgs.splat.rasterise import SplatImages, choose_backend, rasterise
+from econgs.splat.rasterise import SplatImages, choose_backend, rasterise, trusted_values, values_trusted
 from econgs.splat.sh import spherical_harmonics
 
-__all__ = ["LINEAGE", "LowPass", "SplatImages", "choose_backend", "rasterise", "spherical_harmonics"]
+__all__ = [
+    "LINEAGE",
+    "LowPass",
+    "SplatImages",
+    "choose_backend",
+    "rasterise",
+    "spherical_harmonics",
+    "trusted_values",
+    "values_trusted",
+]

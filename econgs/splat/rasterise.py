@@ -7,6 +7,9 @@ import importlib.util
 import math
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
@@ -20,6 +23,9 @@ from econgs.splat.low_pass import LINEAGE, LowPass
 from econgs.splat.splats import Splats
 
 BACKENDS = ("native", "gsplat", "torch")
+
+
+_trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 
 @dataclass(frozen=True)
@@ -80,11 +86,13 @@ def rasterise(
         tensors["screen_offset"] = screen_offset
     _check_shapes(tensors)
     _check_camera(camera)
+    checked = not _trusted.get()
     if low_pass.smoothing:
-        _refuse_negative(scales)  # which squares hide
+        if checked:
+            _refuse_negative(scales)  # which squares hide
         scales = tensors["scales"] = torch.hypot(scales, scales.new_tensor(math.sqrt(low_pass.smoothing)))
     name = choose_backend(means, backend)
-    if name != "native":  # the native kernels check values as they read them
+    if name != "native" and checked:  # the native kernels check values as they read them
         _check_values(tensors)
     try:
         images = _module(name).rasterise(
@@ -120,6 +128,24 @@ def choose_backend(like: Tensor, backend: str | None = None) -> str:
         _notice(suited)
         return "torch"
     return suited
+
+
+@contextmanager
+def trusted_values() -> Iterator[None]:
+    """In this block values are not searched for NaN, infinity and bad ranges; shapes are still checked.
+
+    For loops on a GPU that look at their parameters now and then: every look waits for the device.
+    """
+    token = _trusted.set(True)
+    try:
+        yield
+    finally:
+        _trusted.reset(token)
+
+
+def values_trusted() -> bool:
+    """Whether this is inside :func:`trusted_values`."""
+    return _trusted.get()
 
 
 def native() -> ModuleType:

@@ -112,7 +112,7 @@ class Trainer(TrainingLoop):
         self.iteration += 1
         back = torch.as_tensor(self.background_color(), dtype=torch.float32, device=self.device)
         losses = self._losses(back)
-        numbers = self.numbers(losses)
+        report = self.report(losses)
         loss = sum(losses.values(), torch.zeros((), device=self.device))
         if loss.requires_grad:
             self.optimiser.zero_grad()
@@ -125,7 +125,7 @@ class Trainer(TrainingLoop):
         self._change()
         if self.iteration % CHECK_EVERY == 0:
             self.check_finite()
-        return {"loss": sum(numbers.values()), **numbers}
+        return report
 
     def _losses(self, back: Tensor) -> dict[str, Tensor]:
         """Parts of the loss of a batch of random rays."""

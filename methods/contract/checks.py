@@ -97,7 +97,8 @@ class Recorder:
 
     def progress(self, iteration: int, losses: Mapping[str, float], primitives: int) -> None:
         self.iterations.append(iteration)
-        self.losses.append(losses["loss"])
+        if losses:
+            self.losses.append(losses["loss"])
 
     def due(self, iteration: int) -> bool:
         return iteration in self.stops

@@ -184,7 +184,7 @@ class Trainer(AnchorLoop):
             present_weight = self.options.rate_weight * self.control.factor
             parts["rate"] = present_weight * (rate.attributes + rate.grid)
         loss = sum(parts.values(), torch.zeros((), device=self.device))
-        losses = self.numbers(parts)
+        report = self.report(parts, None if rate is None else {"bits per attribute": rate.attributes})
         if self.fresh:
             self.optimiser.zero_grad()
             self.fresh = False
@@ -206,8 +206,7 @@ class Trainer(AnchorLoop):
             self.control.correct(model.bytes_estimate(), self._psnr(model))
         if self.iteration % CHECK_EVERY == 0:
             self.check_finite()
-        bits = {} if rate is None else {"bits per attribute": float(rate.attributes.detach())}
-        return {"loss": sum(losses.values()), **losses, **bits}
+        return report
 
     def _closes_batch(self) -> bool:
         """Whether the optimiser steps now: when each scene had its view, or anchors are about to change."""

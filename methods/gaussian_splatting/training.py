@@ -91,7 +91,7 @@ class HarmonicsTrainer(TrainingLoop):
         camera = self.scene.train.cameras[view]
         back = self.background_color()
         parts, offset, radii = self._losses(camera, self.images[view].to(self.device), back)
-        losses = self.numbers(parts)
+        report = self.report(parts)
         loss = sum(parts.values(), torch.zeros((), device=self.device))
         if loss.requires_grad:
             self.optimiser.zero_grad()
@@ -103,7 +103,7 @@ class HarmonicsTrainer(TrainingLoop):
         self._control()
         if self.iteration % CHECK_EVERY == 0:
             self.check_finite()
-        return {"loss": sum(losses.values()), **(losses if len(losses) > 1 else {})}
+        return report
 
     def _losses(
         self, camera: Camera, truth: torch.Tensor, back: RGB | torch.Tensor

@@ -115,17 +115,17 @@ class Trainer(TrainingLoop):
         alpha = truth[:, 3:]
         target = torch.addcmul(truth[:, :3], 1.0 - alpha, back)
         far = torch.addcmul(seen.colors, 1.0 - seen.alpha[:, None], back) - target
-        parts = {"image": far.square().mean()}
+        parts: dict[str, Tensor | float] = {"image": far.square().mean()}
         grad_colors = far * (2.0 / far.numel())
         grad_alpha = -(grad_colors @ back)
         if self.asks_alpha(self.transparent):
             missing = seen.alpha - alpha[:, 0]
             parts["alpha"] = self.options.alpha_weight * missing.square().mean()
             grad_alpha += missing * (2.0 * self.options.alpha_weight / len(missing))
-        losses = self.numbers(parts)
         seen.backward(grad_colors, grad_alpha, self.optimiser.grads)
         if self.options.tv_stage == "both" or self.iteration <= self.schedule.finer:
-            losses["variation"] = self._variation()
+            parts["variation"] = self._variation()
+        report = self.report(parts)
         rates = (
             self.schedule.density_rate(self.iteration, self.options.density_lr),
             self.schedule.sh_rate(self.iteration, self.options.sh_lr),
@@ -136,7 +136,7 @@ class Trainer(TrainingLoop):
             self._refine()
         if self.iteration % CHECK_EVERY == 0:
             self.check_finite()
-        return {"loss": sum(losses.values()), **losses}
+        return report
 
     def _variation(self) -> float:
         """Total variation of some vertices in a row; its gradient is added."""

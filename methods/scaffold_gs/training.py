@@ -185,7 +185,7 @@ class Trainer(AnchorLoop):
         if len(decoded.scales):
             losses["scale"] = self.options.scale_weight * decoded.scales.prod(dim=1).mean()
         losses |= prepared.losses
-        numbers = self.numbers(losses)
+        report = self.report(losses)
         loss = torch.stack(list(losses.values())).sum()
         if loss.requires_grad:
             self.optimiser.zero_grad()
@@ -205,7 +205,7 @@ class Trainer(AnchorLoop):
             self.grow()
         if self.iteration % CHECK_EVERY == 0:
             self.check_finite()
-        return {"loss": sum(numbers.values()), **numbers}
+        return report
 
     def views(self) -> list[int]:
         return self.shuffled(len(self.images))

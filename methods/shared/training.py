@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +18,7 @@ from datasets.camera import pixel_size
 from datasets.scene import RGB, WHITE
 from econgs.losses import view_losses
 from econgs.optim import Adam
-from econgs.splat import LINEAGE, LowPass
+from econgs.splat import LINEAGE, LowPass, trusted_values
 from methods.interface import Checkpoint, Diverged, Monitor, Refused, SceneInput
 from methods.shared.edits import Direction
 from methods.shared.rendering import Rendering
@@ -25,6 +26,8 @@ from methods.shared.splatting import SplattingOptions
 
 CHECK_EVERY = 100
 """Iterations between looks at whether parameters are finite."""
+LOOK_EVERY = 20
+"""Iterations between looks at the losses on a GPU, each of which waits until it has caught up."""
 _BACKGROUNDS: dict[str, RGB] = {"white": WHITE, "black": (0.0, 0.0, 0.0)}
 _LOGARITHMS = ("log_scales", "log_scalings")  # may be finite where their exponentials are not
 
@@ -101,6 +104,7 @@ class TrainingLoop(ABC):
         iteration: steps done.
         pending: views not yet drawn in this round.
         limited: growth has met its limit.
+        look_every: iterations between two reports of losses.
         units: scene units / units of the fit (:mod:`methods.shared.units`).
         pixel: size of a pixel of the training views at their mean distance, in units of the fit.
 
@@ -123,6 +127,9 @@ class TrainingLoop(ABC):
         self.iteration = 0
         self.pending: list[Any] = []
         self.limited = False
+        self.look_every = LOOK_EVERY if device.startswith("cuda") else 1
+        self._sums: dict[str, Tensor | float] = {}
+        self._unseen = 0
         # Rounded: models of the same cameras compose, whatever group they were in.
         self.pixel = float(f"{np.mean([pixel_size(scene.train.cameras) for scene in scenes]):.6g}")
 
@@ -146,7 +153,7 @@ class TrainingLoop(ABC):
         """One step of the optimiser on one view, and what the schedule adds to it.
 
         Returns:
-            The loss ("loss") and, where it has several, its parts.
+            :meth:`report`: the loss ("loss") and, where it has several, its parts.
 
         Raises:
             Diverged: a loss or a parameter is not finite.
@@ -183,6 +190,11 @@ class TrainingLoop(ABC):
         Raises:
             Diverged: a loss or a parameter is not finite.
         """
+        with trusted_values() if self.device.startswith("cuda") else nullcontext():
+            self._run(monitor)
+        self.check_finite()
+
+    def _run(self, monitor: Monitor) -> None:
         stage = ""
         while self.iteration < self.iterations:
             if stage != (stage := self.stage()):
@@ -191,15 +203,34 @@ class TrainingLoop(ABC):
             monitor.progress(self.iteration, losses, self.count)
             if self.may_pause and monitor.due(self.iteration):
                 monitor.pause(self.iteration, self.model_in_scene_units, self.checkpoint)
-        self.check_finite()
 
-    def numbers(self, losses: Mapping[str, Tensor]) -> dict[str, float]:
-        """Parts of the loss as numbers."""
-        numbers = {name: float(part.detach()) for name, part in losses.items()}
-        for name, value in numbers.items():
+    def report(
+        self, parts: Mapping[str, Tensor | float], figures: Mapping[str, Tensor] | None = None
+    ) -> dict[str, float]:
+        """What :meth:`step` returns. On a GPU: means since the last look, and nothing between two looks.
+
+        Args:
+            parts: parts of the loss of this iteration; where there are several, each is shown beside the sum.
+            figures: other scalars to show.
+
+        Raises:
+            Diverged: a part is not finite.
+        """
+        held = {**parts, **(figures or {})}
+        for name, value in held.items():
+            now = value.detach() if isinstance(value, Tensor) else value
+            self._sums[name] = self._sums[name] + now if name in self._sums else now
+        self._unseen += 1
+        if self._unseen < self.look_every and self.iteration < self.iterations:
+            return {}
+        numbers = dict(zip(self._sums, _read(list(self._sums.values())), strict=True))
+        numbers = {name: value / self._unseen for name, value in numbers.items()}
+        self._sums, self._unseen = {}, 0
+        shown = {name: value for name, value in numbers.items() if name not in (figures or {})}
+        for name, value in shown.items():
             if not math.isfinite(value):
                 raise Diverged(f"the {name} loss is {value} at iteration {self.iteration}")
-        return numbers
+        return {"loss": sum(shown.values())} | (numbers if len(shown) > 1 else {})
 
     @torch.no_grad()
     def check_finite(self) -> None:
@@ -293,6 +324,13 @@ def low_pass_of(options: Any, pixel: float) -> LowPass:
         return LINEAGE
     smoothing = options.smoothing * pixel**2
     return LowPass(options.low_pass, options.antialiased, smoothing, options.ray_power)
+
+
+def _read(values: Sequence[Tensor | float]) -> list[float]:
+    """Scalars as numbers; those of a GPU come over together."""
+    tensors = [value for value in values if isinstance(value, Tensor)]
+    read = iter(torch.stack([one.double() for one in tensors]).tolist() if tensors else ())
+    return [next(read) if isinstance(value, Tensor) else value for value in values]
 
 
 def are_transparent(images: Tensor) -> bool:

@@ -128,7 +128,7 @@ class VegTrainer(TrainingLoop):
         rows = visible_rows(self.optimiser["scalars"].detach().sigmoid(), [scene.look])
         truth, back = scene.images[view].to(self.device), self.background_color()
         parts, offset, radii = self._losses(scene, rows, camera, truth, back)
-        losses = self.numbers(parts)
+        report = self.report(parts)
         loss = sum(parts.values(), torch.zeros((), device=self.device))
         if loss.requires_grad:
             self.optimiser.zero_grad()
@@ -144,7 +144,7 @@ class VegTrainer(TrainingLoop):
             self._grow()
         if self.iteration % CHECK_EVERY == 0:
             self.check_finite()
-        return {"loss": sum(losses.values()), **(losses if len(losses) > 1 else {})}
+        return report
 
     # ------------------------------------------------------------------ losses
 

@@ -14,7 +14,7 @@ from datasets.ground_truth.bricks import BRICK, Bricks
 from datasets.ground_truth.bricks import leaps as leap_distances
 from datasets.ground_truth.model import Layer, MarchSettings
 from datasets.ground_truth.reference import ReferenceMarcher
-from datasets.scene import Light
+from datasets.scene import Isosurface, Light
 from datasets.transfer import Bump, TransferFunction
 from tests.datasets import marching
 from tests.datasets.marching import FIXED, HEAD, PHONG, around, camera_at, mitsuba, noise, volume
@@ -180,6 +180,17 @@ def test_reference_in_float32_agrees_with_float64():
     cameras = around(v, size=48)
     single = ReferenceMarcher(v, dtype=torch.float32).render(cameras, NARROW, HEAD)
     np.testing.assert_allclose(single, ReferenceMarcher(v).render(cameras, NARROW, HEAD), atol=2e-3)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here")
+def test_reference_on_cuda_agrees_with_the_cpu():
+    v = volume(noise((30, 40, 35), 2.5))
+    surface = Isosurface("half", 0.5, (0.2, 0.5, 0.9), 0.4)
+    layers = [Layer(v, NARROW, PHONG, depth_enhancement=0.5), Layer(v, None, FIXED, (surface,))]
+    here, there = (
+        ReferenceMarcher(v, device=device).prepare(layers)(around(v, size=48)) for device in ("cpu", "cuda")
+    )
+    np.testing.assert_allclose(there, here, atol=1e-6)
 
 
 def test_views_of_one_launch_equal_views_rendered_alone_and_may_start_inside_the_box():

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from datasets.errors import UnknownName
-from econgs.splat import LowPass, choose_backend, rasterise
+from econgs.splat import LowPass, choose_backend, rasterise, trusted_values
 
 SCENES: dict[str, dict[str, Any]] = {
     "plain": {},
@@ -255,6 +255,16 @@ def test_what_has_no_meaning_is_refused_by_name(
     scene = _changed(splat.make_scene(40), name, 17, value)
     with pytest.raises(ValueError, match=message):
         scene.render(torch.float32, backend.name, backend.device)
+
+
+def test_trusted_values_are_not_looked_at_but_shapes_are(splat: Any) -> None:
+    bad = _changed(splat.make_scene(40), "features", 17, float("nan"))
+    with trusted_values():
+        assert not torch.isfinite(bad.render(torch.float32, "torch").features).all()
+        with pytest.raises(ValueError, match="shape"):
+            rasterise(camera=bad.camera, **(bad.tensors | {"quats": bad.tensors["quats"][:, :3]}))
+    with pytest.raises(ValueError, match=r"features\[17"):
+        bad.render(torch.float32, "torch")
 
 
 def test_a_sum_that_overflows_is_no_reason_to_refuse(splat: Any) -> None:

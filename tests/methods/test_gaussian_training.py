@@ -95,6 +95,20 @@ def test_parameters_that_blow_up_are_called_diverged(scene):
         trainer.step()
 
 
+def test_losses_that_are_looked_at_rarely_are_means_of_the_same_fit(scene):
+    """On a GPU each look waits for it."""
+    often, rarely = (Trainer(scene, fit.options(), 50, 0, "cpu") for _ in range(2))
+    rarely.look_every = 20
+    all_reports = [often.step() for _ in range(50)]
+    reports = [rarely.step() for _ in range(50)]
+    assert [i + 1 for i, report in enumerate(reports) if report] == [20, 40, 50]
+    for first, last in ((0, 20), (20, 40), (40, 50)):
+        for name, value in reports[last - 1].items():
+            assert value == pytest.approx(np.mean([one[name] for one in all_reports[first:last]]), rel=1e-6)
+    for name in often.names:
+        assert torch.equal(often.optimiser[name], rarely.optimiser[name])
+
+
 def test_the_limit_is_kept_and_shown(tiny, scene):
     recorder = tiny.Recorder()
     model = fit(scene, recorder, 200, max_gaussians=110, growth_gradient=0.0)

@@ -63,11 +63,11 @@ class Trainer(TrainingLoop):
         splats = draw([blobs(self.positions, values, self.options.size)], self.train.cameras[view])
         parts = self.view_losses(splats.features, splats.alpha, truth, self.train.background)
         loss = parts["image"]  # add parts of the loss here
-        losses = self.numbers({"loss": loss})  # raises Diverged on NaN
+        report = self.report({"image": loss})  # raises Diverged on NaN
         self.optimiser.zero_grad()
         loss.backward()
         self.optimiser.step()
-        return losses
+        return report
 
     def checkpoint(self):
         """The base class keeps optimiser, generator and order of views; add all else that the model needs."""
