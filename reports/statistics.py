@@ -1,8 +1,9 @@
-"""Uncertainty of the numbers: intervals over views, and paired comparison of two models.
+"""Uncertainty of the numbers: intervals over views and seeds, and paired comparison of two models.
 
-Neighbouring test views show nearly the same picture, so their errors are not independent. Intervals
-therefore come from a circular block bootstrap of runs of consecutive views. They do not contain the
-variation between seeds.
+Neighbouring test views show nearly the same picture, so their errors are not independent. Variances over
+views therefore come from a circular block bootstrap of runs of consecutive views. Where a model was fitted
+with several seeds, the variance of the seeds' means is added. Both contain the noise that views and seeds
+share, so intervals are rather too wide. With one seed they know nothing of the variation between seeds.
 """
 
 from __future__ import annotations
@@ -27,12 +28,13 @@ _SEED = 20240607
 
 
 class Interval(NamedTuple):
-    """A mean over views with its 95 % confidence interval; the ends are None with too few views."""
+    """A mean over views and seeds with its 95 % confidence interval; the ends are None with too few views."""
 
     mean: float
     low: float | None
     high: float | None
     views: int
+    seeds: int = 1
 
     def contains(self, value: float) -> bool:
         """Whether the interval exists and ``value`` is between its ends."""
@@ -88,21 +90,44 @@ def _covariance(n: int, length: int) -> NDArray[np.float64]:
     return np.cov(_weights(n, length, RESAMPLES), rowvar=False, bias=True).reshape(n, n)
 
 
-def interval(strata: Sequence[NDArray[np.float64]], length: int | None = None) -> Interval:
-    """Mean and 95 % interval: Student's t with the standard error of the block bootstrap.
+class Variance(NamedTuple):
+    """The sampling variance of a mean, and its degrees of freedom."""
+
+    value: float
+    freedom: float
+
+
+def half_width(terms: Iterable[Variance]) -> float:
+    """Half of the 95 % interval of a mean whose variance is a sum.
+
+    Student's t with the degrees of freedom of Welch and Satterthwaite (1946).
+    """
+    kept = [term for term in terms if term.value > 0.0]
+    total = sum(term.value for term in kept)
+    if not kept:
+        return 0.0
+    return t_quantile(total**2 / sum(one.value**2 / one.freedom for one in kept)) * total**0.5
+
+
+def interval(
+    strata: Sequence[NDArray[np.float64]], length: int | None = None, seeds: Sequence[Sequence[float]] = ()
+) -> Interval:
+    """Mean and 95 % interval: Student's t with the standard errors of the block bootstrap and of seeds.
 
     Percentiles of so few blocks would be too narrow. The factor sqrt(blocks / (blocks - 1)) and
     Student's t with (blocks - 1) degrees of freedom correct that.
 
     Args:
-        strata: one array per path: values per view in the order of the path. The result is the mean of the
-            paths' means; paths are resampled independently.
+        strata: one array per path: values per view in the order of the path, means over seeds. The result is
+            the mean of the paths' means; paths are resampled independently.
         length: length of a block; None for :func:`block_length`.
+        seeds: per model, the mean of each of its seeds; models with one seed add nothing.
     """
     count = sum(map(len, strata))
     mean = float(np.mean([values.mean() for values in strata]))
+    fewest_seeds = min(map(len, seeds), default=1)
     if min(map(len, strata)) < LEAST_VIEWS:
-        return Interval(mean, None, None, count)
+        return Interval(mean, None, None, count, fewest_seeds)
     variance, fewest = 0.0, np.inf
     for values in strata:
         size = length or block_length(len(values))
@@ -110,8 +135,11 @@ def interval(strata: Sequence[NDArray[np.float64]], length: int | None = None) -
         spread = values - values.mean()  # less rounding; the weights sum to one
         variance += float(spread @ _covariance(len(values), size) @ spread) * blocks / (blocks - 1)
         fewest = min(fewest, blocks)
-    half = t_quantile(float(fewest) - 1.0) * max(variance, 0.0) ** 0.5 / len(strata)
-    return Interval(mean, mean - half, mean + half, count)
+    terms = [Variance(max(variance, 0.0) / len(strata) ** 2, float(fewest) - 1.0)]
+    repeated = [one for one in seeds if len(one) > 1]
+    terms += [Variance(float(np.var(one, ddof=1)) / len(one), len(one) - 1.0) for one in repeated]
+    half = half_width(terms)
+    return Interval(mean, mean - half, mean + half, count, fewest_seeds)
 
 
 @cache
@@ -138,23 +166,34 @@ class Path(NamedTuple):
 
 @dataclass(frozen=True)
 class Sample:
-    """A model's values of one metric: scene -> mean over seeds along its path."""
+    """A model's values of one metric.
+
+    Attributes:
+        scenes: scene -> mean over seeds along its path.
+        seeds: seed -> mean over scenes; only seeds that all scenes have.
+    """
 
     scenes: dict[str, Path]
+    seeds: dict[str, float]
 
     def interval(self) -> Interval | None:
         """Interval of the mean over scenes; None without values."""
-        return _of_scenes(list(self.scenes.values()))
+        return _of_scenes(list(self.scenes.values()), [list(self.seeds.values())])
 
     def minus(self, other: Sample) -> Interval | None:
-        """Interval of the mean paired difference over the views of both; None if their scenes differ."""
+        """Interval of the mean paired difference over the views of both; None if their scenes differ.
+
+        Models with the same seeds are paired by seed: the seed decides the start that both have.
+        """
         if set(self.scenes) != set(other.scenes):
             return None
         pairs = []
         for scene, path in self.scenes.items():
             views = _shared([path, other.scenes[scene]])
             pairs.append(Path(views, path.at(views) - other.scenes[scene].at(views)))
-        return _of_scenes(pairs)
+        if self.seeds.keys() == other.seeds.keys():
+            return _of_scenes(pairs, [[mean - other.seeds[seed] for seed, mean in self.seeds.items()]])
+        return _of_scenes(pairs, [list(self.seeds.values()), list(other.seeds.values())])
 
 
 def _shared(paths: Sequence[Path]) -> tuple[str, ...]:
@@ -165,14 +204,14 @@ def _shared(paths: Sequence[Path]) -> tuple[str, ...]:
     return tuple(view for view in first if all(view in path.views for path in paths))
 
 
-def _of_scenes(paths: list[Path]) -> Interval | None:
+def _of_scenes(paths: list[Path], seeds: Sequence[Sequence[float]]) -> Interval | None:
     if not paths or not all(path.views for path in paths):
         return None
     arrays = [path.values for path in paths]
     if all(path.views == paths[0].views for path in paths):
         # All scenes share one path, and so the errors of a view: views are resampled for all scenes at once.
         arrays = [np.mean(arrays, axis=0)]
-    return interval(arrays)
+    return interval(arrays, seeds=seeds)
 
 
 class Views:
@@ -184,7 +223,7 @@ class Views:
 
     def __init__(self, table: pd.DataFrame | None = None) -> None:
         self._table = table
-        self._paths: dict[str, dict[str, tuple[str, Path]]] = {}
+        self._paths: dict[str, dict[str, tuple[str, str, Path]]] = {}
         self._samples: dict[tuple[str, ...], Sample | None] = {}
         self._differences: dict[tuple[tuple[str, ...], tuple[str, ...]], Interval | None] = {}
 
@@ -206,28 +245,33 @@ class Views:
             self._differences[keys] = None if a is None or b is None else a.minus(b)
         return self._differences[keys]
 
-    def _sample(self, jobs: tuple[str, ...], paths: dict[str, tuple[str, Path]]) -> Sample | None:
-        by_scene: dict[str, list[Path]] = {}
+    def _sample(self, jobs: tuple[str, ...], paths: dict[str, tuple[str, str, Path]]) -> Sample | None:
+        by_scene: dict[str, dict[str, Path]] = {}
         for job in jobs:
             if job not in paths:
                 return None
-            scene, path = paths[job]
-            by_scene.setdefault(scene, []).append(path)
-        means = {}
+            scene, seed, path = paths[job]
+            by_scene.setdefault(scene, {})[seed] = path
+        means: dict[str, Path] = {}
+        of_seeds: dict[str, list[float]] = {}
         for scene, seeds in by_scene.items():
-            views = _shared(seeds)
-            means[scene] = Path(views, np.mean([seed.at(views) for seed in seeds], axis=0))
-        return Sample(means) if means else None
+            views = _shared(list(seeds.values()))
+            means[scene] = Path(views, np.mean([path.at(views) for path in seeds.values()], axis=0))
+            for seed, path in seeds.items():
+                of_seeds.setdefault(seed, []).append(float(path.at(views).mean()) if views else np.nan)
+        common = {seed: float(np.mean(one)) for seed, one in of_seeds.items() if len(one) == len(means)}
+        return Sample(means, common) if means else None
 
-    def _jobs(self, metric: str) -> dict[str, tuple[str, Path]]:
-        """Job -> its scene and values."""
+    def _jobs(self, metric: str) -> dict[str, tuple[str, str, Path]]:
+        """Job -> its scene, its seed and values."""
         if metric not in self._paths:
             self._paths[metric] = {}
             if self._table is not None and metric in self._table:
                 rows = self._table[self._table[metric].notna()]
-                columns = [rows[name].astype(str).to_numpy() for name in ("job", "scene", "view")]
+                columns = [rows[name].astype(str).to_numpy() for name in ("job", "scene", "view", "seed")]
                 values = rows[metric].to_numpy(np.float64)
                 for places in rows.groupby("job", sort=False).indices.values():
-                    job, scene, views = columns[0][places[0]], columns[1][places[0]], columns[2][places]
-                    self._paths[metric][job] = scene, Path(tuple(views.tolist()), values[places])
+                    job, scene, seed = (columns[i][places[0]] for i in (0, 1, 3))
+                    path = Path(tuple(columns[2][places].tolist()), values[places])
+                    self._paths[metric][job] = scene, seed, path
         return self._paths[metric]

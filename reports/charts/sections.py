@@ -104,13 +104,13 @@ def _confidence(report: Report) -> Section | None:
             cells = [row["dataset"], row["method"], *(row[axis] for axis in several), f"{row['mean']:.2f}"]
             cells += [confidence.ends(row["low"], row["high"]), _seeds(row)]
             rows.append([*cells, *_against(pairs, row, best)])
-    heads = ["Dataset", "Method", *(axis.capitalize() for axis in several), "PSNR [dB]", "95 % over views"]
+    heads = ["Dataset", "Method", *(axis.capitalize() for axis in several), "PSNR [dB]", "95 % interval"]
     heads += ["Over seeds", "To the highest [dB]", "95 % of the difference", "Ranking"]
     words = (
-        "PSNR is a mean over views and scenes. How sure it is given these views is told by a 95 % interval "
-        "from a circular block bootstrap (blocks of a sixth of the test path, because neighbouring views are "
-        "alike); what another seed would change is another matter and stands apart. Differences are taken "
-        "view by view against the method with the highest mean; where their interval contains zero, the two "
+        "PSNR is a mean over views, scenes and seeds. Its 95 % interval holds the variation of views "
+        "(circular block bootstrap; blocks of a sixth of the test path, since neighbouring views are alike) "
+        "and of seeds; where there is one seed, that of views alone. Differences are taken view by view and "
+        "seed by seed against the method with the highest mean; where their interval contains zero, the two "
         'are not ranked. All metrics: <a href="intervals.csv">intervals</a>, all pairs: '
         '<a href="comparisons.csv">comparisons</a>.'
     )

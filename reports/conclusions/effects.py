@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from reports.conclusions.contest import Cells
-from reports.statistics import t_quantile
+from reports.statistics import Variance, half_width
 
 LEAST_DATASETS = 3
 """Datasets from which their differences are the sample; with fewer it is the scenes."""
@@ -81,7 +81,7 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | No
     counts = [len(seeds) for scenes in differences.values() for seeds in scenes.values()]
     return Effect(
         mean,
-        _half_width([term for term in terms if term is not None]),
+        half_width(known) if (known := [term for term in terms if term is not None]) else None,
         sum(value > 0 for value in of_datasets),
         len(of_datasets),
         sum(map(len, of_scenes)),
@@ -119,24 +119,13 @@ def _of_seeds(differences: dict[str, dict[str, dict[Any, float]]]) -> list[float
     ]
 
 
-def _sampling(strata: Sequence[Sequence[float]]) -> tuple[float, int] | None:
-    """Variance of the mean of some strata's means, and its degrees of freedom; None without repetition."""
+def _sampling(strata: Sequence[Sequence[float]]) -> Variance | None:
+    """Variance of the mean of some strata's means; None without repetition."""
     repeated = [np.asarray(values) for values in strata if len(values) > 1]
     if len(repeated) < len(strata) or not repeated:
         return None
     variance = sum(float(values.var(ddof=1)) / len(values) for values in repeated) / len(strata) ** 2
-    return variance, sum(len(values) - 1 for values in repeated)
-
-
-def _half_width(terms: Sequence[tuple[float, int]]) -> float | None:
-    """Student's t with the degrees of freedom of Welch and Satterthwaite (1946)."""
-    if not terms:
-        return None
-    variance = sum(term for term, _ in terms)
-    if variance == 0.0:
-        return 0.0
-    freedom = variance**2 / sum(term**2 / degrees for term, degrees in terms)
-    return t_quantile(freedom) * math.sqrt(variance)
+    return Variance(variance, sum(len(values) - 1 for values in repeated))
 
 
 def _mean(values: Any) -> float:

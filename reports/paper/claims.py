@@ -36,7 +36,7 @@ class Verdict:
         bounds: the paper's bounds of the quantity.
         verdict: one of :data:`VERDICTS`. :data:`EXCEEDS`: by more than the paper states; :data:`UNSURE`: the
             interval of the paired difference contains the bound.
-        interval: 95 % interval over views of a difference of quality.
+        interval: 95 % interval over views and seeds of a difference of quality.
         why: why the claim is not evaluated, or a further difference between its rows.
         published: the paper's name of the dataset; "" if it has none, or there are several.
     """

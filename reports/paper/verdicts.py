@@ -54,7 +54,7 @@ def to_html(verdicts: Sequence[Verdict]) -> str:
     return (
         f"<h3>The paper's claims</h3>{checks}"
         '<p class="note">holds, exceeds: by more than the paper states; not decided: the 95 % interval of '
-        "the paired difference over views (in brackets) contains the bound. "
+        "the paired difference over views and seeds (in brackets) contains the bound. "
         f"{missing} further claims were not measured "
         "(<code>bench report --check-claims</code> lists them).</p>"
         f"<details><summary>{len(skipped)} claims are not evaluated</summary>"

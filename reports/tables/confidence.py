@@ -1,4 +1,4 @@
-"""Uncertainty of means over scenes: intervals over views, spread over seeds, differences of methods."""
+"""Uncertainty of means over scenes: intervals over views and seeds, spread of seeds, differences."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _AXES = ("dataset", "preset", "split")
 def intervals(results: pd.DataFrame, means: pd.DataFrame, views: Views) -> pd.DataFrame:
     """One row per dataset, method and metric: uncertainty of the mean over scenes.
 
-    Columns: dataset, method (with variant and rate), preset, split, metric, mean, low, high (95 % over views,
-    for the mean over seeds), views (their number), seeds (their number), seed_std (over the seeds' means),
+    Columns: dataset, method (with variant and rate), preset, split, metric, mean, low, high (95 % over views
+    and seeds), views (their number), seeds (their number), seed_std (over the seeds' means),
     seed_values (the seeds' means, if there are 2 to :data:`FEW_SEEDS`: "34.00; 34.30").
 
     Args:
@@ -57,7 +57,8 @@ def intervals(results: pd.DataFrame, means: pd.DataFrame, views: Views) -> pd.Da
 def comparisons(means: pd.DataFrame, views: Views) -> pd.DataFrame:
     """One row per pair of methods and metric: first - second on the same views.
 
-    Columns: dataset, preset, split, metric, first, second, difference, low, high (95 %), views, apart (the
+    Columns: dataset, preset, split, metric, first, second, difference, low, high (95 %), views, seeds (the
+    fewer of the two models'), apart (the
     interval excludes zero). Each interval is for one comparison, not for all of them together.
     Arguments as of :func:`intervals`.
     """
@@ -75,7 +76,7 @@ def comparisons(means: pd.DataFrame, views: Views) -> pd.DataFrame:
                     interval = views.difference(first["jobs"], second["jobs"], metric)
                     if interval is not None:
                         rows.append(axes | _pair(first, second, interval))
-    columns = [*_AXES, "metric", "first", "second", "difference", "low", "high", "views", "apart"]
+    columns = [*_AXES, "metric", "first", "second", "difference", "low", "high", "views", "seeds", "apart"]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -109,5 +110,6 @@ def _pair(first: dict[str, Any], second: dict[str, Any], interval: Interval) -> 
         "low": interval.low,
         "high": interval.high,
         "views": interval.views,
+        "seeds": interval.seeds,
         "apart": interval.excludes_zero,
     }

@@ -19,7 +19,7 @@ UNDECIDED = 3
 UNDECIDED_SIGN = "\N{ALMOST EQUAL TO}"
 UNDECIDED_NOTE = (
     f"{UNDECIDED_SIGN}: not ranked against each other: the 95 % interval of their paired difference over "
-    "views contains zero."
+    "views and seeds contains zero."
 )
 _RANKED = {name: column for name, column in COLUMNS.items() if column.better}
 _AXES = ("dataset", "scene", "kind", "preset", "split", "seed")

@@ -99,11 +99,66 @@ def table(**jobs):
     return pd.DataFrame(rows)
 
 
-def test_seeds_are_averaged_per_view_before_views_are_drawn():
-    base = np.random.default_rng(0).normal(30, 1, 40)
-    views = Views(table(a=("x", 0, base + 1), b=("x", 1, base - 1)))
-    both, alone = views.sample(["a", "b"], "psnr").interval(), interval([base])
-    assert both == pytest.approx(alone)
+def crossed(rng, seeds, views, of_seed, of_view, rest):
+    """(seeds, views) values whose mean is 0 in truth: each seed and each view adds a number of its own."""
+    parts = of_seed * rng.normal(size=(seeds, 1)), of_view * rng.normal(size=(1, views))
+    return sum(parts) + rest * rng.normal(size=(seeds, views))
+
+
+def of_crossed(values):
+    return Views(table(**{f"s{i}": ("x", i, row) for i, row in enumerate(values)})).sample(
+        [f"s{i}" for i in range(len(values))], "psnr"
+    )
+
+
+def test_views_and_seeds_together_have_the_error_of_a_mixed_model():
+    """Random effects of views and seeds by statsmodels (REML), blocks of one view."""
+    import statsmodels.formula.api as smf
+
+    values = crossed(np.random.default_rng(1), 8, 60, 0.3, 1.0, 0.5)
+    rows = table(**{f"s{i}": ("x", i, row) for i, row in enumerate(values)}).assign(one=1)
+    parts = {"view": "0 + C(view)", "seed": "0 + C(seed)"}
+    model = smf.mixedlm("psnr ~ 1", rows, groups="one", re_formula="0", vc_formula=parts).fit()
+    ours = interval([values.mean(0)], 1, [values.mean(1)])
+    error = (ours.high - ours.mean) / ours_quantile(values)
+    assert ours.mean == pytest.approx(model.params["Intercept"])
+    assert error == pytest.approx(model.bse["Intercept"], rel=0.05)
+
+
+def ours_quantile(values):
+    """Student's t of a sum of two variances, by scipy."""
+    seeds, views = (float(values.mean(axis).var(ddof=1)) / values.shape[1 - axis] for axis in (1, 0))
+    freedom = (seeds + views) ** 2 / (seeds**2 / (len(values) - 1) + views**2 / (values.shape[1] - 1))
+    return stats.t.ppf(0.975, freedom)
+
+
+@pytest.mark.parametrize(("seeds", "least"), [(2, 0.88), (3, 0.91), (5, 0.93)])
+@pytest.mark.parametrize(("of_seed", "of_view"), [(0.3, 1.0), (0.05, 1.0), (0.5, 0.2)])
+def test_the_interval_over_views_and_seeds_covers_the_truth(seeds, least, of_seed, of_view):
+    rng = np.random.default_rng(11)
+    found = [
+        interval([x.mean(0)], None, [x.mean(1)])
+        for x in (crossed(rng, seeds, 60, of_seed, of_view, 0.3) for _ in range(600))
+    ]
+    assert np.mean([one.low <= 0 <= one.high for one in found]) >= least
+
+
+def test_views_alone_would_deceive_where_seeds_differ():
+    rng = np.random.default_rng(11)
+    drawn = [crossed(rng, 3, 60, 0.5, 0.2, 0.1) for _ in range(300)]
+    assert np.mean([(one := interval([x.mean(0)])).low <= 0 <= one.high for x in drawn]) < 0.5
+
+
+def test_models_with_the_same_seeds_are_paired_by_seed():
+    """What a start is worth is common to both."""
+    rng = np.random.default_rng(4)
+    hard = crossed(rng, 3, 60, 1.0, 1.0, 0.0)
+    better = of_crossed(hard + 0.3 + 0.05 * rng.normal(size=hard.shape))
+    difference = better.minus(of_crossed(hard))
+    assert (difference.excludes_zero, difference.seeds) == (True, 3)
+    fewer = better.minus(of_crossed(hard[:2]))
+    assert (fewer.excludes_zero, fewer.seeds) == (False, 2)
+    assert of_crossed(hard[:1]).interval() == pytest.approx(interval([hard[0]]))
 
 
 def test_scenes_seen_along_one_path_are_drawn_together():
@@ -128,7 +183,7 @@ def test_pairing_sees_what_single_intervals_hide():
 def test_only_shared_views_are_paired_and_only_equal_scenes_compared():
     views = Views(table(a=("x", 0, [1.0] * 9), b=("x", 0, [0.0] * 6), c=("y", 0, [0.0] * 9)))
     a, b, c = (views.sample([job], "psnr") for job in "abc")
-    assert a.minus(b)[::3] == (1.0, 6)
+    assert (a.minus(b).mean, a.minus(b).views) == (1.0, 6)
     assert a.minus(c) is None
     assert views.sample(["missing"], "psnr") is None
 
@@ -137,7 +192,7 @@ def test_views_are_paired_by_name_whatever_their_order():
     rows = table(a=("x", 0, np.arange(9.0) + 0.5), b=("x", 0, np.arange(9.0)))
     turned = pd.concat([rows[rows["job"] == "a"], rows[rows["job"] == "b"][::-1]])
     difference = Views(turned).difference(["a"], ["b"], "psnr")
-    assert difference == pytest.approx((0.5, 0.5, 0.5, 9))
+    assert difference == pytest.approx((0.5, 0.5, 0.5, 9, 1))
 
 
 def rivals(maker, **noise):
@@ -147,7 +202,7 @@ def rivals(maker, **noise):
         maker.run(method=method, psnr=psnr, views=0)
         job = maker.rows["results"][-1]["job"]
         for i, value in enumerate(rng.normal(0, 1, 40)):
-            view = {"job": job, "scene": "tf0", "view": f"{i}", "psnr": psnr + sigma * value}
+            view = {"job": job, "scene": "tf0", "seed": 0, "view": f"{i}", "psnr": psnr + sigma * value}
             maker.rows["views"].append(view)
 
 

@@ -283,10 +283,10 @@ def test_scenes_learned_with_others_are_not_those_of_a_smaller_dataset():
 
 def seen(rows, noise):
     """Views of each finished job: its PSNR and ``noise`` (job -> 40 values)."""
-    finished = rows.loc[rows["status"] == "ok", ["job", "scene", "psnr"]]
+    finished = rows.loc[rows["status"] == "ok", ["job", "scene", "seed", "psnr"]]
     views = [
-        {"job": job, "scene": scene, "view": f"v{i}", "psnr": psnr + value}
-        for job, scene, psnr in finished.itertuples(index=False)
+        {"job": job, "scene": scene, "seed": seed, "view": f"v{i}", "psnr": psnr + value}
+        for job, scene, seed, psnr in finished.itertuples(index=False)
         for i, value in enumerate(noise(job))
     ]
     return pd.DataFrame(views)
