@@ -8,6 +8,7 @@ share, so intervals are rather too wide. With one seed they know nothing of the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -106,7 +107,8 @@ def half_width(terms: Iterable[Variance]) -> float:
     total = sum(term.value for term in kept)
     if not kept:
         return 0.0
-    return t_quantile(total**2 / sum(one.value**2 / one.freedom for one in kept)) * total**0.5
+    freedom = total**2 / sum(one.value**2 / one.freedom for one in kept)
+    return t_quantile(freedom) * math.sqrt(total)
 
 
 def interval(
