@@ -153,7 +153,7 @@ def marcher_of(
     """
     if backend.name == "none":
         if backend.reason:
-            _notice(backend.reason)
+            _notice(backend)
         import torch
 
         from datasets.ground_truth.reference import ReferenceMarcher
@@ -301,19 +301,19 @@ def _backend(renderer: Renderer) -> probe.Backend:
         return probe.Backend("none")
     backend = probe.find_backend()
     if backend.name == "none" and renderer == "mitsuba":
-        raise DataError("Mitsuba", f"it has no working backend here: {backend.reason}", probe.REMEDY)
+        raise DataError("Mitsuba", f"it has no working backend here: {backend.reason}", backend.remedy)
     return backend
 
 
 @once
-def _notice(reason: str) -> None:
-    _log.warning(_SLOW, reason, probe.REMEDY)
+def _notice(backend: probe.Backend) -> None:
+    _log.warning(_SLOW, backend.reason, backend.remedy)
 
 
 def slow_notice() -> str:
     """Why ground truth will be slow here, and the remedy; "" where Mitsuba works."""
     backend = probe.find_backend()
-    return _SLOW % (backend.reason, probe.REMEDY) if backend.name == "none" else ""
+    return _SLOW % (backend.reason, backend.remedy) if backend.name == "none" else ""
 
 
 def _ingredients(layer: Layer) -> dict[str, Any]:

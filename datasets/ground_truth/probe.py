@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import glob
 import hashlib
+import importlib.util
 import json
 import os
 import re
@@ -59,11 +60,13 @@ class Backend:
         name: "cuda", "llvm" or "none".
         library: path of libLLVM for "llvm", else "".
         reason: why there is none, else "".
+        remedy: what would give one, where there is none.
     """
 
     name: Literal["cuda", "llvm", "none"]
     library: str = ""
     reason: str = ""
+    remedy: str = REMEDY
 
 
 @cache
@@ -76,6 +79,10 @@ def find_backend(cuda: bool = True) -> Backend:
     Raises:
         DataError: a candidate could not be tried, so that nothing is decided.
     """
+    lacking = [name for name in ("mitsuba", "drjit") if importlib.util.find_spec(name) is None]
+    if lacking:
+        missing = " and ".join(lacking)
+        return Backend("none", reason=f"{missing} not installed", remedy=f"pip install {' '.join(lacking)}")
     if cuda and _has_cuda_driver() and not _trial_failure("cuda", ""):
         return Backend("cuda")
     choice = os.environ.get("DRJIT_LIBLLVM_PATH", "")

@@ -286,6 +286,21 @@ def test_cuda_is_left_alone_where_it_is_not_asked_for(monkeypatch):
     probe.find_backend.cache_clear()
 
 
+def test_without_the_package_the_reference_renders_and_its_remedy_is_named(monkeypatch, cache, caplog):
+    there = probe.importlib.util.find_spec
+    monkeypatch.setattr(
+        probe.importlib.util, "find_spec", lambda name: None if name == "mitsuba" else there(name)
+    )
+    for function in (probe.find_backend, render_views._notice):
+        function.cache_clear()
+    assert views_of(dataset(), "s", TRAIN, cache=cache).cost["renderer"] == "reference"
+    assert "mitsuba not installed. pip install mitsuba" in caplog.text
+    with pytest.raises(DataError, match="mitsuba not installed"):
+        views_of(dataset(), "s", TRAIN, cache=cache, renderer="mitsuba")
+    for function in (probe.find_backend, render_views._notice):
+        function.cache_clear()
+
+
 def test_the_marcher_has_the_threads_of_the_native_kernels():
     code = (
         "from datasets.ground_truth import probe\n"

@@ -33,8 +33,10 @@ def main() -> None:
     parser.add_argument("--python", default="3.12", help="of that machine (default: 3.12)")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
+    for wheel in options.out.glob("*.whl"):  # pip installs no two versions of one
+        wheel.unlink()
     pins = (Path(__file__).parents[2] / "constraints.txt").read_text(encoding="utf-8").split()
-    pinned = {pin.partition("==")[0].lower(): pin for pin in pins}
+    pinned = {pin.partition("==")[0].lower().replace("_", "-"): pin for pin in pins}
     platforms = [f"--platform=manylinux_2_{n}_x86_64" for n in GLIBC] + ["--platform=manylinux2014_x86_64"]
     for name in PACKAGES:
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:"]
