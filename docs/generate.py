@@ -50,6 +50,11 @@ changes. Keys:
     section     "unseen" or "volumes"
     where       as above; which rows the section sees
 
+``paper``    a table of the paper as measured, over the published values. Keys:
+
+    bundles     as above
+    table       its name in reports/paper/published
+
 ``index``    what each bundle holds; ``commands``: every command of ``bench`` with its options.
 """
 
@@ -77,15 +82,21 @@ from reports.charts import economy, svg, unseen, volumes
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.conclusions.ladders import amount, by_method, verdict
+from reports.paper import datasets
+from reports.paper.documents import to_markdown
+from reports.paper.tables import paper_tables
 from reports.schema import PRUNED
+from reports.statistics import Views
 from reports.style import MISSING, TITLES
+from reports.tables.documents import to_markdown as costs_as_markdown
 from reports.tables.ladders import climbed, held, ladders
 from reports.tables.protocols import by_scene_choice
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
 BLOCK = re.compile(
-    r"(<!-- (table|chart|ladders|departures|economy|verdict|index|commands)\b(.*?)-->\n).*?(<!-- end -->)",
+    r"(<!-- (table|chart|ladders|departures|economy|verdict|paper|index|commands)\b(.*?)-->\n)"
+    r".*?(<!-- end -->)",
     re.S,
 )
 METHODS = (
@@ -466,6 +477,18 @@ def verdict_of(description: str) -> str:
     return f"**{sentence}**\n\n{_markdown(list(heads), lines)}\n{_conditions(report.results)}"
 
 
+def paper_of(description: str) -> str:
+    """A table of the paper as Markdown, without its title."""
+    block = tomllib.loads(description)
+    parts = tables(tuple(block["bundles"]))
+    if block["table"] == "datasets":
+        return costs_as_markdown(datasets.costs(parts["dvr"]))
+    found = {one.name: one for one in paper_tables(parts, Views(parts.get("views")))}
+    if block["table"] not in found:
+        raise SystemExit(f"nothing of the kind for {block}")
+    return to_markdown(found[block["table"]]).partition("\n\n")[2]
+
+
 def index(_: str) -> str:
     """What each bundle holds, as Markdown."""
     titles = ["bundle", "MB", "rows", "datasets", "methods", "presets", "seeds"]
@@ -516,6 +539,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "departures": departures,
     "economy": economy_of,
     "verdict": verdict_of,
+    "paper": paper_of,
     "index": index,
     "commands": commands,
 }

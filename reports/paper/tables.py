@@ -151,7 +151,8 @@ def _block(
     ]
     same = dataset in description.get("real", ())
     models = {(line["method"], line.get("variant"), line.get("train_views")) for line in measured}
-    if len(models) < (1 if same or "scene" in layout["rows"][0] else _LEAST_ROWS):
+    alone = same or "scene" in layout["rows"][0] or len(layout["rows"]) == 1
+    if len(models) < (1 if alone else _LEAST_ROWS):
         return
     several = len({line.get("train_views") for line in measured}) >= _LEAST_ROWS
     if _by_views(layout) and not description and not several:
