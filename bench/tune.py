@@ -20,13 +20,13 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from bench.plan import Planner
-from bench.records import Job, Record, Value, hash_of
+from bench.records import Job, Record, Value, derived_seed, hash_of
 from bench.store import Store, write_text
 from bench.tables import stored_tables
 from datasets.errors import DataError
 from datasets.names import unknown
 from methods.interface import MethodSpec, Option, OptionValue
-from methods.options import CONFIGURATION, declared, resolve, written
+from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
 from reports.schema import joined
 
 if TYPE_CHECKING:
@@ -211,8 +211,8 @@ def range_of(option: Option, values: Sequence[OptionValue]) -> Range | None:
     """What a study tries of an option that starts at some values; None if that cannot be told.
 
     Choices are all tried. A number has the range of :data:`REACH` around its starting values, within its
-    declared range; it has a logarithmic scale unless that range holds 0. The declared range alone counts
-    where no starting value is above 0.
+    declared range, and a logarithmic scale where that spans more than a factor of :data:`REACH`. The declared
+    range alone counts where no starting value is above 0.
     """
     if option.choices or isinstance(option.default, bool):
         return Range(choices=option.choices or (False, True))
@@ -229,7 +229,7 @@ def range_of(option: Option, values: Sequence[OptionValue]) -> Range | None:
     whole = isinstance(option.default, int)
     if whole:
         low, high = math.ceil(low), math.floor(high)
-    return Range(low=low, high=high, log=low > 0.0, whole=whole)
+    return Range(low=low, high=high, log=0.0 < REACH * low < high, whole=whole)
 
 
 def starts(spec: MethodSpec, fixed: Mapping[str, OptionValue]) -> list[dict[str, OptionValue]]:
@@ -239,8 +239,9 @@ def starts(spec: MethodSpec, fixed: Mapping[str, OptionValue]) -> list[dict[str,
         spec: the method.
         fixed: options that every trial has.
     """
-    published = {CONFIGURATION: PUBLISHED, **fixed}
-    return [published, dict(fixed)] if PUBLISHED in spec.configurations else [dict(fixed)]
+    if PUBLISHED not in spec.configurations or CONFIGURATION in fixed:
+        return [dict(fixed)]
+    return [{CONFIGURATION: PUBLISHED, **fixed}, dict(fixed)]
 
 
 def search_space(
@@ -416,7 +417,7 @@ class Study(_Model):
         if not scores:
             return None
         best = max(scores, key=lambda number: (scores[number], -number))
-        names = ("fair",) if self.starts == 1 else (PUBLISHED, "fair")
+        names = (PUBLISHED, "fair")[-self.starts :]
         gains = {name: scores[best] - scores[place] for place, name in enumerate(names) if place in scores}
         return Chosen(trial=best, score=scores[best], overrides=trials[best].overrides, gains=gains)
 
@@ -453,7 +454,7 @@ def propose(study: Study, spec: MethodSpec, preset: str, number: int) -> tuple[d
         return given[number], {name: values[name] for name in study.space}
     import optuna
 
-    seed = int(np.random.SeedSequence([study.conditions.seeds[0], number]).generate_state(1)[0])
+    seed = derived_seed("trial", study.conditions.seeds[0], number)
     told = _told(study.trials[:number], study.space, optuna.samplers.TPESampler(seed=seed))
     asked = told.ask({name: one.distribution() for name, one in study.space.items()})
     values = {name: one.tidy(asked.params[name]) for name, one in study.space.items()}
@@ -575,12 +576,14 @@ class Trials(Planner):
         super().__init__(validation(selection, objective))
         (self._spec,) = self._specs
         knobs = [knob.name for knob in self._spec.rate_knobs if knob.refit and objective.kind != "psnr"]
-        fixed = resolve(self._spec, self._like, fixed).overrides  # the values in their types
+        given = resolve(self._spec, self._like, fixed)
+        typed = {**given.values, ITERATIONS: given.iterations}
+        fixed = {name: typed.get(name, value) for name, value in fixed.items()}
         self.study = Study(
             method=self._spec.name,
             version=self._spec.version,
             conditions=self._conditions(objective),
-            fixed=dict(fixed),
+            fixed=fixed,
             space=search_space(self._spec, self._like, fixed, names, knobs),
             starts=len(starts(self._spec, fixed)),
             budget=budget,
