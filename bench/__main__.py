@@ -122,7 +122,7 @@ def parser() -> _Parser:
     _repeatable(plan, "--like", metavar="STORE", help="estimate from the finished jobs of this run store too")
 
     tune = command("tune", "search for the options with which a method does best on validation views", stored)
-    tune.add_argument("method", metavar="METHOD")
+    tune.add_argument("method", metavar="METHOD", help="whose options are varied")
     tune.add_argument(
         "suite", nargs="?", default="quick",
         help="whose data, seeds and preset: a suite, or a TOML file (default: quick)",
@@ -138,7 +138,7 @@ def parser() -> _Parser:
     _add_settings(tune, "the same in all trials")
     _add_execution(tune)
     tune.add_argument(
-        "--show", action="store_true", help="show the studies of the run store, and run nothing"
+        "--show", action="store_true", help="show the method's studies in the run store, and run nothing"
     )
 
     lists = command("list", "list methods, datasets, suites or metrics", plugins)

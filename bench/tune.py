@@ -43,6 +43,8 @@ REACH = 4.0
 """A number is searched from its smallest starting value / this to its largest starting value x this."""
 _DIGITS = 3
 """Significant digits of values that are tried, so that a copied command line gives the same jobs."""
+FIRST = 4
+"""Trials, starting points among them, after which proposals follow from a model of the scores."""
 ENOUGH = 20
 """Trials that must have succeeded before options are said to be important: five are in the best quarter."""
 PUBLISHED = "paper"
@@ -446,7 +448,8 @@ def propose(study: Study, spec: MethodSpec, preset: str, number: int) -> tuple[d
     """Overrides of a trial, and the values of the search space among them.
 
     They follow from the trials of smaller numbers, the seed and the number. The first trials are the starting
-    points (:func:`starts`); the others are Optuna's.
+    points (:func:`starts`). The others are Optuna's: random until :data:`FIRST` have succeeded, then those of
+    a Gaussian process.
     """
     given = starts(spec, study.fixed)
     if number < len(given):
@@ -455,7 +458,8 @@ def propose(study: Study, spec: MethodSpec, preset: str, number: int) -> tuple[d
     import optuna
 
     seed = derived_seed("trial", study.conditions.seeds[0], number)
-    told = _told(study.trials[:number], study.space, optuna.samplers.TPESampler(seed=seed))
+    sampler = optuna.samplers.GPSampler(seed=seed, n_startup_trials=FIRST)
+    told = _told(study.trials[:number], study.space, sampler)
     asked = told.ask({name: one.distribution() for name, one in study.space.items()})
     values = {name: one.tidy(asked.params[name]) for name, one in study.space.items()}
     return {**study.fixed, **values}, values

@@ -20,7 +20,7 @@ from bench.selection import Selection
 from bench.store import Store
 from bench.suites import load_suite
 from bench.tables import build_tables
-from bench.tune import Point, Trials, front, hypervolume, objective_of, range_of, search_space
+from bench.tune import Point, Trial, Trials, front, hypervolume, objective_of, range_of, search_space
 from datasets.errors import DataError, UnknownName
 from methods.interface import PRESETS, Option
 from methods.options import parse_assignments, resolve
@@ -230,10 +230,11 @@ def test_an_interrupted_study_goes_on_with_the_same_trials(lab, suite, tmp_path)
     """Whenever it stops, and even if its file is lost; no job runs twice."""
     whole = Lab(suite(), Store(tmp_path / "whole", create=True))
     expected = whole.run(5)
-    for _ in range(len(whole.ran)):
-        lab.run(5, jobs=1)
+    for _ in range(0, len(whole.ran), 9):
+        lab.run(5, jobs=9)
     assert lab.run(5, jobs=0) == expected
     assert lab.ran == whole.ran
+    assert len(expected.trials) == 5 > tune.FIRST
     (file,) = (lab.store.root / "studies").glob("*.json")
     text = file.read_text(encoding="utf-8")
     assert tune.read_study(file) == expected
@@ -243,9 +244,9 @@ def test_an_interrupted_study_goes_on_with_the_same_trials(lab, suite, tmp_path)
 
 
 def test_more_trials_continue_a_study_and_other_conditions_begin_another(lab) -> None:
-    few, many = lab.run(3), lab.run(5)
-    assert many.trials[:3] == few.trials
-    assert lab.run(4) == many.model_copy(update={"budget": 5})
+    few, many = lab.run(2), lab.run(4)
+    assert many.trials[:2] == few.trials
+    assert lab.run(3) == many
     names = {lab.trials(3, **changes).study.name for changes in (
         {}, {"fixed": {"pace": 1.0}}, {"objective": objective_of("psnr")}, {"names": ("shift",)},
     )}  # fmt: skip
@@ -254,17 +255,17 @@ def test_more_trials_continue_a_study_and_other_conditions_begin_another(lab) ->
 
 
 def test_seeds_change_the_search_and_the_number_of_trials_does_not(lab) -> None:
-    study = lab.run(6)
-    assert len({json.dumps(trial.values) for trial in study.trials}) == 6
+    study = lab.run(4)
+    assert len({json.dumps(trial.values) for trial in study.trials}) == 4
     spec = REGISTRY.spec("fake-tuned")
     other = study.model_copy(update={"conditions": study.conditions.model_copy(update={"seeds": (1,)})})
-    again = tune.propose(study.model_copy(update={"budget": 99}), spec, "quick", 5)
-    assert again[1] == study.trials[5].values != tune.propose(other, spec, "quick", 5)[1]
+    again = tune.propose(study.model_copy(update={"budget": 99}), spec, "quick", 3)
+    assert again[1] == study.trials[3].values != tune.propose(other, spec, "quick", 3)[1]
 
 
 def test_the_chosen_options_win_on_validation_views(lab) -> None:
     """By the tables of the store; the line to copy gives the very jobs of the chosen trial."""
-    study = lab.run(12, objective=objective_of("psnr"))
+    study = lab.run(9, objective=objective_of("psnr"))
     results = build_tables(lab.store, write=False)["results"]
     psnr = results.groupby("variant")["psnr"].mean()
     best = study.trials[study.chosen.trial]
@@ -281,10 +282,15 @@ def test_the_chosen_options_win_on_validation_views(lab) -> None:
 
 
 def test_the_option_that_matters_is_important(lab) -> None:
-    study = lab.run(24, objective=objective_of("psnr"))
+    study, rng = lab.trials(24).study, np.random.default_rng(0)
+    for number in range(24):
+        values = {"shift": rng.uniform(0.05, 1.0), "length": int(rng.integers(1000, 16000))}
+        trial = Trial(number=number, overrides=values, values=values, status="ok", score=-values["shift"])
+        study = study.with_trial(trial)
     shares = tune.importances(study)
     assert list(shares) == ["shift", "length"]
     assert sum(shares.values()) == pytest.approx(1.0)
+    assert shares["shift"] > 0.8
     assert tune.importances(study.model_copy(update={"trials": study.trials[:19]})) == {}
 
 
@@ -292,25 +298,26 @@ def test_the_option_that_matters_is_important(lab) -> None:
 
 
 def test_a_trial_that_fails_counts_and_has_its_reason(lab) -> None:
-    study = lab.run(8, names=("mood", "shift"))
+    study = lab.run(6, names=("mood", "shift"))
     failed = [trial for trial in study.trials if trial.values["mood"] == "bad"]
-    assert 0 < len(failed) < 6
+    assert 0 < len(failed) < 4
     assert {(one.status, one.reason, one.score) for one in failed} == {
         ("diverged", "it is in a bad mood", None)
     }
     assert study.chosen.trial not in {one.number for one in failed}
     told = tune._told(study.trials, study.space)
     assert [trial.number for trial in told.trials if trial.value is None] == [one.number for one in failed]
-    assert len(study.trials) == study.budget == 8
+    assert len(study.trials) == study.budget == 6
 
 
 def test_retry_runs_failed_trials_again_in_their_places(lab) -> None:
-    before = lab.run(8, names=("mood", "shift"))
+    before = lab.run(6, names=("mood", "shift"))
     failed = [trial.number for trial in before.trials if trial.score is None]
-    assert lab.run(8, names=("mood", "shift"), retry=True) == before  # they fail again
+    assert failed
+    assert lab.run(6, names=("mood", "shift"), retry=True) == before  # they fail again
     lab.cured = True
-    assert lab.run(8, names=("mood", "shift")) == before
-    after = lab.run(8, names=("mood", "shift"), retry=True)
+    assert lab.run(6, names=("mood", "shift")) == before
+    after = lab.run(6, names=("mood", "shift"), retry=True)
     assert all(trial.score is not None for trial in after.trials)
     assert [trial.values for trial in after.trials] == [trial.values for trial in before.trials]
     assert [one for one in after.trials if one.number not in failed] == [
@@ -363,7 +370,20 @@ def blind(dataset, tmp_path_factory):
 
 
 def _arguments(bench, data, *more: object) -> tuple[object, ...]:
-    usual = ("--objective", "psnr", "--trials", 3, "--scene", "a", "--plugins", PLUGINS, "--out", bench.store)
+    usual = (
+        "--objective",
+        "psnr",
+        "--trials",
+        2,
+        "--set",
+        "fake-tuned.configuration=fair",
+        "--scene",
+        "a",
+        "--plugins",
+        PLUGINS,
+        "--out",
+        bench.store,
+    )
     return ("tune", "fake-tuned", "quick", "--dataset", data, *usual, *more)
 
 
@@ -378,11 +398,11 @@ def undisturbed(bench, blind, tmp_path):
 def test_a_study_survives_kill_9_and_opens_no_test_view(bench, blind, undisturbed, tmp_path) -> None:
     """The same trials as without; finished jobs are not run again. No test picture can be read."""
     expected, done = undisturbed
-    assert len(expected.trials) == 3
+    assert len(expected.trials) == 2
     assert all(trial.score is not None for trial in expected.trials)
     assert not list(bench.store.rglob("test.*"))
     assert [line.split(":")[0] for line in done.stdout.splitlines() if line.startswith("trial ")] == [
-        "trial 0", "trial 1", "trial 2",
+        "trial 0", "trial 1",
     ]  # fmt: skip
     assert tune.command("fake-tuned", expected.chosen.overrides) in done.stdout.splitlines()
     shown = bench("tune", "fake-tuned", "--show", "--out", bench.store)
@@ -398,7 +418,7 @@ def test_a_study_survives_kill_9_and_opens_no_test_view(bench, blind, undisturbe
     os.kill(process.pid, signal.SIGKILL)
     process.communicate(timeout=PATIENCE)
     (before,) = tune.studies(bench.store)
-    assert len(before.trials) < 3
+    assert len(before.trials) == 1
     finished = set(bench.records())
     again = bench(*_arguments(bench, blind))
     assert tune.studies(bench.store) == [expected]
