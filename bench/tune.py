@@ -23,6 +23,7 @@ from bench.plan import Planner
 from bench.records import Job, Record, Value, derived_seed, hash_of
 from bench.store import Store, write_text
 from bench.tables import stored_tables
+from bench.worker import now
 from datasets.errors import DataError
 from datasets.names import unknown
 from methods.interface import MethodSpec, Option, OptionValue
@@ -281,7 +282,7 @@ def search_space(
             raise DataError(what, "every trial has all values of this rate knob", "Use --objective psnr")
         if ranges[name] is None:
             reason = "a text" if isinstance(declarations[name].default, str) else "0 without a maximum"
-            remedy = f"Name others of `bench tune {spec.name} --help` and docs/reference/options.md"
+            remedy = f"Others: {', '.join(one for one in ranges if ranges[one] and one not in fixed)}"
             raise DataError(what, f"has no range: it is {reason}", remedy)
     bounded = [
         name
@@ -556,7 +557,7 @@ class Trials(Planner):
         fixed: options that every trial has.
         names: options to vary; default: those of :func:`search_space`.
         budget: number of trials.
-        show: called with the study and each of its trials in turn, those of earlier runs too.
+        show: called with the study alone, then with each of its trials in turn, those of earlier runs too.
         retry: trials that failed are tried again.
 
     Attributes:
@@ -574,7 +575,7 @@ class Trials(Planner):
         fixed: Mapping[str, OptionValue],
         names: Sequence[str],
         budget: int,
-        show: Callable[[Study, Trial], None],
+        show: Callable[[Study, Trial | None], None],
         retry: bool = False,
     ) -> None:
         super().__init__(validation(selection, objective))
@@ -595,7 +596,7 @@ class Trials(Planner):
         self._show = show
         self._retry = retry
         self._open: list[int] | None = None
-        self._given: set[str] = set()
+        self._begun = now()
 
     def _conditions(self, objective: Objective) -> Conditions:
         sources = self._subsets
@@ -621,9 +622,8 @@ class Trials(Planner):
             self.vary([{self.study.method: overrides}])
             jobs = super().jobs(store)
             records = [record for job in jobs if (record := store.record(job.id)) is not None]
-            again = self._retry and any(not one.ok and one.job.id not in self._given for one in records)
+            again = self._retry and any(not one.ok and one.finished < self._begun for one in records)
             if not self._open or len(records) < len(jobs) or again:
-                self._given |= {job.id for job in jobs}
                 return jobs
             trial = self._trial(number, overrides, values, records)
             self._open.pop(0)
@@ -643,6 +643,7 @@ class Trials(Planner):
             budget = max(self.study.budget, len(known.trials))
             self.study = known.model_copy(update={"budget": budget})
         write_study(self.study, root)
+        self._show(self.study, None)
         done = [one.number for one in self.study.trials if one.score is not None or not self._retry]
         for number in done:
             self._show(self.study, self.study.trials[number])

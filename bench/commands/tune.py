@@ -40,14 +40,6 @@ def _run(options: Namespace) -> int:
         split="val",
         device=options.device,
     )
-    begun: list[str] = []
-
-    def show(study: Study, trial: Trial) -> None:
-        if study.name not in begun:
-            begun.append(study.name)
-            print("\n".join(_head(study)), flush=True)
-        print(_line(study, trial), flush=True)
-
     done = execute(
         selection,
         Path(options.out),
@@ -64,7 +56,7 @@ def _run(options: Namespace) -> int:
             fixed=_fixed(options),
             names=tuple(options.option),
             budget=options.trials,
-            show=show,
+            show=_print,
             retry=options.retry,
         ),
     )
@@ -81,6 +73,11 @@ def _run(options: Namespace) -> int:
     print("\n".join(["", *_summary(study, done.store)]))
     _print_tables(study)
     return 0 if study.chosen is not None else 1
+
+
+def _print(study: Study, trial: Trial | None) -> None:
+    """A study that begins, or one of its trials."""
+    print("\n".join(_head(study)) if trial is None else _line(study, trial), flush=True)
 
 
 def _show(options: Namespace) -> int:

@@ -21,6 +21,7 @@ from bench.store import Store
 from bench.suites import load_suite
 from bench.tables import build_tables
 from bench.tune import Point, Trial, Trials, front, hypervolume, objective_of, range_of, search_space
+from bench.worker import now
 from datasets.errors import DataError, UnknownName
 from methods.interface import PRESETS, Option
 from methods.options import parse_assignments, resolve
@@ -54,6 +55,7 @@ class Lab:
     def run(self, budget: int, jobs: float = float("inf"), **changes) -> tune.Study:
         """A study, which is interrupted after a number of jobs."""
         trials, attempted = self.trials(budget, **changes), set()
+        trials.jobs(self.store)  # a run asks before it begins, too
         while due := [job for job in trials.jobs(self.store) if self._is_due(job, changes, attempted)]:
             for job in due:
                 if jobs <= 0:
@@ -71,7 +73,7 @@ class Lab:
         return bool(changes.get("retry")) and not record.ok and job.id not in attempted
 
     def _record(self, job: Job) -> Record:
-        record = Record(job=job, status="ok", started="2026", finished="2026", wall_seconds=1.0)
+        record = Record(job=job, status="ok", started=now(), finished=now(), wall_seconds=1.0)
         bad = job.options.get("mood") == "bad" and not self.cured
         if bad:
             return record.model_copy(update={"status": "diverged", "reason": "it is in a bad mood"})
@@ -454,8 +456,8 @@ def refusal(dataset, tmp_path, monkeypatch, capsys):
         (["fake-tund"], "method 'fake-tund': unknown name. Did you mean fake-tuned"),
         (["fake-tuned", "quik"], "suite 'quik': unknown name. Did you mean quick?"),
         (["fake-tuned", "--option", "shft"], "option 'shft' of method fake-tuned: unknown name"),
-        (["fake-tuned", "--option", "only"], "--option only: has no range: it is a text. Name others"),
-        (["fake-tuned", "--option", "pace"], "--option pace: has no range: it is 0 without a maximum. Name"),
+        (["fake-tuned", "--option", "only"], "only: has no range: it is a text. Others: behaviour, "),
+        (["fake-tuned", "--option", "pace"], "pace: has no range: it is 0 without a maximum."),
         (["fake-tuned", "--option", "shift", "--set", "fake-tuned.shift=0.2"], "has one value in all trials"),
         (["fake-tuned", "--set", "fake-tuned.shift=7"], "above the maximum 1"),
         (["fake-tuned", "--set", "3dgs.sh_degree=1"], "method '3dgs' of this study (--set)"),
