@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -350,7 +350,7 @@ class Conditions(_Model):
 
     Attributes:
         scenes: dataset, scene and hash of its content.
-        views: numbers of training views (validation views among them), and their width and height in pixels.
+        protocol: views, cloud points and share of the iterations (:class:`bench.suites.ViewPreset`).
         seeds: of the fits; the first one seeds the search.
         objective: :attr:`Objective.text`.
     """
@@ -358,7 +358,7 @@ class Conditions(_Model):
     suite: str
     preset: str
     scenes: tuple[tuple[str, str, str], ...]
-    views: tuple[tuple[int, int, int], ...]
+    protocol: dict[str, Value]
     seeds: tuple[int, ...]
     objective: str
     device: str
@@ -599,12 +599,11 @@ class Trials(Planner):
         self._begun = now()
 
     def _conditions(self, objective: Objective) -> Conditions:
-        sources = self._subsets
         return Conditions(
             suite=self._selection.suite.name,
             preset=self._preset_name,
-            scenes=tuple((one.name, scene, key) for one in sources for scene, key in one.hashes.items()),
-            views=tuple((one.request.train_views, one.request.width, one.request.height) for one in sources),
+            scenes=tuple((one.name, *scene) for one in self._subsets for scene in one.hashes.items()),
+            protocol=asdict(self._preset),
             seeds=tuple(self._seeds),
             objective=objective.text,
             device=self._selection.device.split(":")[0],

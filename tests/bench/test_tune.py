@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -254,6 +255,15 @@ def test_more_trials_continue_a_study_and_other_conditions_begin_another(lab) ->
     )}  # fmt: skip
     assert len(names) == 4
     assert few.name == many.name in names
+
+
+def test_another_protocol_under_the_same_name_begins_another_study(lab) -> None:
+    before = lab.trials(1).study
+    file = Path(lab._suite)
+    file.write_text(file.read_text().replace("width = 16", "width = 16\ncloud_points = 50"))
+    after = lab.trials(1).study
+    assert after.conditions.suite == before.conditions.suite
+    assert after.name != before.name
 
 
 def test_seeds_change_the_search_and_the_number_of_trials_does_not(lab) -> None:
