@@ -131,7 +131,8 @@ def _line(study: Study, trial: Trial) -> str:
         text = f"{trial.score:.3f}, {_span(qualities, '.2f')} dB at {_span(sizes, '.3g')} MiB"
     scores = [(one.score, -one.number) for one in study.trials[: trial.number + 1] if one.score is not None]
     best = f"best {max(scores)[0]:.3f} (trial {-max(scores)[1]})" if scores else "none yet"
-    return f"trial {trial.number}: {text}; {best}; {label(trial.overrides) or 'its own defaults'}"
+    varied = label({name: value for name, value in trial.overrides.items() if name not in study.fixed})
+    return f"trial {trial.number}: {text}; {best}; {varied or 'its own defaults'}"
 
 
 def _span(values: list[float], form: str) -> str:
@@ -156,18 +157,17 @@ def _summary(study: Study, store: Store) -> list[str]:
 
 def _print_tables(study: Study) -> None:
     """The front of all trials, and the importance of each option."""
-    models = [(trial, *model) for trial in study.trials for model in means(trial)]
+    models = [(trial.number, *model) for trial in study.trials for model in means(trial)]
     if models:
-        lines = []
-        for place in front([(mib, psnr) for _, _, mib, psnr in models]):
-            trial, rate, mib, psnr = models[place]
-            options = label(trial.overrides) or "its own defaults"
-            lines.append([str(trial.number), "own" if rate is None else written(rate), options,
-                          f"{mib:.4g}", f"{psnr:.2f}"])  # fmt: skip
         print("\nfront of all trials")
-        print_grid(["Trial", "Rate", "Options", "MiB", "PSNR [dB]"], lines)
+        rows = [models[place] for place in front([(mib, psnr) for *_, mib, psnr in models])]
+        print_grid(["Trial", "Rate", "MiB", "PSNR [dB]"], [
+            [str(number), "own" if rate is None else written(rate), f"{mib:.4g}", f"{psnr:.2f}"]
+            for number, rate, mib, psnr in rows
+        ])  # fmt: skip
     if shares := importances(study):
         print("\nimportance of options")
-        print_grid(["Option", "Range", "", "Share"], [
-            [name, study.space[name].text, "", f"{share:.0%}"] for name, share in shares.items()
-        ])  # fmt: skip
+        print_grid(
+            ["Option", "Range", "Share"],
+            [[name, study.space[name].text, f"{share:.0%}"] for name, share in shares.items()],
+        )
