@@ -21,6 +21,7 @@ from reports.schema import TABLES
 COMMANDS = {
     "run": "bench.commands.run:run",
     "plan": "bench.commands.run:plan",
+    "tune": "bench.commands.tune:tune",
     "list": "bench.commands.lists:list_names",
     "fetch": "bench.commands.fetch:fetch",
     "doctor": "bench.commands.doctor:doctor",
@@ -114,33 +115,31 @@ def parser() -> _Parser:
 
     run = command("run", "run a suite and report; what is finished is not run again", stored)
     _add_selection(run)
-    run.add_argument("--retry", action="store_true", help="run failed jobs again")
+    _add_execution(run)
     run.add_argument("--no-report", action="store_true", help="leave the page to a later `bench report`")
-    run.add_argument(
-        "--time-limit", type=_time_limit, metavar="TIME",
-        help="per job: 90, 90s, 30m, 2h or none; default: 60 times what jobs like it took here, half an hour "
-        "at least; of the first ones 8 hours (quick), 2 days (standard) or 8 days (paper)",
-    )  # fmt: skip
-    run.add_argument(
-        "--memory-limit", type=_memory_limit, metavar="SIZE",
-        help="per job: 8G, 500M, or none; default: 95 %% of the machine's memory",
-    )  # fmt: skip
-    run.add_argument(
-        "--executor", choices=("local", "dask"), default="local",
-        help="one job after the other on this machine, or jobs beside each other on workers of Dask "
-        "(default: local)",
-    )  # fmt: skip
-    run.add_argument(
-        "--scheduler", default="", metavar="ADDRESS",
-        help="with --executor dask: the scheduler, or its file; default: one on this machine",
-    )  # fmt: skip
-    run.add_argument(
-        "--workers", type=_count, metavar="N",
-        help="with --executor dask on this machine: how many share its cores (default: 1)",
-    )  # fmt: skip
     plan = command("plan", "show the jobs of a suite, which are done, and an estimate", stored)
     _add_selection(plan)
     _repeatable(plan, "--like", metavar="STORE", help="estimate from the finished jobs of this run store too")
+
+    tune = command("tune", "search for the options with which a method does best on validation views", stored)
+    tune.add_argument("method", metavar="METHOD", help="whose options are varied")
+    tune.add_argument(
+        "suite", nargs="?", default="quick",
+        help="whose data, seeds and preset: a suite, or a TOML file (default: quick)",
+    )  # fmt: skip
+    tune.add_argument("--trials", type=_count, default=24, metavar="N", help="in all (default: 24)")
+    tune.add_argument(
+        "--objective", default="front", metavar="SCORE",
+        help="front[=DB,MIB]: area under PSNR over log2 of size, above DB and below MIB; size=MIB: PSNR of a "
+        "model of at most that size; psnr (default: front=20,64)",
+    )  # fmt: skip
+    _repeatable(tune, "--option", metavar="NAME", help="vary this, instead of those that the method names")
+    _add_data(tune)
+    _add_settings(tune, "the same in all trials")
+    _add_execution(tune)
+    tune.add_argument(
+        "--show", action="store_true", help="show the method's studies in the run store, and run nothing"
+    )
 
     lists = command("list", "list methods, datasets, suites or metrics", plugins)
     lists.add_argument("what", choices=("methods", "datasets", "suites", "metrics"))
@@ -272,22 +271,56 @@ def parser() -> _Parser:
 
 def _add_selection(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("suite", help="a suite of `bench list suites`, or a TOML file")
+    _add_data(parser)
+    parser.add_argument("--composed", action="store_true", help="measure the compositions of the scenes too")
+    _repeatable(parser, "--method", help="instead of the suite's")
+    parser.add_argument(
+        "--split", choices=("test", "val"), default="test",
+        help="measure on test views, or leave every tenth training view out of the fit and measure on those",
+    )  # fmt: skip
+    _add_settings(parser, "differing from the preset")
+
+
+def _add_data(parser: argparse.ArgumentParser) -> None:
     _repeatable(
         parser, "--dataset", metavar="NAME|PATH",
         help="only this of the suite's, or data of your own instead",
     )  # fmt: skip
     _repeatable(parser, "--scene", help="only this scene, or composition with its scenes")
-    parser.add_argument("--composed", action="store_true", help="measure the compositions of the scenes too")
-    _repeatable(parser, "--method", help="instead of the suite's")
+
+
+def _add_settings(parser: argparse.ArgumentParser, overrides: str) -> None:
     _repeatable(parser, "--seed", type=_seed, help="instead of the suite's")
     parser.add_argument("--preset", choices=("quick", "standard", "paper"), help="default: the suite's")
-    parser.add_argument(
-        "--split", choices=("test", "val"), default="test",
-        help="measure on test views, or leave every tenth training view out of the fit and measure on those",
-    )  # fmt: skip
-    _repeatable(parser, "--set", metavar="METHOD.OPTION=VALUE", help="differing from the preset")
+    _repeatable(parser, "--set", metavar="METHOD.OPTION=VALUE", help=overrides)
     _add_device(parser)
     parser.add_argument("--out", default="runs", metavar="DIR", help="the run store (default: runs)")
+
+
+def _add_execution(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--retry", action="store_true", help="run failed jobs again")
+    parser.add_argument(
+        "--time-limit", type=_time_limit, metavar="TIME",
+        help="per job: 90, 90s, 30m, 2h or none; default: 60 times what jobs like it took here, half an hour "
+        "at least; of the first ones 8 hours (quick), 2 days (standard) or 8 days (paper)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--memory-limit", type=_memory_limit, metavar="SIZE",
+        help="per job: 8G, 500M, or none; default: 95 %% of the machine's memory",
+    )  # fmt: skip
+    parser.add_argument(
+        "--executor", choices=("local", "dask"), default="local",
+        help="one job after the other on this machine, or jobs beside each other on workers of Dask "
+        "(default: local)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--scheduler", default="", metavar="ADDRESS",
+        help="with --executor dask: the scheduler, or its file; default: one on this machine",
+    )  # fmt: skip
+    parser.add_argument(
+        "--workers", type=_count, metavar="N",
+        help="with --executor dask on this machine: how many share its cores (default: 1)",
+    )  # fmt: skip
 
 
 def _repeatable(parser: argparse.ArgumentParser, name: str, *, help: str, **more: Any) -> None:

@@ -51,6 +51,7 @@ def execute(
     executor: str = "local",
     scheduler: str = "",
     workers: int | None = None,
+    plan: Callable[[Selection], Planner] = Planner,
 ) -> Experiment:
     """Run the jobs of a selection that are not finished yet; the store remembers its plugins and ladders.
 
@@ -64,6 +65,7 @@ def execute(
         executor: "local", or "dask" for workers beside each other.
         scheduler: address of Dask's scheduler; default: one on this machine.
         workers: how many are started on this machine; default: 1.
+        plan: makes the planner of the selection.
 
     Raises:
         DataError: the selection or the store cannot be used.
@@ -71,7 +73,7 @@ def execute(
     run_on = _executor(executor, scheduler, workers)
     given = resolved(os.fspath(folder) for folder in plugins)
     folders = plugin_folders(given, out)
-    planner = Planner(replace(selection, plugins=folders))
+    planner = plan(replace(selection, plugins=folders))
     store = Store(out, create=True)
     remember(store, given)
     remember_ladders(store, planner.ladders)

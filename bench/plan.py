@@ -77,6 +77,17 @@ class Planner:
                 jobs.setdefault(job.id, job)
         return list(jobs.values())
 
+    def vary(self, variants: Iterable[Mapping[str, Mapping[str, Any]]]) -> None:
+        """Plan other variants of the suite from now on; data are not read again.
+
+        Raises:
+            UnknownName, DataError: an option that is not there, or a value that it cannot have.
+        """
+        suite = replace(self._selection.suite, variants=tuple(variants))
+        self._selection = replace(self._selection, suite=suite)
+        self._settings = list(self._variants())
+        self._cases = list(self._rungs())
+
     # ------------------------------------------------------------------ choices
 
     def _methods(self) -> list[MethodSpec]:

@@ -130,6 +130,7 @@ class MethodSpec:
         presets: preset name -> option values that differ from the defaults.
         rate_knobs: empty if the method has one size only.
         configurations: name -> settings, chosen like an option (``--set name.configuration=paper``).
+        tunable: options that ``bench tune`` varies; default: all that declare choices or both bounds.
     """
 
     name: str
@@ -150,6 +151,7 @@ class MethodSpec:
     presets: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
     rate_knobs: tuple[RateKnob, ...] = ()
     configurations: Mapping[str, Configuration] = field(default_factory=dict)
+    tunable: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.source:

@@ -40,6 +40,8 @@ def _section(spec: MethodSpec) -> Iterator[str]:
     for knob in spec.rate_knobs:
         how = "one fit each" if knob.refit else "all from one fit"
         lines.append(f"- rates: {knob.name} = {', '.join(map(written, knob.values))} ({how})")
+    if spec.tunable:
+        lines.append(f"- `bench tune` varies: {', '.join(f'`{name}`' for name in spec.tunable)}")
     yield "\n".join(lines)
 
 

@@ -197,6 +197,9 @@ def check_spec(spec: Any, origin: str) -> None:
                 raise unknown("preset", preset, spec.iterations, of=f"configuration {name} of {spec.name}")
             if iterations < 1:
                 raise wrong(f"{iterations} iterations in configuration {name}", "Give it at least 1")
+    for name in spec.tunable:
+        if name not in options:
+            raise unknown("tunable option", name, options, of=f"method {spec.name}")
     for knob in spec.rate_knobs:
         if knob.refit and knob.name not in options:
             raise unknown("rate knob", knob.name, options, of=f"method {spec.name}")

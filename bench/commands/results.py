@@ -119,7 +119,7 @@ def print_results(table: pd.DataFrame, *, jobs: bool = False) -> None:
     names = ["Job", *rows["job"]] if jobs else []
     lines = terminal_rows(rows, width - max(map(len, names), default=-2) - 2)
     header, *lines = [[*line, name] for line, name in zip(lines, names, strict=True)] if jobs else lines
-    _print(header, lines)
+    print_grid(header, lines)
 
 
 def print_table(table: pd.DataFrame) -> None:
@@ -129,7 +129,7 @@ def print_table(table: pd.DataFrame) -> None:
 
     names = [name for name in table.columns if table[name].notna().any()]
     lines = [[cell(name, row[name]) for name in names] for _, row in table.iterrows()]
-    _print([by_name(name).header for name in names], lines)
+    print_grid([by_name(name).header for name in names], lines)
 
 
 def _console() -> Any:
@@ -138,7 +138,8 @@ def _console() -> Any:
     return Console(width=None if sys.stdout.isatty() else 200)
 
 
-def _print(header: list[str], lines: list[list[str]]) -> None:
+def print_grid(header: list[str], lines: list[list[str]]) -> None:
+    """Cells for people; numbers, from the fourth column on, stand on the right."""
     from rich.table import Table
 
     console = _console()

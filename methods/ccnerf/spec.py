@@ -86,4 +86,14 @@ SPEC = MethodSpec(
     iterations={"quick": 1_500, "standard": 7_500, "paper": 30_000},
     rate_knobs=(RateKnob("rank groups", tuple(float(k + 1) for k in range(GROUPS)), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
+    tunable=(
+        "density_ranks",
+        "ranks",
+        "side",
+        "first",
+        "factor_lr",
+        "harmonics_lr",
+        "sparsity",
+        "alpha_weight",
+    ),
 )

@@ -204,4 +204,14 @@ SPEC = MethodSpec(
         ),
     },
     rate_knobs=(RateKnob("rate_weight", (1e-4, 5e-4, 1e-3, 5e-3, 1e-2), refit=True),),
+    tunable=(
+        "features",
+        "offsets",
+        "growth_gradient",
+        "ssim_weight",
+        "scale_weight",
+        "feature_lr",
+        "feature_step",
+        "rent",
+    ),
 )

@@ -51,4 +51,14 @@ SPEC = replace(
     },
     rate_knobs=(RateKnob("cap", (2_000, 5_000, 10_000, 20_000, 50_000), refit=True),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
+    tunable=(
+        "sh_degree",
+        "ssim_weight",
+        "position_lr",
+        "sh_rest_lr",
+        "start_opacity",
+        "opacity_weight",
+        "scale_weight",
+        "noise_rate",
+    ),
 )

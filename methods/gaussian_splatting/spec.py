@@ -70,4 +70,14 @@ SPEC = MethodSpec(
     presets={"quick": {**splatting.QUICK, "sh_rest_lr": 1e-3}, "standard": {"sh_rest_lr": 5e-4}},
     iterations={"quick": 1_200, "standard": 7_000, "paper": 30_000},
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
+    tunable=(
+        "sh_degree",
+        "ssim_weight",
+        "position_lr",
+        "opacity_lr",
+        "sh_rest_lr",
+        "growth_gradient",
+        "dense_fraction",
+        "prune_opacity",
+    ),
 )

@@ -40,4 +40,14 @@ SPEC = replace(
         "fair": Configuration(),
         "paper": Configuration({**PUBLISHED, "rate_weight": 4e-3, "feature_step": 1.0}, {"paper": 30_000}),
     },
+    tunable=(
+        "features",
+        "offsets",
+        "growth_gradient",
+        "ssim_weight",
+        "scale_weight",
+        "mask_weight",
+        "feature_step",
+        "offset_step",
+    ),
 )

@@ -48,4 +48,14 @@ SPEC = replace(
             {**PUBLISHED, "rate_weight": 1e-3, "feature_step": 1.0, "mask_lr": 1e-2}, {"paper": 30_000}
         ),
     },
+    tunable=(
+        "features",
+        "offsets",
+        "growth_gradient",
+        "ssim_weight",
+        "scale_weight",
+        "mask_lr",
+        "feature_step",
+        "offset_step",
+    ),
 )

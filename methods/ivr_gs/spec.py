@@ -71,4 +71,14 @@ SPEC = replace(
     iterations={"quick": 1_600, "standard": 9_300, "paper": 40_000},
     rate_knobs=(RateKnob("codebook size", (4, 16, 64, 256, 1024), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
+    tunable=(
+        "ssim_weight",
+        "position_lr",
+        "opacity_lr",
+        "growth_gradient",
+        "normal_gradient",
+        "shading_lr",
+        "alpha_weight",
+        "normal_weight",
+    ),
 )

@@ -39,4 +39,5 @@ SPEC = MethodSpec(
     iterations={"quick": 1, "standard": 1, "paper": 1},
     rate_knobs=(RateKnob("share of triangles", (1.0, 0.5, 0.25, 0.1, 0.05, 0.02), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration({"kept": 1.0, "coding": "ply"})},
+    tunable=("kept", "step", "coding"),
 )

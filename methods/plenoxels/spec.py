@@ -72,4 +72,14 @@ SPEC = MethodSpec(
     iterations={"quick": 1_200, "standard": 6_000, "paper": 128_000},
     rate_knobs=(RateKnob(DEFLATE, (0.0, 9.0), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
+    tunable=(
+        "resolution",
+        "density_lr",
+        "sh_lr",
+        "tv_density",
+        "tv_sh",
+        "tv_stage",
+        "prune_weight",
+        "alpha_weight",
+    ),
 )

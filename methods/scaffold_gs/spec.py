@@ -69,4 +69,14 @@ SPEC = MethodSpec(
     presets={"quick": splatting.QUICK},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED, {"paper": 30_000})},
+    tunable=(
+        "features",
+        "offsets",
+        "voxel",
+        "init_factor",
+        "growth_gradient",
+        "ssim_weight",
+        "scale_weight",
+        "alpha_weight",
+    ),
 )

@@ -33,4 +33,5 @@ SPEC = MethodSpec(
     iterations={"quick": 1, "standard": 1, "paper": 1},
     rate_knobs=(RateKnob("error bound", (1e-1, 3e-2, 1e-2, 3e-3, 1e-4), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration({"error_bound": 1e-3})},
+    tunable=("error_bound",),
 )

@@ -129,4 +129,14 @@ SPEC = MethodSpec(
     iterations={"quick": 1_600, "standard": 9_300, "paper": 40_000},
     rate_knobs=(RateKnob("codebook size", (4, 16, 64, 256, 1024), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
+    tunable=(
+        "ssim_weight",
+        "position_lr",
+        "opacity_lr",
+        "scalar_lr",
+        "shading_lr",
+        "growth_gradient",
+        "prune_opacity",
+        "alpha_weight",
+    ),
 )

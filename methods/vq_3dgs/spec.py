@@ -38,4 +38,14 @@ SPEC = replace(
     implementation="methods.vq_3dgs.method:VectorQuantised",
     options=VqOptions,
     rate_knobs=(RateKnob("codebook size", SIZES, refit=False),),
+    tunable=(
+        "sh_degree",
+        "ssim_weight",
+        "position_lr",
+        "sh_rest_lr",
+        "growth_gradient",
+        "prune_opacity",
+        "stages",
+        "tuning",
+    ),
 )

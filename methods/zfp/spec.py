@@ -34,4 +34,5 @@ SPEC = replace(
     options=ZfpOptions,
     rate_knobs=(RateKnob("error bound", (8.0, 1.0, 0.125, 0.015625, 1e-4), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration({"mode": "rate"})},
+    tunable=("error_bound", "mode"),
 )

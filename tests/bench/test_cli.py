@@ -31,7 +31,7 @@ LISTS = ("methods", "datasets", "suites", "metrics")
 def test_lists_start_without_heavy_imports(bench, what: str) -> None:
     code = (
         "import sys; from bench.__main__ import main; main(['list', sys.argv[1]]);"
-        "heavy = {'torch', 'pandas', 'scipy', 'mitsuba', 'matplotlib', 'pydantic', 'rich'};"
+        "heavy = {'torch', 'pandas', 'scipy', 'mitsuba', 'matplotlib', 'optuna', 'pydantic', 'rich'};"
         "heavy &= set(sys.modules);"
         "assert not heavy, heavy"
     )

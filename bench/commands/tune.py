@@ -1,0 +1,173 @@
+"""``bench tune``."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+
+from bench.commands.results import print_grid
+from bench.store import Store
+from bench.tune import Study, Trial, Trials, command, front, importances, means, objective_of, studies
+from datasets.errors import DataError
+from methods.options import label, written
+
+
+def tune(options: Namespace) -> int:
+    """Run the trials of a study that have not ended yet, or show the studies of a store."""
+    if find_spec("optuna") is None:
+        raise DataError("bench tune", "needs the package optuna", "pip install 'econgs-bench[tune]'")
+    return _show(options) if options.show else _run(options)
+
+
+def _run(options: Namespace) -> int:
+    from bench.display import make_display
+    from bench.experiment import execute
+    from bench.limits import Limits
+    from bench.selection import Selection
+    from bench.suites import load_suite
+    from bench.tables import build_tables
+
+    selection = Selection(
+        suite=load_suite(options.suite),
+        datasets=tuple(options.dataset),
+        scenes=tuple(options.scene),
+        methods=(options.method,),
+        seeds=tuple(options.seed),
+        preset=options.preset or "",
+        split="val",
+        device=options.device,
+    )
+    done = execute(
+        selection,
+        Path(options.out),
+        options.plugins,
+        make_display(),
+        retry=options.retry,
+        limits=Limits(options.time_limit, options.memory_limit),
+        executor=options.executor,
+        scheduler=options.scheduler,
+        workers=options.workers,
+        plan=partial(
+            Trials,
+            objective=objective_of(options.objective),
+            fixed=_fixed(options),
+            names=tuple(options.option),
+            budget=options.trials,
+            show=_print,
+            retry=options.retry,
+        ),
+    )
+    assert isinstance(done.planner, Trials)
+    study = done.planner.study
+    build_tables(done.store, done.planner.registry.versions)
+    if done.outcome.stopped:
+        print("bench: stopped; run the same command again to resume", file=sys.stderr)
+        return 130
+    if len(study.trials) < study.budget:
+        for name in done.outcome.unfinished:
+            print(f"bench: {name} has no record", file=sys.stderr)
+        return 1
+    print("\n".join(["", *_summary(study, done.store)]))
+    _print_tables(study)
+    return 0 if study.chosen is not None else 1
+
+
+def _print(study: Study, trial: Trial | None) -> None:
+    """A study that begins, or one of its trials."""
+    print("\n".join(_head(study)) if trial is None else _line(study, trial), flush=True)
+
+
+def _show(options: Namespace) -> int:
+    store = Store(Path(options.out))
+    known = studies(store.root, options.method)
+    if not known:
+        have = sorted({study.method for study in studies(store.root)})
+        remedy = f"It has studies of {', '.join(have)}" if have else "Run it without --show"
+        raise DataError(store.root, f"no study of {options.method!r}", remedy)
+    for study in known:
+        lines = [*_head(study), *(_line(study, trial) for trial in study.trials), ""]
+        print("\n".join([*lines, *_summary(study, store)]))
+        _print_tables(study)
+        print()
+    return 0
+
+
+def _fixed(options: Namespace) -> dict[str, bool | int | float | str]:
+    """Options that every trial has."""
+    from datasets.names import unknown
+    from methods.options import parse_assignments
+
+    given = parse_assignments(options.set)
+    for name in given:
+        if name != options.method:
+            raise unknown("method", name, [options.method], of="this study (--set)")
+    return given.get(options.method, {})
+
+
+def _head(study: Study) -> list[str]:
+    """What is tuned, on what, by which score."""
+    under = study.conditions
+    places = ", ".join(f"{dataset}/{scene}" for dataset, scene, _ in under.scenes)
+    seeds = f"seed{'s' if len(under.seeds) > 1 else ''} {', '.join(map(str, under.seeds))}"
+    lines = [
+        f"study {study.name}: {study.method} (version {study.version}) on {places}, preset {under.preset}, "
+        f"{seeds}, validation views; {study.budget} trials",
+        f"score: {study.objective.title} [{study.objective.unit}], mean over scenes and seeds",
+    ]
+    if study.fixed:
+        lines.append(f"in all trials: {label(study.fixed)}")
+    return [*lines, *(f"  {name}: {one.text}" for name, one in study.space.items())]
+
+
+def _line(study: Study, trial: Trial) -> str:
+    """A trial, and the best one up to it."""
+    text = f"{trial.status}: {trial.reason}"
+    if trial.score is not None:
+        models = means(trial)
+        sizes, qualities = [mib for _, mib, _ in models], [psnr for *_, psnr in models]
+        text = f"{trial.score:.3f}, {_span(qualities, '.2f')} dB at {_span(sizes, '.3g')} MiB"
+    scores = [(one.score, -one.number) for one in study.trials[: trial.number + 1] if one.score is not None]
+    best = f"best {max(scores)[0]:.3f} (trial {-max(scores)[1]})" if scores else "none yet"
+    varied = label({name: value for name, value in trial.overrides.items() if name not in study.fixed})
+    return f"trial {trial.number}: {text}; {best}; {varied or 'its own defaults'}"
+
+
+def _span(values: list[float], form: str) -> str:
+    low, high = (format(value, form) for value in (min(values), max(values)))
+    return low if low == high else f"{low} to {high}"
+
+
+def _summary(study: Study, store: Store) -> list[str]:
+    """The chosen options, and what other methods of the store had under the same conditions."""
+    failed = sum(trial.score is None for trial in study.trials)
+    lines = [f"{len(study.trials)} of {study.budget} trials, {failed} failed"]
+    for other in studies(store.root):
+        if other.method != study.method and other.conditions == study.conditions:
+            note = "" if other.budget == study.budget else " (another budget)"
+            lines.append(f"under the same conditions: {other.method}, {other.budget} trials{note}")
+    if study.chosen is None:
+        return [*lines, "no trial succeeded, so nothing is chosen"]
+    gains = ", ".join(f"{gain:+.3f} to {name}" for name, gain in study.chosen.gains.items())
+    lines.append(f"chosen: trial {study.chosen.trial}, score {study.chosen.score:.3f} ({gains})")
+    return [*lines, command(study.method, study.chosen.overrides) or "the method's own defaults"]
+
+
+def _print_tables(study: Study) -> None:
+    """The front of all trials, and the importance of each option."""
+    models = [(trial.number, *model) for trial in study.trials for model in means(trial)]
+    if models:
+        print("\nfront of all trials")
+        rows = [models[place] for place in front([(mib, psnr) for *_, mib, psnr in models])]
+        print_grid(["Trial", "Rate", "MiB", "PSNR [dB]"], [
+            [str(number), "own" if rate is None else written(rate), f"{mib:.4g}", f"{psnr:.2f}"]
+            for number, rate, mib, psnr in rows
+        ])  # fmt: skip
+    if shares := importances(study):
+        print("\nimportance of options")
+        print_grid(
+            ["Option", "Range", "Share"],
+            [[name, study.space[name].text, f"{share:.0%}"] for name, share in shares.items()],
+        )
