@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import methods
-from datasets.errors import DataError, text_of
+from datasets.errors import DataError, printable, text_of
 from datasets.names import unknown
 from methods.interface import PRESETS, Configuration, MethodSpec, RateKnob
 from methods.options import CONFIGURATION, ITERATIONS, check, declared
@@ -220,7 +220,7 @@ def check_spec(spec: Any, origin: str) -> None:
         raise wrong(f"SPEC is a {type(spec).__name__}", "Make it a methods.interface.MethodSpec")
     for field, (what, fits) in _FIELDS.items():
         if not fits(value := getattr(spec, field)):
-            raise wrong(f"{field} is {text_of(repr(value))}", f"Make it {what}")
+            raise wrong(f"{field} is {printable(repr(value))}", f"Make it {what}")
     check_name(spec.name, origin)
     if not re.fullmatch(r"[\w.]+:\w+", spec.implementation):
         raise wrong(f"implementation {spec.implementation!r}", "Write it as module:attribute")
