@@ -100,7 +100,7 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         from methods.registry import Registry
 
         if job.method is not None:
-            spec = Registry(task.plugins).spec(job.method)
+            spec = Registry(task.plugins, lenient=True).spec(job.method)  # others may have gone meanwhile
             prepare_device(job.device, spec)
         context = Context(job, folder, store, spec, task.threads, stop, report)
         fields = {job.kind: import_module(f"bench.jobs.{job.kind}").run(context)}
