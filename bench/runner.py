@@ -86,7 +86,7 @@ class Runner:
             Held: another process works on it.
         """
         code, verdict = self._attempt(job, limit)
-        if code == BUSY and not self._stops():
+        if code == BUSY and not self._stops() and not self._died(job):
             raise Held(job.id)
         record = self._store.record(job.id)
         if record is not None:
@@ -98,6 +98,13 @@ class Runner:
                 return self._post_mortem(job, code, verdict, lease), ""
         except Held:
             return None, "another run took it over"
+
+    def _died(self, job: Job) -> bool:
+        """Whether a job began in the last attempt and nobody works on it: a method may exit with any code."""
+        if self._store.lease(job.id).is_held:
+            return False
+        states, _ = read_progress(self._store.partial / job.id)
+        return any(state["time"] >= self._started and state.get("waiting") is False for state in states)
 
     def prepare(self) -> None:
         """Start the server that workers are forked from; its imports go on after the return."""
