@@ -159,7 +159,9 @@ def read_progress(folder: Path, offset: int = 0) -> tuple[list[dict[str, Any]], 
     states = []
     for line in lines:
         with suppress(ValueError):  # cut off by a kill, and continued by a later attempt
-            states.append(json.loads(line))
+            state = json.loads(line)
+            if isinstance(state, dict) and isinstance(state.get("time"), int | float):
+                states.append(state)
     return states, offset + sum(map(len, lines))
 
 

@@ -52,6 +52,19 @@ def test_a_record_survives_its_file(store) -> None:
     assert not list(store.partial.iterdir())
 
 
+def test_a_number_that_changed_in_a_record_is_damage_and_an_old_record_is_read(store) -> None:
+    record = _record()
+    store.finish(record)
+    path = store.jobs / record.job.id / "record.json"
+    text = path.read_text()
+    changed = text.replace('"wall_seconds": 1', '"wall_seconds": 7')
+    assert changed != text
+    path.write_text(changed)
+    assert Store(store.root).record(record.job.id) is None
+    path.write_text(record.model_dump_json(indent=1))  # as it was before there was a checksum
+    assert Store(store.root).record(record.job.id) == record
+
+
 def test_a_damaged_record_blocks_nothing_and_is_kept(store, capsys) -> None:
     from bench.__main__ import main
 

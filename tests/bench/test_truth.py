@@ -88,7 +88,10 @@ def _stored(folder: Path) -> ViewSet:
 
 
 @pytest.mark.parametrize("name", ["views.json", "test.zst"])
-@pytest.mark.parametrize("damage", [lambda data: data[:-9], lambda data: b"", None])
+@pytest.mark.parametrize(
+    "damage",
+    [lambda data: data[:-9], lambda data: b"", lambda data: data[:-9] + b"3" + data[-8:], None],
+)
 def test_damaged_truth_is_an_error_that_names_the_file(tmp_path, name, damage) -> None:
     _stored(tmp_path)
     file = tmp_path / name
