@@ -26,6 +26,8 @@ PARTS: Parts = {
 
 LARGEST_LOG = float(np.log(np.finfo(np.float32).max))
 """Of a scale in float32."""
+LEAST_TURN = 1e-12
+"""A quaternion of smaller components is not brought to length 1 (torch.nn.functional.normalize)."""
 _SUM = "crc32"
 """Name of the comment with the checksum of the data, which other writers lack."""
 _MAX_HEADER = 1 << 16
@@ -82,7 +84,7 @@ def read_ply(path: Path, parts: Parts = PARTS) -> NDArray[np.float32]:
         wrong = "NaN or infinite values"
     elif (rows[:, _places(parts, "scale_")] > LARGEST_LOG).any():
         wrong = "a scale whose exponential is infinite"
-    elif "rotation" in parts and not rows[:, _places(parts, "rot_")].any(axis=1).all():
+    elif "rotation" in parts and (np.abs(rows[:, _places(parts, "rot_")]).max(axis=1) < LEAST_TURN).any():
         wrong = "a rotation that is zero"
     if wrong:
         raise DataError(path, f"holds {wrong}", "The file is damaged, or its training diverged")
