@@ -13,7 +13,7 @@ import pytest
 
 from bench.store import Store, read_record
 
-from .conftest import Bench, runs, workers
+from .conftest import Bench, runs, wait_for, workers
 
 METHODS = ("fake", "fake-torch")
 """Without torch, in an interpreter of its own, and with it, forked."""
@@ -27,13 +27,6 @@ def _records_are_whole(store: Path) -> int:
         read_record(file)
     assert not [f for f in store.glob("jobs/*") if not (f / "record.json").is_file()]
     return len(files)
-
-
-def _wait_for(condition, seconds: float = 120.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "did not happen in time"
-        time.sleep(0.02)
 
 
 def _models(store: Path) -> dict[str, bytes]:
@@ -56,7 +49,7 @@ class Hold:
     def start(self, bench) -> subprocess.Popen:
         """A run, once its fit stands still."""
         process = bench.start(*self.options, method=self.method)
-        _wait_for(lambda: _held(bench.store))
+        wait_for(lambda: _held(bench.store))
         return process
 
     def let_go(self) -> None:
@@ -107,7 +100,7 @@ def test_killing_the_executor_stops_its_worker(bench, hold, undisturbed) -> None
     (worker,) = workers(process)
     process.kill()
     process.communicate(timeout=120)
-    _wait_for(lambda: not runs(worker))
+    wait_for(lambda: not runs(worker))
     _records_are_whole(bench.store)
     hold.let_go()
     hold.run(bench)
@@ -127,7 +120,7 @@ def test_killing_a_worker_or_its_server_is_a_failure_that_retry_resumes(
     (worker if victim == "worker" else worker.parent()).kill()
     process.communicate(timeout=120)
     assert process.returncode == 1
-    _wait_for(lambda: not runs(worker))
+    wait_for(lambda: not runs(worker))
     (fit,) = bench.of_kind("fit")
     assert (fit.status, fit.reason) == ("failed", "killed by signal 9 (SIGKILL)")
     hold.let_go()

@@ -1,7 +1,7 @@
 """Small jobs in one `bench` process for as long as asked for: ``python -m tests.fire.soak --hours 24``.
 
 After every round it counts the resident memory, open files, threads and children of the process, and what
-lies in the store and in the temporary folder. All but the store must stay as they were after the first rounds.
+lies in the store and in the temporary folder. All but the store must stay as after the first rounds.
 """
 
 from __future__ import annotations
