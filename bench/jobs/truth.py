@@ -99,11 +99,12 @@ class Truth:
         return source.draw(self.scene(), points, seed)
 
     def _read(self, name: str, reader: Callable[[Path], Any]) -> Any:
+        import zlib
         from zipfile import BadZipFile
 
         try:
             return reader(self._folder / name)
-        except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
+        except (OSError, ValueError, KeyError, TypeError, BadZipFile, zlib.error) as error:
             raise DataError(
                 self._folder / name,
                 f"the stored ground truth cannot be read ({error})",

@@ -103,6 +103,16 @@ def test_damaged_truth_is_an_error_that_names_the_file(tmp_path, name, damage) -
         Truth(tmp_path).views("test")
 
 
+def test_a_cloud_that_cannot_be_unpacked_is_an_error_that_names_the_file(tmp_path) -> None:
+    _stored(tmp_path)
+    file = tmp_path / "cloud.npz"
+    np.savez_compressed(file, points=np.random.default_rng(0).random(1000))
+    data = file.read_bytes()
+    file.write_bytes(data[:100] + 200 * b"\xff" + data[300:])
+    with pytest.raises(DataError, match=r"cloud.npz.*bench run makes it again"):
+        Truth(tmp_path).cloud(10, 1)
+
+
 def test_a_method_that_reads_volumes_refuses_scenes_that_have_only_views():
     reads = replace(SPEC, needs_volume=True)
     with pytest.raises(Refused, match="scene 'there' has only views"):
