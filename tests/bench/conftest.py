@@ -136,8 +136,8 @@ def wait_for(condition: Callable[[], object], seconds: float = 120.0) -> None:
 
 
 def plain_tables(store: Path) -> dict[str, str]:
-    """The tables without what depends on the machine and its speed."""
-    apart = {"processor", "fit_processor", "threads", "timing"}
+    """The tables without what depends on the machine, its speed and the program's commit."""
+    apart = {"processor", "fit_processor", "threads", "timing", "commit"}
     apart |= {
         name
         for name, one in COLUMNS.items()

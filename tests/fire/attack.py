@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+
+import pandas as pd
 
 from tests.bench.conftest import Bench, plain_tables
 
@@ -82,10 +85,12 @@ def contents(store: Path) -> dict[str, str]:
     for path in sorted(store.glob("jobs/**/*")):
         if path.is_file() and path.name not in DEPENDS_ON_THE_MACHINE:
             found[path.relative_to(store).as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
-    tables = plain_tables(store)
-    return found | {
-        f"tables/{name}": hashlib.sha256(text.encode()).hexdigest() for name, text in tables.items()
-    }
+    for name, text in plain_tables(store).items():
+        table = pd.read_csv(io.StringIO(text), dtype=str)
+        for column in table:
+            digest = hashlib.sha256("\0".join(map(str, table[column])).encode())
+            found[f"tables/{name}.{column}"] = digest.hexdigest()
+    return found
 
 
 def difference(one: dict[str, str], other: dict[str, str]) -> str:

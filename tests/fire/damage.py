@@ -7,6 +7,7 @@ Each must be refused, made again, or give exactly what it gave before: never oth
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -162,8 +163,10 @@ def attack_runs(folder: Path, dataset: Path, number: int, seed: int, tally: Tall
         process.communicate()
         partial = next(bench.store.glob("partial/fit-*"))
         (bench.store / "locks" / partial.name).mkdir(exist_ok=True)
-        (bench.store / "locks" / partial.name / "stray").write_text("no token")
-        for file in sorted(path for path in partial.rglob("*") if path.is_file()):
+        stray = bench.store / "locks" / partial.name / "stray"
+        stray.write_text("no token")
+        os.utime(stray, (0.0, 0.0))
+        for file in sorted(path for path in partial.rglob("*") if path.is_file() and path.stat().st_size):
             damage(file, KINDS[rng.integers(len(KINDS))], float(rng.uniform(0, 0.9)), int(rng.integers(256)))
         (bench.store.parent / "go on").touch()
         done = bench.run_suite(suite, "--set", "fake.iterations=40", *slow, "--retry", code=None)

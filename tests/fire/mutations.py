@@ -19,6 +19,7 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 import zipfile
 import zlib
 from collections import Counter
@@ -215,6 +216,9 @@ class Reader:
             return
         code = 70
         try:
+            import torch
+
+            torch.set_num_threads(1)
             pages = int(Path("/proc/self/statm").read_text().split()[0])
             limit = pages * resource.getpagesize() + MEMORY
             resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -244,24 +248,49 @@ class Reader:
         return ("same" if same else "other"), ""
 
 
+def prepared(name: str, folder: Path) -> tuple[Path, tuple[Any, ...]]:
+    """A small saved model of a method, and the picture of one loaded from it.
+
+    A child makes them: the native kernels start threads, which later children would lack.
+    """
+    saved, picture = folder / "model", folder / "picture.npz"
+    pid = os.fork()
+    if not pid:
+        code = 70
+        try:
+            import torch
+
+            from methods.contract.checks import Subject
+            from methods.registry import Registry, load_method
+            from tests.methods.test_contract import SMALL
+
+            torch.set_num_threads(1)
+            spec = Registry().spec(name)
+            subject = Subject(spec, load_method(spec), folder, iterations=8, overrides=SMALL.get(name))
+            subject.saved(subject.first()[0], "model")
+            rgb, alpha = subject.method.load(saved, "cpu").render(subject.camera)
+            np.savez(picture, rgb=rgb.numpy(), alpha=alpha.numpy())
+            code = 0
+        finally:
+            traceback.print_exc() if code else None
+            os._exit(code)
+    if os.waitpid(pid, 0)[1]:
+        raise RuntimeError(f"no model of {name} could be made")
+    with np.load(picture) as parts:
+        return saved, (parts["rgb"], parts["alpha"])
+
+
 def fuzz(name: str, mutations: int, seed: int, folder: Path) -> Iterator[Outcome]:
     """Damage a small model of a method many times; yields the outcome of plain damage and of repaired."""
-    import torch
-
-    from methods.contract.checks import Subject
+    from methods.contract.scene import cameras
     from methods.registry import Registry, load_method
-    from tests.methods.test_contract import SMALL
 
-    torch.set_num_threads(1)
-    spec = Registry().spec(name)
-    subject = Subject(spec, load_method(spec), folder, iterations=8, overrides=SMALL.get(name))
-    model, _ = subject.first()
-    saved, _ = subject.saved(model, "model")
-    picture = tuple(part.numpy() for part in subject.method.load(saved, "cpu").render(subject.camera))
+    saved, picture = prepared(name, folder)
+    method, camera = load_method(Registry().spec(name)), cameras(3, phase=1.0)[0]
     files = sorted(file for file in saved.rglob("*") if file.is_file())
     whole = {file: file.read_bytes() for file in files}
     rng = np.random.default_rng(seed)
-    reader = Reader(subject.method, saved, subject.camera, picture)
+    reader = Reader(method, saved, camera, picture)
     outcomes = Outcome(), Outcome()
     cuts = [(file, "cut", share) for file in files for share in (0.1, 0.5, 0.9)]
     try:

@@ -10,16 +10,19 @@ import sys
 from pathlib import Path
 
 from bench.store import Store
-from tests.bench.conftest import PATIENCE, attempts, suite_file, write_dataset
+from tests.bench.conftest import PATIENCE, Bench, attempts, suite_file, write_dataset
 from tests.fire.attack import REAL, Tally, bench_in, contents, difference, leftovers, work_folder
 
 QUICK = 'methods = ["fake", "fake-joint"]'
 
 
-def attack(folder: Path, dataset: Path, suite: str, numbers: list[int], tally: Tally) -> None:
-    """Compare a run alone with numbers of runs at once."""
-    alone = bench_in(folder / "alone", dataset)
-    alone.run_suite(suite)
+def attack(
+    folder: Path, dataset: Path, suite: str, numbers: list[int], tally: Tally, alone: Bench | None = None
+) -> None:
+    """Compare a run alone, made here unless it is given, with numbers of runs at once."""
+    if alone is None:
+        alone = bench_in(folder / "alone", dataset)
+        alone.run_suite(suite)
     expected, jobs = contents(alone.store), len(list(Store(alone.store).records()))
     for number in numbers:
         bench = bench_in(folder / str(number), dataset)
