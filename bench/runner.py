@@ -26,7 +26,10 @@ POLL_SECONDS = 0.1
 EXIT_SECONDS = 5.0
 """How long a worker may take to exit once its record is written."""
 LOOK_PAUSE = 50.0
-"""Looks at memory take this part of the time: they must not slow down what is timed."""
+"""Looks at memory take this part of a processor's time: they must not slow down what is timed.
+
+By the clock, a look on a busy machine would put off the next one for many seconds.
+"""
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "ECONGS_THREADS")
 
 
@@ -177,9 +180,9 @@ class Runner:
                 _kill(process)
                 return process.wait(), ("timeout", time_reason(limit))
             elif time.monotonic() >= look_time:
-                look = time.monotonic()
+                look = time.thread_time()
                 used = used_memory(process.pid, self._memory.amount)
-                look_time = time.monotonic() + LOOK_PAUSE * (time.monotonic() - look)
+                look_time = time.monotonic() + LOOK_PAUSE * (time.thread_time() - look)
                 if used > self._memory.amount:
                     _kill(process)
                     return process.wait(), ("oom", memory_reason(self._memory, used))
