@@ -98,7 +98,8 @@ def test_what_a_soak_counts(tally, tmp_path) -> None:
     assert one.handles > 2
     assert (one.files, one.unfinished, one.temporary) == (1, 0, 1)
     kept = Tally()
-    grown = [one] * 10 + [replace(one, handles=one.handles + 1, temporary=2)] * 10
+    rounds = 2 * soak.EVERY
+    grown = [one] * rounds + [replace(one, handles=one.handles + 1, temporary=0)] * rounds
     soak.judge(grown, 0, kept)
     assert {name for name, (held, _) in kept.counts.items() if not held} == {"handles", "temporary"}
-    soak.judge([replace(one, temporary=0)] * 20, 0, tally)
+    soak.judge([replace(one, temporary=0)] * rounds, 0, tally)
