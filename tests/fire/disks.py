@@ -104,6 +104,8 @@ def full(folder: Path, dataset: Path, suite: str, shares: list[float], tally: Ta
     with mounted(folder / "disk", f"{PAGE}") as disk:
         for number, share in enumerate(shares):
             remount(disk, f"size={PAGE * (1 + round(share * pages))}")
+            if not share:  # not even for the store's marker
+                (disk / "ballast").write_bytes(bytes(PAGE))
             bench = bench_in(folder / f"full-{number}", dataset)
             bench.store = disk / "runs"
             done = bench.run_suite(suite, code=None)
@@ -114,6 +116,7 @@ def full(folder: Path, dataset: Path, suite: str, shares: list[float], tally: Ta
             tally.add(
                 f"full disk ({place})", f"exit code {done.returncode}: {done.stderr[-600:]}" if wrong else ""
             )
+            (disk / "ballast").unlink(missing_ok=True)
             remount(disk, f"size={ROOM}")
             again = bench.run_suite(suite, "--retry", code=None)
             wrong_end = (
