@@ -9,12 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from bench.store import write_text
-from datasets.errors import DataError
+from datasets.errors import DataError, text_of
+from datasets.seals import checksum, sealed, unsealed
 from methods.interface import Checkpoint
 
 VERSION = 2
 """Raised when a checkpoint of an earlier version could be misread."""
 _META, _ARRAYS = "checkpoint.json", "arrays.safetensors"
+
+
+class Damaged(DataError):
+    """A checkpoint that is not as it was written."""
 
 
 def write_checkpoint(folder: Path, checkpoint: Checkpoint, harness: dict[str, Any]) -> None:
@@ -41,8 +46,9 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint, harness: dict[str, An
         "iteration": checkpoint.iteration,
         "scalars": checkpoint.scalars,
         "harness": harness,
+        "arrays": checksum(aside / _ARRAYS) if checkpoint.arrays else None,
     }
-    write_text(aside / _META, json.dumps(meta))
+    write_text(aside / _META, sealed(json.dumps(meta)))
     os.rename(aside, target)
     for older in folder.iterdir():
         if older != target:
@@ -54,16 +60,29 @@ def read_checkpoint(folder: Path) -> tuple[Checkpoint, dict[str, Any]] | None:
 
     Raises:
         DataError: an earlier version wrote it.
+        Damaged: it is not as it was written.
     """
     newest = max((path.parent for path in folder.glob(f"[0-9]*/{_META}")), default=None)
     if newest is None:
         return None
-    meta = json.loads((newest / _META).read_text(encoding="utf-8"))
+    try:
+        return _read(newest)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        reason = f"this checkpoint is damaged ({type(error).__name__}: {text_of(error)})"
+        remedy = f"Delete {folder.parent}, and bench run --retry makes it again"
+        raise Damaged(newest, reason, remedy) from error
+
+
+def _read(folder: Path) -> tuple[Checkpoint, dict[str, Any]]:
+    meta = json.loads(unsealed((folder / _META).read_text(encoding="utf-8")))
     if meta.get("version") != VERSION:
-        raise DataError(newest, "an earlier version wrote this checkpoint", "Run into a new store (--out)")
-    arrays = {}
-    if (newest / _ARRAYS).is_file():
+        raise DataError(folder, "an earlier version wrote this checkpoint", "Run into a new store (--out)")
+    arrays, file = {}, folder / _ARRAYS
+    known = meta.get("arrays", "")  # "" of stores before there was a checksum
+    if known is not None and (known or file.is_file()):
+        if known and checksum(file) != known:
+            raise ValueError("the checksum of its arrays differs")
         from safetensors.torch import load_file
 
-        arrays = load_file(newest / _ARRAYS)
+        arrays = load_file(file)
     return Checkpoint(meta["iteration"], arrays, meta["scalars"]), meta["harness"]

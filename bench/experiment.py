@@ -14,6 +14,7 @@ from bench.plan import Planner
 from bench.plugins import plugin_folders, remember, resolved
 from bench.rungs import remember as remember_ladders
 from bench.store import Store
+from bench.timing import check_locks
 from datasets.errors import DataError
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ def execute(
         DataError: the selection or the store cannot be used.
     """
     run_on = _executor(executor, scheduler, workers)
+    check_locks()
     given = resolved(os.fspath(folder) for folder in plugins)
     folders = plugin_folders(given, out)
     planner = plan(replace(selection, plugins=folders))

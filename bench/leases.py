@@ -153,8 +153,8 @@ def _token() -> str:
 
 
 def _lives(token: Path) -> bool:
-    """Whether the holder is alive, as far as can be known from here."""
-    _, machine, pid, start, _ = token.name.rsplit("-", 4)
+    """Whether the holder is alive, as far as can be known from here; of a foreign file, its time decides."""
+    machine, pid, start = [*token.name.rsplit("-", 4), "", "", ""][1:4]
     if machine == _machine():
         try:
             process = psutil.Process(int(pid))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import signal
 import threading
 import time
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.checkpoints import read_checkpoint, write_checkpoint
+from bench.checkpoints import Damaged, read_checkpoint, write_checkpoint
 from bench.losses import LossCurve
 from bench.metrics.image import Pair, psnr, to_8bit
 from bench.records import CurvePoint
@@ -118,8 +119,16 @@ class FitMonitor:
     # ------------------------------------------------------------------ the harness's side
 
     def resume(self) -> Checkpoint | None:
-        """Continue clock and curve from the newest checkpoint, if there is one, and return it."""
-        stored = read_checkpoint(self._folder)
+        """Continue clock and curve from the newest checkpoint, if there is one, and return it.
+
+        After a damaged one, which is removed, the fit begins anew.
+        """
+        try:
+            stored = read_checkpoint(self._folder)
+        except Damaged as error:
+            print(f"bench: {error.what}: {error.reason}: the fit begins anew", flush=True)
+            shutil.rmtree(self._folder)
+            return None
         if stored is None:
             return None
         checkpoint, harness = stored

@@ -41,8 +41,16 @@ def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance
         versions=_versions(),
         isa=native_isa(),
         commit=commit_here(),
-        source=source_hash(spec) if spec else None,
+        source=_source(spec) if spec else None,
     )
+
+
+def _source(spec: MethodSpec) -> str | None:
+    """Hash of a method's source; None where that is gone."""
+    try:
+        return source_hash(spec)
+    except OSError:
+        return None
 
 
 def source_hash(spec: MethodSpec) -> str:

@@ -26,7 +26,10 @@ POLL_SECONDS = 0.1
 EXIT_SECONDS = 5.0
 """How long a worker may take to exit once its record is written."""
 LOOK_PAUSE = 50.0
-"""Looks at memory take this part of the time: they must not slow down what is timed."""
+"""Looks at memory take this part of a processor's time: they must not slow down what is timed.
+
+By the clock, a look on a busy machine would put off the next one for many seconds.
+"""
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "ECONGS_THREADS")
 
 
@@ -86,7 +89,7 @@ class Runner:
             Held: another process works on it.
         """
         code, verdict = self._attempt(job, limit)
-        if code == BUSY and not self._stops():
+        if code == BUSY and not self._stops() and not self._died(job):
             raise Held(job.id)
         record = self._store.record(job.id)
         if record is not None:
@@ -98,6 +101,13 @@ class Runner:
                 return self._post_mortem(job, code, verdict, lease), ""
         except Held:
             return None, "another run took it over"
+
+    def _died(self, job: Job) -> bool:
+        """Whether a job began in the last attempt and nobody works on it: a method may exit with any code."""
+        if self._store.lease(job.id).is_held:
+            return False
+        states, _ = read_progress(self._store.partial / job.id)
+        return any(state["time"] >= self._started and state.get("waiting") is False for state in states)
 
     def prepare(self) -> None:
         """Start the server that workers are forked from; its imports go on after the return."""
@@ -170,9 +180,9 @@ class Runner:
                 _kill(process)
                 return process.wait(), ("timeout", time_reason(limit))
             elif time.monotonic() >= look_time:
-                look = time.monotonic()
+                look = time.thread_time()
                 used = used_memory(process.pid, self._memory.amount)
-                look_time = time.monotonic() + LOOK_PAUSE * (time.monotonic() - look)
+                look_time = time.monotonic() + LOOK_PAUSE * (time.thread_time() - look)
                 if used > self._memory.amount:
                     _kill(process)
                     return process.wait(), ("oom", memory_reason(self._memory, used))

@@ -22,6 +22,7 @@ from bench.leases import Lease
 from bench.migration import migrated
 from bench.records import READABLE, SCHEMA, Record
 from datasets.errors import DataError
+from datasets.seals import sealed, unsealed
 
 _LONGEST = 256 * 2**20
 """Bytes of a record that is read; whole ones have a few MiB at most."""
@@ -132,7 +133,7 @@ class Store:
         if lease is not None:
             lease.renew()
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "record.json", record.model_dump_json(indent=1) + "\n")
+        write_text(folder / "record.json", sealed(record.model_dump_json(indent=1) + "\n"))
         self.put_in_place(folder, record.job.id, lease)
 
     def put_in_place(self, folder: Path, job: str, lease: Lease | None = None) -> None:
@@ -190,10 +191,12 @@ def read_record(path: Path) -> Record:
         reason = f"not a whole record ({size} bytes, more than any has)"
         raise DataError(path, reason, "`bench repair` sets it aside; the job then runs again")
     try:
-        return migrated(Record.model_validate_json(path.read_bytes()))
-    except ValidationError as error:
-        wrong = error.errors()[0]
-        first = ": ".join(map(str, [*wrong["loc"], wrong["msg"]]))
+        return migrated(Record.model_validate_json(unsealed(path.read_text(encoding="utf-8"))))
+    except ValueError as error:
+        first = str(error)
+        if isinstance(error, ValidationError):
+            wrong = error.errors()[0]
+            first = ": ".join(map(str, [*wrong["loc"], wrong["msg"]]))
         raise DataError(
             path, f"not a whole record ({first})", "`bench repair` sets it aside; the job then runs again"
         ) from error

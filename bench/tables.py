@@ -51,11 +51,16 @@ def build_tables(
     tables = _stored(lineage, versions or {}, choices, names, ladders_of(store.root))
     if write and os.access(store.tables, os.W_OK):
         with store.lease("tables"):
+            for leftover in store.tables.glob(".*"):  # of a process that was killed
+                leftover.unlink(missing_ok=True)
             for name, table in tables.items():
                 target = store.tables / f"{name}.parquet"
                 aside = target.with_name(f".{name}.{uuid.uuid4().hex}")
-                table.to_parquet(aside, index=False)
-                os.replace(aside, target)
+                try:
+                    table.to_parquet(aside, index=False)
+                    os.replace(aside, target)
+                finally:
+                    aside.unlink(missing_ok=True)
     return joined(tables)
 
 

@@ -16,6 +16,7 @@ from filelock import FileLock
 
 from bench.records import FrameTimes
 from datasets.camera import Camera
+from datasets.errors import DataError
 
 WARMUP_SECONDS = 3.0
 MEASURE_SECONDS = 1.0
@@ -38,6 +39,27 @@ def lock_file(name: str) -> Path:
     folder = Path(os.environ.get("BENCH_LOCKS") or tempfile.gettempdir())
     folder.mkdir(parents=True, exist_ok=True)
     return folder / f"econgs-bench-{name}.lock"
+
+
+def check_locks() -> None:
+    """Check that there are locks where those of this machine lie (on POSIX): jobs would wait for ever.
+
+    Raises:
+        DataError: there are none.
+    """
+    if os.name != "posix":
+        return
+    import fcntl
+
+    try:
+        with lock_file("probe").open("a") as file:
+            fcntl.flock(file, fcntl.LOCK_SH)
+    except OSError as error:
+        folder = os.environ.get("BENCH_LOCKS") or tempfile.gettempdir()
+        remedy = "Set BENCH_LOCKS to a folder on a disk of this machine"
+        raise DataError(
+            folder, f"has no locks for this machine's timing ({error.strerror})", remedy
+        ) from error
 
 
 def synchronise(device: str) -> None:

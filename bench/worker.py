@@ -22,6 +22,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from pydantic import ValidationError
+
 from bench.leases import BEAT, Held, Lease, Lost
 from bench.monitor import Progress, Stop, Stopped
 from bench.records import Record, Status, Task
@@ -100,7 +102,7 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         from methods.registry import Registry
 
         if job.method is not None:
-            spec = Registry(task.plugins).spec(job.method)
+            spec = Registry(task.plugins, lenient=True).spec(job.method)  # others may have gone meanwhile
             prepare_device(job.device, spec)
         context = Context(job, folder, store, spec, task.threads, stop, report)
         fields = {job.kind: import_module(f"bench.jobs.{job.kind}").run(context)}
@@ -119,7 +121,7 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
     stop.deferred = True  # the job is finished: its record must be written
     from bench.provenance import provenance
 
-    return Record(
+    record = Record(
         job=job,
         status=status,
         reason=reason,
@@ -131,6 +133,14 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         provenance=provenance(task.threads, spec, job.device),
         **(fields if status == "ok" else traces(folder)),  # type: ignore[arg-type]
     )
+    try:
+        Record.model_validate_json(record.model_dump_json())
+    except ValidationError as error:  # a number that is not finite, where there must be one
+        wrong = error.errors()[0]
+        words = f"its results cannot be stored: {'.'.join(map(str, wrong['loc']))}: {wrong['msg']}"
+        failed = {job.kind: None, "status": "failed", "reason": words, **traces(folder)}
+        record = record.model_copy(update=failed)
+    return record
 
 
 def log_tail(folder: Path) -> str | None:
@@ -159,7 +169,9 @@ def read_progress(folder: Path, offset: int = 0) -> tuple[list[dict[str, Any]], 
     states = []
     for line in lines:
         with suppress(ValueError):  # cut off by a kill, and continued by a later attempt
-            states.append(json.loads(line))
+            state = json.loads(line)
+            if isinstance(state, dict) and isinstance(state.get("time"), int | float):
+                states.append(state)
     return states, offset + sum(map(len, lines))
 
 

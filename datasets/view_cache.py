@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
+from datasets.seals import sealed, unsealed
 from datasets.view_files import INDEX, read_views, rounded, write_views
 
 DEFAULT_MAX_BYTES = 20 * 2**30
@@ -98,7 +99,7 @@ class ViewCache:
         try:
             index = write_views(aside / "images.zst", stored)
             entry = {"schema": _SCHEMA, **index, "record": record}
-            (aside / "entry.json").write_text(json.dumps(entry, indent=1), encoding="utf-8")
+            (aside / "entry.json").write_text(sealed(json.dumps(entry, indent=1)), encoding="utf-8")
             self._place(aside, key)
         finally:
             shutil.rmtree(aside, ignore_errors=True)
@@ -158,7 +159,7 @@ class ViewCache:
     def _entry(self, key: str) -> dict[str, Any] | None:
         folder = self.folder / key
         try:
-            entry = json.loads((folder / "entry.json").read_text(encoding="utf-8"))
+            entry = json.loads(unsealed((folder / "entry.json").read_text(encoding="utf-8")))
             size = (folder / "images.zst").stat().st_size
             whole = entry["schema"] == _SCHEMA and size == sum(entry["frames"])
             if not (whole and isinstance(entry["record"], dict)):

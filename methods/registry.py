@@ -10,7 +10,7 @@ import importlib.util
 import pkgutil
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import entry_points
@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import methods
-from datasets.errors import DataError, text_of
+from datasets.errors import DataError, printable, text_of
 from datasets.names import unknown
-from methods.interface import PRESETS, MethodSpec
+from methods.interface import PRESETS, Configuration, MethodSpec, RateKnob
 from methods.options import CONFIGURATION, ITERATIONS, check, declared
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ class Registry:
         plugin_folders: folders given by ``--plugins``. Each is a package with a ``SPEC`` (in
             ``__init__.py`` or ``spec.py``) or holds such packages and modules. They join
             ``sys.path``, behind all that is there.
+        lenient: a plugin folder that cannot be used only lands in ``broken``, too.
 
     Raises:
         DataError: a plugin folder is missing or empty, a plugin in it cannot be used, or two
@@ -54,11 +55,12 @@ class Registry:
             ``broken``: it must not stop those who do not ask for it.)
     """
 
-    def __init__(self, plugin_folders: Iterable[Path | str] = ()) -> None:
+    def __init__(self, plugin_folders: Iterable[Path | str] = (), *, lenient: bool = False) -> None:
         self._specs: dict[str, MethodSpec] = {}
         self._origins: dict[str, str] = {}
+        self._lost: list[str] = []
         self.broken: dict[str, str] = {}
-        """Installed plugins that cannot be used: entry point name -> what is wrong."""
+        """Plugins that cannot be used: entry point name, or plugin folder -> what is wrong."""
         for candidate in _built_in():
             self._add(candidate)
         for candidate in _installed():
@@ -67,15 +69,21 @@ class Registry:
             except DataError as error:
                 self.broken[str(candidate.name)] = str(error)
         for folder in plugin_folders:
-            for candidate in _in_folder(Path(folder)):
-                self._add(candidate)
+            try:
+                for candidate in _in_folder(Path(folder)):
+                    self._add(candidate)
+            except DataError as error:
+                if not lenient:
+                    raise
+                self.broken[str(folder)] = str(error)
+                self._lost.append(str(folder))
 
     def _add(self, candidate: _Candidate) -> None:
         try:
             spec = candidate.load()
         except DataError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             reason = f"its spec cannot be imported ({type(error).__name__}: {text_of(error)})"
             raise DataError(candidate.origin, reason, "Repair the plugin") from error
         check_spec(spec, candidate.origin)
@@ -115,12 +123,12 @@ class Registry:
 
         Raises:
             UnknownName: no method has that name; near matches are listed.
-            DataError: it is installed but cannot be used.
+            DataError: it is installed but cannot be used, or perhaps in a plugin folder that cannot.
         """
         if name in self._specs:
             return self._specs[name]
-        if name in self.broken:
-            raise DataError(f"method {name!r}", self.broken[name], "The other methods can be used")
+        if reason := self.broken.get(name) or "; ".join(map(self.broken.__getitem__, self._lost)):
+            raise DataError(f"method {name!r}", reason, "The other methods can be used")
         raise unknown("method", name, self._specs)
 
     def origin(self, name: str) -> str:
@@ -157,6 +165,50 @@ def check_name(name: str, origin: str) -> None:
         raise DataError(origin, f"method name {name!r}", "Use lower-case letters, digits, - and _")
 
 
+def _all(kind: type) -> Callable[[Any], bool]:
+    """Whether a value is a tuple of instances of a type."""
+    return lambda value: isinstance(value, tuple) and all(isinstance(one, kind) for one in value)
+
+
+def _named(kind: type) -> Callable[[Any], bool]:
+    """Whether a value maps names to instances of a type, none of them a truth value."""
+
+    def fits(value: Any) -> bool:
+        return isinstance(value, Mapping) and all(
+            isinstance(name, str) and isinstance(one, kind) and not isinstance(one, bool)
+            for name, one in value.items()
+        )
+
+    return fits
+
+
+def _some_of(*names: str) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, frozenset | set) and value <= {*names}
+
+
+_TEXT = ("a text", lambda value: isinstance(value, str))
+_TRUTH = ("True or False", lambda value: isinstance(value, bool))
+_FIELDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    **dict.fromkeys(("name", "title", "reference", "version", "implementation", "uses_alpha"), _TEXT),
+    **dict.fromkeys(("joint", "composable", "needs_volume"), _TRUTH),
+    "source": ("a tuple of names of modules", _all(str)),
+    "devices": (
+        "a tuple of cpu and cuda, or one of them",
+        lambda value: isinstance(value, tuple) and value != () and {*value} <= {"cpu", "cuda"},
+    ),
+    "edits": (
+        "a frozenset of palette, opacity, light, shading and transfer",
+        _some_of("palette", "opacity", "light", "shading", "transfer"),
+    ),
+    "volume_scenes": ("a frozenset of transfer and isosurfaces", _some_of("transfer", "isosurfaces")),
+    "iterations": ("a dictionary of whole numbers", _named(int)),
+    "presets": ("a dictionary of dictionaries", _named(Mapping)),
+    "rate_knobs": ("a tuple of methods.interface.RateKnob", _all(RateKnob)),
+    "configurations": ("a dictionary of methods.interface.Configuration", _named(Configuration)),
+}
+"""Field of a spec -> what it must be, in words and as a test."""
+
+
 def check_spec(spec: Any, origin: str) -> None:
     """Refuse a spec that contradicts itself.
 
@@ -166,6 +218,9 @@ def check_spec(spec: Any, origin: str) -> None:
     wrong = partial(DataError, origin)
     if not isinstance(spec, MethodSpec):
         raise wrong(f"SPEC is a {type(spec).__name__}", "Make it a methods.interface.MethodSpec")
+    for field, (what, fits) in _FIELDS.items():
+        if not fits(value := getattr(spec, field)):
+            raise wrong(f"{field} is {printable(repr(value))}", f"Make it {what}")
     check_name(spec.name, origin)
     if not re.fullmatch(r"[\w.]+:\w+", spec.implementation):
         raise wrong(f"implementation {spec.implementation!r}", "Write it as module:attribute")

@@ -6,6 +6,7 @@ import shutil
 import time
 
 from bench.checkpoints import read_checkpoint
+from bench.jobs import answers
 from bench.jobs.context import Context
 from bench.records import EncodeResult
 from bench.timing import synchronise
@@ -25,7 +26,7 @@ def run(context: Context) -> EncodeResult:
     folder.mkdir()
     context.report(stage="encode")
     start = time.perf_counter()
-    ledger = {scene: dict(parts) for scene, parts in model.save(folder, job.rate).items()}
+    ledger = answers.ledger(model.save(folder, job.rate))
     synchronise(job.device)
     seconds = time.perf_counter() - start
     total = sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bench.jobs import answers
 from bench.jobs.context import Context
 from bench.jobs.scenes import scene_inputs
 from bench.monitor import FitMonitor
@@ -52,7 +53,7 @@ def run(context: Context) -> FitResult:
         seconds=monitor.seconds,
         cpu_seconds=monitor.cpu_seconds,
         iterations=job.iterations,
-        primitives={name: model.primitives(name) for name in job.scenes},
+        primitives={name: answers.primitives(model.primitives(name)) for name in job.scenes},
         cloud_points={scene.name: len(scene.cloud) for scene in scenes},
         train_views=sum(len(scene.train) for scene in scenes) // len(scenes),
         curve=monitor.curve,

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.edits import edit_of, edits_of
+from bench.jobs import answers
 from bench.jobs.context import Context
-from bench.monitor import as_numpy
 from bench.records import MeasureResult, PruningResult, ViewResult
 from bench.stress import stress_of
 from bench.timing import median_timings, peak_device_bytes, synchronise, time_frames
@@ -71,7 +71,7 @@ def run(context: Context) -> MeasureResult:
         cameras,
         job.device,
     )
-    parts = median_timings(lambda camera: model.timings(camera, scenes=scenes), cameras)
+    parts = median_timings(lambda camera: answers.timings(model.timings(camera, scenes=scenes)), cameras)
     context.peak_host_bytes, context.peak_device_bytes = peak_host_bytes(), peak_device_bytes(job.device)
 
     context.report(stage="metrics")
@@ -88,12 +88,8 @@ def run(context: Context) -> MeasureResult:
     metrics = [*job.metrics, *COVERAGE]
     flicker = Flicker() if is_dense(cameras) else None
     for index, camera in enumerate(cameras):
-        tensor, tensor_alpha = model.render(camera, scenes=scenes, edit=edit, background=background)
-        rgb, alpha = as_numpy(tensor), as_numpy(tensor_alpha)
-        if not (np.isfinite(rgb).all() and np.isfinite(alpha).all()):
-            raise FloatingPointError(
-                f"the loaded model renders values that are not finite in view {camera.name}"
-            )
+        answer = model.render(camera, scenes=scenes, edit=edit, background=background)
+        rgb, alpha = answers.picture(answer, camera)
         values, reasons = evaluate(views.images[index], rgb, alpha, background, metrics)
         missing.update(reasons)
         shown, displayed = to_8bit(views.composited(index)), to_8bit(rgb)
@@ -115,7 +111,7 @@ def run(context: Context) -> MeasureResult:
         load_seconds=load_seconds,
         **frames.model_dump(),
         timing={"frame": frames.frame_seconds, **parts},
-        primitives=sum(model.primitives(scene) for scene in scenes),
+        primitives=sum(answers.primitives(model.primitives(scene)) for scene in scenes),
         metrics={name: _mean([row.metrics[name] for row in rows]) for name in metrics},
         missing=missing,
         views=rows,
@@ -160,8 +156,8 @@ def _attributes(model: Model, scenes: Sequence[str], sampled: int) -> dict[str, 
     if len(scenes) != 1 or not isinstance(model, HasAttributes):
         return {}
     return {
-        name: [[float(f"{value:.3g}") for value in row] for row in as_numpy(values)]
-        for name, values in model.attributes(scenes[0], sampled).items()
+        name: [[float(f"{value:.3g}") for value in row] for row in rows]
+        for name, rows in answers.attributes(model.attributes(scenes[0], sampled)).items()
     }
 
 

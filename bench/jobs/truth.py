@@ -19,6 +19,7 @@ import numpy as np
 from bench.store import write_text
 from datasets.camera import Camera
 from datasets.errors import DataError
+from datasets.seals import sealed, unsealed
 from datasets.view_files import read_views, write_views
 from datasets.views import Split, ViewSet
 
@@ -48,7 +49,7 @@ def write_truth(
     }
     if cloud is not None:
         cloud.save(folder / _CLOUD)
-    write_text(folder / INDEX, json.dumps(index))
+    write_text(folder / INDEX, sealed(json.dumps(index)))
 
 
 def _store(file: Path, views: ViewSet) -> dict[str, Any]:
@@ -69,7 +70,7 @@ class Truth:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._index: dict[str, Any] = self._read(
-            INDEX, lambda file: json.loads(file.read_text(encoding="utf-8"))
+            INDEX, lambda file: json.loads(unsealed(file.read_text(encoding="utf-8")))
         )
 
     def cameras(self, split: Split) -> tuple[Camera, ...]:
@@ -98,11 +99,12 @@ class Truth:
         return source.draw(self.scene(), points, seed)
 
     def _read(self, name: str, reader: Callable[[Path], Any]) -> Any:
+        import zlib
         from zipfile import BadZipFile
 
         try:
             return reader(self._folder / name)
-        except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
+        except (OSError, ValueError, KeyError, TypeError, BadZipFile, zlib.error) as error:
             raise DataError(
                 self._folder / name,
                 f"the stored ground truth cannot be read ({error})",

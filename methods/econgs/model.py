@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
-from datasets.errors import DataError
+from datasets.errors import DataError, UnknownName
 from datasets.scene import RGB
 from econgs.anchors.decode import decode, decode_unshaded, visible_anchors
 from econgs.anchors.decoders import Decoders
@@ -83,7 +83,7 @@ class Group:
             self.scenes = {
                 scene.name: _ready(scene, about[scene.name], decoders, device) for scene in coded.scenes
             }
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        except (UnknownName, KeyError, TypeError, ValueError, RuntimeError) as error:
             reason = f"its networks or scene parameters are not those of a model ({error})"
             raise DataError(what, reason, "Encode the model anew") from error
 

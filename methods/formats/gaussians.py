@@ -16,7 +16,7 @@ from torch import Tensor
 from datasets.errors import DataError
 from datasets.scene import RGB
 from methods.gaussian_splatting.model import SH_REST, SceneGaussians
-from methods.gaussian_splatting.ply import LARGEST_LOG
+from methods.gaussian_splatting.ply import LARGEST_LOG, no_turn
 
 Tables = Mapping[str, NDArray[np.float32]]
 """``means`` (N, 3), ``log_scales`` (N, 3), ``quats`` (N, 4), ``logits`` (N,), ``sh_dc`` (N, 1, 3) and
@@ -122,8 +122,8 @@ def checked(file: Path, format: str, read: Callable[[], Tables]) -> Tables:
                 raise ValueError(f"{name} of shape {values[name].shape}")
             if not np.isfinite(values[name]).all():
                 raise ValueError(f"{name} that are not finite")
-        if count and not (values["quats"] != 0.0).any(1).all():
-            raise ValueError("a rotation that is zero")
+        if no_turn(values["quats"]):
+            raise ValueError("a rotation that is zero, or too long")
         if count and float(values["log_scales"].max()) > LARGEST_LOG:
             raise ValueError("a scale that is not finite")
     except DataError:

@@ -82,11 +82,17 @@ def read_ply(path: Path, parts: Parts = PARTS) -> NDArray[np.float32]:
         wrong = "NaN or infinite values"
     elif (rows[:, _places(parts, "scale_")] > LARGEST_LOG).any():
         wrong = "a scale whose exponential is infinite"
-    elif "rotation" in parts and not rows[:, _places(parts, "rot_")].any(axis=1).all():
-        wrong = "a rotation that is zero"
+    elif "rotation" in parts and no_turn(rows[:, _places(parts, "rot_")]):
+        wrong = "a rotation that is zero, or too long"
     if wrong:
         raise DataError(path, f"holds {wrong}", "The file is damaged, or its training diverged")
     return rows
+
+
+def no_turn(quats: NDArray[np.float32]) -> bool:
+    """Whether one of (N, 4) quaternions cannot be brought to length 1 (torch.nn.functional.normalize)."""
+    largest = np.abs(quats).max(axis=1)
+    return bool(((largest < 1e-12) | (largest > 1e18)).any())
 
 
 def _places(parts: Parts, prefix: str) -> list[int]:

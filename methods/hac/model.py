@@ -75,8 +75,9 @@ def _ready(group: GroupAttributes, device: str, what: str, method: str) -> Scene
         background = triple(group.metadata["background"])
         decoders = ColorDecoders(scene.features.shape[1], scene.offsets.shape[1], distance=True)
         stored_networks(decoders, group, device)
+        anchors = placed_anchors(scene, device)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = f"it is not the model of a {method} scene ({error})"
         raise DataError(what, reason, "Encode the model anew") from error
     masks = placed(scene.masks, device)
-    return SceneAnchors(scene.name, background, decoders, *placed_anchors(scene, device), masks)
+    return SceneAnchors(scene.name, background, decoders, *anchors, masks)

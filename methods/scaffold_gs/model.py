@@ -20,8 +20,9 @@ from econgs.anchors.decode import visible_anchors
 from econgs.anchors.direct import ColorDecoders, decode_colors
 from econgs.anchors.gaussians import Gaussians, apply_masks
 from econgs.context.model import Attributes
-from methods.gaussian_splatting.ply import Parts, read_ply, write_ply
+from methods.gaussian_splatting.ply import Parts, properties, read_ply, write_ply
 from methods.interface import Edit
+from methods.shared.coding import LARGEST
 from methods.shared.edits import opacity_factor, triple
 from methods.shared.files import saved_files
 from methods.shared.model import SceneModel
@@ -198,14 +199,18 @@ def _load_scene(file: Path, device: str) -> StoredScene:
         if not (1 <= features <= 1024 and 1 <= offsets <= 256):
             raise ValueError(f"{features} features and {offsets} offsets")
         decoders = ColorDecoders(features, offsets, distance=bool(about["distance"]))
-        if not all(bool(torch.isfinite(one).all()) for one in weights.values()):
-            raise ValueError("a weight is not finite")
+        if not all(bool((one.abs() <= LARGEST).all()) for one in weights.values()):
+            raise ValueError(f"a weight that is not finite, or of more than {LARGEST:g}")
         decoders.load_state_dict(weights)
         background = triple(about["background"])
         name = str(about["scene"])
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         reason = f"not the networks of a scaffold-gs scene ({error})"
         raise DataError(file, reason, "Save the model again") from error
-    rows = read_ply(file.with_suffix(".ply"), parts_of(features, offsets))
+    ply, parts = file.with_suffix(".ply"), parts_of(features, offsets)
+    rows = read_ply(ply, parts)
+    attributes = [place for place, name in enumerate(properties(parts)) if name.startswith("f_")]
+    if np.abs(rows[:, attributes]).max(initial=0.0) > LARGEST:
+        raise DataError(ply, f"holds an attribute of more than {LARGEST:g}", "Save the model again")
     decoders.requires_grad_(False)
     return StoredScene(name, background, decoders.to(device), rows)

@@ -14,6 +14,8 @@ from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes
 from methods.shared.training import TrainingState
 
 N = TypeVar("N", bound=nn.Module)
+LARGEST = 1e6
+"""Of weights and attributes: no training comes near, and products of two layers stay finite when squared."""
 
 
 @torch.no_grad()
@@ -34,7 +36,15 @@ def placed(values: ArrayLike, device: str) -> Tensor:
 
 
 def placed_anchors(scene: SceneAttributes, device: str) -> tuple[Tensor, Attributes]:
-    """Positions and attributes of a decoded scene."""
+    """Positions and attributes of a decoded scene.
+
+    Raises:
+        ValueError: they are none that could be drawn.
+    """
+    if (scene.scalings < 0.0).any():
+        raise ValueError("a scaling that is negative")
+    if any(np.abs(one).max(initial=0.0) > LARGEST for one in (scene.features, scene.scalings, scene.offsets)):
+        raise ValueError(f"an attribute of more than {LARGEST:g}")
     values = (placed(one, device) for one in (scene.features, scene.scalings, scene.offsets))
     return placed(scene.positions, device), Attributes(*values)
 
@@ -44,6 +54,9 @@ def stored_networks(networks: N, group: GroupAttributes, device: str) -> N:
 
     Raises:
         RuntimeError: the weights have other names or shapes.
+        ValueError: a weight is so large that what is decoded may overflow.
     """
+    if any(np.abs(one).max(initial=0.0) > LARGEST for one in group.decoders.values()):
+        raise ValueError(f"a weight of more than {LARGEST:g}")
     networks.load_state_dict({name: torch.from_numpy(np.array(one)) for name, one in group.decoders.items()})
     return networks.requires_grad_(False).to(device)

@@ -137,6 +137,8 @@ class VolumeModel(NamedScenes[VolumeScene]):
                     raise ValueError("its checksum differs")
                 scene = definitions().validate_python(about["scene"])
                 name = str(about["volume"])
+                if scene.transfer is None and not scene.isosurfaces:
+                    raise ValueError("it shows nothing of the volume")
             except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
                 raise DataError(
                     file, f"not a scene of {codec.name} ({error})", "Save the model again"

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from datasets.errors import DataError
 from datasets.volume import Volume
+from methods.interface import Refused
 from methods.volume.codecs import Codec, Grid
 
 SUFFIX = ".volume"
@@ -158,7 +159,7 @@ def read(data: bytes, codec: Codec, what: str) -> StoredVolume:
         bound = float(header["bound"])
         if min(nz, ny, nx) < 2 or not (min(x, y, z) > 0.0 and math.isfinite(x + y + z) and low < high):
             raise ValueError("no grid")
-        values = codec.restore(stream, (nz, ny, nx))
+        values = _restored(codec, stream, (nz, ny, nx))
         mask = None
         if packed:
             bits = np.frombuffer(zlib.decompress(packed), np.uint8)
@@ -174,6 +175,21 @@ def read(data: bytes, codec: Codec, what: str) -> StoredVolume:
         raise DataError(what, f"not a volume compressed by {codec.name} ({error})", _ANEW) from error
     parts = {"volume": len(stream), "mask": len(packed)} if packed else {"volume": len(stream)}
     return StoredVolume(volume, data, bound, {**parts, "header": len(data) - sum(parts.values())})
+
+
+def _restored(codec: Codec, stream: bytes, shape: tuple[int, ...]) -> Grid:
+    """The values of a compressor's stream.
+
+    Raises:
+        Refused: the compressor is not installed.
+        ValueError: the stream is damaged.
+    """
+    try:
+        return codec.restore(stream, shape)
+    except Refused:
+        raise
+    except Exception as error:  # libraries raise what they like for damaged data
+        raise ValueError(f"its stream is damaged ({type(error).__name__}: {error})") from error
 
 
 def _sections(data: bytes) -> tuple[dict[str, Any], bytes, bytes]:

@@ -7,10 +7,13 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from bench.plan import Planner
@@ -20,6 +23,7 @@ from bench.store import Store
 from bench.suites import load_suite
 from bench.tables import build_tables
 from datasets.camera import Camera
+from reports.schema import COLUMNS
 
 PACKAGES = Path(inspect.getfile(Planner)).resolve().parents[1]
 """Folder of the package that these tests import: the installed one, with its native core, or a checkout."""
@@ -68,12 +72,15 @@ def measured(psnr: float, primitives: int, views: tuple[ViewResult, ...] = ()) -
 
 @pytest.fixture(scope="session")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(tmp_path_factory.mktemp("data") / "tiny")
+
+
+def write_dataset(root: Path) -> Path:
     """Three scenes of 12 training and 4 test views, 8 x 8 pixels."""
     from datasets.cloud import random_cloud
     from datasets.png import write_png
     from tests.datasets.views_folder import write_ply, write_transforms
 
-    root = tmp_path_factory.mktemp("data") / "tiny"
     rng = np.random.default_rng(1)
     for scene in ("a", "b", "c"):
         color = rng.random(3).astype(np.float32)
@@ -101,6 +108,55 @@ def _camera(index: int, count: int, name: str) -> Camera:
     return Camera.with_fov(matrix, 0.6, SIZE, SIZE, name)
 
 
+def workers(process: subprocess.Popen) -> list[psutil.Process]:
+    """Those of a run: interpreters of their own, and forks of the server."""
+    try:
+        children = psutil.Process(process.pid).children()
+        forks = [
+            fork for child in children if "bench.processes" in child.cmdline() for fork in child.children()
+        ]
+        return [child for child in children if "bench.worker" in child.cmdline()] + forks
+    except psutil.Error:
+        return []
+
+
+def runs(process: psutil.Process) -> bool:
+    """Whether a process is alive; a zombie only waits for whoever adopted it."""
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def wait_for(condition: Callable[[], object], seconds: float = 120.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "did not happen in time"
+        time.sleep(0.02)
+
+
+def plain_tables(store: Path) -> dict[str, str]:
+    """The tables without what depends on the machine, its speed and the program's commit."""
+    apart = {"processor", "fit_processor", "threads", "timing", "commit"}
+    apart |= {
+        name
+        for name, one in COLUMNS.items()
+        if one.unit in ("s", "ms", "FPS")
+        or name.endswith(("host_bytes", "device_bytes"))
+        or name.startswith("ms_")
+    }
+    return {
+        name: table.drop(columns=[column for column in table if column in apart]).to_csv()
+        for name, table in build_tables(Store(store), write=False).items()
+    }
+
+
+def attempts(store: Path) -> int:
+    """How often any job of a store began."""
+    files = store.glob("jobs/*/progress.jsonl")
+    return sum(file.read_text().count('"waiting": false') for file in files)
+
+
 class Bench:
     """Runs ``bench`` in processes of their own, against one store."""
 
@@ -108,6 +164,7 @@ class Bench:
         self.store = folder / "runs"
         self.dataset = dataset
         self.plugins = PLUGINS
+        self.patience = PATIENCE
         self.environment = {
             **os.environ,
             "PYTHONPATH": os.pathsep.join(filter(None, [str(PACKAGES), os.environ.get("PYTHONPATH")])),
@@ -130,8 +187,8 @@ class Bench:
             arguments += ["--scene", scene]
         return self.command(*arguments, "--plugins", self.plugins, "--out", self.store, *more)
 
-    def __call__(self, *arguments: object, code: int = 0) -> subprocess.CompletedProcess[str]:
-        """A command, which must end with an exit code."""
+    def __call__(self, *arguments: object, code: int | None = 0) -> subprocess.CompletedProcess[str]:
+        """A command, which must end with an exit code; None: with any."""
         return self._finish(self.command(*arguments), code)
 
     def run(
@@ -166,12 +223,12 @@ class Bench:
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding="utf-8",
         )  # fmt: skip
 
-    def _finish(self, command: list[str], code: int) -> subprocess.CompletedProcess[str]:
+    def _finish(self, command: list[str], code: int | None) -> subprocess.CompletedProcess[str]:
         done = subprocess.run(
             command, env=self.environment, cwd=self.store.parent, capture_output=True, encoding="utf-8",
-            timeout=PATIENCE, check=False,
+            timeout=self.patience, check=False,
         )  # fmt: skip
-        assert done.returncode == code, done.stdout + done.stderr
+        assert code in (done.returncode, None), done.stdout + done.stderr
         return done
 
     def tables(self) -> dict:

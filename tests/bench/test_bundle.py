@@ -20,6 +20,7 @@ from bench.records import Task
 from bench.store import Store
 from bench.tables import stored_tables
 from datasets.errors import DataError
+from datasets.seals import sealed, unsealed
 
 from .conftest import suite_file
 
@@ -172,9 +173,9 @@ def with_record(kind, change):
 
     def changed(files):
         name = first(files, f"jobs/{kind}-", "record.json")
-        record = json.loads(files[name])
+        record = json.loads(unsealed(files[name].decode()))
         change(record)
-        files[name] = json.dumps(record).encode()
+        files[name] = sealed(json.dumps(record)).encode()
         resigned(files)
 
     return changed

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import io
+import os
 import re
 import subprocess
 import sys
@@ -187,6 +189,17 @@ def test_folders_that_cannot_be_written_are_one_line(tmp_path, monkeypatch, caps
         main([*render, "--out", inside, "--debug"])
     _refusal(["run", "quick", "--out", inside], capsys, "cannot be written (Not a directory)")
     _refusal(["run", "quick", "--out", str(tmp_path)], capsys, "neither empty nor a run store")
+
+
+def test_a_machine_without_locks_is_one_line(tmp_path, monkeypatch, capsys) -> None:
+    def lost(*_) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setenv("BENCH_LOCKS", str(tmp_path / "locks"))
+    monkeypatch.setattr("fcntl.flock", lost)
+    words = f"{tmp_path / 'locks'}: has no locks for this machine's timing (No locks available). Set"
+    _refusal(["run", "quick", "--out", str(tmp_path / "runs")], capsys, words)
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_torn_record_is_one_line_wherever_it_is_met(finished, tmp_path, monkeypatch, capsys) -> None:

@@ -13,12 +13,9 @@ import psutil
 import pytest
 
 from bench.experiment import _executor
-from bench.store import Store
-from bench.tables import build_tables
 from datasets.errors import DataError
-from reports.schema import COLUMNS
 
-from .conftest import PATIENCE, Bench, suite_file
+from .conftest import PATIENCE, Bench, attempts, plain_tables, suite_file
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are pinned to cores on Linux only")
@@ -42,12 +39,6 @@ def _done(bench: Bench) -> int:
     return len(list(bench.store.glob("jobs/*/record.json")))
 
 
-def _attempts(bench: Bench) -> int:
-    """How often any job began."""
-    files = bench.store.glob("jobs/*/progress.jsonl")
-    return sum(file.read_text().count('"waiting": false') for file in files)
-
-
 def _at_work(process: subprocess.Popen) -> list[psutil.Process]:
     """Dask's workers that run a job now."""
     found = []
@@ -59,20 +50,6 @@ def _at_work(process: subprocess.Popen) -> list[psutil.Process]:
                     if forks or "bench.worker" in grandchild.cmdline():
                         found.append(child)
     return found
-
-
-def _tables(bench: Bench) -> dict[str, str]:
-    """The tables without what depends on the machine and its speed."""
-    apart = {"processor", "fit_processor", "threads", "timing"}
-    apart |= {
-        name
-        for name, one in COLUMNS.items()
-        if one.unit in ("s", "ms", "FPS") or name.endswith(("host_bytes", "device_bytes"))
-    }
-    return {
-        name: table.drop(columns=[column for column in table if column in apart]).to_csv()
-        for name, table in build_tables(Store(bench.store), write=False).items()
-    }
 
 
 @pytest.fixture(scope="module")
@@ -126,10 +103,10 @@ def test_a_sweep_with_a_worker_killed_and_one_that_hangs_ends_as_a_local_run(
     assert process.returncode == 1, output
 
     assert len(local.records()) == 57
-    assert _tables(bench) == _tables(local)
+    assert plain_tables(bench.store) == plain_tables(local.store)
     assert not list((bench.store / "partial").iterdir())
     assert not list((bench.store / "locks").glob("*-*"))
-    assert _attempts(local) <= _attempts(bench) <= _attempts(local) + 2
+    assert attempts(local.store) <= attempts(bench.store) <= attempts(local.store) + 2
 
 
 def test_what_workers_write_after_a_run_has_died_counts(bench, cluster, tmp_path) -> None:
@@ -145,7 +122,7 @@ def test_what_workers_write_after_a_run_has_died_counts(bench, cluster, tmp_path
     assert "] fit" not in again.stderr
     assert "] measure" in again.stderr
     assert all(record.ok for record in bench.records().values())
-    assert _attempts(bench) == 4
+    assert attempts(bench.store) == 4
 
 
 def test_ctrl_c_checkpoints_on_the_workers_and_any_executor_resumes(bench, cluster, tmp_path) -> None:

@@ -9,12 +9,11 @@ import subprocess
 import time
 from pathlib import Path
 
-import psutil
 import pytest
 
 from bench.store import Store, read_record
 
-from .conftest import Bench
+from .conftest import Bench, runs, wait_for, workers
 
 METHODS = ("fake", "fake-torch")
 """Without torch, in an interpreter of its own, and with it, forked."""
@@ -28,33 +27,6 @@ def _records_are_whole(store: Path) -> int:
         read_record(file)
     assert not [f for f in store.glob("jobs/*") if not (f / "record.json").is_file()]
     return len(files)
-
-
-def _wait_for(condition, seconds: float = 120.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "did not happen in time"
-        time.sleep(0.02)
-
-
-def _workers(process: subprocess.Popen) -> list[psutil.Process]:
-    """Interpreters of their own, and forks of the server."""
-    try:
-        children = psutil.Process(process.pid).children()
-        forks = [
-            fork for child in children if "bench.processes" in child.cmdline() for fork in child.children()
-        ]
-        return [child for child in children if "bench.worker" in child.cmdline()] + forks
-    except psutil.Error:
-        return []
-
-
-def _runs(process: psutil.Process) -> bool:
-    """Whether a process is alive; a zombie only waits for whoever adopted it."""
-    try:
-        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
 
 
 def _models(store: Path) -> dict[str, bytes]:
@@ -77,7 +49,7 @@ class Hold:
     def start(self, bench) -> subprocess.Popen:
         """A run, once its fit stands still."""
         process = bench.start(*self.options, method=self.method)
-        _wait_for(lambda: _held(bench.store))
+        wait_for(lambda: _held(bench.store))
         return process
 
     def let_go(self) -> None:
@@ -125,10 +97,10 @@ def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> Non
 
 def test_killing_the_executor_stops_its_worker(bench, hold, undisturbed) -> None:
     process = hold.start(bench)
-    (worker,) = _workers(process)
+    (worker,) = workers(process)
     process.kill()
     process.communicate(timeout=120)
-    _wait_for(lambda: not _runs(worker))
+    wait_for(lambda: not runs(worker))
     _records_are_whole(bench.store)
     hold.let_go()
     hold.run(bench)
@@ -144,11 +116,11 @@ def test_killing_a_worker_or_its_server_is_a_failure_that_retry_resumes(
     bench, hold, undisturbed, victim
 ) -> None:
     process = hold.start(bench)
-    (worker,) = _workers(process)
+    (worker,) = workers(process)
     (worker if victim == "worker" else worker.parent()).kill()
     process.communicate(timeout=120)
     assert process.returncode == 1
-    _wait_for(lambda: not _runs(worker))
+    wait_for(lambda: not runs(worker))
     (fit,) = bench.of_kind("fit")
     assert (fit.status, fit.reason) == ("failed", "killed by signal 9 (SIGKILL)")
     hold.let_go()
@@ -165,7 +137,7 @@ def test_kill_9_at_random_moments(bench, undisturbed, seed: int) -> None:
     for _ in range(4):
         process = bench.start(*SLOW, "--retry")
         time.sleep(rng.uniform(0.3, 4.0))
-        victims = [process.pid, *(worker.pid for worker in _workers(process))]
+        victims = [process.pid, *(worker.pid for worker in workers(process))]
         rng.shuffle(victims)
         for victim in victims[: rng.choice([1, 2])]:
             try:

@@ -92,6 +92,16 @@ def test_a_holder_that_is_stopped_keeps_it_until_it_expires(folder, holder) -> N
     assert not Lease(folder).is_held
 
 
+def test_a_file_that_is_no_token_keeps_nobody_out_for_longer_than_a_lease(folder) -> None:
+    folder.mkdir(parents=True)
+    (folder / "stray").touch()
+    assert Lease(folder).is_held
+    _age(folder, 2 * EXPIRY)
+    with Lease(folder).acquire(timeout=0):
+        assert not (folder / "stray").exists()
+    assert not folder.exists()
+
+
 def test_an_expired_lease_of_another_machine_is_taken_over_once(folder, monkeypatch) -> None:
     folder.parent.mkdir()
     lost = _elsewhere(Lease(folder), monkeypatch)

@@ -4,18 +4,33 @@ from __future__ import annotations
 
 import math
 import mmap
+import subprocess
 import sys
+import time
 import zipfile
 from collections import defaultdict
 from pathlib import Path
+from types import SimpleNamespace
 
 import psutil
 import pytest
 
 from bench.estimates import Past
-from bench.limits import LEAST_SECONDS, OFF, SHARE, TIMES, Limits, available_memory, time_reason, used_memory
+from bench.limits import (
+    LEAST_SECONDS,
+    OFF,
+    SHARE,
+    TIMES,
+    Limit,
+    Limits,
+    available_memory,
+    time_reason,
+    used_memory,
+)
 from bench.migration import migrated
 from bench.records import Record
+from bench.runner import Runner
+from bench.store import Store
 from methods.registry import Registry
 
 from .conftest import plan
@@ -84,6 +99,35 @@ def test_views_from_the_cache_say_nothing_of_views_that_must_be_rendered(suite) 
     past = Past([])
     past.add(Shelf(), _record(views, 0.01))
     assert Limits().time(views, past, None).amount >= 8 * 3600
+
+
+def test_looks_at_memory_go_on_while_the_machine_is_busy(suite, tmp_path, monkeypatch) -> None:
+    """Looks that wait 50 ms for a processor each, of which the sixth finds too much."""
+    looks = []
+
+    def slow(pid: int, limit: float) -> int:
+        looks.append(pid)
+        time.sleep(0.05)
+        return 200 if len(looks) > 5 else 0
+
+    def wait(timeout: float | None = None) -> int:
+        if timeout is None:
+            return -9
+        time.sleep(0.01)
+        raise subprocess.TimeoutExpired("worker", timeout)
+
+    job = next(job for job in plan(suite()) if job.kind == "fit")
+    store = Store(tmp_path / "runs", create=True)
+    (store.partial / job.id).mkdir()
+    monkeypatch.setattr("bench.runner.used_memory", slow)
+    monkeypatch.setattr("bench.runner.end_session", lambda pid: None)
+    runner = Runner(
+        store, None, Limit(100, "here"), plugins=(), threads=1, stops=lambda: 0, show=lambda job, state: None
+    )
+    start = time.monotonic()
+    _, verdict = runner._watch(SimpleNamespace(pid=1, poll=lambda: None, wait=wait), job, Limit(60.0, "here"))
+    assert verdict[0] == "oom"
+    assert time.monotonic() - start < 5.0  # by the clock, five pauses of 2.5 s
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="no fork here")

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from bench.checkpoints import VERSION, read_checkpoint, write_checkpoint
+from bench.checkpoints import VERSION, Damaged, read_checkpoint, write_checkpoint
 from bench.monitor import FitMonitor, Stop, Stopped
 from bench.timing import time_frames
 from datasets.errors import DataError
@@ -158,12 +158,54 @@ def test_a_half_written_checkpoint_is_not_read(tmp_path) -> None:
     assert read_checkpoint(tmp_path)[0].iteration == 9
 
 
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("checkpoint.json", b"0.25", b"0.75"),
+        ("checkpoint.json", b'"iteration": 7', b'"iteration": 8'),
+        ("arrays.safetensors", b"\0\0\x80\x3f", b"\0\0\x80\x40"),
+        ("arrays.safetensors", None, None),
+    ],
+)
+def test_after_a_damaged_checkpoint_a_fit_begins_anew_and_no_model_is_made_of_it(
+    tmp_path, capsys, name, old, new
+) -> None:
+    import torch
+
+    folder = tmp_path / "checkpoint"
+    write_checkpoint(folder, Checkpoint(7, {"a": torch.ones(3)}, {"loss": 0.25}), {})
+    (file,) = folder.glob(f"*/{name}")
+    if old is None:
+        file.unlink()
+    else:
+        assert old in file.read_bytes()
+        file.write_bytes(file.read_bytes().replace(old, new, 1))
+    with pytest.raises(Damaged, match=f"{file.parent}: .* damaged .* Delete {tmp_path}, and bench run"):
+        read_checkpoint(folder)
+    assert _monitor(tmp_path).resume() is None
+    assert "the fit begins anew" in capsys.readouterr().out
+    assert not folder.exists()
+
+
+def test_a_checkpoint_from_before_the_checksum_is_read(tmp_path) -> None:
+    import torch
+
+    write_checkpoint(tmp_path, Checkpoint(7, {"a": torch.ones(3)}, {}), {"seconds": 1.5})
+    (file,) = tmp_path.glob("*/checkpoint.json")
+    meta = json.loads(file.read_text())
+    del meta["crc32"], meta["arrays"]
+    file.write_text(json.dumps(meta))
+    checkpoint, harness = read_checkpoint(tmp_path)
+    assert (checkpoint.arrays["a"].tolist(), harness) == ([1.0] * 3, {"seconds": 1.5})
+
+
 @pytest.mark.parametrize("version", [None, VERSION - 1])
 def test_a_checkpoint_of_an_earlier_version_is_refused(tmp_path, version) -> None:
     write_checkpoint(tmp_path / "checkpoint", Checkpoint(7, {}, {}), {})
     (file,) = tmp_path.glob("checkpoint/*/checkpoint.json")
     meta = json.loads(file.read_text())
     assert meta.pop("version") == VERSION
+    meta.pop("crc32")
     file.write_text(json.dumps(meta if version is None else {**meta, "version": version}))
     with pytest.raises(DataError, match="an earlier version wrote this checkpoint"):
         _monitor(tmp_path).resume()

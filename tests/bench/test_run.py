@@ -129,6 +129,7 @@ def test_failures_are_rows_and_the_rest_goes_on(bench, method) -> None:
         ("mute", (), "failed", "Mute: an exception without text (fake.py:"),
         ("escape", (), "refused", r"\x1b[2Jgone\x07 \u202eout of order"),
         ("exit", (), "failed", "exit code 3"),
+        ("busy", (), "failed", "exit code 76"),
         ("no-checkpoint", (), "failed", "without a checkpoint"),
         ("sleep", ("--time-limit", "3"), "timeout", "time limit of 3 s"),
         ("hog", ("--memory-limit", "400M"), "oom", "of 400 MiB"),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +15,7 @@ import pytest
 from bench.comparison import compared
 from bench.records import EncodeResult, Job, Record, Request, derived_seed, hash_of
 from bench.store import Store
-from bench.tables import share, stored_tables
+from bench.tables import build_tables, share, stored_tables
 from datasets.errors import DataError
 from methods.interface import check_ledger
 from reports.schema import frame, joined, read_tables
@@ -52,6 +54,19 @@ def test_a_record_survives_its_file(store) -> None:
     assert not list(store.partial.iterdir())
 
 
+def test_a_number_that_changed_in_a_record_is_damage_and_an_old_record_is_read(store) -> None:
+    record = _record()
+    store.finish(record)
+    path = store.jobs / record.job.id / "record.json"
+    text = path.read_text()
+    changed = text.replace('"wall_seconds": 1', '"wall_seconds": 7')
+    assert changed != text
+    path.write_text(changed)
+    assert Store(store.root).record(record.job.id) is None
+    path.write_text(record.model_dump_json(indent=1))  # as it was before there was a checksum
+    assert Store(store.root).record(record.job.id) == record
+
+
 def test_a_damaged_record_blocks_nothing_and_is_kept(store, capsys) -> None:
     from bench.__main__ import main
 
@@ -79,6 +94,20 @@ def test_a_damaged_record_blocks_nothing_and_is_kept(store, capsys) -> None:
     assert "1 records are whole, 1 were set aside" in capsys.readouterr().out
     assert list(Store(store.root).records()) == [whole]
     assert len(list((store.root / "damaged").iterdir())) == 2
+
+
+def test_a_disk_that_fills_while_tables_are_written_leaves_no_half_of_one(store, monkeypatch) -> None:
+    store.finish(_record())
+    (store.tables / ".results.0123").write_text("of a process that was killed")
+
+    def full(table, path, **_) -> None:
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("pandas.DataFrame.to_parquet", full)
+    with pytest.raises(OSError, match="No space"):
+        build_tables(store)
+    assert not list(store.tables.iterdir())
 
 
 def test_a_store_of_another_schema_is_refused(store) -> None:

@@ -88,7 +88,10 @@ def _stored(folder: Path) -> ViewSet:
 
 
 @pytest.mark.parametrize("name", ["views.json", "test.zst"])
-@pytest.mark.parametrize("damage", [lambda data: data[:-9], lambda data: b"", None])
+@pytest.mark.parametrize(
+    "damage",
+    [lambda data: data[:-9], lambda data: b"", lambda data: data[:-9] + b"3" + data[-8:], None],
+)
 def test_damaged_truth_is_an_error_that_names_the_file(tmp_path, name, damage) -> None:
     _stored(tmp_path)
     file = tmp_path / name
@@ -98,6 +101,16 @@ def test_damaged_truth_is_an_error_that_names_the_file(tmp_path, name, damage) -
         file.write_bytes(damage(file.read_bytes()))
     with pytest.raises(DataError, match=f"{name}.*bench run makes it again"):
         Truth(tmp_path).views("test")
+
+
+def test_a_cloud_that_cannot_be_unpacked_is_an_error_that_names_the_file(tmp_path) -> None:
+    _stored(tmp_path)
+    file = tmp_path / "cloud.npz"
+    np.savez_compressed(file, points=np.random.default_rng(0).random(1000))
+    data = file.read_bytes()
+    file.write_bytes(data[:100] + 200 * b"\xff" + data[300:])
+    with pytest.raises(DataError, match=r"cloud.npz.*bench run makes it again"):
+        Truth(tmp_path).cloud(10, 1)
 
 
 def test_a_method_that_reads_volumes_refuses_scenes_that_have_only_views():

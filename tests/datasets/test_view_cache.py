@@ -52,7 +52,7 @@ FLIP = partial(damage, kind="flip", at=0.5, value=2)
 @pytest.mark.parametrize(
     ("name", "spoil"),
     [("images.zst", each) for each in (CUT, FLIP, Path.unlink, EMPTY)]
-    + [("entry.json", each) for each in (CUT, Path.unlink, EMPTY)],
+    + [("entry.json", each) for each in (CUT, FLIP, Path.unlink, EMPTY)],
 )
 def test_damaged_entries_are_removed_and_made_again(cache, name, spoil):
     cache.put("a", images(), RECORD)

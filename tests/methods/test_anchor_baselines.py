@@ -9,8 +9,10 @@ import torch
 
 from datasets.errors import DataError
 from econgs.anchors.direct import ColorDecoders
+from methods.gaussian_splatting.ply import properties, read_ply, write_ply
 from methods.hac.training import Trainer as HacTrainer
 from methods.interface import EstimatesBytes, Refused
+from methods.scaffold_gs.model import parts_of
 from methods.scaffold_gs.schedule import Schedule
 from methods.scaffold_gs.training import Trainer as ScaffoldTrainer
 from tests.methods.conftest import Fits
@@ -50,6 +52,17 @@ def test_a_fit_approaches_views_that_it_never_saw(kind, tiny, scene, fitted):
     assert recorder.stages == kind.stages
     assert len(recorder.losses) == BUDGET
     assert model.primitives() == model.primitives("tiny") > 0
+
+
+def test_attributes_that_overflow_when_they_are_decoded_are_refused(tmp_path, tiny, scene):
+    fit = KINDS["scaffold-gs"].fit
+    fit(scene, tiny.Recorder(), 4).save(tmp_path)
+    (file,), parts = tmp_path.glob("*.ply"), parts_of(SMALL["features"], SMALL["offsets"])
+    rows = read_ply(file, parts)
+    rows[0, properties(parts).index("f_anchor_feat_3")] = 1e30
+    write_ply(file, rows, parts)
+    with pytest.raises(DataError, match=r"tiny.ply: holds an attribute of more than 1e\+06"):
+        fit.method.load(tmp_path, "cpu")
 
 
 def test_a_model_of_another_method_is_refused(tmp_path, tiny, scene):

@@ -11,6 +11,7 @@ from datasets.errors import DataError
 from datasets.scene import Light
 from econgs.anchors.colors import offset_colors
 from methods.econgs.memory import group_bytes
+from methods.econgs.model import Group
 from methods.econgs.spec import EcongsOptions
 from methods.econgs.training import Trainer
 from methods.interface import Edit, HasAttributes, Refused, SceneInput
@@ -234,6 +235,20 @@ def test_storage(tiny, scene, tmp_path, storage):
     assert max(recorder.counts) > min(recorder.counts)  # it grew or pruned
     with pytest.raises(DataError, match="storage"):
         options(storage="half")
+
+
+def test_what_cannot_be_drawn_is_refused_with_the_name_of_its_file(tiny, scene):
+    coded = fit(scene, tiny.Recorder(), 4).groups[0].coded
+    for name in ("storage", "offset_color"):
+        metadata = {**coded.metadata, "decoders": {**coded.metadata["decoders"], name: "no such"}}
+        with pytest.raises(DataError, match=r"^0.econgs: its networks .*'no such'"):
+            Group(replace(coded, metadata=metadata), "cpu", "0.econgs")
+    scenes = tuple(replace(one, scalings=-one.scalings) for one in coded.scenes)
+    with pytest.raises(DataError, match=r"^0.econgs: .*a scaling that is negative"):
+        Group(replace(coded, scenes=scenes), "cpu", "0.econgs")
+    decoders = {name: 1e30 * np.sign(one) for name, one in coded.decoders.items()}
+    with pytest.raises(DataError, match=r"^0.econgs: .*a weight of more than 1e\+06"):
+        Group(replace(coded, decoders=decoders), "cpu", "0.econgs")
 
 
 def test_a_minibatch_of_every_scene(tiny, scene):

@@ -124,6 +124,8 @@ def unsealed(data):
         (lambda data: data.replace(b"vertex 3", b"vertex -3"), "unexpected header line"),
         (lambda data: data.replace(b"vertex 3", b"vertex " + b"9" * 5000), "unexpected header line"),
         (lambda data: unsealed(data[:-16] + bytes(16)), "a rotation that is zero"),
+        (lambda data: unsealed(data[:-16] + 4 * b"\1\0\0\0"), "a rotation that is zero"),  # 1e-45
+        (lambda data: unsealed(data[:-16] + 4 * b"\0\0\0\x7f"), "or too long"),  # 1.7e38
         (
             lambda data: unsealed(data[:-20] + np.float32(89.0).tobytes() + data[-16:]),
             "exponential is infinite",

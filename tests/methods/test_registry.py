@@ -138,12 +138,42 @@ def test_a_plugin_hidden_by_another_module_is_refused(folder):
             "not of its type",
         ),
         ({"extra": "import no_such_module_here\n"}, "no_such_module_here"),
+        ({"extra": "import sys\nsys.exit(0)\n"}, "SystemExit"),
+        *(
+            ({"extra": f"{AGAIN}SPEC = replace(SPEC, {field}={value})\n"}, f"{field} is ")
+            for field, value in (
+                ("name", None),
+                ("version", 1),
+                ("title", 3),
+                ("joint", 2),
+                ("source", "'toy'"),
+                ("devices", "()"),
+                ("devices", "'cpu'"),
+                ("devices", "('tpu',)"),
+                ("edits", "{'color'}"),
+                ("iterations", None),
+                ("iterations", "{'quick': '1', 'standard': 2, 'paper': 3}"),
+                ("presets", 3),
+                ("rate_knobs", "(3,)"),
+                ("configurations", "{'fair': 1}"),
+            )
+        ),
     ],
 )
 def test_a_spec_that_is_wrong_says_so(folder, arguments, reason):
     write(folder, "toy_wrong", **arguments)
     with pytest.raises(DataError, match=reason):
         Registry([folder])
+
+
+def test_who_is_lenient_loses_the_methods_of_a_lost_folder_alone(folder):
+    there, lost = folder / "there", folder / "lost"
+    there.mkdir()
+    write(there, "toy_there")
+    found = Registry([lost, there], lenient=True)
+    assert found.spec("toy").name == "toy"
+    with pytest.raises(DataError, match=f"{lost}: not a folder"):
+        found.spec("another")
 
 
 def test_missing_and_empty_folders(folder):

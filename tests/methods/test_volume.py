@@ -1,7 +1,9 @@
 """The volume itself, compressed: streams against official libraries, pictures against the ground truth."""
 
 import hashlib
+import json
 import sys
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +20,7 @@ from datasets.transfer import Bump, TransferFunction
 from datasets.view_cache import ViewCache
 from datasets.views import ViewRequest
 from datasets.volume import Volume
-from methods.contract.checks import Recorder
+from methods.contract.checks import Recorder, Subject
 from methods.interface import Budget, Refused, SceneInput
 from methods.options import resolve
 from methods.registry import Registry, load_method
@@ -161,6 +163,34 @@ def test_every_damaged_byte_is_found():
             read(bytes(broken), Zfp(), "there")
     with pytest.raises(DataError, match="compressed by zfp, not by sz3"):
         read(data, Sz3(), "there")
+
+
+@pytest.mark.parametrize("codec", [Sz3(), Zfp()], ids=lambda codec: codec.name)
+def test_damage_with_the_checksum_made_again_is_refused_or_a_volume(codec):
+    data = Samples.of(volume("v", 5)).stored(codec, 0.01).data
+    refused = 0
+    for place in range(0, len(data) - 4, 5):
+        broken = bytearray(data)
+        broken[place] ^= 0x10
+        broken[-4:] = zlib.crc32(broken[:-4]).to_bytes(4, "little")
+        try:
+            read(bytes(broken), codec, "there")
+        except DataError:
+            refused += 1
+    assert refused
+
+
+def test_a_scene_that_shows_nothing_is_refused(tmp_path):
+    spec = Registry().spec("zfp")
+    subject = Subject(spec, load_method(spec), tmp_path)
+    folder, _ = subject.saved(subject.first()[0], "model")
+    (file,) = folder.glob("*.json")
+    about = json.loads(file.read_text())
+    del about["crc32"], about["scene"]["transfer"]
+    check = zlib.crc32(json.dumps(about, separators=(",", ":")).encode())
+    file.write_text(json.dumps({**about, "crc32": check}, separators=(",", ":")))
+    with pytest.raises(DataError, match="it shows nothing of the volume"):
+        subject.method.load(folder, "cpu")
 
 
 # --------------------------------------------------------------------------- pictures

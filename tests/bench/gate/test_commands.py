@@ -15,6 +15,7 @@ import pytest
 from bench.gate.audit import audit
 from bench.gate.baseline import read
 from datasets.errors import DataError
+from datasets.seals import sealed, unsealed
 from tests.bench.conftest import PATIENCE, Bench
 
 SEEDS = ("--seed", 0, "--seed", 1, "--seed", 2)
@@ -44,9 +45,9 @@ def gate(first: Path, bench: Bench, tmp_path: Path) -> Bench:
 def change(store: Path, kind: str, edit) -> None:
     """Edit the records of a kind."""
     for path in (store / "jobs").glob(f"{kind}-*/record.json"):
-        record = json.loads(path.read_text())
+        record = json.loads(unsealed(path.read_text()))
         edit(record)
-        path.write_text(json.dumps(record))
+        path.write_text(sealed(json.dumps(record)))
 
 
 def test_a_baseline_is_small_readable_and_the_same_every_time(gate: Bench, tmp_path: Path) -> None:

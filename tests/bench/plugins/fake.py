@@ -21,7 +21,7 @@ from methods.interface import Checkpoint, Diverged, MethodSpec, RateKnob, Refuse
 
 Behaviour = Literal[
     "good", "refuse", "diverge", "nan", "raise", "abort", "exit", "hog", "sleep", "ledger", "no-checkpoint",
-    "hold", "apart", "child", "child-abort", "thread", "hang", "mute", "escape", "parent",
+    "hold", "apart", "child", "child-abort", "thread", "hang", "mute", "escape", "parent", "busy",
 ]  # fmt: skip
 
 
@@ -190,6 +190,8 @@ def _misbehave(behaviour: str, loss: float) -> float:
         os.abort()
     if behaviour == "exit":
         os._exit(3)
+    if behaviour == "busy":
+        os._exit(76)  # as a worker whose job another process has
     if behaviour == "hog":
         hoard = []
         while True:
