@@ -17,6 +17,7 @@ from datasets import scratch
 from datasets.errors import DataError
 from datasets.readers import read_volume
 from datasets.scratch import is_mapped, new_array, picked
+from tests.datasets.marching import mitsuba, volume
 
 # Renders a volume in memory and in a file; prints what each adds to the anonymous memory, and whether the
 # pictures agree.
@@ -150,3 +151,11 @@ def test_a_mapped_volume_renders_the_same_with_little_anonymous_memory(tmp_path,
     assert same
     assert much > grid
     assert little < 0.7 * n**3 * 4
+
+
+def test_a_grid_beyond_the_marcher_s_indices_is_an_error_before_it_takes_memory():
+    mitsuba(volume(np.zeros((4, 4, 4))))  # sets its variant
+    from datasets.ground_truth.field import Field
+
+    with pytest.raises(DataError, match=r"1024 x 1024 x 2048.*2147483648 values"):
+        Field(iter(()), (2048, 1024, 1024))
