@@ -44,9 +44,8 @@ LADDERS: dict[str, list[dict[str, Any]]] = {
     "gaussians": [{"count": 4**k * 1000, "size": 200} for k in range(5)],
     "pixels": [{"count": 50_000, "size": size} for size in (64, 128, 256, 512, 1024)],
     "views": [
-        {"way": way, "views": views, "size": size}
-        for views, size in ((42, 400), (12, 800))
-        for way in ("memory", "file", "disk")
+        *({"way": way, "views": 42, "size": 400} for way in ("memory", "file", "disk")),
+        {"way": "memory", "views": 12, "size": 800},
     ],
     "scenes": [{"scenes": scenes} for scenes in (1, 4, 9, 24, 41)],
     "iterations": [
