@@ -422,7 +422,7 @@ def print_views(rungs: Sequence[dict[str, Any]], results: Sequence[Parts]) -> No
             rung["way"],
             f"{1e3 * part['iteration']:.1f}",
             mib(part["peak"]),
-            f"{part['read'] / STEPS / 2**20:.1f}",
+            mib(part["read"]),
             "same bits" if same else "DIFFER",
         )
 
