@@ -14,6 +14,7 @@ from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.png import read_png
 from datasets.scene import BasicScene
+from datasets.scratch import new_array
 from datasets.views import ViewRequest, ViewSet, evenly_spaced, split_indices
 
 _log = logging.getLogger(__name__)
@@ -36,7 +37,7 @@ def load_views(scene: BasicScene, request: ViewRequest) -> ViewSet:
     path, selection = _selection(scene, request)
     digest = hashlib.sha256(repr((request.width, request.height, scene.background)).encode())
     cameras: list[Camera] = []
-    images = np.empty((len(selection), request.height, request.width, 4), dtype=np.float32)
+    images = new_array((len(selection), request.height, request.width, 4), np.float32)
     opaque = 0
     for row, (camera, file) in enumerate(selection):
         image = read_png(file)

@@ -33,6 +33,7 @@ from datasets.ground_truth.model import (
 from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
 from datasets.names import unknown
 from datasets.scene import RGB, BasicScene, Dataset, Frame
+from datasets.scratch import picked
 from datasets.view_cache import CachedViews, ViewCache
 from datasets.views import ViewRequest, ViewSet, split_indices
 from datasets.volume import Volume
@@ -89,7 +90,7 @@ def views_of(
         return ViewSet(work.cameras, views.images, background, work.key, views.record)
     cameras = tuple(work.cameras[i] for i in work.places)
     key = f"{work.key}-{request.split}"
-    return ViewSet(cameras, views.images[work.places], background, key, views.record)
+    return ViewSet(cameras, picked(views.images, work.places), background, key, views.record)
 
 
 def cameras_of(dataset: Dataset, scene_name: str, request: ViewRequest) -> tuple[Camera, ...]:
@@ -170,12 +171,14 @@ def volume_digest(volume: Volume) -> str:
     if volume not in _digests:
         about = (volume.values.shape, volume.values.dtype.str, volume.spacing, volume.value_range)
         digest = hashlib.sha256(repr(about).encode())
-        digest.update(np.ascontiguousarray(volume.values).data)
+        for part in volume.values:
+            digest.update(np.ascontiguousarray(part).data)
         for name in ("mask", "vertices", "vertex_values"):
             array = getattr(volume, name)
             if array is not None:
                 digest.update(f"{name} {array.shape} {array.dtype.str}".encode())
-                digest.update(np.ascontiguousarray(array).data)
+                for part in array:
+                    digest.update(np.ascontiguousarray(part).data)
         _digests[volume] = digest.hexdigest()
     return _digests[volume]
 

@@ -22,21 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
+from datasets.scratch import cache_root, new_array
 from datasets.seals import sealed, unsealed
 from datasets.view_files import INDEX, read_views, rounded, write_views
 
 DEFAULT_MAX_BYTES = 20 * 2**30
 _SCHEMA = 1
 _ABANDONED_AFTER = 3600.0  # seconds without a change: its writer is dead
-
-
-def cache_root() -> Path:
-    """The folder of all that can be made again: ``BENCH_CACHE``, or the user's cache folder."""
-    if folder := os.environ.get("BENCH_CACHE"):
-        return Path(folder).expanduser()
-    from platformdirs import user_cache_path
-
-    return user_cache_path("econgs-bench", appauthor=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +78,7 @@ class ViewCache:
         Raises:
             DataError: the folder cannot be written.
         """
-        stored = np.empty_like(images)
+        stored = new_array(images.shape, images.dtype)
         for image, place in zip(images, stored, strict=True):
             place[:] = rounded(image)
         aside = self.folder / f".partial-{os.getpid()}-{uuid.uuid4().hex[:8]}"

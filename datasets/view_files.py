@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from datasets.scratch import new_array
 
 _LEVELS = 65535
 _SIXTEEN_BITS = "<u2"
@@ -46,9 +49,15 @@ def write_views(file: Path, images: NDArray[np.float32]) -> dict[str, Any]:
 
 
 def read_views(
-    file: Path, index: Mapping[str, Any], which: Sequence[int] | None = None
+    file: Path, index: Mapping[str, Any], which: Sequence[int] | None = None, together: int = 0
 ) -> NDArray[np.float32]:
-    """Images of a file, all or those of some positions.
+    """Images of a file, all or those of some positions, in a :func:`datasets.scratch.new_array`.
+
+    Args:
+        file: of :func:`write_views`.
+        index: what that gave.
+        which: positions; default: all.
+        together: bytes of all images that are held with these (:func:`images_bytes`).
 
     Raises:
         OSError: the file cannot be read.
@@ -57,24 +66,31 @@ def read_views(
     """
     import pyarrow
 
-    data = file.read_bytes()
-    if hashlib.sha256(data).hexdigest() != index["sha256"]:
-        raise ValueError("checksum")
     codec = pyarrow.Codec("zstd")
     dtype = np.dtype(index.get("dtype", _SIXTEEN_BITS))
     shape = tuple(index["shape"])
     size = int(np.prod(shape[1:])) * dtype.itemsize
     ends = np.cumsum(index["frames"])
     places = range(shape[0]) if which is None else which
-    images = np.empty((len(places), *shape[1:]), dtype=np.float32)
-    for image, place in zip(images, places, strict=True):
-        frame = data[ends[place] - index["frames"][place] : ends[place]]
-        values = np.frombuffer(codec.decompress(frame, size, asbytes=True), dtype).reshape(shape[1:])
-        if dtype.kind == "u":
-            np.divide(values, np.float32(_LEVELS), out=image)
-        else:
-            image[:] = values
+    images = new_array((len(places), *shape[1:]), np.float32, together)
+    with file.open("rb") as stream:
+        if hashlib.file_digest(stream, "sha256").hexdigest() != index["sha256"]:
+            raise ValueError("checksum")
+        for image, place in zip(images, places, strict=True):
+            length = index["frames"][place]
+            stream.seek(int(ends[place]) - length)
+            frame = codec.decompress(stream.read(length), size, asbytes=True)
+            values = np.frombuffer(frame, dtype).reshape(shape[1:])
+            if dtype.kind == "u":
+                np.divide(values, np.float32(_LEVELS), out=image)
+            else:
+                image[:] = values
     return images
+
+
+def images_bytes(index: Mapping[str, Any]) -> int:
+    """Size of all images of a file in memory."""
+    return 4 * math.prod(map(int, index["shape"]))
 
 
 def _levels(images: NDArray[np.float32]) -> NDArray[np.uint16]:

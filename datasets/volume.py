@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from datasets.scratch import new_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +66,9 @@ class Volume:
     def normalised(self) -> NDArray[np.float32]:
         """(nz, ny, nx) float32 values with ``value_range`` mapped to [0, 1] and clipped.
 
-        Works slice by slice, without a second copy; the result starts at a multiple of 64 bytes.
+        Works slice by slice, without a second copy, into a :func:`datasets.scratch.new_array`.
         """
-        result = aligned_empty(self.values.shape, np.float32)
+        result = new_array(self.values.shape, np.float32)
         for values, out in zip(self.values, result, strict=True):
             out[:] = self.normalise(values)
         return result
@@ -82,12 +83,3 @@ class Volume:
             return np.clip(wide, 0.0, 1.0).astype(np.float32)
         scaled = (values.astype(np.float32) - np.float32(low)) / np.float32(high - low)
         return np.clip(scaled, 0.0, 1.0, out=scaled)
-
-
-def aligned_empty(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-    """A new array at an address that is a multiple of 64 bytes."""
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    room = np.empty(size + 64, dtype=np.uint8)
-    start = -room.ctypes.data % 64
-    array: NDArray[Any] = room[start : start + size].view(dtype).reshape(shape)
-    return array

@@ -28,7 +28,8 @@ def run(context: Context) -> FitResult:
     refuse_without_volume(context.spec, scenes)
     read_volumes(context.spec, scenes)
     assert job.iterations is not None
-    views = {scene.name: _curve_views(context, scene.name) for scene in scenes}
+    together = sum(scene.train.images.nbytes for scene in scenes)
+    views = {scene.name: _curve_views(context, scene.name, together) for scene in scenes}
     monitor = FitMonitor(context.folder / "checkpoint", job.iterations, views, context.report, context.stop)
     resume = monitor.resume()
     before = reference_seconds()
@@ -63,10 +64,10 @@ def run(context: Context) -> FitResult:
     )
 
 
-def _curve_views(context: Context, scene: str) -> ViewSet:
-    """A few of the views that are measured on, evenly spaced."""
+def _curve_views(context: Context, scene: str, together: int) -> ViewSet:
+    """A few of the views that are measured on, evenly spaced; held with training views of that many bytes."""
     truth, split = context.truth(scene), context.job.split
-    views = truth.views(split, evenly_spaced(len(truth.cameras(split)), CURVE_VIEWS))
+    views = truth.views(split, evenly_spaced(len(truth.cameras(split)), CURVE_VIEWS), together)
     return views_in_units(views, stress_of(context.job.stress).get("units", 1.0))
 
 

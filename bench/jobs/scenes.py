@@ -15,6 +15,7 @@ from bench.stress import stress_of
 from datasets.camera import Camera
 from datasets.catalogue import open_dataset
 from datasets.scene import Dataset
+from datasets.scratch import picked
 from datasets.stress import (
     noisy,
     one_sided,
@@ -23,7 +24,7 @@ from datasets.stress import (
     turned,
     with_outliers,
 )
-from datasets.views import ViewSet
+from datasets.views import Split, ViewSet
 from datasets.volume import Volume
 from methods.interface import Refused, SceneInput
 from methods.shared.units import in_units
@@ -34,7 +35,8 @@ def scene_inputs(context: Context) -> list[SceneInput]:
 
     With ``--split val`` the validation views (every tenth training view) are left out of the fit and
     given to the method for its choices. With ``--split test`` the fit uses every training view and
-    the method gets no validation views. The dataset is opened when a method reads the volume itself.
+    the method gets no validation views. Views that together pass :data:`datasets.scratch.LIMIT` lie in a
+    file. The dataset is opened when a method reads the volume itself.
     Stress on the training input (:mod:`bench.stress`) changes training views and cloud, nothing else.
 
     Raises:
@@ -46,13 +48,15 @@ def scene_inputs(context: Context) -> list[SceneInput]:
     units = stress.get("units", 1.0)
     if units != 1.0 and context.spec is not None and context.spec.needs_volume:
         raise Refused(f"{job.method} reads the volume itself, which has no other scene units")
+    splits: tuple[Split, ...] = ("train", "val") if job.split == "val" else ("trainval",)
+    truths = {name: context.truth(name) for name in job.scenes}
+    together = sum(truth.images_bytes(split) for truth in truths.values() for split in splits)
     inputs = []
-    for name in job.scenes:
-        truth = context.truth(name)
+    for name, truth in truths.items():
         scene = truth.scene()
-        train = truth.views("train" if job.split == "val" else "trainval")
+        train = truth.views(splits[0], together=together)
         if job.split == "val":
-            validation = truth.views("val")
+            validation = truth.views("val", together=together)
         else:
             validation = ViewSet((), train.images[:0], train.background, train.key)
         seed = derived_seed("cloud", job.dataset_name, name, job.seed)
@@ -92,7 +96,7 @@ def _stressed(train: ViewSet, stress: Mapping[str, Any], seed: int) -> ViewSet:
 
 
 def _some(views: ViewSet, which: list[int]) -> ViewSet:
-    return replace(views, cameras=tuple(views.cameras[i] for i in which), images=views.images[which])
+    return replace(views, cameras=tuple(views.cameras[i] for i in which), images=picked(views.images, which))
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:

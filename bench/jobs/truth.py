@@ -20,7 +20,7 @@ from bench.store import write_text
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.seals import sealed, unsealed
-from datasets.view_files import read_views, write_views
+from datasets.view_files import images_bytes, read_views, write_views
 from datasets.views import Split, ViewSet
 
 if TYPE_CHECKING:
@@ -77,11 +77,24 @@ class Truth:
         """Cameras of a split, without its pictures."""
         return tuple(_camera_from_json(camera) for camera in self._index["splits"][split]["cameras"])
 
-    def views(self, split: Split, which: Sequence[int] | None = None) -> ViewSet:
-        """Views of a split, all or those at some positions."""
+    def images_bytes(self, split: Split) -> int:
+        """Size of a split's pictures in memory."""
+        return images_bytes(self._index["splits"][split]["pictures"])
+
+    def views(self, split: Split, which: Sequence[int] | None = None, together: int = 0) -> ViewSet:
+        """Views of a split, all or those at some positions.
+
+        Args:
+            split: one that the views job stored.
+            which: positions; default: all.
+            together: bytes of all pictures that are held with these: beyond
+                :data:`datasets.scratch.LIMIT` they lie in a file, and the system reads what is looked at.
+        """
         stored = self._index["splits"][split]
         cameras = self.cameras(split)
-        images = self._read(f"{split}.zst", lambda file: read_views(file, stored["pictures"], which))
+        images = self._read(
+            f"{split}.zst", lambda file: read_views(file, stored["pictures"], which, together)
+        )
         if which is not None:
             cameras = tuple(cameras[place] for place in which)
         return ViewSet(cameras, images, tuple(stored["background"]), stored["key"])

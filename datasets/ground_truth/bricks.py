@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,20 +14,36 @@ BRICK = 4
 
 
 class Bricks:
-    """Value ranges of the bricks of a field, computed once per volume.
+    """Value ranges of the bricks of a field, found once per volume while its slices :meth:`pass <passing>`.
 
     Brick b along an axis covers grid indices [4 b, 4 b + 4]; its range includes one more voxel on either
     side, so that rounding at a border never hides a visible sample.
 
     Args:
-        values: (nz, ny, nx) normalised to [0, 1].
-        mask: (nz, ny, nx) bool, True for valid values; None: all are valid.
+        shape: nz, ny, nx of the field.
+        mask: bool of that shape, True for valid values; None: all are valid.
+
+    Attributes:
+        low, high: float32 least and greatest normalised value of each brick (z, y, x).
     """
 
-    def __init__(self, values: NDArray[np.float32], mask: NDArray[np.bool_] | None = None) -> None:
-        self.low = _blockwise(values, np.minimum)
-        self.high = _blockwise(values, np.maximum)
-        self._outside = None if mask is None else ~_blockwise(mask, np.logical_or)
+    def __init__(self, shape: tuple[int, ...], mask: NDArray[np.bool_] | None = None) -> None:
+        counts = tuple(max(1, -(-(n - 1) // BRICK)) for n in shape)
+        self.low = np.full(counts, np.inf, dtype=np.float32)
+        self.high = np.full(counts, -np.inf, dtype=np.float32)
+        self._outside = None
+        if mask is not None:
+            valid = np.zeros(counts, dtype=bool)
+            for z, plane in enumerate(mask):
+                _add(valid, z, plane, np.logical_or)
+            self._outside = ~valid
+
+    def passing(self, slices: Iterable[NDArray[np.float32]]) -> Iterator[NDArray[np.float32]]:
+        """The same (ny, nx) slices of normalised values, z by z; their ranges are taken on the way."""
+        for z, values in enumerate(slices):
+            _add(self.low, z, values, np.minimum)
+            _add(self.high, z, values, np.maximum)
+            yield values
 
     def empty(self, extinction: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Mask of the bricks that are invisible under a transfer function.
@@ -40,11 +56,14 @@ class Bricks:
         """
         size = len(extinction)
         visible_below = np.concatenate([[0], np.cumsum(extinction > 0.0)])
-        first = np.floor(self.low * np.float64(size - 1)).astype(np.int64)
-        last = np.minimum(np.ceil(self.high * np.float64(size - 1)).astype(np.int64), size - 1)
-        # One more entry on either side: look-ups run in float32.
-        first, last = np.maximum(first - 1, 0), np.minimum(last + 1, size - 1)
-        return self._or_outside(visible_below[last + 1] == visible_below[first])
+        empty = np.empty(self.low.shape, dtype=bool)
+        for low, high, out in zip(self.low, self.high, empty, strict=True):
+            first = np.floor(low * np.float64(size - 1)).astype(np.int64)
+            last = np.minimum(np.ceil(high * np.float64(size - 1)).astype(np.int64), size - 1)
+            # One more entry on either side: look-ups run in float32.
+            first, last = np.maximum(first - 1, 0), np.minimum(last + 1, size - 1)
+            out[:] = visible_below[last + 1] == visible_below[first]
+        return self._or_outside(empty)
 
     def uncrossed(self, levels: Iterable[float]) -> NDArray[np.bool_]:
         """Mask of the bricks that hold none of these levels."""
@@ -68,19 +87,18 @@ def leaps(empty: NDArray[np.bool_]) -> NDArray[np.int32]:
     return np.asarray(distance_transform_cdt(empty, metric="chessboard"), dtype=np.int32)
 
 
-def _blockwise(values: NDArray[Any], pick: np.ufunc) -> NDArray[Any]:
-    """Reduction over each brick and one more voxel on either side."""
-    for axis in range(3):
-        n = values.shape[axis]
-        bricks = max(1, -(-(n - 1) // BRICK))
-        shape = values.shape[:axis] + (bricks,) + values.shape[axis + 1 :]
-        reduced = np.empty(shape, values.dtype)
-        source, target = np.moveaxis(values, axis, 0), np.moveaxis(reduced, axis, 0)
-        for b in range(bricks):
-            # Pairs of slices keep the walk along memory; a reduction over a strided axis does not.
-            first, *rest = range(max(b * BRICK - 1, 0), min((b + 1) * BRICK + 2, n))
-            target[b] = source[first]
-            for i in rest:
-                pick(target[b], source[i], out=target[b])
-        values = reduced
-    return values
+def _add(bricks: NDArray[Any], z: int, plane: NDArray[Any], pick: np.ufunc) -> None:
+    """Reduce a slice into the bricks that hold it, or have it as their one more voxel."""
+    reduced = _reduced(_reduced(plane, pick, 0), pick, 1)
+    for brick in bricks[max(0, (z - 2) // BRICK) : (z + 1) // BRICK + 1]:
+        pick(brick, reduced, out=brick)
+
+
+def _reduced(values: NDArray[Any], pick: np.ufunc, axis: int) -> NDArray[Any]:
+    """Reduction of (., .) over each brick along an axis and one more voxel on either side."""
+    n = values.shape[axis]
+    starts = BRICK * np.arange(max(1, -(-(n - 1) // BRICK)))
+    result: NDArray[Any] = np.take(values, np.maximum(starts - 1, 0), axis)
+    for offset in range(BRICK + 2):
+        pick(result, np.take(values, np.minimum(starts + offset, n - 1), axis), out=result)
+    return result

@@ -5,6 +5,7 @@ select stands for min and max throughout: LLVM 15 and 16 fail to compile Dr.Jit'
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -13,7 +14,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.volume import aligned_empty
+from datasets.errors import DataError
+from datasets.scratch import new_array
+
+MOST_VALUES = 2**31 - 1
+"""Values of a grid that Dr.Jit's 32-bit indices reach in pairs."""
 
 
 class Field:
@@ -26,6 +31,10 @@ class Field:
         slices: (ny, nx) values for each z.
         shape: nz, ny, nx.
         mask: bool array of that shape, or None.
+        together: bytes of all fields of a scene, by :meth:`bytes_of`.
+
+    Raises:
+        DataError: it has more than :data:`MOST_VALUES` values, or lies in a file for which there is no room.
 
     Attributes:
         values: (nz, ny, nx) view of the values.
@@ -36,8 +45,14 @@ class Field:
         slices: Iterable[NDArray[np.float32]],
         shape: tuple[int, ...],
         mask: NDArray[np.bool_] | None = None,
+        together: int = 0,
     ) -> None:
-        pairs = aligned_empty((*shape, 2), np.float32)
+        if (count := math.prod(shape)) > MOST_VALUES:
+            size = " x ".join(str(n) for n in reversed(shape))
+            raise DataError(
+                f"a grid of {size}", f"{count} values are more than {MOST_VALUES}", "Subsample the volume"
+            )
+        pairs = new_array((*shape, 2), np.float32, together)
         for values, out in zip(slices, pairs, strict=True):
             out[..., 0] = values
             out[:, :-1, 1] = values[:, 1:]
@@ -51,6 +66,11 @@ class Field:
             self.dims[0],
             dr.opaque(mi.Int32, shape[2] * shape[1]),
         ]
+
+    @staticmethod
+    def bytes_of(shape: tuple[int, ...]) -> int:
+        """Size of a field of (nz, ny, nx) values."""
+        return math.prod(shape) * 8
 
     def cell(self, at: Any) -> Cell:
         """The cell around a position in grid indices."""
@@ -151,6 +171,6 @@ def aligned(array: NDArray[Any]) -> NDArray[Any]:
     """
     if array.ctypes.data % 64 == 0 and array.flags.c_contiguous:
         return array.reshape(-1)
-    flat = aligned_empty((array.size,), array.dtype)
+    flat = new_array((array.size,), array.dtype)
     flat[:] = array.ravel()
     return flat

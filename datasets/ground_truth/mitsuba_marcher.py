@@ -22,6 +22,7 @@ from datasets.ground_truth.field import Field, aligned
 from datasets.ground_truth.kernel import SceneData, march
 from datasets.ground_truth.model import Draw, Layer, Marcher, MarchSettings, Progress, index_transform
 from datasets.ground_truth.occlusion import bake
+from datasets.scratch import new_array
 from datasets.volume import Volume
 
 _RAYS_PER_LAUNCH = 2**20
@@ -53,11 +54,12 @@ class MitsubaMarcher(Marcher):
         super().__init__(volume, settings)
         self._leap = leap
         self._bricks, self._fields = [], []
+        together = sum(Field.bytes_of(each.values.shape) for each in self._volumes)
         for each in self._volumes:
-            slices = (each.normalise(values) for values in each.values)
-            field = Field(slices, each.values.shape, each.mask)
-            self._fields.append(field)
-            self._bricks.append(Bricks(field.values, each.mask))
+            bricks = Bricks(each.values.shape, each.mask)
+            slices = bricks.passing(each.normalise(values) for values in each.values)
+            self._fields.append(Field(slices, each.values.shape, each.mask, together))
+            self._bricks.append(bricks)
         first = self._volumes[0]
         self._scale, self._offset = index_transform(first)
         self._half = 0.5 * first.extent
@@ -71,7 +73,7 @@ class MitsubaMarcher(Marcher):
     ) -> NDArray[np.float32]:
         """Views of a scene; several small ones share a launch."""
         width, height = cameras[0].width, cameras[0].height
-        images = np.empty((len(cameras), height, width, 4), dtype=np.float32)
+        images = new_array((len(cameras), height, width, 4), np.float32)
         batch = max(1, _RAYS_PER_LAUNCH // (width * height))
         for start in range(0, len(cameras), batch):
             part = cameras[start : start + batch]

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Literal
 
 from datasets.errors import DataError
-from datasets.view_cache import cache_root
+from datasets.scratch import cache_root
 
 REMEDY = (
     "Install LLVM 17 or newer (Debian, Ubuntu: apt-get install libllvm19; macOS: brew install llvm), or set "

@@ -26,6 +26,7 @@ from datasets.ground_truth.model import (
 )
 from datasets.ground_truth.occlusion import bake
 from datasets.scene import Light
+from datasets.scratch import new_array
 from datasets.volume import Volume
 
 _SAMPLES_AT_ONCE = {"cpu": 2**20, "cuda": 2**24}
@@ -95,12 +96,12 @@ class ReferenceMarcher(Marcher):
         scene = self._scene(layers)
 
         def draw(cameras: tuple[Camera, ...], progress: Progress | None = None) -> NDArray[np.float32]:
-            images = []
+            images = new_array((len(cameras), cameras[0].height, cameras[0].width, 4), np.float32)
             for done, camera in enumerate(cameras, start=1):
-                images.append(self._image(camera, scene).to("cpu", torch.float32).numpy())
+                images[done - 1] = self._image(camera, scene).to("cpu", torch.float32).numpy()
                 if progress:
                     progress(done, len(cameras))
-            return np.stack(images)
+            return images
 
         return draw
 

@@ -21,6 +21,7 @@ from datasets.errors import DataError
 from datasets.readers.axes import place
 from datasets.readers.container import Array, Container
 from datasets.readers.fields import Choice, Field, Variable, scalar
+from datasets.scratch import converted, new_array
 
 _TIME = ("time", "t", "times", "step", "time_step")
 _DEFAULT_FILL = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "i4": -2147483647}
@@ -110,14 +111,19 @@ class Arrays:
         if kind in ("f2", "f4"):  # as in the file
             with np.errstate(over="ignore"):
                 fills = [float(np.dtype(kind).type(fill)) for fill in fills]
-        mask = np.ones(values.shape, dtype=bool)
-        for part, valid in zip(values, mask, strict=True):
+        mask: NDArray[np.bool_] | None = None
+        for k, part in enumerate(values):
+            valid = ~((part < low) | (part > high))
             if self._missing and values.dtype.kind == "f":
                 valid &= ~np.isnan(part)
             for fill in fills:
                 valid &= part != fill
-            valid &= ~((part < low) | (part > high))
-        return None if mask.all() else mask
+            if mask is None and not valid.all():
+                mask = new_array(values.shape, bool)
+                mask[:k] = True
+            if mask is not None:
+                mask[k] = valid
+        return mask
 
     def _axes(self, array: Array, components: int) -> list[NDArray[Any] | None]:
         """Positions along x, y, z; None for an axis without coordinates."""
@@ -167,7 +173,7 @@ def _unpacked(values: NDArray[Any], array: Array) -> NDArray[Any]:
     offset = (_numbers(array.attributes.get("add_offset")) or [0.0])[0]
     if scale == 1.0 and offset == 0.0:
         return values
-    out: NDArray[Any] = values.astype(np.float32 if values.dtype.itemsize <= 2 else np.float64)
+    out = converted(values, np.float32 if values.dtype.itemsize <= 2 else np.float64)
     out *= scale
     out += offset
     return out

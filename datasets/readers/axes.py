@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from datasets.errors import DataError
 from datasets.readers.fields import Field
 from datasets.readers.finish import value_range
+from datasets.scratch import converted, new_array
 
 CAP = 512
 """Maximum number of samples of a resampled axis (its own number if that is larger)."""
@@ -48,7 +49,7 @@ def place(
     bounds = None
     if mask is not None and not mask.all():
         bounds = value_range(values, path, mask)
-        values = values.astype(values.dtype.newbyteorder("="))
+        values = converted(values, values.dtype.newbyteorder("="))
         fill_outside(values, mask, bounds[0])
     else:
         mask = None
@@ -106,7 +107,7 @@ def resample(values: NDArray[np.generic], fractions: dict[int, NDArray[np.float6
     """Linear interpolation at fractional indices along some axes of (nz, ny, nx), slice by slice."""
     kind = np.float64 if values.dtype.itemsize > 4 else np.float32
     shape = [len(fractions[a]) if a in fractions else n for a, n in enumerate(values.shape)]
-    out = np.empty(shape, kind)
+    out = new_array(shape, kind)
     within = {a: _weights(f, values.shape[a], kind) for a, f in fractions.items()}
     for k in range(shape[0]):
         if 0 in within:
@@ -137,7 +138,7 @@ def fill_outside(values: NDArray[np.generic], mask: NDArray[np.bool_], rest: flo
     """
     for part, valid in zip(values, mask, strict=True):
         part[~valid] = rest
-    reached = mask.copy()
+    reached = converted(mask, bool)
     for _ in range(2):
         for axis in range(3):
             here, ahead = _neighbours(axis)

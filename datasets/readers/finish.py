@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
+from datasets.scratch import converted, new_array
 
 Spacing = tuple[float, float, float]
 UNIT: Spacing = (1.0, 1.0, 1.0)
@@ -43,7 +44,7 @@ def checked_grid(values: NDArray[np.generic], spacing: Spacing, path: Path | str
         remedy = "Convert it to an integer or floating type of at most 64 bits"
         raise DataError(path, f"values of type {values.dtype} are no scalar field", remedy)
     if not values.dtype.isnative:
-        values = values.astype(values.dtype.newbyteorder("="))
+        values = converted(values, values.dtype.newbyteorder("="))
     return values
 
 
@@ -136,7 +137,7 @@ def read_values(
         with path.open("rb") as file:
             file.seek(start)
             data = _gunzip(file, path, size - start, max(skip, 0), dims, dtype)
-        return np.frombuffer(data, dtype).reshape(dims[::-1])
+        return np.asarray(data.view(dtype).reshape(dims[::-1]))
     offset = size - expected if skip == -1 else start + max(skip, 0)
     if offset < start or offset + expected != size:
         raise wrong_size(path, expected, f"{size - max(offset, start)} bytes", dims, dtype.name)
@@ -145,23 +146,23 @@ def read_values(
 
 def _gunzip(
     file: BinaryIO, path: Path, compressed: int, skip: int, dims: tuple[int, ...], dtype: np.dtype
-) -> bytearray:
+) -> NDArray[np.uint8]:
     """Decompress a gzip stream to exactly the bytes that dims and type need."""
     expected = math.prod(dims) * dtype.itemsize
     check_expansion(path, compressed, expected, dims, dtype.name)
-    data = bytearray()
+    data, filled = new_array((expected,), np.uint8), 0
     try:
         with gzip.GzipFile(fileobj=file) as stream:
             if skip:
                 stream.read(skip)
-            while len(data) <= expected:
-                chunk = stream.read(min(_CHUNK, expected + 1 - len(data)))
-                if not chunk:
+            while chunk := stream.read(min(_CHUNK, expected + 1 - filled)):
+                filled += len(chunk)
+                if filled > expected:
                     break
-                data += chunk
+                data[filled - len(chunk) : filled] = np.frombuffer(chunk, np.uint8)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise DataError(path, f"its gzip stream is damaged ({error})", "Copy or download it again") from error
-    if len(data) != expected:
-        actual = f"more than {expected} bytes" if len(data) > expected else f"{len(data)} bytes"
+    if filled != expected:
+        actual = f"more than {expected} bytes" if filled > expected else f"{filled} bytes"
         raise wrong_size(path, expected, actual, dims, dtype.name)
     return data

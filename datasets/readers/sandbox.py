@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from datasets.errors import DataError
 from datasets.readers.container import Array
 from datasets.readers.fields import Choice, Field, Variable, scalar
+from datasets.scratch import new_array
 
 PATIENCE = 60.0
 """Seconds without an answer until a file counts as damaged; more for large files."""
@@ -103,7 +104,7 @@ class Sandbox:
                 reason = f"is truncated: {part['name']!r} ends beyond its end"
                 raise DataError(self.path, reason, "Copy it again")
             return np.memmap(self.path, dtype, mode="r", offset=part["offset"], shape=shape)
-        values: NDArray[Any] = np.empty(size, np.uint8)
+        values = new_array((size,), np.uint8)
         view, fill = values.data, 0
         while fill < size:
             fill += self._wait_into(view[fill:])

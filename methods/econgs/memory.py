@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
+from datasets.scratch import is_mapped
 from methods.econgs.spec import EcongsOptions
 from methods.econgs.start import starting_points
 from methods.interface import Refused, SceneInput
@@ -19,9 +20,13 @@ COPIES = 6
 
 
 def group_bytes(group: Sequence[SceneInput], options: EcongsOptions) -> int:
-    """Peak host memory of training a group: its views, its anchors and what belongs to them, one frame."""
+    """Peak host memory of training a group: its views, its anchors and what belongs to them, one frame.
+
+    Views that lie in a file (:mod:`datasets.scratch`) take none.
+    """
     values = options.features + 6 + 3 * options.offsets
-    views = sum(scene.train.images.nbytes + scene.validation.images.nbytes for scene in group)
+    images = [views.images for scene in group for views in (scene.train, scene.validation)]
+    views = sum(one.nbytes for one in images if not is_mapped(one))
     anchors = [_anchors(scene, options) for scene in group]
     parameters = sum(anchors) * values * 4 * COPIES
     # One frame decodes and splats the Gaussians of one scene: about 200 bytes each with their gradients.

@@ -19,6 +19,7 @@ from bench.jobs.truth import Truth, write_truth
 from bench.monitor import Stop
 from bench.records import Record, derived_seed
 from bench.store import Store
+from datasets import scratch
 from datasets.camera import Camera
 from datasets.catalogue import open_dataset
 from datasets.cloud import cloud_source, initial_cloud
@@ -77,6 +78,18 @@ def test_pictures_that_16_bits_do_not_hold_survive_and_some_can_be_read_alone(tm
     np.testing.assert_array_equal(back.images, images)
     assert back.background == (0.1, 0.2, 1 / 3)
     np.testing.assert_array_equal(Truth(tmp_path).views("test", [1, 3]).images, images[[1, 3]])
+
+
+def test_views_of_a_group_beyond_the_limit_lie_in_a_file_with_the_same_values(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
+    images = _stored(tmp_path).images
+    truth = Truth(tmp_path)
+    assert truth.images_bytes("test") == images.nbytes
+    monkeypatch.setattr(scratch, "LIMIT", 3 * images.nbytes)
+    for scenes_of_a_group, in_a_file in ((3, False), (4, True)):
+        found = truth.views("test", together=scenes_of_a_group * truth.images_bytes("test")).images
+        assert scratch.is_mapped(found) == in_a_file
+        np.testing.assert_array_equal(found, images)
 
 
 def _stored(folder: Path) -> ViewSet:

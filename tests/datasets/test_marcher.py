@@ -226,7 +226,9 @@ def test_leaps_never_skip_what_a_brute_force_search_finds_visible():
     values = noise((41, 60, 33), 4.0).astype(np.float32)
     values[:, 26:] *= 0.5  # nothing to see there
     extinction = NARROW.table(4096)[:, 3]
-    leaps = leap_distances(Bricks(values).empty(extinction))
+    bricks = Bricks(values.shape)
+    assert sum(1 for _ in bricks.passing(values)) == len(values)
+    leaps = leap_distances(bricks.empty(extinction))
     z, y, x = (np.arange(0.0, n - 1 + 1e-9, 0.5) for n in values.shape)
     grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)
     from scipy.ndimage import map_coordinates

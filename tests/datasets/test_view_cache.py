@@ -15,7 +15,8 @@ import pytest
 
 from datasets.errors import DataError
 from datasets.png import read_png, write_png
-from datasets.view_cache import ViewCache, cache_root
+from datasets.scratch import cache_root
+from datasets.view_cache import ViewCache
 from datasets.view_files import read_views
 from tests.datasets.damage import damage
 

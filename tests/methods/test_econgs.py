@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from datasets import scratch
 from datasets.errors import DataError
 from datasets.scene import Light
 from econgs.anchors.colors import offset_colors
@@ -158,6 +159,25 @@ def test_near_scenes_share_a_group(tiny, scene):
     assert names == [["tiny", "near"], ["far"]]
     apart = fit.method.partition([scene, near], options(joint=False))
     assert [len(group) for group in apart] == [1, 1]
+
+
+def test_a_group_whose_views_lie_in_a_file_trains_to_the_same_bytes(tiny, scene, tmp_path, monkeypatch):
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
+    group = [scene, tiny.renamed(scene, "other")]
+    monkeypatch.setattr(scratch, "LIMIT", scene.train.images.nbytes - 1)
+    streamed = [
+        replace(one, train=replace(one.train, images=scratch.converted(one.train.images, np.float32)))
+        for one in group
+    ]
+    assert all(scratch.is_mapped(one.train.images) for one in streamed)
+    files = []
+    for name, scenes in (("memory", group), ("file", streamed)):
+        (tmp_path / name).mkdir()
+        fit(scenes, tiny.Recorder(), 40).save(tmp_path / name)
+        files.append({file.name: file.read_bytes() for file in (tmp_path / name).iterdir()})
+    assert files[0] == files[1]
+    views = sum(one.train.images.nbytes for one in group)
+    assert group_bytes(group, options()) - group_bytes(streamed, options()) == views
 
 
 def test_groups_that_do_not_fit_into_memory_are_split_or_refused(tiny, scene):
