@@ -36,7 +36,7 @@ from methods.econgs.start import starting_points
 from methods.interface import Checkpoint, SceneInput
 from methods.shared.anchors import AnchorLoop, Rate
 from methods.shared.coding import coded_context
-from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy
+from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
 
 DECODER_RATES: dict[str, Rate] = {
     "opacity": (2e-3, 2e-5),
@@ -88,7 +88,7 @@ class _Scene:
         stored = decoders.initial_explicit(len(self.anchors), generator)
         self.anchors.initial["features"][:, decoders.features :] = stored.to(device)
         self.palette = torch.from_numpy(color)
-        self.images = torch.from_numpy(source.train.images)
+        self.images = training_images(source.train.images, device)
         self.transparent = are_transparent(self.images)
         light = source.scene.light
         self.light = None if light is None else light.direction

@@ -17,7 +17,14 @@ from methods.gaussian_splatting.model import GaussianModel, SceneGaussians, Spla
 from methods.gaussian_splatting.schedule import Schedule
 from methods.gaussian_splatting.spec import GaussianOptions, HarmonicsOptions
 from methods.interface import Checkpoint, Refused, SceneInput
-from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent, under
+from methods.shared.training import (
+    CHECK_EVERY,
+    TrainingLoop,
+    TrainingState,
+    are_transparent,
+    training_images,
+    under,
+)
 
 PARAMETERS = ("means", "log_scales", "quats", "logits", "sh_dc", "sh_rest")
 LEARNING_RATES = {"log_scales": 5e-3, "quats": 1e-3, "sh_dc": 2.5e-3}
@@ -45,7 +52,7 @@ class HarmonicsTrainer(TrainingLoop):
         self.scene, self.options = scene, options
         self.background = self.chosen_background(scene)
         self.schedule = self._schedule(iterations)
-        self.images = torch.from_numpy(scene.train.images)
+        self.images = training_images(scene.train.images, device)
         self.transparent = are_transparent(self.images)
         parameters, rates = self._start()
         self.optimiser = Adam({name: values.to(device) for name, values in parameters.items()}, rates)

@@ -22,7 +22,7 @@ from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
 from methods.scaffold_gs.spec import ScaffoldOptions
 from methods.shared.anchors import AnchorLoop, Rate, start_cloud
-from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy
+from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
 
 DECODER_RATES: dict[str, Rate] = {"opacity": (2e-3, 2e-5), "covariance": (4e-3, 4e-3), "color": (8e-3, 5e-5)}
 FEATURE_RATE, SCALING_RATE = 7.5e-3, 7e-3
@@ -101,7 +101,7 @@ class Trainer(AnchorLoop):
             options.features, options.offsets, distance=self.distance, generator=self.generator
         ).to(device)
         self.background = self.chosen_background(scene)
-        self.images = torch.from_numpy(scene.train.images)
+        self.images = training_images(scene.train.images, device)
         self.transparent = are_transparent(self.images)
         groups = self.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))

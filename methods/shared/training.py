@@ -333,6 +333,14 @@ def _read(values: Sequence[Tensor | float]) -> list[float]:
     return [next(read) if isinstance(value, Tensor) else value for value in values]
 
 
+def training_images(images: NDArray[np.float32], device: str) -> Tensor:
+    """Views (n, H, W, 4) where iterations take them from: on a GPU, if half of its free memory holds them."""
+    pictures = torch.from_numpy(images)
+    if device.startswith("cuda") and pictures.nbytes <= torch.cuda.mem_get_info(device)[0] // 2:
+        return pictures.to(device)
+    return pictures
+
+
 def are_transparent(images: Tensor) -> bool:
     """Whether some pixel of pictures (n, H, W, 4) is not opaque."""
     return bool((images[..., 3] < 1).any())

@@ -20,7 +20,14 @@ from methods.gaussian_splatting.training import LEARNING_RATES, POSITION_DECAY
 from methods.interface import Checkpoint, Refused, SceneInput
 from methods.ivr_gs.losses import normal_loss, smoothness_loss
 from methods.ivr_gs.training import NORMAL_RATE
-from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent, under
+from methods.shared.training import (
+    CHECK_EVERY,
+    TrainingLoop,
+    TrainingState,
+    are_transparent,
+    training_images,
+    under,
+)
 from methods.veg.appearance import Appearance, scene_as_json, scene_from_json
 from methods.veg.model import (
     Field,
@@ -47,7 +54,7 @@ class _Scene:
     def __init__(self, source: SceneInput, background: RGB | None, options: VegOptions, device: str) -> None:
         self.source, self.background = source, background
         self.look = Appearance.of(source.scene, options.table_size, device)
-        self.images = torch.from_numpy(source.train.images)
+        self.images = training_images(source.train.images, device)
         self.transparent = are_transparent(self.images)
 
 
