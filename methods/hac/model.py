@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, get_args
 from urllib.parse import quote
 
 from datasets.errors import DataError
 from datasets.scene import RGB
 from econgs.anchors.direct import ColorDecoders
-from econgs.context.stream import GroupAttributes, encode_group
+from econgs.context.arrays import Precision
+from econgs.context.stream import Encoded, GroupAttributes, encode_group
 from methods.scaffold_gs.model import AnchorModel, SceneAnchors
 from methods.shared.coding import placed, placed_anchors, stored_networks
 from methods.shared.edits import triple
@@ -38,20 +39,21 @@ class HacModel(AnchorModel):
         super().__init__(_ready(group, device, file, self.method) for group, file in named)
 
     @classmethod
-    def metadata(cls, background: RGB) -> dict[str, Any]:
+    def metadata(cls, background: RGB, precision: Precision) -> dict[str, Any]:
         """Metadata of a stream."""
-        return {"method": cls.method, "background": list(background)}
+        about = {"method": cls.method, "background": list(background)}
+        return about if precision == "float32" else about | {"precision": precision}
 
     def bytes_estimate(self) -> int:
         """Bytes that :meth:`save` would write."""
-        return sum(len(encode_group(group).data) for group in self.groups)
+        return sum(len(_encoded(group).data) for group in self.groups)
 
     def write(self, folder: Path) -> Mapping[str, Mapping[str, int]]:
         """Write the stream of each scene, ``<scene>.hac``; ``rate_weight`` sets its size in training."""
         ledger = {}
         for group in self.groups:
             name = group.scenes[0].name
-            encoded = encode_group(group)
+            encoded = _encoded(group)
             (folder / f"{quote(name, safe=' ')}{self.suffix}").write_bytes(encoded.data)
             ledger[name] = dict(encoded.ledger)
         return ledger
@@ -66,12 +68,19 @@ class HacModel(AnchorModel):
         return cls([group for model in models for group in model.groups], models[0].device)
 
 
+def _encoded(group: GroupAttributes) -> Encoded:
+    """The stream of a scene; without a precision in its metadata, networks are in float32."""
+    return encode_group(group, weights=group.metadata.get("precision", "float32"))
+
+
 def _ready(group: GroupAttributes, device: str, what: str, method: str) -> SceneAnchors:
     """The scene of a group on a device."""
     try:
         (scene,) = group.scenes
         if group.metadata["method"] != method or scene.masks is None:
             raise ValueError("it is of another method")
+        if group.metadata.get("precision", "float32") not in get_args(Precision):
+            raise ValueError("its networks have an unknown precision")
         background = triple(group.metadata["background"])
         decoders = ColorDecoders(scene.features.shape[1], scene.offsets.shape[1], distance=True)
         stored_networks(decoders, group, device)

@@ -22,6 +22,9 @@ class HacOptions(ScaffoldOptions):
     feature_step: float = option(0.4, "quantisation step Q of features (published: 1)", minimum=1e-6)
     scaling_step: float = option(0.001, "quantisation step Q of scalings", minimum=1e-8)
     offset_step: float = option(0.2, "quantisation step Q of offsets", minimum=1e-6)
+    decoder_precision: Literal["float32", "float16", "int8"] = option(
+        "float32", "precision of stored decoder weights"
+    )
 
 
 SPEC = replace(

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from econgs.anchors.anchor_set import MASKS
 from econgs.anchors.coding import Coding, saved_grid
+from econgs.context.arrays import round_arrays
 from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
 from econgs.context.stream import GroupAttributes, SceneAttributes, round_group
@@ -94,13 +95,13 @@ class Trainer(scaffold_gs.Trainer):
         values = raw["features"], raw["log_scalings"].exp(), raw["offsets"]
         features, scalings, offsets = (to_numpy(one)[keep] for one in values)
         coded = Schedule(state.iterations, coding=True).coded(state.iteration)
-        decoders = color_decoders(state, options, distance=True)
+        decoders, precision = color_decoders(state, options, distance=True), options.decoder_precision
         group = GroupAttributes(
             (SceneAttributes(label.name, positions, features, scalings, offsets, masks=masks[keep]),),
             saved_grid(state.arrays) if coded else PositionGrid.lattice(state.scalars["voxel"], positions),
             coded_context(state, cls.context_config(options)) if coded else None,
-            {name: to_numpy(one) for name, one in decoders.state_dict().items()},
-            cls.model_class.metadata(label.background),
+            round_arrays({name: to_numpy(one) for name, one in decoders.state_dict().items()}, precision),
+            cls.model_class.metadata(label.background, precision),
         )
         return cls.model_class([round_group(group)], state.device)
 

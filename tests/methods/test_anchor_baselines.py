@@ -65,6 +65,22 @@ def test_attributes_that_overflow_when_they_are_decoded_are_refused(tmp_path, ti
         fit.method.load(tmp_path, "cpu")
 
 
+def test_networks_of_int8_take_a_quarter_and_are_drawn_as_they_are_stored(tmp_path, tiny, scene):
+    fit, recorder = KINDS["hac"].fit, tiny.Recorder(checkpoint_at=[BUDGET])
+    fit(scene, recorder, BUDGET)
+    pictures, networks = {}, {}
+    for precision in ("float32", "int8"):
+        options = fit.options(decoder_precision=precision)
+        model = fit.method.restore(recorder.checkpoints[BUDGET], options, "cpu")
+        (tmp_path / precision).mkdir()
+        networks[precision] = model.save(tmp_path / precision)["tiny"]["decoders"]
+        loaded = fit.method.load(tmp_path / precision, "cpu")
+        pictures[precision] = model.render(scene.validation.cameras[0])[0]
+        assert torch.equal(loaded.render(scene.validation.cameras[0])[0], pictures[precision])
+    assert networks["int8"] < 0.4 * networks["float32"]  # with names and a scale a row
+    assert 0 < (pictures["int8"] - pictures["float32"]).square().mean() < 1e-4
+
+
 def test_a_model_of_another_method_is_refused(tmp_path, tiny, scene):
     models = [kind.fit(scene, tiny.Recorder(), 5) for kind in KINDS.values()]
     for kind, other in zip(KINDS.values(), reversed(models), strict=True):
