@@ -106,18 +106,21 @@ def apply_masks(decoded: ViewGaussians, masks: Tensor) -> ViewGaussians:
 
     Args:
         decoded: Gaussians of N anchors.
-        masks: (N, K) of 0 and 1.
+        masks: (N, K) of 0 and 1, or bool: without gradient.
     """
-    each = masks.to(decoded.opacities.dtype).reshape(-1)
-    visible = each.detach() > 0.0
+    each = masks.reshape(-1)
+    visible = each if each.dtype == torch.bool else each.detach() > 0.0
     stay = visible.index_select(0, decoded.slots).nonzero()[:, 0]
     slots = decoded.slots.index_select(0, stay)
-    factor = each.index_select(0, slots)
+    scales, opacities = decoded.scales.index_select(0, stay), decoded.opacities.index_select(0, stay)
+    if each.dtype != torch.bool:
+        factor = each.index_select(0, slots)
+        scales, opacities = scales * factor[:, None], opacities * factor
     return ViewGaussians(
         decoded.means.index_select(0, stay),
         decoded.quats.index_select(0, stay),
-        decoded.scales.index_select(0, stay) * factor[:, None],
-        decoded.opacities.index_select(0, stay) * factor,
+        scales,
+        opacities,
         decoded.colors.index_select(0, stay),
         slots,
         decoded.raw_opacities * visible.view(decoded.raw_opacities.shape),

@@ -62,12 +62,15 @@ class AnchorModel(SceneModel[SceneAnchors]):
         """The Gaussians of the anchors in view."""
         factor = opacity_factor(self.method, scene.name, edit)
         rows = visible_anchors(camera, scene.positions, scene.values.scalings).nonzero()[:, 0]
-        decoded = decode_colors(
-            scene.positions[rows], *scene.values.of(rows), scene.decoders, camera.position, opacity=factor
-        )
-        if scene.masks is not None:
-            decoded = apply_masks(decoded, scene.masks[rows])
-        return decoded if len(rows) == len(scene) else replace(decoded, rows=rows)
+        whole = len(rows) == len(scene)  # as usual: nothing is copied
+        positions, values, masks = scene.positions, scene.values, scene.masks
+        if not whole:
+            positions, values = positions[rows], values.of(rows)
+            masks = None if masks is None else masks[rows]
+        decoded = decode_colors(positions, *values, scene.decoders, camera.position, opacity=factor)
+        if masks is not None:
+            decoded = apply_masks(decoded, masks)
+        return decoded if whole else replace(decoded, rows=rows)
 
 
 # --------------------------------------------------------------------------- Scaffold-GS's own folder

@@ -127,6 +127,9 @@ def test_masked_gaussians_are_gone_and_masks_learn_from_the_others():
     for name in ("means", "quats", "scales", "opacities", "colors"):
         assert torch.equal(getattr(some, name), getattr(whole, name)[stay]), name
     assert torch.equal(some.raw_opacities, whole.raw_opacities * hard)
+    drawn = apply_masks(whole, hard > 0)
+    for name in ("means", "quats", "scales", "opacities", "colors", "slots", "raw_opacities"):
+        assert torch.equal(getattr(drawn, name), getattr(some, name)), name
     (some.opacities.sum() + some.scales.sum()).backward()
     expected = torch.zeros(210)
     expected[some.slots] = (some.opacities + some.scales.sum(1)).detach()
