@@ -10,6 +10,7 @@ from econgs.points import neighbour_distances
 from methods.gaussian_splatting.model import SH_REST
 from methods.gaussian_splatting.spec import HarmonicsOptions
 from methods.interface import Refused, SceneInput
+from methods.shared.start import thinned
 
 SH_C0 = 0.28209479177387814
 INITIAL_OPACITY = 0.1
@@ -32,7 +33,8 @@ def first_points(
     points, colors = (
         torch.from_numpy(np.array(one, dtype=np.float32)) for one in (scene.cloud.points, scene.cloud.colors)
     )
-    return points, colors
+    kept = torch.from_numpy(thinned(points.numpy(), options.start_spacing, scene.train.cameras))
+    return points[kept], colors[kept]
 
 
 def first_gaussians(

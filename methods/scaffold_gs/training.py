@@ -22,6 +22,7 @@ from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
 from methods.scaffold_gs.spec import ScaffoldOptions
 from methods.shared.anchors import AnchorLoop, Rate, start_cloud
+from methods.shared.start import thinned
 from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
 
 DECODER_RATES: dict[str, Rate] = {"opacity": (2e-3, 2e-5), "covariance": (4e-3, 4e-3), "color": (8e-3, 5e-5)}
@@ -68,7 +69,10 @@ class Trainer(AnchorLoop):
         super().__init__([scene], iterations, seed, device)
         self.scene, self.options = scene, options
         self.schedule = Schedule(iterations, self.quantised, decay=options.decay)
-        points = torch.from_numpy(np.array(start_cloud(scene, options, seed).points, dtype=np.float32))
+        start = np.array(start_cloud(scene, options, seed).points, dtype=np.float32)
+        if options.start == "cloud":
+            start = start[thinned(start, options.start_spacing, scene.train.cameras)]
+        points = torch.from_numpy(start)
         voxel = options.voxel or median_neighbour_distance(points, 0.01 * scene.extent)
         self.anchors = AnchorSet(
             KEY,

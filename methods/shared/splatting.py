@@ -10,7 +10,7 @@ from methods.shared.schedule import Decay
 
 @dataclass(frozen=True)
 class SplattingOptions:
-    """Filters, which models keep with their files; first scales; decay of learning rates; loss of alpha."""
+    """Filters, which models keep with their files; start; decay of learning rates; loss of alpha."""
 
     low_pass: float = option(
         0.03, "variance of the low-pass filter on projected Gaussians, px²", minimum=0.01, maximum=4.0
@@ -30,6 +30,12 @@ class SplattingOptions:
         minimum=0.0,
         maximum=1.0,
     )
+    start_spacing: float = option(
+        0.0,
+        "the cloud is thinned to one point per cell of this many pixels of the training views; 0 = off",
+        minimum=0.0,
+        maximum=100.0,
+    )
     start_scale: float = option(
         0.6, "first scales of Gaussians, x what is published", minimum=0.01, maximum=10.0
     )
@@ -46,6 +52,7 @@ PUBLISHED: dict[str, OptionValue] = {
     "antialiased": False,
     "smoothing": 0.0,
     "ray_power": 0.0,
+    "start_spacing": 0.0,
     "start_scale": 1.0,
     "decay": "exponential",
     "alpha_weight": 0.0,

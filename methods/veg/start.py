@@ -10,6 +10,7 @@ from torch import Tensor
 
 from econgs.points import neighbour_distances
 from methods.interface import Refused, SceneInput
+from methods.shared.start import thinned
 from methods.veg.field import gradients_at, values_at
 from methods.veg.spec import VegOptions
 
@@ -76,8 +77,12 @@ def _points(
         inside = scene.units * positions[-1].astype(np.float64)
         values.append(values_at(volume, inside))
         gradients.append(gradients_at(volume, inside))
-    _, first = np.unique(np.concatenate(positions), axis=0, return_index=True)
+    joined = np.concatenate(positions)
+    _, first = np.unique(joined, axis=0, return_index=True)
     first.sort()
+    if options.start == "cloud":
+        cameras = [camera for scene in group for camera in scene.train.cameras]
+        first = first[thinned(joined[first], options.start_spacing, cameras)]
     one, two, three = (
         torch.from_numpy(np.concatenate(parts)[first]).float() for parts in (positions, values, gradients)
     )

@@ -16,9 +16,10 @@ from methods.econgs.control import RateControl
 from methods.econgs.model import EcongsModel
 from methods.econgs.rent import some_views, who_stays
 from methods.econgs.schedule import Schedule
-from methods.econgs.start import one_per_cell, starting_points
+from methods.econgs.start import starting_points
 from methods.econgs.training import Trainer, growth_threshold
 from methods.interface import Refused
+from methods.shared.start import first_of_cells
 from tests.methods.conftest import Fits
 
 options = Fits("econgs", features=16, hidden=24, embedding=8, offsets=4, voxel=0.01).options
@@ -200,7 +201,7 @@ def test_rounded_weights_are_written_as_the_same_bytes_again(precision):
     st.floats(0.01, 1.0),
 )
 def test_a_cell_keeps_its_first_point(points, side):
-    kept = one_per_cell(points, side)
+    kept = points[first_of_cells(points, side)]
     cells = np.floor(points.astype(np.float64) / side).astype(int).tolist()
     first = [point for i, point in enumerate(points) if cells[i] not in cells[:i]]
     np.testing.assert_array_equal(kept, first)
