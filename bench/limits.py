@@ -131,8 +131,10 @@ def _held(pid: int) -> int | None:
     """Bytes of a process that are neither another's nor a file's; None where the system does not say."""
     try:
         lines = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines()[1:]
+    except ProcessLookupError:  # it has ended, and waits for its parent to look
+        return 0
     except OSError:
-        return None
+        return None if Path(f"/proc/{pid}").exists() else 0
     sizes = {name: int(rest.split()[0]) * 1024 for name, _, rest in (line.partition(":") for line in lines)}
     names = ("Pss_Anon", "Pss_Shmem", "SwapPss")
     return sum(sizes[name] for name in names) if all(name in sizes for name in names) else None

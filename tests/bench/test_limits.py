@@ -140,7 +140,11 @@ def test_pages_of_files_are_no_memory_of_a_job(tmp_path) -> None:
         process = psutil.Process()
         resident = process.memory_info().rss
         assert used_memory(process.pid, OFF) == pytest.approx(resident, rel=0.1)
+        child = subprocess.Popen([sys.executable, "-c", ""])
+        while psutil.Process(child.pid).status() != psutil.STATUS_ZOMBIE:  # ended, nobody has waited for it
+            time.sleep(0.01)
         held = used_memory(process.pid, 0)
+        child.wait()
         assert held <= resident - 2**26
         lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
         counts = [int(line.split()[1]) for line in lines if line.startswith(("RssAnon", "RssShmem"))]
