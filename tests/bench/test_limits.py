@@ -31,6 +31,7 @@ from bench.migration import migrated
 from bench.records import Record
 from bench.runner import Runner
 from bench.store import Store
+from datasets.seals import unsealed
 from methods.registry import Registry
 
 from .conftest import plan
@@ -43,7 +44,8 @@ BUSY = 8.0
 def _records(bundle: Path) -> list[Record]:
     with zipfile.ZipFile(bundle) as archive:
         names = [name for name in archive.namelist() if name.endswith("record.json")]
-        return [migrated(Record.model_validate_json(archive.read(name))) for name in names]
+        texts = [unsealed(archive.read(name).decode()) for name in names]
+        return [migrated(Record.model_validate_json(text)) for text in texts]
 
 
 class Shelf:

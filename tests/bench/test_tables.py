@@ -11,6 +11,7 @@ import pytest
 from bench.migration import migrated
 from bench.records import SCHEMA, PruningResult, Record
 from bench.tables import stored_tables
+from datasets.seals import unsealed
 from methods.gaussian_splatting.spec import SPEC
 from methods.interface import RateKnob, option
 from methods.options import label, resolve
@@ -69,7 +70,8 @@ def test_records_of_the_former_schema_have_their_settings(path):
     """Every label follows from the migrated settings, and every rate curve's knob is among them."""
     with zipfile.ZipFile(path) as archive:
         names = [name for name in archive.namelist() if name.startswith("jobs/fit-")]
-        records = [Record.model_validate_json(archive.read(name)) for name in names]
+        texts = [unsealed(archive.read(name).decode()) for name in names]
+        records = [Record.model_validate_json(text) for text in texts]
     for record in records:
         job = migrated(record).job
         assert label(job.overrides) == record.job.variant
