@@ -192,6 +192,7 @@ _FIELDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     **dict.fromkeys(("name", "title", "reference", "version", "implementation", "uses_alpha"), _TEXT),
     **dict.fromkeys(("joint", "composable", "needs_volume"), _TRUTH),
     "source": ("a tuple of names of modules", _all(str)),
+    "tunable": ("a tuple of names of options", _all(str)),
     "devices": (
         "a tuple of cpu and cuda, or one of them",
         lambda value: isinstance(value, tuple) and value != () and {*value} <= {"cpu", "cuda"},

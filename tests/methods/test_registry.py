@@ -156,6 +156,8 @@ def test_a_plugin_hidden_by_another_module_is_refused(folder):
                 ("presets", 3),
                 ("rate_knobs", "(3,)"),
                 ("configurations", "{'fair': 1}"),
+                ("tunable", "3"),
+                ("tunable", "'size'"),
             )
         ),
     ],
