@@ -150,13 +150,12 @@ def front(points: ArrayLike) -> list[int]:
     Args:
         points: (n, 2) size and PSNR.
     """
-    table = np.asarray(points, dtype=np.float64)
-    best, chosen = -math.inf, []
-    for place in np.lexsort((-table[:, 1], table[:, 0])):
-        if table[place, 1] > best:
-            best = table[place, 1]
-            chosen.append(int(place))
-    return chosen
+    from reports.charts.data import pareto
+
+    places: dict[tuple[float, float], int] = {}
+    for place, (size, psnr) in enumerate(np.asarray(points, dtype=np.float64).tolist()):
+        places.setdefault((size, psnr), place)
+    return [places[point] for point in pareto(places, -1)]
 
 
 # --------------------------------------------------------------------------- search space

@@ -6,7 +6,7 @@ import sys
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bench.display import make_display, span
 from bench.estimates import Estimate, Past
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 def run(options: Namespace) -> int:
     """Run the jobs of a suite and its selectors, then print the results and write the report."""
     from bench.experiment import execute
-    from bench.limits import Limits
     from bench.tables import build_tables, stored_tables
     from reports.schema import joined
 
@@ -33,11 +32,7 @@ def run(options: Namespace) -> int:
         Path(options.out),
         options.plugins,
         make_display(),
-        retry=options.retry,
-        limits=Limits(options.time_limit, options.memory_limit),
-        executor=options.executor,
-        scheduler=options.scheduler,
-        workers=options.workers,
+        **execution(options),
     )
     store, planner, outcome = done.store, done.planner, done.outcome
     versions = planner.registry.versions
@@ -67,6 +62,19 @@ def run(options: Namespace) -> int:
                 print_answers(contents)
             print(f"report: {page}")
     return _verdict(outcome, store)
+
+
+def execution(options: Namespace) -> dict[str, Any]:
+    """How jobs are run, as :func:`bench.experiment.execute` takes it."""
+    from bench.limits import Limits
+
+    return {
+        "retry": options.retry,
+        "limits": Limits(options.time_limit, options.memory_limit),
+        "executor": options.executor,
+        "scheduler": options.scheduler,
+        "workers": options.workers,
+    }
 
 
 def _verdict(outcome: Outcome, store: Store) -> int:

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from bench.commands.results import print_grid
+from bench.commands.run import execution
 from bench.store import Store
 from bench.tune import Study, Trial, Trials, command, front, importances, means, objective_of, studies
 from datasets.errors import DataError
@@ -25,7 +26,6 @@ def tune(options: Namespace) -> int:
 def _run(options: Namespace) -> int:
     from bench.display import make_display
     from bench.experiment import execute
-    from bench.limits import Limits
     from bench.selection import Selection
     from bench.suites import load_suite
     from bench.tables import build_tables
@@ -45,11 +45,7 @@ def _run(options: Namespace) -> int:
         Path(options.out),
         options.plugins,
         make_display(),
-        retry=options.retry,
-        limits=Limits(options.time_limit, options.memory_limit),
-        executor=options.executor,
-        scheduler=options.scheduler,
-        workers=options.workers,
+        **execution(options),
         plan=partial(
             Trials,
             objective=objective_of(options.objective),
