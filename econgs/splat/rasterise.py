@@ -23,8 +23,6 @@ from econgs.splat.low_pass import LINEAGE, LowPass
 from econgs.splat.splats import Splats
 
 BACKENDS = ("native", "gsplat", "torch")
-
-
 _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 
@@ -86,7 +84,7 @@ def rasterise(
         tensors["screen_offset"] = screen_offset
     _check_shapes(tensors)
     _check_camera(camera)
-    checked = not _trusted.get()
+    checked = not values_trusted()
     if low_pass.smoothing:
         if checked:
             _refuse_negative(scales)  # which squares hide
