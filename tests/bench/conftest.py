@@ -33,7 +33,7 @@ PATIENCE = 300.0
 """Seconds that nothing on a busy machine takes; only a hang does."""
 
 
-SMALL = """"argon_bubble_like@32" = []
+PRESET = """
 [presets.quick]
 train_views = 12
 test_views = 4
@@ -41,6 +41,7 @@ width = 16
 height = 16
 prerendered_limit = 16
 """
+SMALL = f'"argon_bubble_like@32" = []{PRESET}'
 
 
 def suite_file(folder: Path, datasets: str, more: str = "") -> str:

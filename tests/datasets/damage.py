@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,18 @@ from datasets.volume import Volume
 PROPERTY = settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
+KINDS = ("cut", "flip", "number", "set", "insert")
+"""Ways to damage a file."""
 _NUMBERS = (b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"9999", b"\0\0\0\0")
+
+
+@dataclass
+class Outcome:
+    """Counts of what readings of damaged files came to, the slowest one, and what must not be."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    faults: list[str] = field(default_factory=list)
+    slowest: float = 0.0
 
 
 def array(dtype: str = "float32", shape: tuple[int, ...] = (4, 5, 6), seed: int = 0) -> np.ndarray:
@@ -45,7 +58,7 @@ def check_damage(
 
 
 def damage(path: Path, kind: str, at: float, value: int) -> None:
-    """Damage a file at a share of its length."""
+    """Damage a file in one of :data:`KINDS`, at a share of its length."""
     data = bytearray(path.read_bytes())
     where = int(at * len(data))
     if kind == "cut":

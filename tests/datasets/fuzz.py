@@ -20,8 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,22 +29,12 @@ import pytest
 from datasets.errors import DataError
 from datasets.readers import list_variables, read_volume, sandbox
 from datasets.volume import Volume
-from tests.datasets.damage import damage
+from tests.datasets.damage import KINDS, Outcome, damage
 from tests.datasets.forked import use_forks
 
-KINDS = ("cut", "flip", "number", "set", "insert")
 CHUNKED = ("zarr", ".h5", "4.nc", "hdf", ".xdmf", ".xmf")
 _PATIENCE = 20.0
 _MEMORY = 1 << 30
-
-
-@dataclass
-class Outcome:
-    """Counts of refusals, volumes as before, and other volumes; and what must not be."""
-
-    counts: Counter[str] = field(default_factory=Counter)
-    faults: list[str] = field(default_factory=list)
-    slowest: float = 0.0
 
 
 def fuzz(path: Path, mutations: int, folder: Path, patch: pytest.MonkeyPatch, seed: int = 0) -> Outcome:

@@ -25,10 +25,9 @@ from bench.tables import stored_tables
 from datasets.errors import DataError
 from datasets.view_cache import ViewCache
 from tests.bench.conftest import Bench, suite_file, wait_for, write_dataset
-from tests.datasets.damage import damage
+from tests.datasets.damage import KINDS, damage
 from tests.fire.attack import REAL, Tally, bench_in, contents, difference, leftovers, work_folder
 
-KINDS = ("cut", "flip", "number", "set", "insert")
 REFUSED = "refused"
 
 

@@ -22,9 +22,7 @@ import time
 import traceback
 import zipfile
 import zlib
-from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,22 +30,12 @@ import numpy as np
 
 from datasets.errors import DataError
 from methods.interface import Method
-from tests.datasets.damage import damage
+from tests.datasets.damage import KINDS, Outcome, damage
 from tests.fire.attack import Tally
 
-KINDS = ("cut", "flip", "number", "set", "insert")
 PATIENCE = 30.0
 """Seconds that a reading may take; the slowest whole model takes 0.1 s."""
 MEMORY = 1 << 30
-
-
-@dataclass
-class Outcome:
-    """Counts of what readings came to, the slowest one, and what must not be."""
-
-    counts: Counter[str] = field(default_factory=Counter)
-    faults: list[str] = field(default_factory=list)
-    slowest: float = 0.0
 
 
 # --------------------------------------------------------------------------- checksums made again

@@ -16,7 +16,7 @@ from pathlib import Path
 import psutil
 
 from bench.store import Store
-from tests.bench.conftest import PLUGINS, Bench, suite_file, write_dataset
+from tests.bench.conftest import PLUGINS, PRESET, Bench, suite_file, write_dataset
 from tests.fire.attack import Tally, bench_in, leftovers, work_folder
 
 FOLDER = Path(__file__).parent / "plugins"
@@ -194,7 +194,7 @@ def attack_stages(
     suite = suite_file(bench.store.parent, names, more + PRESET)
     done = bench(
         "run", suite, "--method", "faulty", "--plugins", PLUGINS, "--plugins", bench.plugins,
-                      "--out", bench.store, "--no-report", *limits, code=None,
+        "--out", bench.store, "--no-report", *limits, code=None,
     )  # fmt: skip
     found = rows(bench)
     for (stage, fault), expected in faults.items():
@@ -206,16 +206,6 @@ def attack_stages(
         tally.add("the run goes on")
     unfinished = any(expected[0] == "unfinished" for expected in faults.values())
     tally.add("nothing left behind", "" if unfinished else leftovers(bench.store))
-
-
-PRESET = """
-[presets.quick]
-train_views = 12
-test_views = 4
-width = 16
-height = 16
-prerendered_limit = 16
-"""
 
 
 def write_plugin(folder: Path, name: str, spec: str, method: str = "") -> Path:
