@@ -130,8 +130,9 @@ def parser() -> _Parser:
     tune.add_argument("--trials", type=_count, default=24, metavar="N", help="in all (default: 24)")
     tune.add_argument(
         "--objective", default="front", metavar="SCORE",
-        help="front[=DB,MIB]: area under PSNR over log2 of size, above DB and below MIB; size=MIB: PSNR of a "
-        "model of at most that size; psnr (default: front=20,64)",
+        help="front[=DB,MIB]: area under PSNR over log2 of size, above DB and below MIB; point=DB,MIB: "
+        "the same of the method's own rate alone; size=MIB: PSNR of a model of at most that size; psnr "
+        "(default: front=20,64)",
     )  # fmt: skip
     _repeatable(tune, "--option", metavar="NAME", help="vary this, instead of those that the method names")
     _add_data(tune)

@@ -60,27 +60,40 @@ class Objective:
     """The score of a trial; the larger, the better.
 
     Attributes:
-        kind: "front": area under the front of PSNR over the logarithm of size, dB x octaves; "size": greatest
-            PSNR of a model of at most that size, dB; "psnr": greatest PSNR, dB.
-        text: as on the command line: "front=20,64", "size=0.5" or "psnr".
-        psnr: reference of a front, dB.
-        mib: reference of a front, or size, MiB.
+        kind: "front": area under the front of PSNR over the logarithm of size, dB x octaves; "point": that of
+            the method's own size alone; "size": greatest PSNR of a model of at most that size, dB; "psnr":
+            greatest PSNR, dB.
+        text: as on the command line: "front=20,64", "point=20,64", "size=0.5" or "psnr".
+        psnr: reference of a front or point, dB.
+        mib: reference of a front or point, or size, MiB.
     """
 
-    kind: Literal["front", "size", "psnr"]
+    kind: Literal["front", "point", "size", "psnr"]
     text: str
     psnr: float = 0.0
     mib: float = math.inf
 
     @property
     def unit(self) -> str:
-        return "dB x octaves" if self.kind == "front" else "dB"
+        return "dB x octaves" if self.has_reference else "dB"
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether models beyond a reference point score 0."""
+        return self.kind in ("front", "point")
+
+    @property
+    def every_rate(self) -> bool:
+        """Whether a trial has a model per rate, and not only one of the method's own size."""
+        return self.kind in ("front", "size")
 
     @property
     def title(self) -> str:
         """The definition, for people."""
         if self.kind == "front":
             return f"area under PSNR over log2 of size, above {self.psnr:g} dB and below {self.mib:g} MiB"
+        if self.kind == "point":
+            return f"(PSNR - {self.psnr:g} dB) x log2({self.mib:g} MiB / size)"
         if self.kind == "size":
             return f"PSNR of a model of at most {self.mib:g} MiB"
         return "PSNR"
@@ -95,7 +108,7 @@ class Objective:
             points: (n, 2) size in MiB and PSNR in dB, n >= 1.
         """
         table = np.asarray(points, dtype=np.float64)
-        if self.kind == "front":
+        if self.has_reference:
             return hypervolume(table, (self.psnr, self.mib))
         fitting = table[table[:, 0] <= self.mib]
         if len(fitting):
@@ -104,7 +117,7 @@ class Objective:
 
 
 def objective_of(text: str) -> Objective:
-    """An objective by its text: "front", "front=DB,MIB", "size=MIB" or "psnr".
+    """An objective by its text: "front", "front=DB,MIB", "point", "point=DB,MIB", "size=MIB" or "psnr".
 
     Raises:
         DataError: another text, or numbers out of range.
@@ -115,9 +128,9 @@ def objective_of(text: str) -> Objective:
     except ValueError:
         numbers = [math.nan]
     usable = all(map(math.isfinite, numbers)) and all(number > 0.0 for number in numbers[-1:])
-    if usable and kind == "front" and len(numbers) in (0, 2):
+    if usable and kind in ("front", "point") and len(numbers) in (0, 2):
         psnr, mib = numbers or REFERENCE
-        return Objective("front", f"front={psnr:g},{mib:g}", psnr, mib)
+        return Objective(kind, f"{kind}={psnr:g},{mib:g}", psnr, mib)  # type: ignore[arg-type]
     if usable and kind == "size" and len(numbers) == 1:
         return Objective("size", f"size={numbers[0]:g}", mib=numbers[0])
     if text == "psnr":
@@ -125,7 +138,7 @@ def objective_of(text: str) -> Objective:
     raise DataError(
         f"--objective {text}",
         "no objective",
-        "Write front, front=DB,MIB (its reference point), size=MIB or psnr",
+        "Write front, front=DB,MIB (its reference point), point=DB,MIB, size=MIB or psnr",
     )
 
 
@@ -212,14 +225,19 @@ def _rounded(value: float) -> float:
 def range_of(option: Option, values: Sequence[OptionValue]) -> Range | None:
     """What a study tries of an option that starts at some values; None if that cannot be told.
 
-    Choices are all tried. A number has the range of :data:`REACH` around its starting values, within its
-    declared range, and a logarithmic scale where that spans more than a factor of :data:`REACH`. The declared
-    range alone counts where no starting value is above 0.
+    Choices are all tried. A number has the range that its declaration names (:attr:`Option.search`). Without
+    one it has that of :data:`REACH` around its starting values, within its declared range, and a logarithmic
+    scale where that spans more than a factor of :data:`REACH`. The declared range alone counts where no
+    starting value is above 0.
     """
     if option.choices or isinstance(option.default, bool):
         return Range(choices=option.choices or (False, True))
     if isinstance(option.default, str):
         return None
+    whole = isinstance(option.default, int)
+    if option.search is not None:
+        low, high = option.search
+        return Range(low=low, high=high, log=0.0 < REACH * low < high, whole=whole)
     numbers = [float(value) for value in values]
     low, high = _rounded(min(numbers) / REACH), _rounded(max(numbers) * REACH)
     if min(numbers) < 0.0 or high == 0.0:
@@ -228,7 +246,6 @@ def range_of(option: Option, values: Sequence[OptionValue]) -> Range | None:
         low, high = option.minimum, option.maximum
     low = max(low, option.minimum if option.minimum is not None else low)
     high = min(high, option.maximum if option.maximum is not None else high)
-    whole = isinstance(option.default, int)
     if whole:
         low, high = math.ceil(low), math.floor(high)
     return Range(low=low, high=high, log=0.0 < REACH * low < high, whole=whole)
@@ -259,7 +276,8 @@ def search_space(
         spec: the method.
         preset: whose defaults the ranges are around.
         fixed: options that every trial has; they are not varied.
-        names: the options; default: :attr:`MethodSpec.tunable`, else all that declare choices or both bounds.
+        names: the options; default: :attr:`MethodSpec.tunable`, else all that declare choices or both bounds,
+            and rate knobs that need a fit each.
         swept: rate knobs of which every trial has all values; they are not varied.
 
     Raises:
@@ -278,7 +296,7 @@ def search_space(
         if name in fixed:
             raise DataError(what, "has one value in all trials (--set)", "Leave out one of the two")
         if name in swept:
-            raise DataError(what, "every trial has all values of this rate knob", "Use --objective psnr")
+            raise DataError(what, "every trial has all values of this rate knob", "Use --objective point")
         if ranges[name] is None:
             reason = "a text" if isinstance(declarations[name].default, str) else "0 without a maximum"
             remedy = f"Others: {', '.join(one for one in ranges if ranges[one] and one not in fixed)}"
@@ -290,7 +308,8 @@ def search_space(
         or isinstance(option.default, bool)
         or (option.minimum is not None and option.maximum is not None)
     ]
-    chosen = {*(names or spec.tunable or bounded)} - {*fixed, *swept}
+    knobs = [knob.name for knob in spec.rate_knobs if knob.refit]
+    chosen = {*(names or (*(spec.tunable or bounded), *knobs))} - {*fixed, *swept}
     space = {name: one for name, one in ranges.items() if name in chosen and one is not None}
     if not space:
         reason = "has no options to tune" + (" beside those of --set" if fixed else "")
@@ -385,7 +404,7 @@ class Study(_Model):
         space: option -> range.
         starts: number of trials that were given and not searched.
         budget: number of trials that were asked for.
-        chosen: the best trial; None as long as none has succeeded.
+        chosen: the best trial; None as long as none has succeeded, or all lie beyond the reference point.
     """
 
     schema_version: int = SCHEMA
@@ -419,6 +438,8 @@ class Study(_Model):
         if not scores:
             return None
         best = max(scores, key=lambda number: (scores[number], -number))
+        if self.objective.has_reference and scores[best] <= 0.0:  # all beyond the reference point
+            return None
         names = (PUBLISHED, "fair")[-self.starts :]
         gains = {name: scores[best] - scores[place] for place, name in enumerate(names) if place in scores}
         return Chosen(trial=best, score=scores[best], overrides=trials[best].overrides, gains=gains)
@@ -432,7 +453,7 @@ def validation(selection: Selection, objective: Objective) -> Selection:
     suite = replace(
         selection.suite,
         variants=({},),
-        rates="default" if objective.kind == "psnr" else "all",
+        rates="all" if objective.every_rate else "default",
         compositions=(),
         dvr=False,
         parsimony=False,
@@ -579,7 +600,7 @@ class Trials(Planner):
     ) -> None:
         super().__init__(validation(selection, objective))
         (self._spec,) = self._specs
-        knobs = [knob.name for knob in self._spec.rate_knobs if knob.refit and objective.kind != "psnr"]
+        knobs = [knob.name for knob in self._spec.rate_knobs if knob.refit and objective.every_rate]
         given = resolve(self._spec, self._like, fixed)
         typed = {**given.values, ITERATIONS: given.iterations}
         fixed = {name: typed.get(name, value) for name, value in fixed.items()}

@@ -48,6 +48,7 @@ class Option:
         doc: one line for people, with the unit.
         minimum, maximum: inclusive range of numbers.
         choices: the only values allowed, if not empty.
+        search: range of numbers that ``bench tune`` looks through; None: around the starting values.
     """
 
     default: OptionValue
@@ -55,15 +56,25 @@ class Option:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[OptionValue, ...] = ()
+    search: tuple[float, float] | None = None
 
 
-def option(default: V, doc: str, *, minimum: float | None = None, maximum: float | None = None) -> V:
+def option(
+    default: V,
+    doc: str,
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    search: tuple[float, float] | None = None,
+) -> V:
     """A field of a dataclass of options; the arguments are attributes of :class:`Option`.
 
     The field's annotation is the option's type: ``bool``, ``int``, ``float``, ``str``, or ``Literal[...]`` of
     the choices. Example: ``voxel: float = option(0.001, "lattice, scene units", minimum=1e-5)``
     """
-    declared: Any = field(default=default, metadata={OPTION: Option(default, doc, minimum, maximum)})
+    declared: Any = field(
+        default=default, metadata={OPTION: Option(default, doc, minimum, maximum, search=search)}
+    )
     return cast("V", declared)
 
 

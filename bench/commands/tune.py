@@ -145,7 +145,11 @@ def _summary(study: Study, store: Store) -> list[str]:
             note = "" if other.budget == study.budget else " (another budget)"
             lines.append(f"under the same conditions: {other.method}, {other.budget} trials{note}")
     if study.chosen is None:
-        return [*lines, "no trial succeeded, so nothing is chosen"]
+        if failed == len(study.trials):
+            return [*lines, "no trial succeeded, so nothing is chosen"]
+        point = f"{study.objective.psnr:g} dB and {study.objective.mib:g} MiB"
+        remedy = f"name another one: --objective {study.objective.kind}=DB,MIB"
+        return [*lines, f"no model is within the reference point of {point}, so nothing is chosen; {remedy}"]
     gains = ", ".join(f"{gain:+.3f} to {name}" for name, gain in study.chosen.gains.items())
     lines.append(f"chosen: trial {study.chosen.trial}, score {study.chosen.score:.3f} ({gains})")
     return [*lines, command(study.method, study.chosen.overrides) or "the method's own defaults"]

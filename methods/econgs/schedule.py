@@ -45,11 +45,6 @@ class Schedule(AnchorSchedule):
     def rest(self) -> range:
         return super().rest if self.growth_pauses else range(0)
 
-    def settles_rent(self, iteration: int) -> bool:
-        """Whether anchors that add nothing go before this iteration: nothing grows after the first time."""
-        begin = max(self.growth_stop, self.context_start if self.coding else 0)
-        return iteration in (begin + 1, begin + 1 + (self.iterations - begin) // 2)
-
     def corrects_rate(self, iteration: int, steps: int) -> bool:
         """Whether lambda_e is corrected after this iteration: so many times before rounding begins."""
         every = max(1, (self.rounding_start - self.context_start) // steps)

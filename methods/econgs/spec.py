@@ -18,11 +18,19 @@ class EcongsOptions(splatting.SplattingOptions):
     )
     cloud_points: int = option(0, "points drawn from the initial cloud; 0 = all", minimum=0)
     random_points: int = option(10_000, "number of points of a random start", minimum=1, maximum=10_000_000)
+    rent: float = option(
+        0.01,
+        "PSNR (dB) that may go with primitives that add least to training views, twice in a fit; 0 = none go",
+        minimum=0.0,
+        maximum=10.0,
+        search=(0.0, 0.1),
+    )
     start_spacing: float = option(
         3.0,
         "the cloud is thinned to one point per cell of this many pixels of the training views; 0 = off",
         minimum=0.0,
         maximum=100.0,
+        search=(0.0, 6.0),
     )
     random_half_extent: float = option(
         0.5, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
@@ -133,9 +141,6 @@ class EcongsOptions(splatting.SplattingOptions):
     )
     # No more than the scene needs
     fold_embeddings: bool = option(True, "store TF embeddings as biases where a group has few scenes")
-    rent: float = option(
-        0.01, "PSNR (dB) that may go with anchors that add least, twice in a fit", minimum=0.0, maximum=10.0
-    )
     target_bytes: int = option(
         0, "size per scene that lambda_e is steered to, shared parts included; 0 = none", minimum=0
     )
@@ -173,8 +178,6 @@ SPEC = MethodSpec(
                 "scale_weight": 0.001,
                 "offset_color": "sigmoid",
                 "decoder_precision": "float32",
-                "rent": 0.0,
-                "start_spacing": 0.0,
                 "features": 50,
                 "growth_gradient": 2e-4,
                 "growth_adapts": False,
@@ -205,13 +208,11 @@ SPEC = MethodSpec(
     },
     rate_knobs=(RateKnob("rate_weight", (1e-4, 5e-4, 1e-3, 5e-3, 1e-2), refit=True),),
     tunable=(
+        *splatting.TUNABLE,
         "features",
         "offsets",
         "growth_gradient",
-        "ssim_weight",
-        "scale_weight",
         "feature_lr",
         "feature_step",
-        "rent",
     ),
 )

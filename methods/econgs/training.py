@@ -17,7 +17,7 @@ from econgs.anchors.colors import offset_colors
 from econgs.anchors.decode import decode, visible_anchors
 from econgs.anchors.decoders import Decoders
 from econgs.anchors.folding import fold_embeddings
-from econgs.anchors.gaussians import ViewGaussians, draw
+from econgs.anchors.gaussians import ViewGaussians
 from econgs.anchors.growing import AnchorRules
 from econgs.anchors.scalings import activated
 from econgs.anchors.shading import raw_specular
@@ -26,14 +26,13 @@ from econgs.context.model import Attributes, ContextConfig
 from econgs.context.positions import PositionGrid
 from econgs.context.stream import GroupAttributes, SceneAttributes, round_group
 from econgs.optim import Adam
-from econgs.splat.composite import over
 from methods.econgs.control import STEPS, RateControl
 from methods.econgs.model import EcongsModel, Group, decoders_metadata
-from methods.econgs.rent import contributions, some_views, who_stays
 from methods.econgs.schedule import Schedule
 from methods.econgs.spec import EcongsOptions
 from methods.econgs.start import starting_points
 from methods.interface import Checkpoint, SceneInput
+from methods.shared import rent
 from methods.shared.anchors import AnchorLoop, Rate
 from methods.shared.coding import coded_context
 from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
@@ -279,40 +278,23 @@ class Trainer(AnchorLoop):
 
     def _who_stays(self, scene: _Scene, allowance: float) -> Tensor:
         positions, values = scene.anchors.positions, self.attributes(scene.anchors)
-        cameras, background = scene.source.train.cameras, scene.source.train.background
 
         def frame(camera: Camera, kept: Tensor) -> tuple[ViewGaussians, Tensor]:
             rows = (kept & visible_anchors(camera, positions, values.scalings)).nonzero()[:, 0]
             decoded = self._decode(scene, camera, positions.index_select(0, rows), values.of(rows))
             return decoded, rows[decoded.slots // scene.anchors.offsets]
 
-        asks_alpha = self.asks_alpha(scene.transparent)
-
-        @torch.no_grad()
-        def measure(views: Sequence[int], kept: Tensor) -> Tensor:
-            errors = []
-            for view in views:
-                decoded, _ = frame(cameras[view], kept)
-                splats = draw([decoded], cameras[view], low_pass=self.low_pass)
-                truth = scene.images[view].to(self.device)
-                target = over(truth[..., :3], truth[..., 3], background)
-                apart = [over(splats.features, splats.alpha, background) - target]
-                if asks_alpha:
-                    apart.append(splats.alpha - truth[..., 3])
-                errors.append(torch.stack([one.square().mean() for one in apart]))
-            return torch.stack(errors).mean(dim=0).cpu()
-
-        views = some_views(len(cameras))
-        sample = [cameras[view] for view in views]
-        weights = contributions(len(positions), sample, frame, self.low_pass, positions.device)
-        return who_stays(weights, allowance, views[::3], measure)
+        seen = rent.Scene(
+            scene.source.train, scene.images, frame, asks_alpha=self.asks_alpha(scene.transparent)
+        )
+        return rent.worth_keeping(len(positions), [seen], allowance, self.low_pass, self.device)
 
     def _psnr(self, model: EcongsModel) -> float:
         """Mean of the scenes' PSNR on validation views, or on some training views where there are none."""
         values = []
         for scene in self.scenes:
             views = scene.source.validation if len(scene.source.validation) else scene.source.train
-            sample = some_views(len(views), 8)
+            sample = rent.some_views(len(views), 8)
             error = 0.0
             for view in sample:
                 rgb, _ = model.render(views.cameras[view], [scene.name], background=views.background)

@@ -6,6 +6,7 @@ from methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBLISHED
 from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.gaussian_splatting.spec import HarmonicsOptions
 from methods.interface import Configuration, OptionValue, RateKnob, option
+from methods.shared import splatting
 
 PUBLISHED: dict[str, OptionValue] = {**PLAIN_PUBLISHED, "cap": 300_000}
 """How the released code starts; its caps are what 3DGS ends with, 150,000 to 350,000 on synthetic scenes."""
@@ -52,13 +53,11 @@ SPEC = replace(
     rate_knobs=(RateKnob("cap", (2_000, 5_000, 10_000, 20_000, 50_000), refit=True),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
     tunable=(
+        *splatting.TUNABLE,
         "sh_degree",
-        "ssim_weight",
         "position_lr",
         "sh_rest_lr",
-        "start_opacity",
         "opacity_weight",
         "scale_weight",
-        "noise_rate",
     ),
 )

@@ -71,13 +71,11 @@ SPEC = MethodSpec(
     iterations={"quick": 1_200, "standard": 7_000, "paper": 30_000},
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
     tunable=(
+        *splatting.TUNABLE,
         "sh_degree",
-        "ssim_weight",
         "position_lr",
         "opacity_lr",
         "sh_rest_lr",
         "growth_gradient",
-        "dense_fraction",
-        "prune_opacity",
     ),
 )

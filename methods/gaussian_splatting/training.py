@@ -8,6 +8,7 @@ import torch
 
 from datasets.camera import Camera
 from datasets.scene import RGB, WHITE
+from econgs.anchors.gaussians import Gaussians
 from econgs.optim import Adam
 from econgs.splat.rasterise import SplatImages, rasterise
 from econgs.splat.sh import spherical_harmonics
@@ -17,6 +18,7 @@ from methods.gaussian_splatting.model import GaussianModel, SceneGaussians, Spla
 from methods.gaussian_splatting.schedule import Schedule
 from methods.gaussian_splatting.spec import GaussianOptions, HarmonicsOptions
 from methods.interface import Checkpoint, Refused, SceneInput
+from methods.shared import rent
 from methods.shared.training import (
     CHECK_EVERY,
     TrainingLoop,
@@ -72,6 +74,9 @@ class HarmonicsTrainer(TrainingLoop):
     def _record(self, gradients: torch.Tensor, radii: torch.Tensor, camera: Camera) -> None:
         """Take the gradients of screen offsets (N, 2) in a view, where :meth:`Schedule.collects` asks."""
 
+    def _forget(self) -> None:
+        """Statistics begin anew, with a row for each Gaussian there is now."""
+
     def _start(self) -> tuple[dict[str, torch.Tensor], dict[str, float]]:
         """First parameters, one row per Gaussian, and their learning rates."""
         parameters = self._first()
@@ -94,6 +99,7 @@ class HarmonicsTrainer(TrainingLoop):
 
     def step(self) -> dict[str, float]:
         self.iteration += 1
+        self._settle_rent()
         view = self.next_view()
         camera = self.scene.train.cameras[view]
         back = self.background_color()
@@ -147,6 +153,24 @@ class HarmonicsTrainer(TrainingLoop):
         position = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
         return spherical_harmonics(degree, now["means"], position, now["sh_dc"], now["sh_rest"])
 
+    def _settle_rent(self) -> None:
+        """Gaussians that the pictures hardly show go, where the schedule says so (option ``rent``)."""
+        if not self.options.rent or not self.schedule.settles_rent(self.iteration):
+            return
+        scene = rent.Scene(
+            self.scene.train, self.images, self._frame, asks_alpha=self.asks_alpha(self.transparent)
+        )
+        kept = rent.worth_keeping(self.count, [scene], self.options.rent, self.low_pass, self.device)
+        self.optimiser.keep(kept, self.names)
+        self._forget()
+
+    def _frame(self, camera: Camera, kept: torch.Tensor) -> tuple[Gaussians, torch.Tensor]:
+        """What :data:`methods.shared.rent.Frame` asks for."""
+        now, rows = self.optimiser, kept.nonzero()[:, 0]
+        scales, opacities = now["log_scales"].exp(), now["logits"].sigmoid()
+        every = (now["means"], now["quats"], scales, opacities, self._colors(camera))
+        return Gaussians(*(values.index_select(0, rows) for values in every)), rows
+
     def views(self) -> list[int]:
         return self.shuffled(len(self.scene.train))
 
@@ -187,7 +211,7 @@ class Trainer(HarmonicsTrainer):
             extent=scene.extent,
             limit=options.max_gaussians,
         )
-        self.statistics = GrowthStatistics.zeros(self.count, device)
+        self._forget()
 
     def _schedule(self, iterations: int) -> Schedule:
         return Schedule(
@@ -218,6 +242,9 @@ class Trainer(HarmonicsTrainer):
         if self.schedule.resets_opacity(self.iteration):
             self.optimiser.overwrite("logits", capped_logits(self.optimiser["logits"]))
 
+    def _forget(self) -> None:
+        self.statistics = GrowthStatistics.zeros(self.count, self.device)
+
     def _record(self, gradients: torch.Tensor, radii: torch.Tensor, camera: Camera) -> None:
         """Add a view to the statistics that densification reads."""
         self.statistics.record(gradients, radii, camera.width, camera.height)
@@ -234,7 +261,7 @@ class Trainer(HarmonicsTrainer):
         )
         self.optimiser.keep(growth.keep, self.names)
         self.optimiser.append(growth.added)
-        self.statistics = GrowthStatistics.zeros(self.count, self.device)
+        self._forget()
         self.limited |= growth.limited
 
     def checkpoint(self) -> Checkpoint:

@@ -6,6 +6,7 @@ from typing import Literal
 from methods.interface import Configuration, RateKnob, option
 from methods.scaffold_gs.spec import PUBLISHED, ScaffoldOptions
 from methods.scaffold_gs.spec import SPEC as PLAIN
+from methods.shared import splatting
 
 
 @dataclass(frozen=True)
@@ -44,13 +45,11 @@ SPEC = replace(
         "paper": Configuration({**PUBLISHED, "rate_weight": 4e-3, "feature_step": 1.0}, {"paper": 30_000}),
     },
     tunable=(
+        *splatting.TUNABLE,
         "features",
         "offsets",
         "growth_gradient",
-        "ssim_weight",
-        "scale_weight",
         "mask_weight",
         "feature_step",
-        "offset_step",
     ),
 )

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from datasets.camera import Camera
 from econgs.anchors.anchor_set import MASKS
 from econgs.anchors.coding import Coding, saved_grid
 from econgs.context.arrays import round_arrays
@@ -53,9 +54,9 @@ class Trainer(scaffold_gs.Trainer):
         own = {self.anchors.name(MASKS): self.decayed(MASK_RATE), "grid": context, "head": context}
         return super().rates() | own
 
-    def visible(self, values: Attributes) -> Tensor:
-        """(N,) anchors that may show and have an offset left."""
-        return super().visible(values) & self.present().any(1)
+    def visible(self, values: Attributes, camera: Camera) -> Tensor:
+        """(N,) anchors that may show in a view and have an offset left."""
+        return super().visible(values, camera) & self.present().any(1)
 
     def present(self) -> Tensor:
         """(N, K) which offsets there are."""

@@ -6,6 +6,7 @@ from methods.hac.spec import SPEC as PLAIN
 from methods.hac.spec import HacOptions
 from methods.interface import Configuration, option
 from methods.scaffold_gs.spec import PUBLISHED
+from methods.shared import splatting
 
 
 @dataclass(frozen=True)
@@ -49,13 +50,11 @@ SPEC = replace(
         ),
     },
     tunable=(
+        *splatting.TUNABLE,
         "features",
         "offsets",
         "growth_gradient",
-        "ssim_weight",
-        "scale_weight",
         "mask_lr",
         "feature_step",
-        "offset_step",
     ),
 )

@@ -37,9 +37,18 @@ class IvrSchedule(Schedule):
         """Whether colors are shaded: the second stage."""
         return iteration > self.shading_start
 
+    @property
+    def _second_stop(self) -> int:
+        """Iteration from which nothing grows in the second stage."""
+        return self.shading_start + self._scaled(2_000)
+
+    @property
+    def last_growth(self) -> int:
+        """Iteration after which nothing grows."""
+        return min(self.iterations, self._second_stop) if self.grows_shaded else self.growth_stop
+
     def _grows_again(self, iteration: int) -> bool:
-        stop = self.shading_start + self._scaled(2_000)
-        return self.grows_shaded and self.shading_start < iteration < stop
+        return self.grows_shaded and self.shading_start < iteration < self._second_stop
 
     def collects(self, iteration: int) -> bool:
         """Whether densification statistics are needed."""

@@ -6,6 +6,7 @@ from methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBLISHED
 from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.gaussian_splatting.spec import GaussianOptions
 from methods.interface import Configuration, OptionValue, RateKnob, option
+from methods.shared import splatting
 
 PUBLISHED: dict[str, OptionValue] = {
     **PLAIN_PUBLISHED,
@@ -72,13 +73,11 @@ SPEC = replace(
     rate_knobs=(RateKnob("codebook size", (4, 16, 64, 256, 1024), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
     tunable=(
-        "ssim_weight",
+        *splatting.TUNABLE,
         "position_lr",
         "opacity_lr",
         "growth_gradient",
-        "normal_gradient",
         "shading_lr",
-        "alpha_weight",
         "normal_weight",
     ),
 )

@@ -15,7 +15,6 @@ from econgs.losses import ssim
 from econgs.optim import Adam
 from econgs.splat.composite import MIN_ALPHA
 from econgs.splat.rasterise import SplatImages
-from methods.gaussian_splatting.densify import GrowthStatistics
 from methods.gaussian_splatting.training import LEARNING_RATES, Trainer
 from methods.interface import Checkpoint, SceneInput
 from methods.ivr_gs.losses import mean_over, normal_loss, smoothness_loss
@@ -53,7 +52,6 @@ class IvrTrainer(Trainer):
     ) -> None:
         attributes_with_codebooks(options.quantised)  # refuses names that are none
         super().__init__(scene, options, iterations, seed, device)
-        self.normal_gradients = torch.zeros(self.count, device=device)
         self.palette = _mean_color(self.images).to(device)
         self.light = self.labels[0].light
 
@@ -111,9 +109,9 @@ class IvrTrainer(Trainer):
             splats, offset = self._splat(torch.cat([self._colors(camera), unit], dim=1), camera)
             return self._common_losses(splats, camera, truth, back), offset, splats.radii
         scene = self._shaded()
-        eye = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
-        colors = scene.colors(eye, self.palette, self.light, Factors())
-        features = torch.cat([colors, unit, scene.offsets, scene.coefficients[:, :3]], dim=1)
+        features = torch.cat(
+            [self._seen(scene, camera), unit, scene.offsets, scene.coefficients[:, :3]], dim=1
+        )
         splats, offset = self._splat(features, camera)
         losses = self._common_losses(splats, camera, truth, back)
         offsets, coefficients = splats.features[..., 6:9], splats.features[..., 9:12]
@@ -146,6 +144,14 @@ class IvrTrainer(Trainer):
             self.labels[0], self.palette, {name: self.optimiser[name] for name in self.names}
         )
 
+    def _colors(self, camera: Camera) -> Tensor:
+        return self._seen(self._shaded(), camera) if self.shading else super()._colors(camera)
+
+    def _seen(self, scene: ShadedGaussians, camera: Camera) -> Tensor:
+        """(N, 3) colors of the second stage in a view."""
+        eye = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
+        return scene.colors(eye, self.palette, self.light, Factors())
+
     # ------------------------------------------------------------------ growth
 
     def _record(self, gradients: Tensor, radii: Tensor, camera: Camera) -> None:
@@ -157,7 +163,6 @@ class IvrTrainer(Trainer):
     def _grow(self, also: Tensor | None = None) -> None:
         least = self.options.shaded_normal_gradient if self.shading else self.options.normal_gradient
         super()._grow(self.normal_gradients / self.statistics.visits.clamp(min=1.0) > least)
-        self._forget()
 
     def _prune(self) -> None:
         """Remove invisible Gaussians."""
@@ -167,8 +172,7 @@ class IvrTrainer(Trainer):
             self._forget()
 
     def _forget(self) -> None:
-        """Statistics begin anew."""
-        self.statistics = GrowthStatistics.zeros(self.count, self.device)
+        super()._forget()
         self.normal_gradients = torch.zeros(self.count, device=self.device)
 
     # ------------------------------------------------------------------ what comes out

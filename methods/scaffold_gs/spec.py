@@ -70,13 +70,11 @@ SPEC = MethodSpec(
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED, {"paper": 30_000})},
     tunable=(
+        *splatting.TUNABLE,
         "features",
         "offsets",
-        "voxel",
-        "init_factor",
         "growth_gradient",
         "ssim_weight",
         "scale_weight",
-        "alpha_weight",
     ),
 )

@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from datasets.camera import Camera
 from econgs.anchors.anchor_set import AnchorSet
 from econgs.anchors.decode import visible_anchors
 from econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
-from econgs.anchors.gaussians import apply_masks
+from econgs.anchors.gaussians import Gaussians, apply_masks
 from econgs.anchors.growing import AnchorRules
 from econgs.context.model import Attributes
 from econgs.optim import Adam
@@ -21,6 +22,7 @@ from methods.interface import Model, Refused, SceneInput
 from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
 from methods.scaffold_gs.spec import ScaffoldOptions
+from methods.shared import rent
 from methods.shared.anchors import AnchorLoop, Rate, start_cloud
 from methods.shared.start import thinned
 from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
@@ -140,9 +142,13 @@ class Trainer(AnchorLoop):
         rates = {self.anchors.name(name): rate for name, rate in anchors.items()}
         return rates | {name: self.decayed(rate) for name, rate in DECODER_RATES.items()}
 
-    def visible(self, values: Attributes) -> Tensor:
-        """(N,) anchors that may show in the view of :attr:`camera`."""
-        return visible_anchors(self.camera, self.anchors.positions, values.scalings)
+    def visible(self, values: Attributes, camera: Camera) -> Tensor:
+        """(N,) anchors that may show in a view."""
+        return visible_anchors(camera, self.anchors.positions, values.scalings)
+
+    def present(self) -> Tensor | None:
+        """(N, K) bool, which offsets there are; None: all."""
+        return None
 
     def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
         """Prepare attributes for decoding: unchanged here.
@@ -170,12 +176,13 @@ class Trainer(AnchorLoop):
 
     def step(self) -> dict[str, float]:
         self.iteration += 1
+        self._settle_rent()
         view = self.next_view()
-        camera = self.camera = self.scene.train.cameras[view]
+        camera = self.scene.train.cameras[view]
         background = self.background_color()
         truth = self.images[view].to(self.device)
         values = self.attributes(self.anchors)
-        rows = self.visible(values).nonzero()[:, 0]
+        rows = self.visible(values, camera).nonzero()[:, 0]
         if len(rows) < len(self.anchors):
             values = values.of(rows)
         prepared = self.prepare(values, rows)
@@ -210,6 +217,28 @@ class Trainer(AnchorLoop):
         if self.iteration % CHECK_EVERY == 0:
             self.check_finite()
         return report
+
+    def _settle_rent(self) -> None:
+        """Anchors that the pictures hardly show go, where the schedule says so (option ``rent``)."""
+        if not self.options.rent or not self.schedule.settles_rent(self.iteration):
+            return
+        scene = rent.Scene(
+            self.scene.train, self.images, self._frame, asks_alpha=self.asks_alpha(self.transparent)
+        )
+        kept = rent.worth_keeping(self.count, [scene], self.options.rent, self.low_pass, self.device)
+        self.anchors.keep(self.optimiser, kept)
+        self.place()
+
+    def _frame(self, camera: Camera, kept: Tensor) -> tuple[Gaussians, Tensor]:
+        """What :data:`methods.shared.rent.Frame` asks for."""
+        values = self.attributes(self.anchors)
+        rows = (kept & self.visible(values, camera)).nonzero()[:, 0]
+        positions = self.anchors.positions.index_select(0, rows)
+        decoded = decode_colors(positions, *values.of(rows), self.decoders, camera.position)
+        masks = self.present()
+        if masks is not None:
+            decoded = apply_masks(decoded, masks.index_select(0, rows))
+        return decoded, rows[decoded.slots // self.anchors.offsets]
 
     def views(self) -> list[int]:
         return self.shuffled(len(self.images))

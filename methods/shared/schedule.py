@@ -56,6 +56,19 @@ class Proportional:
         free = self.growth_stop - self.growth_start - len(self.rest)
         return max(1, min(self.longest_interval, free // 11))
 
+    @property
+    def last_growth(self) -> int:
+        """Iteration after which nothing grows."""
+        return self.growth_stop
+
+    def settles_rent(self, iteration: int) -> bool:
+        """Whether primitives that add nothing go before this iteration (:mod:`methods.shared.rent`).
+
+        Once growth has ended, and half-way from there to the end.
+        """
+        begin = self.last_growth
+        return iteration in (begin + 1, begin + 1 + (self.iterations - begin) // 2)
+
     def grows(self, iteration: int) -> bool:
         """Whether a growth event follows."""
         growing = self.growth_start < iteration < self.growth_stop
@@ -72,6 +85,11 @@ class AnchorSchedule(Proportional):
 
     growth = (1_500, 15_000)
     coding: bool = False
+
+    @property
+    def last_growth(self) -> int:
+        """Iteration after which nothing grows and, where attributes are coded, the context model is there."""
+        return max(self.growth_stop, self.context_start if self.coding else 0)
 
     @property
     def noise_start(self) -> int:

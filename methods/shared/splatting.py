@@ -10,7 +10,7 @@ from methods.shared.schedule import Decay
 
 @dataclass(frozen=True)
 class SplattingOptions:
-    """Filters, which models keep with their files; start; decay of learning rates; loss of alpha."""
+    """Filters, which models keep with their files; start; decay of learning rates; loss of alpha; pruning."""
 
     low_pass: float = option(
         0.03, "variance of the low-pass filter on projected Gaussians, px²", minimum=0.01, maximum=4.0
@@ -35,6 +35,7 @@ class SplattingOptions:
         "the cloud is thinned to one point per cell of this many pixels of the training views; 0 = off",
         minimum=0.0,
         maximum=100.0,
+        search=(0.0, 6.0),
     )
     start_scale: float = option(
         0.6, "first scales of Gaussians, x what is published", minimum=0.01, maximum=10.0
@@ -44,6 +45,13 @@ class SplattingOptions:
         0.05,
         "weight of the mean absolute error of alpha, where training views are transparent anywhere",
         minimum=0.0,
+    )
+    rent: float = option(
+        0.0,
+        "PSNR (dB) that may go with primitives that add least to training views, twice in a fit; 0 = none go",
+        minimum=0.0,
+        maximum=10.0,
+        search=(0.0, 0.1),
     )
 
 
@@ -56,7 +64,10 @@ PUBLISHED: dict[str, OptionValue] = {
     "start_scale": 1.0,
     "decay": "exponential",
     "alpha_weight": 0.0,
+    "rent": 0.0,
 }
 """Of 3DGS and what follows it."""
 QUICK: dict[str, OptionValue] = {"alpha_weight": 0.2}
 """In so short a schedule."""
+TUNABLE = ("alpha_weight", "start_spacing", "rent")
+"""Common equipment that ``bench tune`` varies for every method that splats."""

@@ -130,13 +130,11 @@ SPEC = MethodSpec(
     rate_knobs=(RateKnob("codebook size", (4, 16, 64, 256, 1024), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
     tunable=(
-        "ssim_weight",
+        *splatting.TUNABLE,
         "position_lr",
         "opacity_lr",
         "scalar_lr",
         "shading_lr",
         "growth_gradient",
-        "prune_opacity",
-        "alpha_weight",
     ),
 )

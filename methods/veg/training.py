@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.scene import RGB
+from econgs.anchors.gaussians import Gaussians
 from econgs.anchors.shading import MIN_NORMAL
 from econgs.optim import Adam
 from econgs.splat.composite import MIN_ALPHA
@@ -20,6 +22,7 @@ from methods.gaussian_splatting.training import LEARNING_RATES, POSITION_DECAY
 from methods.interface import Checkpoint, Refused, SceneInput
 from methods.ivr_gs.losses import normal_loss, smoothness_loss
 from methods.ivr_gs.training import NORMAL_RATE
+from methods.shared import rent
 from methods.shared.training import (
     CHECK_EVERY,
     TrainingLoop,
@@ -128,6 +131,7 @@ class VegTrainer(TrainingLoop):
         if self.shading and not self.schedule.shaded(self.iteration - 1):
             self.optimiser = self._optimiser({name: self.optimiser[name].detach() for name in PARAMETERS})
             self._forget()
+        self._settle_rent()
         place, view = self.next_view()
         scene = self.scenes[place]
         self.background = scene.background
@@ -248,6 +252,32 @@ class VegTrainer(TrainingLoop):
         self.optimiser.append({name: growth.added[name] for name in PARAMETERS})
         self.limited |= growth.limited
         self._forget()
+
+    def _settle_rent(self) -> None:
+        """Gaussians that no scene's pictures show go, where the schedule says so (option ``rent``)."""
+        if not self.options.rent or not self.schedule.settles_rent(self.iteration):
+            return
+        scenes = [
+            rent.Scene(
+                one.source.train,
+                one.images,
+                partial(self._frame, one),
+                asks_alpha=self.asks_alpha(one.transparent),
+            )
+            for one in self.scenes
+        ]
+        kept = rent.worth_keeping(self.count, scenes, self.options.rent, self.low_pass, self.device)
+        self.optimiser.keep(kept, PARAMETERS)
+        self._forget()
+
+    def _frame(self, scene: _Scene, camera: Camera, kept: Tensor) -> tuple[Gaussians, Tensor]:
+        """What :data:`methods.shared.rent.Frame` asks for."""
+        shown = visible_rows(self.optimiser["scalars"].detach().sigmoid(), [scene.look])
+        rows = shown[kept[shown]]
+        gaussians = self._gaussians(rows)
+        eye = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
+        colors, opacities = gaussians.seen([scene.look], eye)
+        return Gaussians(gaussians.means, gaussians.quats, gaussians.scales, opacities, colors), rows
 
     def _greatest_opacities(self) -> Tensor:
         """(N,) by which Gaussians are pruned; see :func:`greatest_opacities`."""

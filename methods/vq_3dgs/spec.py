@@ -6,6 +6,7 @@ from typing import Literal, get_args
 from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.gaussian_splatting.spec import GaussianOptions
 from methods.interface import RateKnob, option
+from methods.shared import splatting
 
 Size = Literal[16, 64, 256, 1024]
 SIZES: tuple[int, ...] = get_args(Size)
@@ -39,13 +40,11 @@ SPEC = replace(
     options=VqOptions,
     rate_knobs=(RateKnob("codebook size", SIZES, refit=False),),
     tunable=(
+        *splatting.TUNABLE,
         "sh_degree",
-        "ssim_weight",
         "position_lr",
         "sh_rest_lr",
         "growth_gradient",
-        "prune_opacity",
         "stages",
-        "tuning",
     ),
 )

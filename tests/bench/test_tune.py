@@ -130,6 +130,21 @@ def test_psnr_at_a_size_is_that_of_the_best_model_that_fits() -> None:
     assert objective_of("psnr").score([[1.0, 40.0], [2.0, 39.0]]) == 40.0
 
 
+def test_the_score_of_a_single_model_is_its_rectangle() -> None:
+    point = objective_of("point=20,4")
+    assert point.score([[1.0, 30.0]]) == 20.0
+    assert point.score([[8.0, 30.0]]) == 0.0
+    assert (point.text, objective_of("point").text) == ("point=20,4", "point=20,64")
+
+
+def test_nothing_is_chosen_where_all_models_are_beyond_the_reference_point(lab, capsys) -> None:
+    study = lab.run(3, objective=objective_of("point=99,64"))
+    assert [trial.score for trial in study.trials] == [0.0, 0.0, 0.0]
+    assert study.chosen is None
+    assert main(["tune", "fake-tuned", "--show", "--out", str(lab.store.root)]) == 0
+    assert "name another one: --objective point=DB,MIB" in capsys.readouterr().out
+
+
 def test_a_score_is_the_mean_over_scenes_and_seeds() -> None:
     points = [
         Point(dataset="d", scene=scene, seed=seed, rate=rate, psnr=psnr, bytes=2**20)
@@ -163,6 +178,7 @@ def test_other_objectives_are_refused(text: str) -> None:
         (Option(0.5, "", 1e-3, 4.999), [0.5, 2.5], 0.125, 4.999, True),
         (Option(3, "", 0, 3), [3], 1, 3, False),
         (Option(10, "", 1, 64), [10], 3, 40, True),
+        (Option(0.0, "", 0.0, 9.0, search=(0.0, 2.0)), [0.0, 3.0], 0.0, 2.0, False),
     ],
 )
 def test_numbers_are_searched_around_their_starting_values(option, values, low, high, log) -> None:
@@ -183,12 +199,13 @@ def test_what_has_neither_scale_nor_bounds_has_no_range(option) -> None:
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("name", REGISTRY.built_in())
 def test_every_method_has_options_to_tune_and_as_many_as_others(name, preset) -> None:
-    """Eight, or all that a method has; both starting points lie in the space."""
+    """Eight and rates that need a fit each, or all; both starting points lie in the space."""
     spec = REGISTRY.spec(name)
-    space = search_space(spec, preset, {})
+    knobs = [knob.name for knob in spec.rate_knobs if knob.refit]
+    assert set(search_space(spec, preset, {})) == {*search_space(spec, preset, {}, swept=knobs), *knobs}
+    space = search_space(spec, preset, {}, swept=knobs)
     untrained = {"mesh": 3, "sz3": 1, "zfp": 2}
     assert len(space) == untrained.get(name, 8)
-    assert {knob.name for knob in spec.rate_knobs if knob.refit}.isdisjoint(space)
     for start in tune.starts(spec, {}):
         values = resolve(spec, preset, start).values
         for option, one in space.items():
@@ -220,11 +237,12 @@ def test_the_first_trials_are_the_published_settings_and_the_defaults(lab) -> No
 def test_trials_have_every_rate_unless_quality_alone_counts(lab) -> None:
     both = [
         trial
-        for objective in ("size=1", "psnr")
+        for objective in ("size=1", "point=1,64", "psnr")
         for trial in lab.run(1, objective=objective_of(objective)).trials
     ]
     assert [sorted({point.rate for point in one.points}, key=str) for one in both] == [
         [2.0, 6.0, None],
+        [None],
         [None],
     ]
 
@@ -472,7 +490,7 @@ def refusal(dataset, tmp_path, monkeypatch, capsys):
         (["fake-tuned", "--set", "fake-tuned.shift=7"], "above the maximum 1"),
         (["fake-tuned", "--set", "3dgs.sh_degree=1"], "method '3dgs' of this study (--set)"),
         (["fake", "--set", "fake.behaviour=good"], "'fake': has no options to tune beside those of --set"),
-        (["econgs", "--option", "rate_weight"], "has all values of this rate knob. Use --objective psnr"),
+        (["econgs", "--option", "rate_weight"], "has all values of this rate knob. Use --objective point"),
         (["fake-tuned", "--trials", "0"], "'0' is not a number of at least 1"),
         (["fake-tuned", "--objective", "size"], "--objective size: no objective. Write front, front=DB,MIB"),
     ],

@@ -14,11 +14,11 @@ from datasets.cloud import PointCloud
 from econgs.context.arrays import round_arrays, write_arrays
 from methods.econgs.control import RateControl
 from methods.econgs.model import EcongsModel
-from methods.econgs.rent import some_views, who_stays
 from methods.econgs.schedule import Schedule
 from methods.econgs.start import starting_points
 from methods.econgs.training import Trainer, growth_threshold
 from methods.interface import Refused
+from methods.shared.rent import some_views, who_stays
 from methods.shared.start import first_of_cells
 from tests.methods.conftest import Fits
 
@@ -44,28 +44,27 @@ def test_the_lightest_go_as_far_as_the_allowance_reaches(allowance, gone):
     weights = torch.tensor([0.0, 0.1, 0.2, 0.3, 5.0])
     costs = torch.tensor([0.0, 0.0, 0.5, 1.4, 100.0])
 
-    def measure(views, kept):
-        assert views == [3, 4]
+    def measure(kept):
         return 1.0 + costs[~kept].sum()[None]
 
-    kept = who_stays(weights, allowance, [3, 4], measure)
+    kept = who_stays(weights, allowance, measure)
     assert set((~kept).nonzero()[:, 0].tolist()) == gone
 
 
 def test_one_anchor_always_stays():
-    kept = who_stays(torch.zeros(7), 10.0, [0], lambda views, kept: torch.ones(1))
+    kept = who_stays(torch.zeros(7), 10.0, lambda kept: torch.ones(1))
     assert kept.sum() == 1
-    assert who_stays(torch.zeros(1), 10.0, [0], lambda views, kept: torch.ones(1)).all()
+    assert who_stays(torch.zeros(1), 10.0, lambda kept: torch.ones(1)).all()
 
 
 def test_every_error_has_its_own_allowance():
     weights = torch.tensor([0.1, 0.2, 0.3, 5.0])
     color, alpha = torch.tensor([0.0, 0.0, 0.0, 9.0]), torch.tensor([0.0, 0.4, 9.0, 9.0])
 
-    def measure(views, kept):
+    def measure(kept):
         return torch.stack([7.0 + color[~kept].sum(), 1.0 + alpha[~kept].sum()])
 
-    assert who_stays(weights, 10 * math.log10(1.5), [0], measure).tolist() == [False, False, True, True]
+    assert who_stays(weights, 10 * math.log10(1.5), measure).tolist() == [False, False, True, True]
 
 
 def test_views_are_spread():
