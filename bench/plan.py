@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from types import MappingProxyType
 from typing import Any
 
@@ -108,10 +109,22 @@ class Planner:
         for spec in self._specs:
             for variant in self._selection.suite.variants:
                 overrides = {**variant.get(spec.name, {}), **self._selection.overrides.get(spec.name, {})}
-                for settings, rates in self._with_rates(spec, overrides):
+                for settings, rates in chain(
+                    self._with_rates(spec, overrides), self._with_lengths(spec, overrides)
+                ):
                     if (spec.name, settings.variant) not in variants:
                         variants.add((spec.name, settings.variant))
                         yield spec, settings, rates
+
+    def _with_lengths(
+        self, spec: MethodSpec, overrides: Mapping[str, Any]
+    ) -> Iterator[tuple[Settings, list[float | None]]]:
+        """Shorter and longer schedules of a method that is trained, at its own size."""
+        usual = resolve(spec, self._like, overrides).iterations
+        for share in self._selection.suite.lengths if ITERATIONS not in overrides else ():
+            count = round(share * usual)
+            if usual > 1 and count not in (0, usual):
+                yield resolve(spec, self._like, {**overrides, ITERATIONS: count}), [None]
 
     def _with_rates(
         self, spec: MethodSpec, overrides: Mapping[str, Any]

@@ -111,6 +111,7 @@ class _File(_Part):
     presets: dict[str, _Views] = {}
     variants: Annotated[list[dict[str, dict[str, Any]]], Field(min_length=1)] = [{}]
     rates: Literal["default", "all"] = "default"
+    lengths: list[Annotated[float, Field(gt=0.0)]] = []
     compositions: Annotated[Any, AfterValidator(_compositions)] = ()
     dvr: bool = False
     parsimony: bool = False
@@ -144,6 +145,8 @@ class Suite:
             each model of the usual rate could do without.
         variants: sets of options, method -> option -> value; {} is the presets' own.
         rates: "default" (each method's own size) or "all" (the rate knobs' values).
+        lengths: shares of a method's iterations that it is fitted with besides, each a whole schedule; a fit
+            of another length has the method's own rate.
         edits: changes of each basic scene, as "opacity=0.5 light=1,0,0". Models are edited and measured
             against the ground truth of the changed scene; scenes of pre-rendered views have none. Where an
             edit changes a transfer function and a method cannot do that, the trained scenes that come nearest
@@ -165,6 +168,7 @@ class Suite:
     presets: Mapping[str, ViewPreset]
     variants: tuple[Mapping[str, Mapping[str, Any]], ...] = field(default=({},))
     rates: str = "default"
+    lengths: tuple[float, ...] = ()
     compositions: Literal["all"] | tuple[str, ...] = ()
     dvr: bool = False
     parsimony: bool = False
@@ -225,6 +229,7 @@ def _parse(path: Path, file: _File) -> Suite:
         presets={**VIEWS, **presets},
         variants=tuple(file.variants),
         rates=file.rates,
+        lengths=tuple(file.lengths),
         compositions=file.compositions,
         dvr=file.dvr,
         parsimony=file.parsimony,

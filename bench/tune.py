@@ -454,6 +454,7 @@ def validation(selection: Selection, objective: Objective) -> Selection:
         selection.suite,
         variants=({},),
         rates="all" if objective.every_rate else "default",
+        lengths=(),
         compositions=(),
         dvr=False,
         parsimony=False,

@@ -47,7 +47,7 @@ changes. Keys:
 ``verdict``  what a section of the report concludes, its table, and a line with the conditions. Keys:
 
     bundles     as above
-    section     "unseen" or "volumes"
+    section     "races", "unseen" or "volumes"
     where       as above; which rows the section sees
 
 ``paper``    a table of the paper as measured, over the published values. Keys:
@@ -81,6 +81,7 @@ from methods.registry import Registry
 from reports.charts import economy, svg, unseen, volumes
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
+from reports.conclusions import races
 from reports.conclusions.ladders import amount, by_method, verdict
 from reports.paper import datasets
 from reports.paper.documents import to_markdown
@@ -470,6 +471,9 @@ def verdict_of(description: str) -> str:
     if block["section"] == "unseen":
         targets = unseen.targets(report.results)
         sentence, heads, lines = unseen.conclusion(targets), unseen.HEADS, unseen.rows(targets)
+    elif block["section"] == "races":
+        sentence, heads = " ".join(races.conclusion(report.races)), races.HEADS
+        lines = [races.row(race, lead) for race in report.races for lead in race.leads]
     else:
         verdicts = volumes.verdicts(report.curves)
         sentence, heads = volumes.conclusion(verdicts), volumes.HEADS

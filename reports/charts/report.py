@@ -11,6 +11,7 @@ import numpy as np
 from reports.charts import economy, rate_distortion
 from reports.conclusions.answers import answers
 from reports.conclusions.contest import contests
+from reports.conclusions.races import races
 from reports.schema import frame
 from reports.statistics import Views
 from reports.style import Model, absent, models
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from reports.charts.rate_distortion import Curve, Difference
     from reports.conclusions.answers import Answer
     from reports.conclusions.contest import Contest
+    from reports.conclusions.races import Race
 
 
 def _cells(table: pd.DataFrame) -> Iterator[tuple[tuple[Any, ...], bool]]:
@@ -123,6 +125,11 @@ class Report:
     def answers(self) -> list[Answer]:
         """Of the first contest; empty without one."""
         return answers(self.contests[0], self.results, self.ladders) if self.contests else []
+
+    @cached_property
+    def races(self) -> list[Race]:
+        """Of all disciplines and datasets."""
+        return races(self.results)
 
     @cached_property
     def at_shared_seeds(self) -> pd.DataFrame:

@@ -13,6 +13,7 @@ from reports.charts.decision import decisions
 from reports.charts.economy_section import economy_section
 from reports.charts.elements import Section, card, cards, legend, rest, table
 from reports.charts.ladders import ladders_section
+from reports.charts.races import races_section
 from reports.charts.unseen import unseen_section
 from reports.charts.volumes import volumes_section
 from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, mib, models, seconds
@@ -69,6 +70,7 @@ def charts(report: Report) -> Iterator[tuple[str, Chart]]:
 def chart_sections(report: Report) -> Iterator[Section]:
     """The sections for which there are data, in the order of the page, each when it is asked for."""
     makers: tuple[Callable[[Report], Section | None], ...] = (
+        races_section,
         _confidence,
         _rate_distortion,
         _tradeoffs,

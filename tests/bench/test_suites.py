@@ -104,6 +104,20 @@ def test_a_suite_may_run_several_choices_of_a_datasets_scenes(dataset, tmp_path)
     assert scenes_of("fit", plan(suite, scenes=("c",))) == [("c",)]
 
 
+def test_lengths_are_further_fits_of_trained_methods_at_their_own_rate(dataset, tmp_path):
+    """Published defaults of both presets; methods that learn nothing have one length."""
+    suite = suite_file(tmp_path, f'"{dataset}" = ["a"]', 'lengths = [0.25, 1.0, 4.0]\nrates = "all"')
+    names = ("3dgs", "hac")
+    fits = [job for job in plan(suite, methods=names) if job.kind == "fit"]
+    found = {name: [fit.iterations for fit in fits if fit.method == name] for name in names}
+    assert found["3dgs"] == [1_200, 300, 4_800]
+    assert sorted(set(found["hac"])) == [400, 1_600, 6_400]
+    assert found["hac"].count(1_600) > 1 == found["hac"].count(400) == found["hac"].count(6_400)
+    volume = suite_file(tmp_path, '"argon_bubble_like@32" = []', "lengths = [4.0]")
+    assert sum(job.kind == "partition" for job in plan(volume, methods=("sz3",))) == 1
+    assert sum(job.kind == "partition" for job in plan(volume, methods=("econgs",))) == 2
+
+
 def test_a_group_has_the_iterations_that_its_scenes_ask_for(dataset, tmp_path):
     suite = suite_file(tmp_path, f'"{dataset}" = ["a", "b"]')
 

@@ -1,0 +1,302 @@
+"""Races: the best picture of each method at equal training time, equal bytes and equal numbers of Gaussians.
+
+A method enters with its default settings, at every length of its schedule and every rate that was measured.
+What it reaches at a limit is read off the front of its models of a scene and seed: linear in the logarithm
+of the cost between two models, the best one's picture beyond the largest, and nothing below the smallest.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from reports.conclusions.clocks import CLOCKS, Clocks, place
+from reports.conclusions.contest import Cells
+from reports.conclusions.effects import Effect, effect
+from reports.style import MIB, absent, label
+from reports.tables.columns import records
+from reports.tables.protocols import comparable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_LENGTH = re.compile(r"(iterations=\d+)?")
+"""Options of a fit that races: none, or another length of the schedule."""
+
+Spot = tuple[float, float]
+"""Cost, and PSNR in dB."""
+
+
+@dataclass(frozen=True)
+class Discipline:
+    """What is equal in a race.
+
+    Attributes:
+        column: of the results.
+        title: of the axis, with the unit.
+        noun: what is limited.
+        unit: costs of the column / costs as shown.
+        limits: as shown, at which leads are told.
+    """
+
+    column: str
+    title: str
+    noun: str
+    unit: float
+    limits: tuple[float, ...]
+
+    def text(self, limit: float) -> str:
+        """A limit with its unit, as "2 min" or "0.25 MiB"."""
+        if self.column == "train_seconds":
+            return f"{limit:g} s" if limit < 60 else f"{limit / 60:g} min"
+        return f"{limit:g} MiB" if self.column == "size_bytes" else f"{limit:,.0f} Gaussians"
+
+
+DISCIPLINES = (
+    Discipline(
+        "train_seconds", "training time per scene [s]", "training time", 1.0, (10, 30, 120, 480, 1800)
+    ),
+    Discipline("size_bytes", "size per scene [MiB]", "size", MIB, (0.05, 0.1, 0.25, 0.5, 1.0, 4.0)),
+    Discipline("drawn", "Gaussians drawn in a view", "number of Gaussians", 1.0, (3e3, 1e4, 3e4, 1e5)),
+)
+
+
+@dataclass(frozen=True)
+class Front:
+    """The models of a method on a scene with a seed that none of its others beats, by cost."""
+
+    spots: tuple[Spot, ...]
+
+    @classmethod
+    def of(cls, spots: Iterable[Spot]) -> Front:
+        """Of any models, at least one; costs are positive."""
+        front: list[Spot] = []
+        for cost, psnr in sorted(spots, key=lambda spot: (spot[0], -spot[1])):
+            if not front or psnr > front[-1][1]:
+                front.append((cost, psnr))
+        return cls(tuple(front))
+
+    def at(self, limit: float) -> float | None:
+        """PSNR that is reached at a limit; None below the smallest cost."""
+        if limit < self.spots[0][0]:
+            return None
+        for (low, worse), (high, better) in pairwise(self.spots):
+            if low <= limit < high:
+                return worse + (better - worse) * math.log(limit / low) / math.log(high / low)
+        return self.spots[-1][1]
+
+
+Fronts = dict[str, dict[Any, Front]]
+"""Scene -> seed -> front, of one method."""
+
+
+@dataclass(frozen=True)
+class Lead:
+    """The method with the best mean at a limit.
+
+    Attributes:
+        limit: as shown.
+        method, psnr: of the best, dB.
+        second: the next best; "" where it runs alone.
+        ahead: how far ahead it is; None where it runs alone.
+        starters: number of methods with a model within the limit.
+    """
+
+    limit: float
+    method: str
+    psnr: float
+    second: str
+    ahead: Effect | None
+    starters: int
+
+    @property
+    def sure(self) -> bool:
+        """Whether the interval of the lead excludes zero."""
+        return self.ahead is not None and self.ahead.sure
+
+
+@dataclass(frozen=True)
+class Race:
+    """All methods on a dataset in one discipline.
+
+    Attributes:
+        dataset: with preset and split where there are several.
+        discipline: what is equal.
+        fronts: method -> its models; only methods that have all scenes.
+    """
+
+    dataset: str
+    discipline: Discipline
+    fronts: dict[str, Fronts]
+
+    def costs(self, method: str) -> list[float]:
+        """Costs of a method's models, from the least at which it has one of every scene and seed."""
+        fronts = [front for seeds in self.fronts[method].values() for front in seeds.values()]
+        start = max(front.spots[0][0] for front in fronts)
+        return sorted({cost for front in fronts for cost, _ in front.spots if cost >= start})
+
+    def seeds(self, method: str) -> list[Any]:
+        """Seeds that all scenes have."""
+        each = [set(seeds) for seeds in self.fronts[method].values()]
+        return sorted(set.intersection(*each)) if each else []
+
+    def reached(self, method: str, limit: float) -> dict[str, dict[Any, float]] | None:
+        """Scene -> seed -> PSNR at a limit; None where a scene has no model within it."""
+        cells = {
+            scene: {seed: front.at(limit) for seed, front in seeds.items()}
+            for scene, seeds in self.fronts[method].items()
+        }
+        if any(value is None for seeds in cells.values() for value in seeds.values()):
+            return None
+        return cells  # type: ignore[return-value]
+
+    def mean(self, method: str, limit: float, seed: Any = None) -> float | None:
+        """Mean over scenes of PSNR at a limit: of a seed, or of the means over seeds."""
+        cells = self.reached(method, limit)
+        if cells is None:
+            return None
+        chosen = [[seeds[seed]] if seed is not None else list(seeds.values()) for seeds in cells.values()]
+        return float(np.mean([np.mean(values) for values in chosen]))
+
+    @cached_property
+    def leads(self) -> list[Lead]:
+        """One per limit that lies within what was measured and that some method holds."""
+        spots = [
+            cost
+            for fronts in self.fronts.values()
+            for seeds in fronts.values()
+            for front in seeds.values()
+            for cost, _ in front.spots
+        ]
+        limits = [one for one in self.discipline.limits if min(spots) <= one <= max(spots)]
+        return [lead for limit in limits if (lead := self._lead(limit)) is not None]
+
+    def _lead(self, limit: float) -> Lead | None:
+        means = {name: mean for name in self.fronts if (mean := self.mean(name, limit)) is not None}
+        if not means:
+            return None
+        order = sorted(means, key=lambda name: -means[name])
+        ahead = None
+        if len(order) > 1:
+            ahead = effect(self._cells(order[0], limit), self._cells(order[1], limit), 1, ratio=False)
+        return Lead(limit, order[0], means[order[0]], order[1] if ahead else "", ahead, len(order))
+
+    def _cells(self, method: str, limit: float) -> Cells:
+        reached = self.reached(method, limit)
+        assert reached is not None
+        return {self.dataset: reached}
+
+
+def races(results: pd.DataFrame) -> list[Race]:
+    """A race per discipline and dataset on which a method has several models, disciplines first.
+
+    Training times are divided by how much slower than usual the reference kernel ran beside a fit, and count
+    only on the processor with the most rows.
+
+    Args:
+        results: the table of that name.
+    """
+    rows = results[(results["kind"] == "basic") & (results["status"] == "ok") & results["psnr"].notna()]
+    rows = rows[rows["iterations"].notna() & (rows["iterations"] > 1)]  # volumes and meshes train nothing
+    if rows.empty:
+        return []
+    bases = rows["base"].fillna("").astype(str)
+    rows = rows[bases.map(lambda base: _LENGTH.fullmatch(base) is not None)]
+    clocks = Clocks(results)
+    datasets = [(title, records(group)) for title, group in comparable(rows)]
+    found = []
+    for discipline in DISCIPLINES:
+        for title, group in datasets:
+            race = _race(title, discipline, group, clocks)
+            if race is not None:
+                found.append(race)
+    return found
+
+
+def _race(
+    dataset: str, discipline: Discipline, rows: Sequence[dict[str, Any]], clocks: Clocks
+) -> Race | None:
+    column = discipline.column
+    here = [row for row in rows if not absent(row.get(column)) and float(row[column]) > 0]
+    if column in CLOCKS and here:
+        places = [place(row, column) for row in here]
+        usual = max(set(places), key=lambda one: (places.count(one), str(one)))
+        here = [row for row, at in zip(here, places, strict=True) if at == usual]
+    spots: dict[str, dict[str, dict[Any, list[Spot]]]] = {}
+    for row in here:
+        cost = float(row[column]) / discipline.unit / _slowdown(clocks, row, column)
+        own = spots.setdefault(str(row["method"]), {}).setdefault(str(row["scene"]), {})
+        own.setdefault(row["seed"], []).append((cost, float(row["psnr"])))
+    scenes = {str(row["scene"]) for row in rows}
+    fronts = {
+        name: {
+            scene: {seed: Front.of(every) for seed, every in seeds.items()} for scene, seeds in own.items()
+        }
+        for name, own in spots.items()
+        if set(own) == scenes
+    }
+    several = any(
+        len(every) > 1 for own in spots.values() for seeds in own.values() for every in seeds.values()
+    )
+    return Race(dataset, discipline, fronts) if len(fronts) > 1 and several else None
+
+
+def _slowdown(clocks: Clocks, row: dict[str, Any], column: str) -> float:
+    """How much slower than usual the machine was; 1 for what no clock measures."""
+    return max(1.0, clocks.slowdown(row, column)) if column in CLOCKS else 1.0
+
+
+def conclusion(found: Sequence[Race]) -> list[str]:
+    """Who leads where, a sentence per discipline."""
+    sentences = []
+    for discipline in DISCIPLINES:
+        own = [race for race in found if race.discipline == discipline]
+        leads = [(race, lead) for race in own for lead in race.leads if lead.starters > 1]
+        if not leads:
+            continue
+        won: dict[str, int] = {}
+        for _, lead in leads:
+            if lead.sure:
+                won[lead.method] = won.get(lead.method, 0) + 1
+        names = [
+            f"{label(name)} {count}" for name, count in sorted(won.items(), key=lambda one: (-one[1], one[0]))
+        ]
+        open_ = len(leads) - sum(won.values())
+        names += [f"undecided {open_}"] if open_ else []
+        datasets = len({race.dataset for race, _ in leads})
+        sentences.append(
+            f"At equal {discipline.noun}, of {len(leads)} limits on {datasets} "
+            f"dataset{'' if datasets == 1 else 's'}: {', '.join(names)}."
+        )
+    return sentences
+
+
+HEADS = (
+    "Equal", "Dataset", "Limit", "Leader", "PSNR [dB]", "Ahead of", "By [dB]", "95 %", "Seeds", "Methods",
+)  # fmt: skip
+"""Of :func:`row`."""
+
+
+def row(race: Race, lead: Lead) -> list[str]:
+    """A line of the table of leads."""
+    name = label(lead.method)
+    cells = [race.discipline.noun, race.dataset, race.discipline.text(lead.limit)]
+    cells += [name if lead.sure or not lead.second else f"undecided ({name})", f"{lead.psnr:.2f}"]
+    if lead.ahead is None:
+        return [*cells, "alone", "", "", "", str(lead.starters)]
+    low_high = lead.ahead.ends
+    ends = (
+        ""
+        if low_high is None
+        else " to ".join(f"{end:+.2f}" for end in low_high).replace("-", "\N{MINUS SIGN}")
+    )
+    least, most = lead.ahead.seeds
+    seeds = str(least) if least == most else f"{least} to {most}"
+    return [*cells, label(lead.second), f"{lead.ahead.mean:.2f}", ends, seeds, str(lead.starters)]
