@@ -55,6 +55,10 @@ changes. Keys:
     bundles     as above
     table       its name in reports/paper/published
 
+``tuned``    the studies in reports/measured/studies: settings of each method, published to best. Keys:
+
+    scenes      number of scenes of the studies to show
+
 ``index``    what each bundle holds; ``commands``: every command of ``bench`` with its options.
 """
 
@@ -76,6 +80,7 @@ from bench.__main__ import parser
 from bench.store import Store
 from bench.suites import load_suite
 from bench.tables import build_tables
+from bench.tune import Trial, means, read_study
 from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
 from methods.registry import Registry
 from reports.charts import economy, svg, unseen, volumes
@@ -95,8 +100,9 @@ from reports.tables.protocols import by_scene_choice
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
+STUDIES = MEASURED / "studies"
 BLOCK = re.compile(
-    r"(<!-- (table|chart|ladders|departures|economy|verdict|paper|index|commands)\b(.*?)-->\n)"
+    r"(<!-- (table|chart|ladders|departures|economy|verdict|paper|tuned|index|commands)\b(.*?)-->\n)"
     r".*?(<!-- end -->)",
     re.S,
 )
@@ -104,6 +110,8 @@ METHODS = (
     "3dgs", "3dgs-mcmc", "vq-3dgs", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs", "veg",
     "plenoxels", "ccnerf", "econgs", "mesh", "sz3", "zfp",
 )  # fmt: skip
+ONE_SEED = "¹"
+"""Behind a row of one seed, where other rows of the table have several."""
 BY_ITSELF = "kind == 'basic' and rate.isna()"
 
 
@@ -164,6 +172,11 @@ def table(description: str) -> str:
     groups = _ordered(results, across) if across else [()]
     parts = dict(list(results.groupby(by + across)))
     cells = [[_label(name, value) for name, value in zip(by, row, strict=True)] for row in rows]
+    counts = results.groupby(by)["seed"].nunique()
+    single = [int(counts[row[0] if len(by) == 1 else row]) == 1 for row in rows]
+    if marked := any(single) and not all(single):
+        for line, alone in zip(cells, single, strict=True):
+            line[-1] += ONE_SEED if alone else ""
     sole = across and len(block["columns"]) == 1  # its name then stands once, at the head of the first column
     titles = [f"{VALUES[block['columns'][0]].title} by {by[0]}", *by[1:]] if sole else list(by)
     for group in groups:
@@ -178,7 +191,7 @@ def table(description: str) -> str:
                 titles.append("change [dB]")
                 for line, (_, number) in zip(cells, numbers, strict=True):
                     line.append(_change(number, numbers[0][1]))
-    return _markdown(titles, cells) + "\n" + _conditions(results)
+    return _markdown(titles, cells) + "\n" + _conditions(results, f"{ONE_SEED} one seed" if marked else "")
 
 
 def _names(names: str | Iterable[str]) -> list[str]:
@@ -232,13 +245,13 @@ def _change(number: float | None, reference: float | None) -> str:
     return "" if number is reference else "0" if text.endswith("0.00") else text
 
 
-def _conditions(results: pd.DataFrame) -> str:
+def _conditions(results: pd.DataFrame, note: str = "") -> str:
     sizes = sorted(set(results[["width", "height"]].dropna().itertuples(index=False, name=None)))
     parts = [
         "preset " + ", ".join(sorted(set(results["preset"]))),
         ", ".join(f"{width}²" if width == height else f"{width} by {height}" for width, height in sizes),
         "training views " + _series(results["train_views"]),
-        "seed " + _series(results["seed"]),
+        f"{'seeds' if results['seed'].nunique() > 1 else 'one seed,'} {_series(results['seed'])}",
     ]
     fitted = results.dropna(subset=["fit_processor"])
     machines = {
@@ -249,6 +262,7 @@ def _conditions(results: pd.DataFrame) -> str:
         parts.append("; ".join(machines))
     else:
         parts.append("; ".join(f"{name} ({', '.join(methods)})" for name, methods in machines.items()))
+    parts += [note] if note else []
     return f"*{'; '.join(parts)}.*\n"
 
 
@@ -493,6 +507,74 @@ def paper_of(description: str) -> str:
     return to_markdown(found[block["table"]]).partition("\n\n")[2]
 
 
+def tuned_of(description: str) -> str:
+    """What `bench tune` found, a row per method, after what the studies had in common."""
+    block = tomllib.loads(description)
+    every = [read_study(path) for path in sorted(STUDIES.glob("*.json"))]
+    found = [one for one in every if len(one.conditions.scenes) == block["scenes"] and one.chosen]
+    if not found:
+        raise SystemExit(f"no studies for {block}")
+    least = min(len(one.trials) for one in found)
+    heads = [
+        "method",
+        "published",
+        "default",
+        "best score",
+        "no worse than the default in both",
+        "its options",
+    ]
+    lines, won, better = [], [], []
+    for study in sorted(found, key=lambda one: METHODS.index(one.method)):
+        trials = study.trials[:least]
+        default = trials[study.starts - 1]
+        best = max(trials, key=lambda one: (one.score or 0.0, -one.number))
+        improved = _improved(trials, default)
+        name = TITLES[study.method]
+        won += [name] if best is not default else []
+        better += [name] if improved else []
+        shown = [trials[0] if study.starts > 1 else None, default, best, improved]
+        options = improved.overrides.items() if improved else ()
+        cells = [
+            "as default" if one is default and place > 1 else _mean_model(one)
+            for place, one in enumerate(shown)
+        ]
+        lines.append([name, *cells, " ".join(f"`{name}={written(value)}`" for name, value in options)])
+    under = found[0].conditions
+    scenes = ", ".join(f"`{dataset}` {scene}" for dataset, scene, _ in under.scenes)
+    conclusion = (
+        f"**Of {len(found)} methods, after {least} trials each, {len(won)} score better than with their "
+    )
+    conclusion += "defaults"
+    conclusion += f" ({', '.join(won)}); {len(better)} found settings that are no worse in PSNR and in size"
+    conclusion += f" ({', '.join(better)}).**" if better else ".**"
+    words = f"*PSNR [dB] / size [MiB] / score. {scenes}; preset {under.preset}, validation views, "
+    words += f"seed {', '.join(map(str, under.seeds))}; score: {found[0].objective.title}, mean over scenes.*"
+    return f"{conclusion}\n\n{_markdown(heads, lines)}\n{words}\n"
+
+
+def _improved(trials: Iterable[Trial], default: Trial) -> Trial | None:
+    """The best-scored trial that is no worse than the default in PSNR and in size; None without one."""
+    if default.score is None:
+        return None
+    ((_, size, psnr),) = means(default)
+    both = [
+        one
+        for one in trials
+        if one.score is not None and one.number > default.number
+        for _, own_size, own_psnr in means(one)
+        if own_size <= size and own_psnr >= psnr
+    ]
+    return max(both, key=lambda one: one.score or 0.0, default=None)
+
+
+def _mean_model(trial: Trial | None) -> str:
+    """PSNR, size and score, means over scenes."""
+    if trial is None or trial.score is None:
+        return MISSING
+    ((_, size, psnr),) = means(trial)
+    return f"{psnr:.2f} / {size:.3g} / {trial.score:.1f}"
+
+
 def index(_: str) -> str:
     """What each bundle holds, as Markdown."""
     titles = ["bundle", "MB", "rows", "datasets", "methods", "presets", "seeds"]
@@ -543,6 +625,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "departures": departures,
     "economy": economy_of,
     "verdict": verdict_of,
+    "tuned": tuned_of,
     "paper": paper_of,
     "index": index,
     "commands": commands,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import re
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+from bench.tune import Conditions, Point, Study, Trial
 from methods.econgs.spec import SPEC
 from methods.options import declared, resolve
 from reports.schema import TABLES, frame
@@ -84,7 +86,63 @@ def test_a_block_of_ladders(generate, monkeypatch, show, line) -> None:
     monkeypatch.setattr(generate, "tables", lambda bundles: tables)
     lines = generate.ladders_of(f'bundles = ["b"]\nshow = "{show}"\n').splitlines()
     assert line in lines
-    assert lines[-1] == "*preset quick; 8²; training views 4; seed 0; P.*"
+    assert lines[-1] == "*preset quick; 8²; training views 4; one seed, 0; P.*"
+
+
+def test_a_row_of_one_seed_is_marked_among_rows_of_several(generate, monkeypatch) -> None:
+    usual = {"kind": "basic", "variant": "", "rate": None, "preset": "quick", "width": 8, "height": 8,
+             "train_views": 4, "fit_processor": "P", "dataset": "d", "scene": "s"}  # fmt: skip
+    rows = [
+        usual | {"method": name, "seed": seed, "psnr": 30.0 + seed}
+        for name, seeds in (("3dgs", (0, 1, 2)), ("hac", (0,)))
+        for seed in seeds
+    ]
+    monkeypatch.setattr(generate, "tables", lambda bundles: {"results": frame("results", rows)})
+    block = 'bundles = ["b"]\nrows = "method"\ncolumns = ["psnr"]\n'
+    lines = generate.table(block).splitlines()
+    assert lines[2:4] == ["| 3DGS | 31.00 |", "| HAC¹ | 30.00 |"]
+    assert lines[-1] == "*preset quick; 8²; training views 4; seeds 0, 1, 2; P; ¹ one seed.*"
+    rows[:] = [row for row in rows if row["seed"] == 0]
+    assert "¹" not in generate.table(block)
+
+
+def test_tuned_settings_are_named_where_they_lose_nothing(generate, monkeypatch, tmp_path) -> None:
+    def trial(number, psnr, mib, **values):
+        point = Point(dataset="d", scene="s", seed=0, rate=None, psnr=psnr, bytes=round(mib * 2**20))
+        score = (psnr - 20) * math.log2(64 / mib)
+        return Trial(number=number, overrides=values, values={}, status="ok", score=score, points=(point,))
+
+    def study(method, *trials):
+        conditions = Conditions(
+            suite="tuning", preset="quick", scenes=(("d", "s", "h"),), protocol={}, seeds=(0,),
+            objective="point=20,64", device="cpu",
+        )  # fmt: skip
+        written = Study(
+            method=method,
+            version="1",
+            conditions=conditions,
+            fixed={},
+            space={},
+            starts=2,
+            budget=len(trials),
+        )
+        for one in trials:
+            written = written.with_trial(one)
+        (tmp_path / f"{method}.json").write_text(written.model_dump_json())
+
+    study("3dgs", trial(0, 28, 4), trial(1, 30, 4), trial(2, 30.1, 2, rent=0.01), trial(3, 29, 0.01))
+    study("hac", trial(0, 28, 1), trial(1, 30, 0.5), trial(2, 29, 0.5), trial(3, 40, 0.1))
+    study("econgs", trial(0, 30, 1), trial(1, 35, 0.1), trial(2, 34, 0.1))  # the shortest: three count
+    monkeypatch.setattr(generate, "STUDIES", tmp_path)
+    text = generate.tuned_of("scenes = 1")
+    assert text.startswith(
+        "**Of 3 methods, after 3 trials each, 1 score better than with their defaults (3DGS); "
+        "1 found settings that are no worse in PSNR and in size (3DGS).**"
+    )
+    cells = {line.split(" | ")[0].strip("| "): line for line in text.splitlines() if line.startswith("| ")}
+    assert cells["3DGS"].endswith("| 30.10 / 2 / 50.5 | 30.10 / 2 / 50.5 | `rent=0.01` |")
+    assert cells["HAC"].endswith("| 30.00 / 0.5 / 70.0 | as default | \N{EN DASH} |  |")
+    assert "`d` s; preset quick, validation views, seed 0" in text
 
 
 BLOCK = 'method = "econgs"\npreset = "quick"\nsuite = "departures"\nbundles = ["b"]\n'
@@ -140,7 +198,7 @@ def test_departures_join_options_with_what_was_measured(generate, monkeypatch) -
     ours, theirs = (resolve(SPEC, "quick", {"configuration": name}).values for name in ("fair", "paper"))
     names = [f"`{name}`" for name in ours if ours[name] != theirs[name]]
     assert list(cells) == ["**default**", "`iterations`", *names, "`configuration=paper`"]
-    assert lines[-1] == "*preset quick; 8²; training views 4; seed 0; P.*"
+    assert lines[-1] == "*preset quick; 8²; training views 4; one seed, 0; P.*"
 
 
 def test_departures_say_what_was_measured_with_another_version_or_not_at_all(generate, monkeypatch) -> None:
@@ -181,4 +239,4 @@ def test_a_block_of_economy(generate, monkeypatch, asks, line) -> None:
     monkeypatch.setattr(generate, "tables", lambda bundles: tables)
     lines = generate.economy_of(f'bundles = ["b"]\n{asks}\n').splitlines()
     assert line in lines
-    assert lines[-1] == "*preset quick; 8²; training views 4; seed 0; P.*"
+    assert lines[-1] == "*preset quick; 8²; training views 4; one seed, 0; P.*"

@@ -1,8 +1,9 @@
 """Image quality metrics, each named and versioned. This module is import-light.
 
 Metrics judge the picture as displayed: composited on the scene's background, clipped to [0, 1] and
-rounded to 8 bit, so that a number from memory and one from the PNG files agree. Those of
-:data:`reports.schema.COVERAGE` judge alpha, rounded likewise.
+rounded to 8 bit. PNG files hold color and alpha in 8 bit each and are composited after that rounding, so
+PSNR from files is some hundredths of a decibel lower. Those of :data:`reports.schema.COVERAGE` judge alpha,
+rounded likewise.
 """
 
 from __future__ import annotations
