@@ -139,9 +139,9 @@ def scope(contest: Contest) -> str:
         f"{'dataset' if datasets == 1 else 'datasets'}, preset {contest.preset}. A method wins if the "
         "95 % interval of its lead, over datasets (scenes of fewer than three) and seeds, excludes zero."
     )
-    for name, count in contest.others.items():
-        text += f" {label(name)} was measured on {count or 'too few scenes'} of them and is not ranked."
-    return text
+    others = sorted(contest.others.items(), key=lambda one: -one[1])
+    names = ", ".join(f"{label(name)} ({count or 'too few scenes'})" for name, count in others)
+    return f"{text} Not ranked, as measured on fewer: {names}." if names else text
 
 
 def to_text(contest: Contest, answers: Iterable[Answer]) -> list[str]:

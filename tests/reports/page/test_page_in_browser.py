@@ -335,8 +335,10 @@ def test_the_page_of_all_bundles_is_small_and_has_its_answer_first(driver: Brows
     from bench.__main__ import main
     from reports.schema import read_tables
 
-    bundles = sorted((Path(__file__).parents[3] / "reports" / "measured").glob("*.zip"))
-    assert bundles
+    every = sorted((Path(__file__).parents[3] / "reports" / "measured").glob("*.zip"))
+    apart = ("stability", "low-pass", "alpha")  # as in the command of the folder's README
+    bundles = [path for path in every if not path.name.startswith(apart)]
+    assert 0 < len(bundles) == len(every) - len(apart)
     store = tmp_path / "all"
     assert main(["merge", *map(str, bundles), "--out", str(store)]) == 0
     page = page_module.write_report(read_tables(store / "tables"), store, tmp_path / "page" / "report.html")
