@@ -71,7 +71,9 @@ class Report:
         Values of a rate knob are no variants: they are points of one curve.
         """
         default = _models(self.stored["results"], varied=False)
-        return self._part(lambda model, varied: not varied or model not in default)
+        part = self._part(lambda model, varied: not varied or model not in default)
+        part.races = self.races  # other lengths of a schedule race
+        return part
 
     @cached_property
     def of_variants(self) -> Report | None:
