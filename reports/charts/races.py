@@ -23,6 +23,7 @@ _MOST_NAMES = 7
 _WORDS = (
     "The best picture of each method at a limit: of its models of a scene, at all lengths of its schedule "
     "and all rates, linear in the logarithm of the cost between two on the front, level beyond the largest. "
+    "A method starts where it has a model of every scene. "
     "Lines are means over scenes and seeds, bands reach from the lowest seed to the highest. Training times "
     "are of one processor, divided by how much slower than usual it was. A lead counts where its 95 % "
     "interval over scenes and seeds excludes zero."

@@ -272,10 +272,14 @@ def conclusion(found: Sequence[Race]) -> list[str]:
         names += [f"undecided {open_}"] if open_ else []
         datasets = len({race.dataset for race, _ in leads})
         sentences.append(
-            f"At equal {discipline.noun}, of {len(leads)} limits on {datasets} "
-            f"dataset{'' if datasets == 1 else 's'}: {', '.join(names)}."
+            f"At equal {discipline.noun}, of {_count(len(leads), 'limit')} on {_count(datasets, 'dataset')}: "
+            f"{', '.join(names)}."
         )
     return sentences
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 HEADS = (
