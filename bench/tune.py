@@ -163,7 +163,7 @@ def front(points: ArrayLike) -> list[int]:
     Args:
         points: (n, 2) size and PSNR.
     """
-    from reports.charts.data import pareto
+    from reports.fronts import pareto
 
     places: dict[tuple[float, float], int] = {}
     for place, (size, psnr) in enumerate(np.asarray(points, dtype=np.float64).tolist()):

@@ -41,6 +41,11 @@ def absent(value: Any) -> bool:
     return value is None or value is pd.NA or (isinstance(value, float) and math.isnan(value))
 
 
+def counted(number: int, noun: str) -> str:
+    """As "1 scene" or "2 scenes"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def label(method: Any, variant: Any = "", rate: Any = None) -> str:
     """What a row is called in tables and charts."""
     parts = [TITLES.get(str(method), str(method))]

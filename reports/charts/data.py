@@ -6,7 +6,6 @@ Of training (convergence, anytime, losses) see :mod:`reports.charts.training`, o
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from reports.charts import parts
 from reports.charts.parts import OTHER
+from reports.fronts import pareto
 from reports.schema import COLUMNS
 from reports.style import OTHERS, Look, Model, label, looks, mean_key, mib, model, named, seconds
 from reports.tables.protocols import comparable
@@ -140,20 +140,6 @@ class Panel:
             text += "" if line.means else " (incomplete)"
             labels.append((end.x, end.y, text, style.color))
         return labels
-
-
-def pareto(points: Iterable[tuple[float, float]], better: int) -> list[tuple[float, float]]:
-    """The points that none dominates, from the best x to the worst (and so from the worst y to the best).
-
-    Args:
-        points: (x, y); more y is better.
-        better: 1 if more x is better, -1 if less is.
-    """
-    front: list[tuple[float, float]] = []
-    for x, y in sorted(set(points), key=lambda point: (-better * point[0], -point[1])):
-        if not front or y > front[-1][1]:
-            front.append((x, y))
-    return front
 
 
 def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:

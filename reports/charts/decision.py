@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from reports.charts.chart import GRAY, Chart, Panel, Series, Text, linear_axis, log_axis
-from reports.charts.data import pareto
 from reports.conclusions.contest import Contest
 from reports.conclusions.relative import Mark, marks, reference
+from reports.fronts import pareto
 from reports.schema import COLUMNS
 from reports.style import Look, Model, label, look
 

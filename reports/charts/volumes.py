@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from reports.charts.chart import INK, Chart, Panel, Series, Text, linear_axis, log_axis
 from reports.charts.elements import Section, cards, table
+from reports.fronts import interpolated
 from reports.style import MIB, MISSING, Look, Model, absent, looks, mib
 
 if TYPE_CHECKING:
@@ -103,19 +103,11 @@ def _meeting(
     low, high = max(volume[0][0], model[0][0]), min(volume[-1][0], model[-1][0])
     sizes = sorted({low, high, *(size for size, _ in (*volume, *model) if low < size < high)})
     for start, end in pairwise(sizes if low < high else []):
-        before, after = (_psnr(volume, size) - _psnr(model, size) for size in (start, end))
+        before, after = (interpolated(volume, size) - interpolated(model, size) for size in (start, end))
         if before < 0.0 <= after:
             size = start * (end / start) ** (before / (before - after))
-            return size, _psnr(volume, size)
+            return size, interpolated(volume, size)
     return None
-
-
-def _psnr(spots: Sequence[tuple[float, float]], size: float) -> float:
-    """PSNR of a curve at a size within it."""
-    for (low, worse), (high, better) in pairwise(spots):
-        if low <= size <= high and low < high:
-            return worse + (better - worse) * math.log(size / low) / math.log(high / low)
-    return spots[0][1]
 
 
 def volumes_chart(curves: dict[str, list[Curve]], found: Sequence[Verdict], models: list[Model]) -> Chart:

@@ -13,7 +13,7 @@ from reports.conclusions.contest import Cells, Contest, Values
 from reports.conclusions.effects import LEAST_DATASETS, Effect, effect
 from reports.conclusions.ladders import Tally, tally
 from reports.schema import COLUMNS
-from reports.style import absent, label
+from reports.style import absent, counted, label
 from reports.tables.confidence import signed
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Criterion:
             return "no interval: nothing is repeated"
         if not difference.sure and (difference.half or 0.0) > (_WIDE_RATIO if self.ratio else _WIDE):
             few = difference.datasets < LEAST_DATASETS
-            return f"{_count(difference.scenes, 'scene')} decide nothing" if few else "the datasets disagree"
+            return f"{counted(difference.scenes, 'scene')} decide nothing" if few else "the datasets disagree"
         return "95 %: " + " to ".join(
             _factor(end) if self.ratio else signed(end, 2, False) for end in difference.ends
         )
@@ -174,7 +174,7 @@ def measured(criterion: Criterion, contest: Contest) -> Answer:
         near = [name for name, one in zip(order[1:], differences, strict=True) if one is None or not one.sure]
         text = f"No winner among {_listing([order[0], *near])}: {label(first.method)}, {first.text}, is "
         text += f"{criterion.amount(lead)} than {label(second.method)} ({second.text}; "
-    text += f"{criterion.interval(lead)}), better on {lead.wins} of {_count(lead.datasets, 'dataset')}; "
+    text += f"{criterion.interval(lead)}), better on {lead.wins} of {counted(lead.datasets, 'dataset')}; "
     text += f"{_seeds(lead)}{_caution(values)}."
     return Answer(criterion.title, places, order[0] if lead.sure else "", text)
 
@@ -187,11 +187,11 @@ def stamina(climbed: Tally) -> Answer:
     best = [name for name in order if held[name] == held[order[0]]]
     rest = ", ".join(f"{label(name)} {held[name]}" for name in order[len(best) :])
     subject = label(best[0]) if len(best) == 1 else f"No winner: {_listing(best)}"
-    text = f"{subject} hold{'s' if len(best) == 1 else ''} {_count(held[best[0]], 'rung')} of {rungs}"
-    text += f" on {_count(climbed.ladders, 'ladder')} from harmless to fatal"
+    text = f"{subject} hold{'s' if len(best) == 1 else ''} {counted(held[best[0]], 'rung')} of {rungs}"
+    text += f" on {counted(climbed.ladders, 'ladder')} from harmless to fatal"
     text += f"; {rest}" if rest else ""
     for name, count in climbed.others.items():
-        text += f"; {label(name)} climbed {_count(count, 'ladder')} and is not compared"
+        text += f"; {label(name)} climbed {counted(count, 'ladder')} and is not compared"
     return Answer(ROBUST, places, best[0] if len(best) == 1 else "", f"{text}.")
 
 
@@ -214,7 +214,7 @@ def robustness(contest: Contest) -> Answer:
         behind = f"behind the best method of a scene by at most {distance:.1f} dB ({scene})"
         failures = contest.failures[name]
         return (behind if distance > 0 else "never behind another method") + (
-            f" and {_count(failures, 'failed fit')}" if failures else ""
+            f" and {counted(failures, 'failed fit')}" if failures else ""
         )
 
     places = tuple(
@@ -226,7 +226,7 @@ def robustness(contest: Contest) -> Answer:
     few = len({row["requested_views"] for row in contest.rows if not absent(row["requested_views"])}) > 1
     sentence = (
         f"{label(first)}: {text(first)}; {label(second)}: {text(second)}. "
-        f"The worst of {_count(scenes, 'scene')}{', few training views included' if few else ''}."
+        f"The worst of {counted(scenes, 'scene')}{', few training views included' if few else ''}."
     )
     return Answer(ROBUST, places, first if ranks[first] < ranks[second] else "", sentence)
 
@@ -270,7 +270,7 @@ def editing(contest: Contest, results: pd.DataFrame) -> Answer:
     parts = [f"{label(place.method)} makes {place.text}" for place in places if place.value]
     if shared and len(able) > 1:
         values = ", ".join(f"{quality[name]:.2f} dB" for name in order if name in able)
-        parts.append(f"PSNR of the {_count(len(shared), 'edit')} that they share: {values}")
+        parts.append(f"PSNR of the {counted(len(shared), 'edit')} that they share: {values}")
     refusing = [name for name in order if not done[name]]
     parts += (
         [f"{_listing(refusing, every=True)} refuse{'s' if len(refusing) == 1 else ''} all"]
@@ -304,19 +304,15 @@ def _seeds(lead: Effect) -> str:
 def _caution(values: Values) -> str:
     """Rows that a speed does not count."""
     counts = [(values.busy, "from a busy machine"), (values.elsewhere, "from other processors")]
-    parts = [f"{_count(number, 'row')} {text}" for number, text in counts if number]
+    parts = [f"{counted(number, 'row')} {text}" for number, text in counts if number]
     return f"; without {' and '.join(parts)}" if parts else ""
 
 
 def _gap(values: Values) -> str:
     if values.busy:
-        rows = _count(values.busy, "row")
+        rows = counted(values.busy, "row")
         return f"without {rows} from a busy machine no dataset has all scenes of all methods"
     return "not measured of two methods on one dataset"
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _listing(names: Iterable[str], every: bool = False) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from reports.style import absent, label
+from reports.style import absent, counted, label
 from reports.tables.columns import records
 from reports.tables.confidence import signed
 from reports.tables.ladders import held, severity
@@ -111,7 +111,7 @@ def verdict(climbs: Sequence[Row]) -> str:
     whole = [
         climb for climb in climbs if climb["failure"] is None and len(climb["outcomes"]) == climb["rungs"]
     ]
-    count = _count(len(climbs), "ladder")
+    count = counted(len(climbs), "ladder")
     if not broken:
         return f"{name} breaks on none of {count}{_rest(climbs)}."
     first = [climb for climb in broken if severity(climb)[0] == severity(broken[0])[0]]
@@ -153,7 +153,7 @@ def summary(climbs: Iterable[Row]) -> list[str]:
         breaks = [f"{climb['rung']} ({climb['failure']})" for climb in own if climb["failure"] is not None]
         text = f"breaks at {', '.join(breaks)}" if breaks else "nothing breaks"
         lines.append(
-            f"{label(*name):<{width}}  holds {sum(map(held, own))} of {_count(rungs, 'rung')}; {text}"
+            f"{label(*name):<{width}}  holds {sum(map(held, own))} of {counted(rungs, 'rung')}; {text}"
         )
     return lines
 
@@ -171,7 +171,7 @@ def flickering(amounts: Mapping[tuple[str, str], Mapping[str, float]]) -> str:
     order = sorted(means, key=lambda name: -means[name])
     most, least = order[0], order[-1]
     text = f"{most} flickers most, {means[most]:.2f}, and {least} least, {means[least]:.2f}"
-    return f"{text} ({'mean over ' if len(shared) > 1 else ''}{_count(len(shared), 'scene')})."
+    return f"{text} ({'mean over ' if len(shared) > 1 else ''}{counted(len(shared), 'scene')})."
 
 
 def listing(names: Iterable[str]) -> str:
@@ -185,8 +185,4 @@ def listing(names: Iterable[str]) -> str:
 
 def _rest(climbs: Iterable[Row]) -> str:
     missing = sum(climb["rungs"] - len(climb["outcomes"]) for climb in climbs)
-    return f"; {_count(missing, 'rung')} {'is' if missing == 1 else 'are'} not measured" if missing else ""
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+    return f"; {counted(missing, 'rung')} {'is' if missing == 1 else 'are'} not measured" if missing else ""

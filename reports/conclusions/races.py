@@ -7,12 +7,10 @@ of the cost between two models, the best one's picture beyond the largest, and n
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +18,8 @@ import numpy as np
 from reports.conclusions.clocks import CLOCKS, Clocks, place
 from reports.conclusions.contest import Cells
 from reports.conclusions.effects import Effect, effect
-from reports.style import MIB, absent, label
+from reports.fronts import interpolated, pareto
+from reports.style import MIB, absent, counted, label
 from reports.tables.columns import records
 from reports.tables.protocols import comparable
 
@@ -77,20 +76,11 @@ class Front:
     @classmethod
     def of(cls, spots: Iterable[Spot]) -> Front:
         """Of any models, at least one; costs are positive."""
-        front: list[Spot] = []
-        for cost, psnr in sorted(spots, key=lambda spot: (spot[0], -spot[1])):
-            if not front or psnr > front[-1][1]:
-                front.append((cost, psnr))
-        return cls(tuple(front))
+        return cls(tuple(pareto(spots, -1)))
 
     def at(self, limit: float) -> float | None:
         """PSNR that is reached at a limit; None below the smallest cost."""
-        if limit < self.spots[0][0]:
-            return None
-        for (low, worse), (high, better) in pairwise(self.spots):
-            if low <= limit < high:
-                return worse + (better - worse) * math.log(limit / low) / math.log(high / low)
-        return self.spots[-1][1]
+        return None if limit < self.spots[0][0] else interpolated(self.spots, limit)
 
 
 Fronts = dict[str, dict[Any, Front]]
@@ -272,14 +262,10 @@ def conclusion(found: Sequence[Race]) -> list[str]:
         names += [f"undecided {open_}"] if open_ else []
         datasets = len({race.dataset for race, _ in leads})
         sentences.append(
-            f"At equal {discipline.noun}, of {_count(len(leads), 'limit')} on {_count(datasets, 'dataset')}: "
-            f"{', '.join(names)}."
+            f"At equal {discipline.noun}, of {counted(len(leads), 'limit')} on "
+            f"{counted(datasets, 'dataset')}: {', '.join(names)}."
         )
     return sentences
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 HEADS = (
