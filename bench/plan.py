@@ -120,8 +120,11 @@ class Planner:
         self, spec: MethodSpec, overrides: Mapping[str, Any]
     ) -> Iterator[tuple[Settings, list[float | None]]]:
         """Shorter and longer schedules of a method that is trained, at its own size."""
+        lengths = self._selection.suite.lengths
+        if not lengths or ITERATIONS in overrides:
+            return
         usual = resolve(spec, self._like, overrides).iterations
-        for share in self._selection.suite.lengths if ITERATIONS not in overrides else ():
+        for share in lengths:
             count = round(share * usual)
             if usual > 1 and count not in (0, usual):
                 yield resolve(spec, self._like, {**overrides, ITERATIONS: count}), [None]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, cast, runtime_checkable
 
@@ -76,6 +76,12 @@ def option(
         default=default, metadata={OPTION: Option(default, doc, minimum, maximum, search=search)}
     )
     return cast("V", declared)
+
+
+def with_default(options: type, name: str, default: V) -> V:
+    """A field as another dataclass of options declares it, with another default."""
+    declared = next(one for one in fields(options) if one.name == name).metadata[OPTION]
+    return field(default=default, metadata={OPTION: replace(declared, default=default)})
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,7 @@ class Trainer(TrainingLoop):
     """
 
     options: CpOptions
+    schedule: Schedule
 
     def __init__(
         self, scene: SceneInput, options: CpOptions, iterations: int, seed: int, device: str

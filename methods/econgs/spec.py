@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
+from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option, with_default
 from methods.shared import splatting
 
 
@@ -18,20 +18,8 @@ class EcongsOptions(splatting.SplattingOptions):
     )
     cloud_points: int = option(0, "points drawn from the initial cloud; 0 = all", minimum=0)
     random_points: int = option(10_000, "number of points of a random start", minimum=1, maximum=10_000_000)
-    rent: float = option(
-        0.01,
-        "PSNR (dB) that may go with primitives that add least to training views, twice in a fit; 0 = none go",
-        minimum=0.0,
-        maximum=10.0,
-        search=(0.0, 0.1),
-    )
-    start_spacing: float = option(
-        3.0,
-        "the cloud is thinned to one point per cell of this many pixels of the training views; 0 = off",
-        minimum=0.0,
-        maximum=100.0,
-        search=(0.0, 6.0),
-    )
+    rent: float = with_default(splatting.SplattingOptions, "rent", 0.01)
+    start_spacing: float = with_default(splatting.SplattingOptions, "start_spacing", 3.0)
     random_half_extent: float = option(
         0.5, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 import torch
@@ -32,9 +33,9 @@ from methods.econgs.schedule import Schedule
 from methods.econgs.spec import EcongsOptions
 from methods.econgs.start import starting_points
 from methods.interface import Checkpoint, SceneInput
-from methods.shared import rent
 from methods.shared.anchors import AnchorLoop, Rate
 from methods.shared.coding import coded_context
+from methods.shared.rent import Frame, Holding, some_views
 from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
 
 DECODER_RATES: dict[str, Rate] = {
@@ -155,8 +156,7 @@ class Trainer(AnchorLoop):
 
     def step(self) -> dict[str, float]:
         self.iteration += 1
-        if self.schedule.settles_rent(self.iteration):
-            self._settle_rent()
+        self.settle_rent()
         self.begin_coding()
         place, view = self.next_view()
         scene = self.scenes[place]
@@ -267,16 +267,13 @@ class Trainer(AnchorLoop):
         pairs = [(i, view) for i, count in enumerate(counts) for view in range(count)]
         return [pairs[i] for i in self.shuffled(len(pairs))]
 
-    def _settle_rent(self) -> None:
-        """Anchors whose removal the pictures hardly show go; what is left learns to do without them."""
-        allowance = self.options.rent
-        if not allowance:
-            return
+    def holdings(self) -> Iterable[Holding]:
         for scene in self.scenes:
-            scene.anchors.keep(self.optimiser, self._who_stays(scene, allowance))
-        self.place()
+            seen = self.rent_scene(scene.source, scene.images, scene.transparent, self._frame(scene))
+            yield Holding(len(scene.anchors), [seen], partial(scene.anchors.keep, self.optimiser))
 
-    def _who_stays(self, scene: _Scene, allowance: float) -> Tensor:
+    def _frame(self, scene: _Scene) -> Frame:
+        """Draws the anchors of a scene as they are now."""
         positions, values = scene.anchors.positions, self.attributes(scene.anchors)
 
         def frame(camera: Camera, kept: Tensor) -> tuple[ViewGaussians, Tensor]:
@@ -284,17 +281,14 @@ class Trainer(AnchorLoop):
             decoded = self._decode(scene, camera, positions.index_select(0, rows), values.of(rows))
             return decoded, rows[decoded.slots // scene.anchors.offsets]
 
-        seen = rent.Scene(
-            scene.source.train, scene.images, frame, asks_alpha=self.asks_alpha(scene.transparent)
-        )
-        return rent.worth_keeping(len(positions), [seen], allowance, self.low_pass, self.device)
+        return frame
 
     def _psnr(self, model: EcongsModel) -> float:
         """Mean of the scenes' PSNR on validation views, or on some training views where there are none."""
         values = []
         for scene in self.scenes:
             views = scene.source.validation if len(scene.source.validation) else scene.source.train
-            sample = rent.some_views(len(views), 8)
+            sample = some_views(len(views), 8)
             error = 0.0
             for view in sample:
                 rgb, _ = model.render(views.cameras[view], [scene.name], background=views.background)

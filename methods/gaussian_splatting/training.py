@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterable
 
 import torch
 
@@ -18,7 +19,7 @@ from methods.gaussian_splatting.model import GaussianModel, SceneGaussians, Spla
 from methods.gaussian_splatting.schedule import Schedule
 from methods.gaussian_splatting.spec import GaussianOptions, HarmonicsOptions
 from methods.interface import Checkpoint, Refused, SceneInput
-from methods.shared import rent
+from methods.shared.rent import Holding
 from methods.shared.training import (
     CHECK_EVERY,
     TrainingLoop,
@@ -99,7 +100,7 @@ class HarmonicsTrainer(TrainingLoop):
 
     def step(self) -> dict[str, float]:
         self.iteration += 1
-        self._settle_rent()
+        self.settle_rent()
         view = self.next_view()
         camera = self.scene.train.cameras[view]
         back = self.background_color()
@@ -153,14 +154,11 @@ class HarmonicsTrainer(TrainingLoop):
         position = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
         return spherical_harmonics(degree, now["means"], position, now["sh_dc"], now["sh_rest"])
 
-    def _settle_rent(self) -> None:
-        """Gaussians that the pictures hardly show go, where the schedule says so (option ``rent``)."""
-        if not self.options.rent or not self.schedule.settles_rent(self.iteration):
-            return
-        scene = rent.Scene(
-            self.scene.train, self.images, self._frame, asks_alpha=self.asks_alpha(self.transparent)
-        )
-        kept = rent.worth_keeping(self.count, [scene], self.options.rent, self.low_pass, self.device)
+    def holdings(self) -> Iterable[Holding]:
+        scene = self.rent_scene(self.scene, self.images, self.transparent, self._frame)
+        yield Holding(self.count, [scene], self._keep)
+
+    def _keep(self, kept: torch.Tensor) -> None:
         self.optimiser.keep(kept, self.names)
         self._forget()
 

@@ -168,8 +168,7 @@ class IvrTrainer(Trainer):
         """Remove invisible Gaussians."""
         seen = self.optimiser["logits"].detach().sigmoid() >= MIN_ALPHA
         if not bool(seen.all()):
-            self.optimiser.keep(seen, self.names)
-            self._forget()
+            self._keep(seen)
 
     def _forget(self) -> None:
         super()._forget()

@@ -67,6 +67,7 @@ class Trainer(TrainingLoop):
     """
 
     options: PlenoxelsOptions
+    schedule: Schedule
     optimiser: Optimiser  # type: ignore[assignment]
     background: RGB
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import torch
@@ -22,8 +23,8 @@ from methods.interface import Model, Refused, SceneInput
 from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
 from methods.scaffold_gs.spec import ScaffoldOptions
-from methods.shared import rent
 from methods.shared.anchors import AnchorLoop, Rate, start_cloud
+from methods.shared.rent import Holding
 from methods.shared.start import thinned
 from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
 
@@ -176,7 +177,7 @@ class Trainer(AnchorLoop):
 
     def step(self) -> dict[str, float]:
         self.iteration += 1
-        self._settle_rent()
+        self.settle_rent()
         view = self.next_view()
         camera = self.scene.train.cameras[view]
         background = self.background_color()
@@ -218,16 +219,9 @@ class Trainer(AnchorLoop):
             self.check_finite()
         return report
 
-    def _settle_rent(self) -> None:
-        """Anchors that the pictures hardly show go, where the schedule says so (option ``rent``)."""
-        if not self.options.rent or not self.schedule.settles_rent(self.iteration):
-            return
-        scene = rent.Scene(
-            self.scene.train, self.images, self._frame, asks_alpha=self.asks_alpha(self.transparent)
-        )
-        kept = rent.worth_keeping(self.count, [scene], self.options.rent, self.low_pass, self.device)
-        self.anchors.keep(self.optimiser, kept)
-        self.place()
+    def holdings(self) -> Iterable[Holding]:
+        scene = self.rent_scene(self.scene, self.images, self.transparent, self._frame)
+        yield Holding(self.count, [scene], partial(self.anchors.keep, self.optimiser))
 
     def _frame(self, camera: Camera, kept: Tensor) -> tuple[Gaussians, Tensor]:
         """What :data:`methods.shared.rent.Frame` asks for."""

@@ -28,7 +28,6 @@ class AnchorLoop(TrainingLoop):
 
     Attributes:
         sets: the anchors of each scene.
-        schedule: phases of the fit.
         rules: thresholds of growth.
         coding: quantisation noise and context model; None where nothing is coded.
     """
@@ -74,6 +73,12 @@ class AnchorLoop(TrainingLoop):
         """Give changed anchors their contexts, once there is a context model."""
         if self.coding is not None and self.schedule.coded(self.iteration):
             self.coding.place(self.sets)
+
+    def settle_rent(self) -> bool:
+        due = super().settle_rent()
+        if due:
+            self.place()
+        return due
 
     def grow(self) -> None:
         """One growth event."""

@@ -66,6 +66,21 @@ class Scene:
             yield torch.stack([one.square().mean() for one in apart])
 
 
+@dataclass(frozen=True)
+class Holding:
+    """Primitives of a fit, and the scenes that say what each is worth.
+
+    Attributes:
+        count: number of the primitives.
+        scenes: which share them.
+        keep: removes all others; takes (N,) which stay.
+    """
+
+    count: int
+    scenes: Sequence[Scene]
+    keep: Callable[[Tensor], None]
+
+
 def some_views(count: int, most: int = VIEWS) -> list[int]:
     """At most so many of ``count`` views, evenly spread."""
     number = min(count, most)

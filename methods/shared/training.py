@@ -22,6 +22,7 @@ from econgs.splat import LINEAGE, LowPass, trusted_values
 from methods.interface import Checkpoint, Diverged, Monitor, Refused, SceneInput
 from methods.shared.edits import Direction
 from methods.shared.rendering import Rendering
+from methods.shared.rent import Frame, Holding, Scene, worth_keeping
 from methods.shared.splatting import SplattingOptions
 
 CHECK_EVERY = 100
@@ -100,6 +101,7 @@ class TrainingLoop(ABC):
     Attributes:
         optimiser: holds the parameters.
         options: the method's options.
+        schedule: phases of the fit.
         background: what training views are composited on; None: a random color each time.
         iteration: steps done.
         pending: views not yet drawn in this round.
@@ -114,6 +116,7 @@ class TrainingLoop(ABC):
 
     optimiser: Adam
     options: Any
+    schedule: Any
     background: RGB | None
     units: float = 1.0
 
@@ -239,6 +242,25 @@ class TrainingLoop(ABC):
                 values = tensor.exp() if name.endswith(_LOGARITHMS) else tensor
                 if not math.isfinite(float(values.sum())):
                     raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
+
+    def settle_rent(self) -> bool:
+        """Primitives that the pictures hardly show go, where the schedule says so; whether it does.
+
+        Of methods with the option ``rent``.
+        """
+        due = bool(self.options.rent) and self.schedule.settles_rent(self.iteration)
+        for one in self.holdings() if due else ():
+            kept = worth_keeping(one.count, one.scenes, self.options.rent, self.low_pass, self.device)
+            one.keep(kept)
+        return due
+
+    def holdings(self) -> Iterable[Holding]:
+        """The primitives that may go, each asked for after those before it went: none here."""
+        return ()
+
+    def rent_scene(self, source: SceneInput, images: Tensor, transparent: bool, frame: Frame) -> Scene:
+        """A scene whose training views say what a primitive is worth; arguments as they are named there."""
+        return Scene(source.train, images, frame, asks_alpha=self.asks_alpha(transparent))
 
     def next_view(self) -> Any:
         """Views come in random order, none twice before all were seen."""

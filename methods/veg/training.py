@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -22,7 +22,7 @@ from methods.gaussian_splatting.training import LEARNING_RATES, POSITION_DECAY
 from methods.interface import Checkpoint, Refused, SceneInput
 from methods.ivr_gs.losses import normal_loss, smoothness_loss
 from methods.ivr_gs.training import NORMAL_RATE
-from methods.shared import rent
+from methods.shared.rent import Holding
 from methods.shared.training import (
     CHECK_EVERY,
     TrainingLoop,
@@ -131,7 +131,7 @@ class VegTrainer(TrainingLoop):
         if self.shading and not self.schedule.shaded(self.iteration - 1):
             self.optimiser = self._optimiser({name: self.optimiser[name].detach() for name in PARAMETERS})
             self._forget()
-        self._settle_rent()
+        self.settle_rent()
         place, view = self.next_view()
         scene = self.scenes[place]
         self.background = scene.background
@@ -253,20 +253,14 @@ class VegTrainer(TrainingLoop):
         self.limited |= growth.limited
         self._forget()
 
-    def _settle_rent(self) -> None:
-        """Gaussians that no scene's pictures show go, where the schedule says so (option ``rent``)."""
-        if not self.options.rent or not self.schedule.settles_rent(self.iteration):
-            return
+    def holdings(self) -> Iterable[Holding]:
         scenes = [
-            rent.Scene(
-                one.source.train,
-                one.images,
-                partial(self._frame, one),
-                asks_alpha=self.asks_alpha(one.transparent),
-            )
+            self.rent_scene(one.source, one.images, one.transparent, partial(self._frame, one))
             for one in self.scenes
         ]
-        kept = rent.worth_keeping(self.count, scenes, self.options.rent, self.low_pass, self.device)
+        yield Holding(self.count, scenes, self._keep)
+
+    def _keep(self, kept: Tensor) -> None:
         self.optimiser.keep(kept, PARAMETERS)
         self._forget()
 
