@@ -18,6 +18,18 @@ from tests.reports.page.browser import Browser, executable
 
 pytestmark = pytest.mark.skipif(executable() is None, reason="no Chromium here")
 SLOWER = 2.0  # than the machines that readers have: cores here are shared, and so are their caches
+CHART = (
+    "Array.from(document.querySelectorAll('svg.chart'))"
+    ".find((chart) => chart.nextElementSibling?.textContent.includes('\"keys\"'))"
+)
+POINT = (  # place of the first point that has rows, its row and the title of its series
+    f"(() => {{ const c = {CHART};"
+    "const d = JSON.parse(c.nextElementSibling.textContent), s = d.series.find((s) => s.keys);"
+    "const m = c.getScreenCTM(), [left, top, width, height] = d.box;"
+    "const x = left + width * Math.log(s.x[0] / d.x.low) / Math.log(d.x.high / d.x.low);"
+    "const y = top + height * (d.y.high - s.y[0]) / (d.y.high - d.y.low);"
+    "return [m.e + m.a * x, m.f + m.d * y, s.keys[0][0], s.title]; })()"
+)
 VISIBLE = "Array.from(document.querySelectorAll('tr.row')).filter((row) => row.offsetParent)"
 
 
@@ -164,20 +176,15 @@ def test_a_row_opens_to_its_provenance_and_stays_with_it(browser: Browser) -> No
 
 
 def test_points_of_charts_and_rows_are_linked(browser: Browser) -> None:
-    point = browser.run(
-        "(() => { const c = Array.from(document.querySelectorAll('svg.chart'))"
-        ".find((c) => c.nextElementSibling?.textContent.includes('\"keys\"'));"
-        "c.scrollIntoView({block: 'center'});"
-        "const d = JSON.parse(c.nextElementSibling.textContent), s = d.series.find((s) => s.keys);"
-        "const m = c.getScreenCTM(), [left, top, width, height] = d.box;"
-        "const x = left + width * Math.log(s.x[0] / d.x.low) / Math.log(d.x.high / d.x.low);"
-        "const y = top + height * (d.y.high - s.y[0]) / (d.y.high - d.y.low);"
-        "return [m.e + m.a * x, m.f + m.d * y, s.keys[0][0], s.title]; })()"
-    )
-    # The event of the scroll comes a frame later and would hide the tip.
-    browser.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
-    browser.point(*point[:2], press=False)
-    browser.until("!!document.querySelector('tr.row.hit')")
+    # Cards get their height as they come into sight, and a scroll hides the tip:
+    # like a reader's hand, the mouse follows the point until it has it.
+    browser.run(f"{CHART}.scrollIntoView({{block: 'center'}})")
+    for _ in range(100):
+        point = browser.run(POINT)
+        browser.point(point[0] + 1, point[1], press=False)
+        browser.point(*point[:2], press=False)
+        if browser.run("!!document.querySelector('tr.row.hit')") and browser.run(POINT) == point:
+            break
     assert browser.run("document.querySelector('tr.row.hit').dataset.key") == point[2]
     assert browser.run("document.querySelector('.tip b').textContent") == point[3]
     browser.point(*point[:2])
