@@ -68,7 +68,7 @@ def _write_rates(report: Report, folder: Path) -> None:
     if report.differences:
         table = pd.DataFrame([asdict(difference) for difference in report.differences])
         table["warnings"] = ["; ".join(warnings) for warnings in table["warnings"]]
-        for name in ("psnr_range", "bytes_range"):
+        for name in ("psnr_range", "bytes_range", "rate_interval", "psnr_interval"):
             table[name] = [f"{ends[0]:.7g} to {ends[1]:.7g}" if ends else "" for ends in table[name]]
         write_text(folder / "bd-rate.csv", to_csv(table))
 

@@ -37,6 +37,11 @@ class Interval(NamedTuple):
     views: int
     seeds: int = 1
 
+    @property
+    def half(self) -> float | None:
+        """Half of its width."""
+        return None if self.low is None or self.high is None else (self.high - self.low) / 2
+
     def contains(self, value: float) -> bool:
         """Whether the interval exists and ``value`` is between its ends."""
         return self.low is not None and self.high is not None and self.low < value < self.high
@@ -191,14 +196,14 @@ class Sample:
             return None
         pairs = []
         for scene, path in self.scenes.items():
-            views = _shared([path, other.scenes[scene]])
+            views = shared_views([path, other.scenes[scene]])
             pairs.append(Path(views, path.at(views) - other.scenes[scene].at(views)))
         if self.seeds.keys() == other.seeds.keys():
             return _of_scenes(pairs, [[mean - other.seeds[seed] for seed, mean in self.seeds.items()]])
         return _of_scenes(pairs, [list(self.seeds.values()), list(other.seeds.values())])
 
 
-def _shared(paths: Sequence[Path]) -> tuple[str, ...]:
+def shared_views(paths: Sequence[Path]) -> tuple[str, ...]:
     """The views that all paths have, in the order of the first."""
     first = paths[0].views
     if all(path.views == first for path in paths):
@@ -257,7 +262,7 @@ class Views:
         means: dict[str, Path] = {}
         of_seeds: dict[str, list[float]] = {}
         for scene, seeds in by_scene.items():
-            views = _shared(list(seeds.values()))
+            views = shared_views(list(seeds.values()))
             means[scene] = Path(views, np.mean([path.at(views) for path in seeds.values()], axis=0))
             for seed, path in seeds.items():
                 of_seeds.setdefault(seed, []).append(float(path.at(views).mean()) if views else np.nan)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from reports.charts import rate_intervals
 from reports.style import MIB, Model, absent, mean_key, model
 from reports.tables.columns import records
 from reports.tables.means import summary
@@ -13,6 +15,8 @@ from reports.tables.protocols import comparable, shared_by_all
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from reports.statistics import Views
 
 LEAST_POINTS = 4
 """Of each curve, for a difference."""
@@ -200,6 +204,9 @@ class Difference:
         psnr: BD-PSNR: dB that ``test`` is above ``reference`` at equal bytes.
         psnr_range: the PSNR, in dB, over which ``rate`` is an average.
         bytes_range: the bytes per scene over which ``psnr`` is an average.
+        rate_interval: 95 % interval of ``rate``, in percent; None without values of test views.
+        psnr_interval: 95 % interval of ``psnr``, in dB.
+        seeds: the fewer of both curves; with 1 the intervals hold the spread of views alone.
         overlap: share of the two curves' PSNR and of their log bytes that is common; the smaller of both, of
             those that are.
         warnings: what makes the numbers doubtful, or why one is not there.
@@ -213,13 +220,25 @@ class Difference:
     psnr: float | None = None
     psnr_range: tuple[float, float] | None = None
     bytes_range: tuple[float, float] | None = None
+    rate_interval: tuple[float, float] | None = None
+    psnr_interval: tuple[float, float] | None = None
+    seeds: int = 0
     overlap: float = 0.0
     warnings: tuple[str, ...] = ()
     refused: str = ""
 
 
-def difference(reference: Curve, test: Curve) -> Difference:
-    """BD-rate and BD-PSNR of a curve against another (Bjøntegaard 2001, VCEG-M33)."""
+def difference(
+    reference: Curve, test: Curve, views: Views | None = None, results: pd.DataFrame | None = None
+) -> Difference:
+    """BD-rate and BD-PSNR of a curve against another (Bjøntegaard 2001, VCEG-M33).
+
+    Args:
+        reference: a curve.
+        test: another one.
+        views: values of test views, for intervals.
+        results: the documented table with the jobs of the points, for intervals.
+    """
     import numpy as np
 
     who = (reference.dataset, reference.title, test.title)
@@ -248,7 +267,33 @@ def difference(reference: Curve, test: Curve) -> Difference:
     if common_log is not None:
         psnr = _delta("bd_psnr", size, quality, "akima")
         ends = (10 ** common_log[0], 10 ** common_log[1])
-    return Difference(*who, rate, psnr, common, ends, overlap, tuple(doubts))
+    of_rate = of_psnr = None
+    seeds = 0
+    if views is not None and results is not None:
+        if rate is not None:
+            found = rate_intervals.interval(reference, test, _log_bytes, views, results)
+            if found is not None and found.half is not None:
+                middle, seeds = np.log10(1 + rate / 100), found.seeds
+                of_rate = (_percent(middle - found.half), _percent(middle + found.half))
+        if psnr is not None:
+            found = rate_intervals.interval(reference, test, _decibels, views, results)
+            if found is not None and found.half is not None:
+                of_psnr, seeds = (psnr - found.half, psnr + found.half), found.seeds
+    return Difference(*who, rate, psnr, common, ends, of_rate, of_psnr, seeds, overlap, tuple(doubts))
+
+
+def _log_bytes(size: list[float], quality: list[float], size2: list[float], quality2: list[float]) -> float:
+    """log10 of the bytes of the second curve at equal PSNR, over those of the first."""
+    return math.log10(1 + _delta("bd_rate", [size, size2], [quality, quality2], "akima") / 100)
+
+
+def _decibels(size: list[float], quality: list[float], size2: list[float], quality2: list[float]) -> float:
+    """PSNR of the second curve at equal bytes, less that of the first."""
+    return _delta("bd_psnr", [size, size2], [quality, quality2], "akima")
+
+
+def _percent(log: float) -> float:
+    return 100 * (10**log - 1)
 
 
 def _ranges(curves: list[list[float]], digits: int) -> str:
@@ -272,10 +317,15 @@ def _overlap(first: list[float], second: list[float]) -> tuple[tuple[float, floa
     return (low, high), (high - low) / (max(first[-1], second[-1]) - min(first[0], second[0]))
 
 
-def differences(curves: dict[str, list[Curve]]) -> list[Difference]:
-    """Of all pairs of a dataset's curves that have several points, each against those before it."""
+def differences(
+    curves: dict[str, list[Curve]], views: Views | None = None, results: pd.DataFrame | None = None
+) -> list[Difference]:
+    """Of all pairs of a dataset's curves that have several points, each against those before it.
+
+    Arguments as of :func:`difference`.
+    """
     return [
-        difference(reference, test)
+        difference(reference, test, views, results)
         for rows in curves.values()
         for several in ([curve for curve in rows if len(curve.points) > 1],)
         for i, test in enumerate(several)

@@ -149,4 +149,4 @@ class Report:
 
     @cached_property
     def differences(self) -> list[Difference]:
-        return rate_distortion.differences(self.curves)
+        return rate_distortion.differences(self.curves, self.views, self.at_shared_seeds)

@@ -157,14 +157,15 @@ def _rate_distortion(report: Report) -> Section | None:
     words += _seeds_left_out(report)
     parts = [f"<p>{words}</p>{cards(chart.panels)}"]
     if report.differences:
-        heads = ["Dataset", "Method", "Against", "BD-rate", "BD-PSNR [dB]", "PSNR shared [dB]"]
-        heads += ["Size shared [MiB]", "Overlap", "Remarks"]
+        heads = ["Dataset", "Method", "Against", "BD-rate", "95 %", "BD-PSNR [dB]", "95 %", "Seeds"]
+        heads += ["PSNR shared [dB]", "Size shared [MiB]", "Overlap", "Remarks"]
         parts.append(table("Average differences", heads, [_difference(each) for each in report.differences]))
         parts.append(
             '<p class="note">BD-rate: bytes at equal PSNR against those of the other method. '
             f"BD-PSNR: dB at equal bytes. Interpolated with {rate_distortion.INTERPOLATION} splines over the "
             "logarithm of the size, averaged over the range that both curves cover: BD-rate over the PSNR "
-            "they share, BD-PSNR over the sizes. Refused with fewer than "
+            "they share, BD-PSNR over the sizes. Intervals are over test views and, with several seeds, over "
+            "seeds. Refused with fewer than "
             f"{rate_distortion.LEAST_POINTS} points, for curves that bend back, and without overlap.</p>"
         )
     return Section("rate-distortion", "Rate and distortion", "".join(parts), {"rate-distortion": chart})
@@ -188,10 +189,14 @@ def _seeds_left_out(report: Report) -> str:
 def _difference(pair: Difference) -> list[str]:
     who = [pair.dataset, pair.test, pair.reference]
     if pair.refused:
-        return [*who, *[MISSING] * 5, f"refused: {pair.refused}"]
+        return [*who, *[MISSING] * 8, f"refused: {pair.refused}"]
+    rate = [confidence.signed(end, 1) for end in pair.rate_interval or ()]
     numbers = [
-        MISSING if pair.rate is None else f"{pair.rate:+.1f} %",
-        MISSING if pair.psnr is None else f"{pair.psnr:+.2f}",
+        MISSING if pair.rate is None else f"{confidence.signed(pair.rate, 1)} %",
+        f"{' to '.join(rate)} %" if rate else MISSING,
+        MISSING if pair.psnr is None else confidence.signed(pair.psnr),
+        confidence.ends(*pair.psnr_interval, sign=True) if pair.psnr_interval else MISSING,
+        str(pair.seeds) if pair.seeds else MISSING,
         confidence.ends(*pair.psnr_range) if pair.psnr_range else MISSING,
         " to ".join(mib(value) for value in pair.bytes_range) if pair.bytes_range else MISSING,
     ]

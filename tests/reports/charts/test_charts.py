@@ -189,7 +189,7 @@ def test_the_page_tells_bd_rates(maker):
     html = sections(maker.tables())["rate-distortion"]
     first = maker.report().differences[0]
     assert first.psnr == pytest.approx(0.5, abs=0.01)
-    assert f"{first.rate:+.1f} %" in html
+    assert f"{first.rate:+.1f} %".replace("-", "\N{MINUS SIGN}") in html
     assert "33.50 to 36.00" in html
 
 
