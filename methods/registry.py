@@ -240,6 +240,11 @@ def check_spec(spec: Any, origin: str) -> None:
         raise wrong(f"an option called {CONFIGURATION!r}", "Declare MethodSpec.configurations")
     for name, option in options.items():
         check(spec.name, name, option, option.default)
+        if option.search is not None:
+            for end in option.search:
+                check(spec.name, name, option, end)
+            if option.search[0] >= option.search[1]:
+                raise wrong(f"option {name}: search {option.search}", "Write it as (lowest, highest)")
     overlays = {f"preset {name}": values for name, values in spec.presets.items()}
     overlays |= {f"configuration {name}": one.options for name, one in spec.configurations.items()}
     for overlay, values in overlays.items():

@@ -6,7 +6,7 @@ import json
 import os
 import signal
 import time
-from dataclasses import replace
+from dataclasses import field, make_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from bench.tables import build_tables
 from bench.tune import Point, Trial, Trials, front, hypervolume, objective_of, range_of, search_space
 from bench.worker import now
 from datasets.errors import DataError, UnknownName
-from methods.interface import PRESETS, Option
+from methods.interface import OPTION, PRESETS, Option
 from methods.options import parse_assignments, resolve
 from methods.registry import Registry, check_spec
 
@@ -218,6 +218,15 @@ def test_every_method_has_options_to_tune_and_as_many_as_others(name, preset) ->
 def test_tunable_options_must_exist() -> None:
     with pytest.raises(UnknownName, match=r"tunable option 'shft' of method fake-tuned.*shift"):
         check_spec(replace(REGISTRY.spec("fake-tuned"), tunable=("shft",)), "here")
+
+
+@pytest.mark.parametrize(("search", "reason"), [((0.0, 2.0), "above the maximum 1"), ((0.5, 0.5), "search")])
+def test_a_range_of_the_search_lies_within_the_bounds(search, reason) -> None:
+    one = field(default=0.5, metadata={OPTION: Option(0.5, "x", 0.0, 1.0, search=search)})
+    options = make_dataclass("Options", [("shift", float, one)], frozen=True)
+    spec = replace(REGISTRY.spec("fake-tuned"), options=options, presets={}, configurations={}, tunable=())
+    with pytest.raises(DataError, match=reason):
+        check_spec(spec, "here")
 
 
 # --------------------------------------------------------------------------- trials
