@@ -47,7 +47,7 @@ changes. Keys:
 ``verdict``  what a section of the report concludes, its table, and a line with the conditions. Keys:
 
     bundles     as above
-    section     "races", "unseen" or "volumes"
+    section     "answers" (the report's first screen), "races", "rates", "unseen" or "volumes"
     where       as above; which rows the section sees
 
 ``paper``    a table of the paper as measured, over the published values. Keys:
@@ -83,10 +83,11 @@ from bench.tables import build_tables
 from bench.tune import Trial, means, read_study
 from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
 from methods.registry import Registry
-from reports.charts import economy, svg, unseen, volumes
+from reports.charts import economy, rate_distortion, svg, unseen, volumes
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.conclusions import races
+from reports.conclusions.answers import scope
 from reports.conclusions.ladders import amount, by_method, verdict
 from reports.paper import datasets
 from reports.paper.documents import to_markdown
@@ -488,6 +489,12 @@ def verdict_of(description: str) -> str:
     elif block["section"] == "races":
         sentence, heads = " ".join(races.conclusion(report.races)), races.HEADS
         lines = [races.row(race, lead) for race in report.races for lead in race.leads]
+    elif block["section"] == "rates":
+        sentence, heads = rate_distortion.conclusion(report.differences), rate_distortion.HEADS
+        lines = [rate_distortion.row(one) for one in report.differences]
+    elif block["section"] == "answers":
+        sentence, heads = scope(report.contests[0]), ("", "")
+        lines = [[f"**{one.title}**", one.sentence] for one in report.answers]
     else:
         verdicts = volumes.verdicts(report.curves)
         sentence, heads = volumes.conclusion(verdicts), volumes.HEADS

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from reports.charts import rate_intervals
-from reports.style import MIB, Model, absent, mean_key, model
+from reports.style import MIB, MISSING, Model, absent, mean_key, mib, model
+from reports.tables import confidence
 from reports.tables.columns import records
 from reports.tables.means import summary
 from reports.tables.protocols import comparable, shared_by_all
@@ -331,6 +333,68 @@ def differences(
         for i, test in enumerate(several)
         for reference in several[:i]
     ]
+
+
+HEADS = (
+    "Dataset", "Method", "Against", "BD-rate", "95 %", "BD-PSNR [dB]", "95 %", "Seeds", "PSNR shared [dB]",
+    "Size shared [MiB]", "Overlap", "Remarks",
+)  # fmt: skip
+"""Of the table of differences."""
+
+
+def row(pair: Difference) -> list[str]:
+    """A row of the table of differences."""
+    who = [pair.dataset, pair.test, pair.reference]
+    if pair.refused:
+        return [*who, *[MISSING] * 8, f"refused: {pair.refused}"]
+    rate = [confidence.signed(end, 1) for end in pair.rate_interval or ()]
+    numbers = [
+        MISSING if pair.rate is None else f"{confidence.signed(pair.rate, 1)} %",
+        f"{' to '.join(rate)} %" if rate else MISSING,
+        MISSING if pair.psnr is None else confidence.signed(pair.psnr),
+        confidence.ends(*pair.psnr_interval, sign=True) if pair.psnr_interval else MISSING,
+        str(pair.seeds) if pair.seeds else MISSING,
+        confidence.ends(*pair.psnr_range) if pair.psnr_range else MISSING,
+        " to ".join(mib(value) for value in pair.bytes_range) if pair.bytes_range else MISSING,
+    ]
+    return [*who, *numbers, f"{100 * pair.overlap:.0f} %", "; ".join(pair.warnings)]
+
+
+def conclusion(differences: Iterable[Difference]) -> str:
+    """Which method surely takes the fewest bytes at equal PSNR, if any, dataset by dataset."""
+    sentences = []
+    for dataset, pairs in _by_dataset(differences).items():
+        against: dict[str, list[tuple[str, float, bool]]] = {}
+        for pair in pairs:
+            if pair.rate is None:
+                continue
+            sure = pair.rate_interval is not None and min(pair.rate_interval) * max(pair.rate_interval) > 0
+            mirrored = 100 * (100 / (100 + pair.rate) - 1)
+            against.setdefault(pair.test, []).append((pair.reference, pair.rate, sure))
+            against.setdefault(pair.reference, []).append((pair.test, mirrored, sure))
+        most = max(map(len, against.values()), default=0)
+        if not most:
+            sentences.append(f"On {dataset} no two curves can be compared at equal PSNR.")
+            continue
+        firsts = [
+            (name, sorted((rate, other) for other, rate, _ in rivals))
+            for name, rivals in against.items()
+            if len(rivals) == most and all(rate < 0 and sure for _, rate, sure in rivals)
+        ]
+        if not firsts:
+            sentences.append(f"On {dataset} no method surely takes the fewest bytes at equal PSNR.")
+            continue
+        name, rates = firsts[0]
+        factors = [f"{100 / (100 + rate):.1f} times fewer than {other}" for rate, other in rates]
+        sentences.append(f"On {dataset}, at equal PSNR, {name} takes the fewest bytes: {', '.join(factors)}.")
+    return " ".join(sentences)
+
+
+def _by_dataset(differences: Iterable[Difference]) -> dict[str, list[Difference]]:
+    groups: dict[str, list[Difference]] = {}
+    for pair in differences:
+        groups.setdefault(pair.dataset, []).append(pair)
+    return groups
 
 
 def _points(count: int) -> str:

@@ -16,7 +16,7 @@ from reports.charts.ladders import ladders_section
 from reports.charts.races import races_section
 from reports.charts.unseen import unseen_section
 from reports.charts.volumes import volumes_section
-from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, mib, models, seconds
+from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, models, seconds
 from reports.tables import confidence
 from reports.tables.columns import records
 from reports.tables.protocols import comparable
@@ -24,7 +24,6 @@ from reports.tables.protocols import comparable
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.charts.rate_distortion import Difference
     from reports.charts.report import Report
 
 _HELD_OUT = "a few held-out views (of the measured split; no method trains on them)"
@@ -157,9 +156,9 @@ def _rate_distortion(report: Report) -> Section | None:
     words += _seeds_left_out(report)
     parts = [f"<p>{words}</p>{cards(chart.panels)}"]
     if report.differences:
-        heads = ["Dataset", "Method", "Against", "BD-rate", "95 %", "BD-PSNR [dB]", "95 %", "Seeds"]
-        heads += ["PSNR shared [dB]", "Size shared [MiB]", "Overlap", "Remarks"]
-        parts.append(table("Average differences", heads, [_difference(each) for each in report.differences]))
+        parts.insert(0, f"<p><b>{escape(rate_distortion.conclusion(report.differences))}</b></p>")
+        rows = [rate_distortion.row(each) for each in report.differences]
+        parts.append(table("Average differences", list(rate_distortion.HEADS), rows))
         parts.append(
             '<p class="note">BD-rate: bytes at equal PSNR against those of the other method. '
             f"BD-PSNR: dB at equal bytes. Interpolated with {rate_distortion.INTERPOLATION} splines over the "
@@ -184,23 +183,6 @@ def _rates_left_out(table: pd.DataFrame) -> str:
 def _seeds_left_out(report: Report) -> str:
     """What to say of seeds that some rates of a method were not measured with."""
     return _SEEDS if len(report.at_shared_seeds) < (report.results["kind"] == "basic").sum() else ""
-
-
-def _difference(pair: Difference) -> list[str]:
-    who = [pair.dataset, pair.test, pair.reference]
-    if pair.refused:
-        return [*who, *[MISSING] * 8, f"refused: {pair.refused}"]
-    rate = [confidence.signed(end, 1) for end in pair.rate_interval or ()]
-    numbers = [
-        MISSING if pair.rate is None else f"{confidence.signed(pair.rate, 1)} %",
-        f"{' to '.join(rate)} %" if rate else MISSING,
-        MISSING if pair.psnr is None else confidence.signed(pair.psnr),
-        confidence.ends(*pair.psnr_interval, sign=True) if pair.psnr_interval else MISSING,
-        str(pair.seeds) if pair.seeds else MISSING,
-        confidence.ends(*pair.psnr_range) if pair.psnr_range else MISSING,
-        " to ".join(mib(value) for value in pair.bytes_range) if pair.bytes_range else MISSING,
-    ]
-    return [*who, *numbers, f"{100 * pair.overlap:.0f} %", "; ".join(pair.warnings)]
 
 
 def _tradeoffs(report: Report) -> Section | None:

@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 import scipy.stats
 
-from reports.charts.rate_distortion import Curve, Point, difference, differences
+from reports.charts.rate_distortion import Curve, Difference, Point, conclusion, difference, differences
 from reports.statistics import Views
 from reports.style import Model
 
@@ -242,3 +242,25 @@ def test_a_seed_narrows_no_interval_and_missing_views_make_none():
     assert np.diff(several.psnr_interval) > np.diff(one.psnr_interval)
     assert difference(*curves, Views(), fits).rate_interval is None
     assert difference(*curves, Views(), fits).rate == several.rate
+
+
+def test_the_conclusion_names_who_surely_takes_the_fewest_bytes():
+    def pair(reference, test, rate, ends, dataset="d"):
+        return Difference(dataset, reference, test, rate=rate, rate_interval=ends)
+
+    sure = [
+        pair("b", "a", -50.0, (-60.0, -40.0)),
+        pair("c", "a", -80.0, (-85.0, -70.0)),
+        pair("c", "b", 5.0, None),
+    ]
+    assert conclusion(sure) == (
+        "On d, at equal PSNR, a takes the fewest bytes: 5.0 times fewer than c, 2.0 times fewer than b."
+    )
+    # The reference may be the one that wins.
+    assert conclusion([pair("b", "a", 25.0, (10.0, 40.0))]).endswith(
+        "b takes the fewest bytes: 1.2 times fewer than a."
+    )
+    assert conclusion([pair("b", "a", -50.0, (-80.0, 10.0))]).startswith("On d no method surely")
+    assert conclusion([*sure, Difference("e", "a", "b", refused="x")]).endswith(
+        "On e no two curves can be compared at equal PSNR."
+    )
