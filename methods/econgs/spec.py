@@ -18,7 +18,6 @@ class EcongsOptions(splatting.SplattingOptions):
     )
     cloud_points: int = option(0, "points drawn from the initial cloud; 0 = all", minimum=0)
     random_points: int = option(10_000, "number of points of a random start", minimum=1, maximum=10_000_000)
-    rent: float = with_default(splatting.SplattingOptions, "rent", 0.01)
     start_spacing: float = with_default(splatting.SplattingOptions, "start_spacing", 3.0)
     random_half_extent: float = option(
         0.5, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0

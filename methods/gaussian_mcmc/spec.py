@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 from methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBLISHED
+from methods.gaussian_splatting.spec import QUICK, HarmonicsOptions
 from methods.gaussian_splatting.spec import SPEC as PLAIN
-from methods.gaussian_splatting.spec import HarmonicsOptions
 from methods.interface import Configuration, OptionValue, RateKnob, option
 from methods.shared import splatting
 
@@ -43,11 +43,11 @@ SPEC = replace(
         "S. Kheradmand, D. Rebain, G. Sharma, W. Sun, J. Tseng, H. Isack, A. Kar, A. Tagliasacchi, K. M. Yi: "
         "3D Gaussian Splatting as Markov Chain Monte Carlo. NeurIPS 2024"
     ),
-    version="1",
+    version="2",
     implementation="methods.gaussian_mcmc.method:GaussianMcmc",
     options=McmcOptions,
     presets={
-        "quick": {**PLAIN.presets["quick"], "cap": 20_000},
+        "quick": {**QUICK, "cap": 20_000},
         "standard": {**PLAIN.presets["standard"], "cap": 40_000},
     },
     rate_knobs=(RateKnob("cap", (2_000, 5_000, 10_000, 20_000, 50_000), refit=True),),

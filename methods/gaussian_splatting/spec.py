@@ -8,6 +8,17 @@ from methods.shared import splatting
 
 PUBLISHED: dict[str, OptionValue] = {**splatting.PUBLISHED, "start": "random", "sh_rest_lr": 1.25e-4}
 """How the released code starts on scenes without a cloud of their own, and its rate of SH at every preset."""
+QUICK: dict[str, OptionValue] = {**splatting.QUICK, "sh_rest_lr": 1e-3}
+"""In so short a schedule; methods with options of 3DGS begin with these."""
+TUNED: dict[str, OptionValue] = {
+    "start_spacing": 0.2,
+    "alpha_weight": 0.36,
+    "position_lr": 3e-4,
+    "opacity_lr": 0.04,
+    "sh_rest_lr": 8.5e-4,
+    "growth_gradient": 3e-4,
+}
+"""What `bench tune` found for the preset quick (docs/results/tuning.md)."""
 
 
 @dataclass(frozen=True)
@@ -60,14 +71,14 @@ SPEC = MethodSpec(
         "B. Kerbl, G. Kopanas, T. Leimkühler, G. Drettakis: 3D Gaussian Splatting for Real-Time Radiance "
         "Field Rendering. ACM Transactions on Graphics 42(4), 2023"
     ),
-    version="5",
+    version="6",
     implementation="methods.gaussian_splatting.method:GaussianSplatting",
     source=SHARED_SOURCE,
     composable=True,
     edits=frozenset({"opacity"}),
     uses_alpha="views are composited on the training background; alpha is also a target of its own",
     options=GaussianOptions,
-    presets={"quick": {**splatting.QUICK, "sh_rest_lr": 1e-3}, "standard": {"sh_rest_lr": 5e-4}},
+    presets={"quick": {**QUICK, **TUNED}, "standard": {"sh_rest_lr": 5e-4}},
     iterations={"quick": 1_200, "standard": 7_000, "paper": 30_000},
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
     tunable=(

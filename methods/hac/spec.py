@@ -24,7 +24,7 @@ class HacOptions(ScaffoldOptions):
     scaling_step: float = option(0.001, "quantisation step Q of scalings", minimum=1e-8)
     offset_step: float = option(0.2, "quantisation step Q of offsets", minimum=1e-6)
     decoder_precision: Literal["float32", "float16", "int8"] = option(
-        "float32", "precision of stored decoder weights"
+        "int8", "precision of stored decoder weights"
     )
 
 
@@ -36,13 +36,17 @@ SPEC = replace(
         "Y. Chen, Q. Wu, W. Lin, M. Harandi, J. Cai: HAC: Hash-grid Assisted Context for 3D Gaussian "
         "Splatting Compression. ECCV 2024"
     ),
-    version="4",
+    version="5",
     implementation="methods.hac.method:Hac",
+    presets={"quick": splatting.QUICK},
     options=HacOptions,
     rate_knobs=(RateKnob("rate_weight", (5e-4, 1e-3, 2e-3, 3e-3, 4e-3), refit=True),),
     configurations={
         "fair": Configuration(),
-        "paper": Configuration({**PUBLISHED, "rate_weight": 4e-3, "feature_step": 1.0}, {"paper": 30_000}),
+        "paper": Configuration(
+            {**PUBLISHED, "rate_weight": 4e-3, "feature_step": 1.0, "decoder_precision": "float32"},
+            {"paper": 30_000},
+        ),
     },
     tunable=(
         *splatting.TUNABLE,

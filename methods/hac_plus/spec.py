@@ -38,7 +38,7 @@ SPEC = replace(
         "Y. Chen, Q. Wu, W. Lin, M. Harandi, J. Cai: HAC++: Towards 100X Compression of 3D Gaussian "
         "Splatting. IEEE Transactions on Pattern Analysis and Machine Intelligence, 2025"
     ),
-    version="1",
+    version="2",
     implementation="methods.hac_plus.method:HacPlus",
     options=HacPlusOptions,
     # Masks move as far as in 30,000 iterations.
@@ -46,7 +46,14 @@ SPEC = replace(
     configurations={
         "fair": Configuration(),
         "paper": Configuration(
-            {**PUBLISHED, "rate_weight": 1e-3, "feature_step": 1.0, "mask_lr": 1e-2}, {"paper": 30_000}
+            {
+                **PUBLISHED,
+                "rate_weight": 1e-3,
+                "feature_step": 1.0,
+                "mask_lr": 1e-2,
+                "decoder_precision": "float32",
+            },
+            {"paper": 30_000},
         ),
     },
     tunable=(

@@ -51,6 +51,15 @@ PUBLISHED: dict[str, OptionValue] = {
     "max_anchors": 0,
 }
 """How the released code starts on scenes without a cloud of their own."""
+TUNED: dict[str, OptionValue] = {
+    "start_spacing": 3.0,
+    "alpha_weight": 0.35,
+    "rent": 0.1,
+    "offsets": 3,
+    "growth_gradient": 5e-4,
+    "scale_weight": 0.035,
+}
+"""What `bench tune` found for the preset quick (docs/results/tuning.md)."""
 
 SPEC = MethodSpec(
     name="scaffold-gs",
@@ -59,14 +68,14 @@ SPEC = MethodSpec(
         "T. Lu, M. Yu, L. Xu, Y. Xiangli, L. Wang, D. Lin, B. Dai: Scaffold-GS: Structured 3D Gaussians for "
         "View-Adaptive Rendering. CVPR 2024"
     ),
-    version="4",
+    version="5",
     implementation="methods.scaffold_gs.method:ScaffoldGS",
     source=SHARED_SOURCE,
     composable=True,
     edits=frozenset({"opacity"}),
     uses_alpha="views are composited on the training background; alpha is also a target of its own",
     options=ScaffoldOptions,
-    presets={"quick": splatting.QUICK},
+    presets={"quick": {**splatting.QUICK, **TUNED}},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED, {"paper": 30_000})},
     tunable=(

@@ -47,7 +47,7 @@ class SplattingOptions:
         minimum=0.0,
     )
     rent: float = option(
-        0.0,
+        0.01,
         "PSNR (dB) that may go with primitives that add least to training views, twice in a fit; 0 = none go",
         minimum=0.0,
         maximum=10.0,

@@ -17,7 +17,7 @@ from methods.vq_3dgs.spec import VqOptions
 def test_preset_overlays_defaults_and_the_user_overlays_the_preset():
     assert GaussianOptions().sh_rest_lr == 1.25e-4
     quick = resolve(SPEC, "quick")
-    assert (quick.options.sh_rest_lr, quick.iterations, quick.variant) == (1e-3, 1_200, "")
+    assert (quick.options.sh_rest_lr, quick.iterations, quick.variant) == (8.5e-4, 1_200, "")
     own = resolve(SPEC, "quick", {"sh_rest_lr": "0.002", "iterations": "7_000", "sh_degree": "3"})
     assert (own.options.sh_rest_lr, own.iterations) == (0.002, 7_000)
     assert own.variant == "iterations=7000,sh_rest_lr=0.002", "what equals the preset is no variant"
