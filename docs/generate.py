@@ -47,7 +47,8 @@ changes. Keys:
 ``verdict``  what a section of the report concludes, its table, and a line with the conditions. Keys:
 
     bundles     as above
-    section     "answers" (the report's first screen), "races", "rates", "unseen" or "volumes"
+    section     "answers", "places" (the report's first screen: sentences, ranks), "races", "rates", "unseen"
+                or "volumes"
     where       as above; which rows the section sees
 
 ``paper``    a table of the paper as measured, over the published values. Keys:
@@ -111,6 +112,8 @@ METHODS = (
     "3dgs", "3dgs-mcmc", "vq-3dgs", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs", "veg",
     "plenoxels", "ccnerf", "econgs", "mesh", "sz3", "zfp",
 )  # fmt: skip
+TOLERANCE = 0.1
+"""dB that a tuned setting may lose; less than two fits of different seeds differ by."""
 ONE_SEED = "¹"
 """Behind a row of one seed, where other rows of the table have several."""
 BY_ITSELF = "kind == 'basic' and rate.isna()"
@@ -495,11 +498,29 @@ def verdict_of(description: str) -> str:
     elif block["section"] == "answers":
         sentence, heads = scope(report.contests[0]), ("", "")
         lines = [[f"**{one.title}**", one.sentence] for one in report.answers]
+    elif block["section"] == "places":
+        heads, lines = _places(report)
+        sentence = "Means per scene, and in parentheses the rank."
     else:
         verdicts = volumes.verdicts(report.curves)
         sentence, heads = volumes.conclusion(verdicts), volumes.HEADS
         lines = [volumes.row(one) for one in verdicts]
     return f"**{sentence}**\n\n{_markdown(list(heads), lines)}\n{_conditions(report.results)}"
+
+
+def _places(report: Report) -> tuple[list[str], list[list[str]]]:
+    """Methods by criteria: heads and rows."""
+    heads = ["method", *(answer.title for answer in report.answers)]
+    lines = []
+    for method in report.contests[0].methods:
+        cells = []
+        for answer in report.answers:
+            own = next((place for place in answer.places if place.method == method), None)
+            ahead = [place for place in answer.places if own and place.value == own.value][:1]
+            rank = answer.places.index(ahead[0]) + 1 if ahead else 0
+            cells.append(f"{own.text} ({rank})" if own else MISSING)
+        lines.append([TITLES.get(method, method), *cells])
+    return heads, lines
 
 
 def paper_of(description: str) -> str:
@@ -527,7 +548,7 @@ def tuned_of(description: str) -> str:
         "published",
         "default",
         "best score",
-        "no worse than the default in both",
+        f"at most {TOLERANCE:g} dB below the default",
         "its options",
     ]
     lines, won, better = [], [], []
@@ -552,7 +573,9 @@ def tuned_of(description: str) -> str:
         f"**Of {len(found)} methods, after {least} trials each, {len(won)} score better than with their "
     )
     conclusion += "defaults"
-    conclusion += f" ({', '.join(won)}); {len(better)} found settings that are no worse in PSNR and in size"
+    conclusion += (
+        f" ({', '.join(won)}); {len(better)} found a smaller model at most {TOLERANCE:g} dB below it"
+    )
     conclusion += f" ({', '.join(better)}).**" if better else ".**"
     words = f"*PSNR [dB] / size [MiB] / score. {scenes}; preset {under.preset}, validation views, "
     words += f"seed {', '.join(map(str, under.seeds))}; score: {found[0].objective.title}, mean over scenes.*"
@@ -560,18 +583,18 @@ def tuned_of(description: str) -> str:
 
 
 def _improved(trials: Iterable[Trial], default: Trial) -> Trial | None:
-    """The best-scored trial that is no worse than the default in PSNR and in size; None without one."""
+    """The best-scored trial that is smaller than the default and hardly worse in PSNR; None without one."""
     if default.score is None:
         return None
     ((_, size, psnr),) = means(default)
-    both = [
+    smaller = [
         one
         for one in trials
         if one.score is not None and one.number > default.number
         for _, own_size, own_psnr in means(one)
-        if own_size <= size and own_psnr >= psnr
+        if own_size <= size and own_psnr >= psnr - TOLERANCE
     ]
-    return max(both, key=lambda one: one.score or 0.0, default=None)
+    return max(smaller, key=lambda one: one.score or 0.0, default=None)
 
 
 def _mean_model(trial: Trial | None) -> str:

@@ -16,16 +16,6 @@ PUBLISHED: dict[str, OptionValue] = {
     "specular_start": 2.5,
 }
 """How the released code starts."""
-TUNED: dict[str, OptionValue] = {
-    "alpha_weight": 0.4,
-    "rent": 0.1,
-    "position_lr": 4e-5,
-    "opacity_lr": 0.016,
-    "growth_gradient": 6.5e-4,
-    "shading_lr": 0.013,
-    "normal_weight": 0.04,
-}
-"""What `bench tune` found for the preset quick (docs/results/tuning.md). The loss of alpha is not 3DGS's."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +67,8 @@ SPEC = replace(
         "palette color is the mean color weighted by alpha"
     ),
     options=IvrOptions,
-    presets={**PLAIN.presets, "quick": {**QUICK, **TUNED}},
+    # The loss of alpha is another one, with a weight of its own.
+    presets={**PLAIN.presets, "quick": {**QUICK, "alpha_weight": 0.1}},
     iterations={"quick": 1_600, "standard": 9_300, "paper": 40_000},
     rate_knobs=(RateKnob("codebook size", (4, 16, 64, 256, 1024), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
