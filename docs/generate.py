@@ -95,7 +95,7 @@ from reports.paper.documents import to_markdown
 from reports.paper.tables import paper_tables
 from reports.schema import PRUNED
 from reports.statistics import Views
-from reports.style import MISSING, TITLES
+from reports.style import MISSING, TITLES, counted
 from reports.tables.documents import to_markdown as costs_as_markdown
 from reports.tables.ladders import climbed, held, ladders
 from reports.tables.protocols import by_scene_choice
@@ -571,9 +571,7 @@ def tuned_of(description: str) -> str:
         lines.append([name, *cells, " ".join(f"`{name}={written(value)}`" for name, value in options)])
     under = found[0].conditions
     scenes = ", ".join(f"`{dataset}` {scene}" for dataset, scene, _ in under.scenes)
-    conclusion = (
-        f"**Of {len(found)} methods, after {least} trials each, {len(won)} score better than with their "
-    )
+    conclusion = f"**Of {counted(len(found), 'method')}, after {least} trials each, {len(won)} score better than with their "
     conclusion += "defaults"
     conclusion += (
         f" ({', '.join(won)}); {len(better)} found a smaller model at most {TOLERANCE:g} dB below it"
