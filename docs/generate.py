@@ -571,12 +571,9 @@ def tuned_of(description: str) -> str:
         lines.append([name, *cells, " ".join(f"`{name}={written(value)}`" for name, value in options)])
     under = found[0].conditions
     scenes = ", ".join(f"`{dataset}` {scene}" for dataset, scene, _ in under.scenes)
-    conclusion = f"**Of {counted(len(found), 'method')}, after {least} trials each, {len(won)} score better than with their "
-    conclusion += "defaults"
-    conclusion += (
-        f" ({', '.join(won)}); {len(better)} found a smaller model at most {TOLERANCE:g} dB below it"
-    )
-    conclusion += f" ({', '.join(better)}).**" if better else ".**"
+    conclusion = f"**Of {counted(len(found), 'method')}, after {least} trials each, {len(won)} score better "
+    conclusion += f"than with their defaults ({', '.join(won)}); {len(better)} found a smaller model at most "
+    conclusion += f"{TOLERANCE:g} dB below it" + (f" ({', '.join(better)}).**" if better else ".**")
     words = f"*PSNR [dB] / size [MiB] / score. {scenes}; preset {under.preset}, validation views, "
     words += f"seed {', '.join(map(str, under.seeds))}; score: {found[0].objective.title}, mean over scenes.*"
     return f"{conclusion}\n\n{_markdown(heads, lines)}\n{words}\n"
