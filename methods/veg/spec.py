@@ -108,17 +108,6 @@ class VegOptions(splatting.SplattingOptions):
     codebook_size: int = option(256, "words of each codebook", minimum=2, maximum=65536)
 
 
-TUNED: dict[str, OptionValue] = {
-    "alpha_weight": 0.8,
-    "rent": 0.1,
-    "position_lr": 5.5e-5,
-    "opacity_lr": 0.2,
-    "scalar_lr": 1e-3,
-    "shading_lr": 8e-3,
-    "growth_gradient": 1.5e-3,
-}
-"""What `bench tune` found for the preset quick (docs/results/tuning.md)."""
-
 SPEC = MethodSpec(
     name="veg",
     title="VEG: volume encoding Gaussians, independent of the transfer function",
@@ -136,7 +125,7 @@ SPEC = MethodSpec(
     volume_scenes=frozenset({"transfer"}),
     uses_alpha="views are composited on the training background; alpha is also a target of its own",
     options=VegOptions,
-    presets={"quick": {**splatting.QUICK, **TUNED}},
+    presets={"quick": splatting.QUICK},
     iterations={"quick": 1_600, "standard": 9_300, "paper": 40_000},
     rate_knobs=(RateKnob("codebook size", (4, 16, 64, 256, 1024), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
