@@ -150,7 +150,7 @@ def test_the_dead_move_onto_the_living_and_the_picture_stays(scene):
 
 def test_growth_reaches_the_cap_in_twentieths_and_stays(tiny, scene):
     recorder = tiny.Recorder()
-    model = fit(scene, recorder, 300, cap=150)
+    model = fit(scene, recorder, 300, cap=150, rent=0.0)
     assert model.primitives() == 150
     counts = sorted(set(recorder.counts))
     assert counts[:3] == [96, 100, 105]
@@ -178,7 +178,9 @@ def test_a_fit_approaches_views_that_it_never_saw(tiny, scene):
 def test_nothing_drawn_and_all_dead_change_nothing(tiny, scene):
     """A start that no view sees, all of it dead: no source to move to, and no error."""
     far = tiny.with_cloud(scene, [[0.0, 0.0, 100.0], [0.1, 0.0, 100.0]])
-    model = fit(far, tiny.Recorder(), 30, cap=2, start_opacity=0.005, opacity_weight=0.0, noise_rate=0.0)
+    model = fit(
+        far, tiny.Recorder(), 30, cap=2, start_opacity=0.005, opacity_weight=0.0, noise_rate=0.0, rent=0.0
+    )
     assert model.primitives() == 2
     assert not model.render(scene.train.cameras[0])[1].any()
 
