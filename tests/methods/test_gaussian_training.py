@@ -61,7 +61,7 @@ def test_no_visible_gaussian_leaves_the_background_and_learns_nothing(tiny, scen
     """graphdeco-inria/gaussian-splatting#482 ended in an autograd error here."""
     points = [[0.0, 0.0, 100.0], [0.1, 0.0, 100.0], [0.0, 0.1, 100.0]]
     far = tiny.with_cloud(scene, points)
-    model = fit(far, tiny.Recorder(), 20, opacity_reset=False, rent=0.0)
+    model = fit(far, tiny.Recorder(), 20, opacity_reset=False, rent=0.0, start_spacing=0.0)
     assert model.primitives() == 3
     rgb, alpha = model.render(scene.train.cameras[0])
     assert not alpha.any()
