@@ -272,13 +272,17 @@ def difference(
     of_rate = of_psnr = None
     seeds = 0
     if views is not None and results is not None:
+        first, second = (
+            [rate_intervals.Spot(one.psnr, one.bytes, one.row["jobs"]) for one in curve.points]
+            for curve in (reference, test)
+        )
         if rate is not None:
-            found = rate_intervals.interval(reference, test, _log_bytes, views, results)
+            found = rate_intervals.interval(first, second, _log_bytes, views, results)
             if found is not None and found.half is not None:
                 middle, seeds = np.log10(1 + rate / 100), found.seeds
                 of_rate = (_percent(middle - found.half), _percent(middle + found.half))
         if psnr is not None:
-            found = rate_intervals.interval(reference, test, _decibels, views, results)
+            found = rate_intervals.interval(first, second, _decibels, views, results)
             if found is not None and found.half is not None:
                 of_psnr, seeds = (psnr - found.half, psnr + found.half), found.seeds
     return Difference(*who, rate, psnr, common, ends, of_rate, of_psnr, seeds, overlap, tuple(doubts))

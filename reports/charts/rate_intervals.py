@@ -7,9 +7,9 @@ seed, as a metric has.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from reports.statistics import Path, Sample, shared_views
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.charts.rate_distortion import Curve
     from reports.statistics import Interval, Views
 
 Delta = Callable[[list[float], list[float], list[float], list[float]], float]
@@ -27,23 +26,37 @@ _STEP_PSNR, _STEP_SIZE = 1e-3, 1e-4
 """Of derivatives, in dB and in log10 of bytes; less where points lie closer together."""
 
 
+class Spot(NamedTuple):
+    """A point of a curve.
+
+    Attributes:
+        psnr: mean over scenes and seeds, dB.
+        bytes: per scene, mean over seeds.
+        jobs: the jobs behind it.
+    """
+
+    psnr: float
+    bytes: float
+    jobs: tuple[str, ...]
+
+
 def interval(
-    reference: Curve, test: Curve, delta: Delta, views: Views, results: pd.DataFrame
+    reference: Sequence[Spot], test: Sequence[Spot], delta: Delta, views: Views, results: pd.DataFrame
 ) -> Interval | None:
     """Interval of a number that compares two curves; None where test views are missing or not the same.
 
     Its mean is that of the linear part alone, so only its width counts.
 
     Args:
-        reference: a curve.
-        test: another one.
+        reference: points of a curve, by size.
+        test: those of another one.
         delta: the number.
         views: values of test views.
         results: the documented table, with a row for each job of the points.
     """
     curves = (reference, test)
-    psnr = [[point.psnr for point in curve.points] for curve in curves]
-    size = [[float(np.log10(point.bytes)) for point in curve.points] for curve in curves]
+    psnr = [[point.psnr for point in curve] for curve in curves]
+    size = [[float(np.log10(point.bytes)) for point in curve] for curve in curves]
 
     def number(sizes: list[list[float]], qualities: list[list[float]]) -> float:
         ours, theirs = ([10**value for value in values] for values in sizes)
@@ -79,12 +92,12 @@ def _slopes(
 
 
 def _part(
-    curve: Curve, by_psnr: np.ndarray, by_size: np.ndarray, views: Views, results: pd.DataFrame
+    curve: Sequence[Spot], by_psnr: np.ndarray, by_size: np.ndarray, views: Views, results: pd.DataFrame
 ) -> Sample | None:
     """What a curve adds to the linear part: the weighted sum over its points, per view and per seed."""
     samples = []
-    for point in curve.points:
-        sample = views.sample(point.row["jobs"], "psnr")
+    for point in curve:
+        sample = views.sample(point.jobs, "psnr")
         if sample is None:
             return None
         samples.append(sample)
@@ -96,7 +109,7 @@ def _part(
         common = shared_views([sample.scenes[scene] for sample in samples])
         rows = [sample.scenes[scene].at(common) for sample in samples]
         paths[scene] = Path(common, by_psnr @ np.array(rows))
-    bytes_of_seeds = [_bytes(results, point.row["jobs"]) for point in curve.points]
+    bytes_of_seeds = [_bytes(results, point.jobs) for point in curve]
     seeds = {}
     for seed in samples[0].seeds:
         if all(seed in sample.seeds for sample in samples) and all(seed in one for one in bytes_of_seeds):
