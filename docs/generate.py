@@ -512,17 +512,12 @@ def verdict_of(description: str) -> str:
 
 def _places(report: Report) -> tuple[list[str], list[list[str]]]:
     """Methods by criteria: heads and rows."""
-    heads = ["method", *(answer.title for answer in report.answers)]
     lines = []
     for method in report.contests[0].methods:
-        cells = []
-        for answer in report.answers:
-            own = next((place for place in answer.places if place.method == method), None)
-            ahead = [place for place in answer.places if own and place.value == own.value][:1]
-            rank = answer.places.index(ahead[0]) + 1 if ahead else 0
-            cells.append(f"{own.text} ({rank})" if own else MISSING)
+        found = [answer.place(method) for answer in report.answers]
+        cells = [f"{one[0].text} ({one[1] + 1})" if one else MISSING for one in found]
         lines.append([TITLES.get(method, method), *cells])
-    return heads, lines
+    return ["method", *(answer.title for answer in report.answers)], lines
 
 
 def paper_of(description: str) -> str:

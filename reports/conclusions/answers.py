@@ -116,6 +116,11 @@ class Answer:
     winner: str
     sentence: str
 
+    def place(self, method: str) -> tuple[Place, int] | None:
+        """A method's place and how many are ahead of it; equal values are equal."""
+        own = next((place for place in self.places if place.method == method), None)
+        return None if own is None else (own, [place.value for place in self.places].index(own.value))
+
 
 def answers(contest: Contest, results: pd.DataFrame, ladders: pd.DataFrame) -> list[Answer]:
     """One answer per criterion.

@@ -99,12 +99,11 @@ def _matrix(answers: list[Answer], contest: Contest, models: list[Model], anchor
 
 
 def _cell(answer: Answer, method: str) -> str:
-    methods = [place.method for place in answer.places]
-    if method not in methods:
+    found = answer.place(method)
+    if found is None:
         return '<td class="soft">\N{EN DASH}</td>'
-    own = answer.places[methods.index(method)]
-    rank = [place.value for place in answer.places].index(own.value)
-    shade = round(_SHADES * (1.0 - rank / max(1, len(methods) - 1)))
+    own, rank = found
+    shade = round(_SHADES * (1.0 - rank / max(1, len(answer.places) - 1)))
     text = escape(own.text)
     first = " first" if method == answer.winner else ""
     return f'<td class="shade{shade}{first}">{text}</td>'
