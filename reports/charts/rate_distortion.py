@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from reports.charts import rate_intervals
+from reports import rate_intervals
 from reports.style import MIB, MISSING, Model, absent, mean_key, mib, model
 from reports.tables import confidence
 from reports.tables.columns import records
@@ -269,22 +269,23 @@ def difference(
     if common_log is not None:
         psnr = _delta("bd_psnr", size, quality, "akima")
         ends = (10 ** common_log[0], 10 ** common_log[1])
-    of_rate = of_psnr = None
-    seeds = 0
+    around_rate = around_psnr = None
     if views is not None and results is not None:
         first, second = (
             [rate_intervals.Spot(one.psnr, one.bytes, one.row["jobs"]) for one in curve.points]
             for curve in (reference, test)
         )
         if rate is not None:
-            found = rate_intervals.interval(first, second, _log_bytes, views, results)
-            if found is not None and found.half is not None:
-                middle, seeds = np.log10(1 + rate / 100), found.seeds
-                of_rate = (_percent(middle - found.half), _percent(middle + found.half))
+            around_rate = rate_intervals.interval(first, second, _log_bytes, views, results)
         if psnr is not None:
-            found = rate_intervals.interval(first, second, _decibels, views, results)
-            if found is not None and found.half is not None:
-                of_psnr, seeds = (psnr - found.half, psnr + found.half), found.seeds
+            around_psnr = rate_intervals.interval(first, second, _decibels, views, results)
+    of_rate = of_psnr = None
+    if rate is not None and around_rate is not None and around_rate.half is not None:
+        middle, half = np.log10(1 + rate / 100), around_rate.half
+        of_rate = (_percent(middle - half), _percent(middle + half))
+    if psnr is not None and around_psnr is not None and around_psnr.half is not None:
+        of_psnr = (psnr - around_psnr.half, psnr + around_psnr.half)
+    seeds = max((one.seeds for one in (around_rate, around_psnr) if one and one.half is not None), default=0)
     return Difference(*who, rate, psnr, common, ends, of_rate, of_psnr, seeds, overlap, tuple(doubts))
 
 
