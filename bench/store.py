@@ -56,7 +56,7 @@ class Store:
         )
         if not marker.is_file():
             if not create:
-                raise DataError(root, "no run store", "Give --runs the folder that `bench run --out` wrote")
+                raise DataError(root, "no run store", "Give the folder that `bench run --out` wrote")
             if foreign:
                 raise DataError(root, "neither empty nor a run store", "Give --out a new folder")
             try:

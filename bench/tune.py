@@ -50,6 +50,10 @@ ENOUGH = 20
 """Trials that must have succeeded before options are said to be important: five are in the best quarter."""
 PUBLISHED = "paper"
 """Configuration of a method that the first trial has."""
+LOSS = 0.1
+"""dB by which a trial that is as good as the defaults may lie below them, mean over scenes and seeds."""
+SCENE_LOSS = 0.3
+"""dB by which it may on any scene; repeated fits differ by as much."""
 
 
 # --------------------------------------------------------------------------- objective
@@ -427,6 +431,11 @@ class Study(_Model):
     def objective(self) -> Objective:
         return objective_of(self.conditions.objective)
 
+    @property
+    def default(self) -> Trial | None:
+        """The trial with the method's own defaults; None as long as it has not ended."""
+        return next((one for one in self.trials if one.number == self.starts - 1), None)
+
     def with_trial(self, trial: Trial) -> Study:
         """The study after one more trial, or after another attempt at one; the best one is chosen anew."""
         trials = {one.number: one for one in (*self.trials, trial)}
@@ -719,6 +728,31 @@ def means(trial: Trial) -> list[tuple[float | None, float, float]]:
     rates = dict.fromkeys(one.rate for one in trial.points)
     table = {rate: [(one.mib, one.psnr) for one in trial.points if one.rate == rate] for rate in rates}
     return [(rate, *map(float, np.mean(each, axis=0))) for rate, each in table.items()]  # type: ignore[misc]
+
+
+def smaller(trials: Iterable[Trial], default: Trial) -> Trial | None:
+    """The best-scored of the trials that are as good as the defaults in fewer bytes, if there is one.
+
+    It lies at most :data:`LOSS` below them in the mean, and at most :data:`SCENE_LOSS` on any scene.
+
+    Args:
+        trials: of a study.
+        default: the trial among them with the method's defaults. There is none as good as it where it
+            failed, or where trials have a model per rate.
+    """
+    if default.score is None or len(means(default)) != 1:
+        return None
+    ((_, size, psnr),) = means(default)
+    before = {(one.dataset, one.scene, one.seed): one.psnr for one in default.points}
+    found = []
+    for trial in trials:
+        if trial.score is None or trial.number == default.number:
+            continue
+        ((_, own_size, own_psnr),) = means(trial)
+        gains = [one.psnr - before[one.dataset, one.scene, one.seed] for one in trial.points]
+        if own_size < size and own_psnr >= psnr - LOSS and min(gains) >= -SCENE_LOSS:
+            found.append(trial)
+    return max(found, key=lambda one: (one.score or 0.0, -one.number), default=None)
 
 
 def command(method: str, overrides: Mapping[str, OptionValue]) -> str:

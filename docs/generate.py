@@ -81,7 +81,7 @@ from bench.__main__ import parser
 from bench.store import Store
 from bench.suites import load_suite
 from bench.tables import build_tables
-from bench.tune import Trial, means, read_study
+from bench.tune import LOSS, SCENE_LOSS, Trial, means, read_study, smaller
 from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
 from methods.registry import Registry
 from reports.charts import economy, rate_distortion, svg, unseen, volumes
@@ -112,10 +112,6 @@ METHODS = (
     "3dgs", "3dgs-mcmc", "vq-3dgs", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs", "veg",
     "plenoxels", "ccnerf", "econgs", "mesh", "sz3", "zfp",
 )  # fmt: skip
-TOLERANCE = 0.1
-"""dB that a tuned setting may lose in the mean over scenes."""
-SCENE_TOLERANCE = 0.3
-"""dB that it may lose on a scene: what repeated fits differ by."""
 ONE_SEED = "¹"
 """Behind a row of one seed, where other rows of the table have several."""
 BY_ITSELF = "kind == 'basic' and rate.isna()"
@@ -545,7 +541,7 @@ def tuned_of(description: str) -> str:
         "published",
         "default",
         "best score",
-        f"at most {TOLERANCE:g} dB below the default, {SCENE_TOLERANCE:g} on a scene",
+        f"at most {LOSS:g} dB below the default, {SCENE_LOSS:g} on a scene",
         "its options",
     ]
     lines, won, better = [], [], []
@@ -553,7 +549,7 @@ def tuned_of(description: str) -> str:
         trials = study.trials[:least]
         default = trials[study.starts - 1]
         best = max(trials, key=lambda one: (one.score or 0.0, -one.number))
-        improved = _improved(trials, default)
+        improved = smaller(trials, default)
         name = TITLES[study.method]
         won += [name] if best is not default else []
         better += [name] if improved else []
@@ -568,31 +564,10 @@ def tuned_of(description: str) -> str:
     scenes = ", ".join(f"`{dataset}` {scene}" for dataset, scene, _ in under.scenes)
     conclusion = f"**Of {counted(len(found), 'method')}, after {least} trials each, {len(won)} score better "
     conclusion += f"than with their defaults ({', '.join(won)}); {len(better)} found a smaller model at most "
-    conclusion += f"{TOLERANCE:g} dB below it" + (f" ({', '.join(better)}).**" if better else ".**")
+    conclusion += f"{LOSS:g} dB below it" + (f" ({', '.join(better)}).**" if better else ".**")
     words = f"*PSNR [dB] / size [MiB] / score. {scenes}; preset {under.preset}, validation views, "
     words += f"seed {', '.join(map(str, under.seeds))}; score: {found[0].objective.title}, mean over scenes.*"
     return f"{conclusion}\n\n{_markdown(heads, lines)}\n{words}\n"
-
-
-def _improved(trials: Iterable[Trial], default: Trial) -> Trial | None:
-    """The best-scored trial that is smaller than the default and hardly worse in PSNR; None without one."""
-    if default.score is None:
-        return None
-    ((_, size, psnr),) = means(default)
-    smaller = [
-        one
-        for one in trials
-        if one.score is not None and one.number > default.number
-        for _, own_size, own_psnr in means(one)
-        if own_size <= size and own_psnr >= psnr - TOLERANCE and _least_gain(one, default) >= -SCENE_TOLERANCE
-    ]
-    return max(smaller, key=lambda one: one.score or 0.0, default=None)
-
-
-def _least_gain(trial: Trial, default: Trial) -> float:
-    """Gain over the default, dB, on the scene that gains least."""
-    before = {(one.dataset, one.scene, one.seed): one.psnr for one in default.points}
-    return min(one.psnr - before[one.dataset, one.scene, one.seed] for one in trial.points)
 
 
 def _mean_model(trial: Trial | None) -> str:

@@ -11,7 +11,18 @@ from pathlib import Path
 from bench.commands.results import print_grid
 from bench.commands.run import execution
 from bench.store import Store
-from bench.tune import Study, Trial, Trials, command, front, importances, means, objective_of, studies
+from bench.tune import (
+    Study,
+    Trial,
+    Trials,
+    command,
+    front,
+    importances,
+    means,
+    objective_of,
+    smaller,
+    studies,
+)
 from datasets.errors import DataError
 from methods.options import label, written
 
@@ -152,7 +163,21 @@ def _summary(study: Study, store: Store) -> list[str]:
         return [*lines, f"no model is within the reference point of {point}, so nothing is chosen; {remedy}"]
     gains = ", ".join(f"{gain:+.3f} to {name}" for name, gain in study.chosen.gains.items())
     lines.append(f"chosen: trial {study.chosen.trial}, score {study.chosen.score:.3f} ({gains})")
-    return [*lines, command(study.method, study.chosen.overrides) or "the method's own defaults"]
+    lines.append(command(study.method, study.chosen.overrides) or "the method's own defaults")
+    return [*lines, *_as_good(study)]
+
+
+def _as_good(study: Study) -> list[str]:
+    """The trial that is as good as the defaults in fewer bytes, where the chosen one is another."""
+    default = study.default
+    found = smaller(study.trials, default) if default else None
+    if default is None or found is None or (study.chosen and found.number == study.chosen.trial):
+        return []
+    (_, size, psnr), (_, before, _) = (means(one)[0] for one in (found, default))
+    gain = psnr - means(default)[0][2]
+    text = f"as good as its defaults in fewer bytes: trial {found.number}, {psnr:.2f} dB at {size:.3g} MiB "
+    text += f"({gain:+.2f} dB, {size / before:.0%} of the bytes)"
+    return [text, command(study.method, found.overrides)]
 
 
 def _print_tables(study: Study) -> None:

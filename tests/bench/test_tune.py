@@ -153,6 +153,29 @@ def test_a_score_is_the_mean_over_scenes_and_seeds() -> None:
     assert tune.score(points, objective_of("psnr")) == 30.0
 
 
+def _trial(number: int, *models: tuple[float, float], score: float | None = 1.0) -> Trial:
+    """A trial with one model per scene, each of MiB and PSNR."""
+    points = [
+        Point(dataset="d", scene=f"s{place}", seed=0, rate=None, psnr=psnr, bytes=round(mib * 2**20))
+        for place, (mib, psnr) in enumerate(models)
+    ]
+    return Trial(number=number, overrides={}, values={}, status="ok", score=score, points=points)
+
+
+def test_a_setting_is_as_good_as_the_defaults_within_its_limits_and_in_fewer_bytes() -> None:
+    default = _trial(1, (2.0, 30.0), (2.0, 34.0), score=3.0)
+    scores_least = _trial(2, (1.0, 30.0), (1.0, 34.0), score=4.0)
+    scores_most = _trial(3, (1.0, 29.75), (1.0, 34.2), score=5.0)  # -0.25 and +0.2 dB
+    loses_in_the_mean = _trial(4, (0.1, 29.85), (0.1, 33.9), score=9.0)
+    loses_on_a_scene = _trial(5, (0.1, 29.6), (0.1, 34.4), score=9.0)
+    is_larger = _trial(6, (3.0, 40.0), (3.0, 40.0), score=9.0)
+    failed = _trial(7, score=None)
+    every = (default, scores_least, scores_most, loses_in_the_mean, loses_on_a_scene, is_larger, failed)
+    assert tune.smaller(every, default) is scores_most
+    assert tune.smaller((default, loses_in_the_mean, loses_on_a_scene, is_larger, failed), default) is None
+    assert tune.smaller(every, failed) is None
+
+
 def test_a_front_has_what_no_other_model_beats() -> None:
     assert front([[2, 30], [1, 20], [3, 30], [2, 25], [1, 19], [4, 31]]) == [1, 0, 5]
 
