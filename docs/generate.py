@@ -274,7 +274,8 @@ def _series(values: pd.Series) -> str:
 
 def _markdown(titles: list[str], cells: list[list[str]]) -> str:
     lines = [titles, ["---"] * len(titles), *cells]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    escaped = ([re.sub(r"(?<!\\)\|", r"\\|", cell) for cell in line] for line in lines)
+    return "".join(f"| {' | '.join(line)} |\n" for line in escaped)
 
 
 def chart(description: str) -> str:
@@ -475,7 +476,8 @@ def economy_of(description: str) -> str:
         lines.append([f"`{scene}`", MISSING if volume is None else f"{volume / economy.KIB:,.1f}", *cells])
     usual = report.results.query(BY_ITSELF, engine="python")
     heads = [names[show], "volume [KiB]", *titles]
-    return f"{_markdown(heads, lines)}\n{_conditions(usual[usual['variant'] == ''])}"
+    sentence = f"**{economy.conclusion(rows)}**\n\n" if block.get("conclusion") else ""
+    return f"{sentence}{_markdown(heads, lines)}\n{_conditions(usual[usual['variant'] == ''])}"
 
 
 def verdict_of(description: str) -> str:
