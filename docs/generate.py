@@ -274,7 +274,7 @@ def _series(values: pd.Series) -> str:
 
 def _markdown(titles: list[str], cells: list[list[str]]) -> str:
     lines = [titles, ["---"] * len(titles), *cells]
-    escaped = ([re.sub(r"(?<!\\)\|", r"\\|", cell) for cell in line] for line in lines)
+    escaped = ([cell.replace("|", "\\|") for cell in line] for line in lines)
     return "".join(f"| {' | '.join(line)} |\n" for line in escaped)
 
 
@@ -400,7 +400,7 @@ def departures(description: str) -> str:
         if (leader := leaders.setdefault(label, name)) != name and label:
             numbers = [f"with `{leader}`", *[""] * (len(WORTH) - 1)]
         values = [written(side[name]) for side in (here, paper)]
-        cells.append([f"`{name}`", *values, _escaped(meaning[name]), *numbers])
+        cells.append([f"`{name}`", *values, meaning[name], *numbers])
     whole = resolve(spec, preset, {CONFIGURATION: "paper"}).variant
     cells.append([f"`{whole}`", "", "", "all of them", *worth.get(whole, [DASH] * len(WORTH))])
     titles = ["option", "here", "paper", "meaning", *(title for title, _ in WORTH)]
@@ -549,7 +549,7 @@ def tuned_of(description: str) -> str:
     lines, won, better = [], [], []
     for study in sorted(found, key=lambda one: METHODS.index(one.method)):
         trials = study.trials[:least]
-        default = trials[study.starts - 1]
+        default = study.default
         best = max(trials, key=lambda one: (one.score or 0.0, -one.number))
         improved = smaller(trials, default)
         name = TITLES[study.method]
@@ -604,23 +604,23 @@ def commands(_: str) -> str:
     (subcommands,) = (action for action in program._actions if isinstance(action, argparse._SubParsersAction))
     text = f"{program.epilog}\n"
     for name, command in subcommands.choices.items():
-        purpose = _escaped(command.description)
+        purpose = _help(command.description)
         text += f"\n## bench {name}\n\n{purpose[:1].upper()}{purpose[1:]}.\n\n"
         actions = [action for action in command._actions if action.dest not in ("help", "debug")]
-        text += _markdown(["argument", "meaning"], [[_argument(a), _escaped(a.help)] for a in actions])
+        text += _markdown(["argument", "meaning"], [[_argument(a), _help(a.help)] for a in actions])
     return text
 
 
 def _argument(action: argparse.Action) -> str:
     what = action.metavar or ("|".join(map(str, action.choices)) if action.choices else action.dest.upper())
     if not action.option_strings:
-        return _escaped(f"`{what}…`" if action.nargs in ("*", "+") else f"`{what}`")
+        return f"`{what}…`" if action.nargs in ("*", "+") else f"`{what}`"
     takes = "" if action.nargs == 0 else f" {what}"
-    return _escaped(f"`{action.option_strings[-1]}{takes}`")
+    return f"`{action.option_strings[-1]}{takes}`"
 
 
-def _escaped(text: str | None) -> str:
-    return (text or "").replace("|", "\\|").replace("%%", "%")
+def _help(text: str | None) -> str:
+    return (text or "").replace("%%", "%")
 
 
 KINDS: dict[str, Callable[[str], str]] = {

@@ -173,10 +173,9 @@ def _as_good(study: Study) -> list[str]:
     found = smaller(study.trials, default) if default else None
     if default is None or found is None or (study.chosen and found.number == study.chosen.trial):
         return []
-    (_, size, psnr), (_, before, _) = (means(one)[0] for one in (found, default))
-    gain = psnr - means(default)[0][2]
+    (_, size, psnr), (_, size_before, psnr_before) = (means(one)[0] for one in (found, default))
     text = f"as good as its defaults in fewer bytes: trial {found.number}, {psnr:.2f} dB at {size:.3g} MiB "
-    text += f"({gain:+.2f} dB, {size / before:.0%} of the bytes)"
+    text += f"({psnr - psnr_before:+.2f} dB, {size / size_before:.0%} of the bytes)"
     return [text, command(study.method, found.overrides)]
 
 
