@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from statistics import median
 from typing import Any
 
@@ -50,22 +50,22 @@ class Past:
     def add(self, store: Store, record: Record) -> None:
         """Take a further finished job into account."""
         if record.ok:
-            for likeness in _likenesses(record.job):
+            for likeness in chain(*_likenesses(record.job)):
                 self._alike[likeness].append((store, record))
                 self._estimates.pop(likeness, None)
 
     def estimate(self, job: Job, *, close: bool = False) -> Estimate | None:
-        """Medians over jobs of the same kind, method, preset and (if there are any) dataset.
+        """Medians over jobs of the same kind, method, preset and (if there are any) variant and dataset.
 
         Args:
             job: the job.
-            close: leave out jobs with other numbers or sizes of views.
+            close: leave out jobs of other variants, and with other numbers or sizes of views.
 
         Returns:
             None if no similar job is finished.
         """
-        likenesses = _likenesses(job)
-        for likeness in likenesses[:-1] if close else likenesses:
+        close_ones, others = _likenesses(job)
+        for likeness in close_ones if close else close_ones + others:
             if likeness in self._alike:
                 if likeness not in self._estimates:
                     self._estimates[likeness] = _median(self._alike[likeness])
@@ -78,12 +78,14 @@ def work(job: Job) -> float:
     return float(job.iterations or len(job.scenes))
 
 
-def _likenesses(job: Job) -> list[tuple[Any, ...]]:
-    """Keys that similar jobs share, the closest similarity first."""
+def _likenesses(job: Job) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
+    """Keys that similar jobs share, the closest similarity first: of the same variant and views, and others."""
     loose = (job.kind, job.method, job.preset)
     request = job.request
     sized = (*loose, request.width, request.height, request.train_views, request.test_views)
-    return [(*sized, job.dataset_name, len(job.scenes)), (*sized, job.dataset_name), sized, loose]
+    dataset, grouped = (*sized, job.dataset_name), (*sized, job.dataset_name, len(job.scenes))
+    variant = ("variant", job.variant)
+    return [(*grouped, *variant), (*dataset, *variant), (*sized, *variant)], [grouped, dataset, sized, loose]
 
 
 def _seconds(record: Record) -> float:

@@ -89,6 +89,10 @@ def test_a_limit_says_where_it_comes_from_and_how_to_lift_it(suite) -> None:
     past.add(Shelf(), _record(fit, 999.0))
     assert Limits().time(fit, past, spec).amount == TIMES * 500
     assert Limits().time(longer, past, spec).amount == 3 * TIMES * 500
+    other = fit.model_copy(update={"variant": "fake.points=500000"})
+    assert Limits().time(other, past, spec).amount == first.amount
+    past.add(Shelf(), _record(other, 9990.0))
+    assert Limits().time(other, past, spec).amount == TIMES * 9990
     reason = time_reason(Limits().time(fit, past, spec))
     assert reason.startswith("killed after its time limit of 8:20 h")
     assert "--time-limit none" in reason
