@@ -52,7 +52,7 @@ def section(report: Report) -> str:
         "A row opens to show the origin of its numbers.</caption>"
         f"<thead><tr>{heads}</tr></thead>{''.join(bodies)}</table></div>"
         f"{markup.data(_interned(writer.details), anchor='details')}"
-        f"{_notes(report, names, writer.marks)}{_failures(report)}"
+        f"{_notes(report, names, writer)}{_failures(report)}"
     )
 
 
@@ -69,6 +69,10 @@ def _records(table: pd.DataFrame) -> Iterable[tuple[Any, dict[str, Any]]]:
     return zip(table.index, records(table), strict=True)
 
 
+BUSY = "busy"
+"""Mark of a speed that was measured on a busy machine."""
+
+
 class _Rows:
     """Writer of the rows; it collects their details in the same order."""
 
@@ -78,6 +82,7 @@ class _Rows:
         self.scene_marks, self.mean_marks = report.ranks, ranks(report.means, report.views)
         self.details: list[list[str]] = []
         self.clocks = Clocks(report.results)
+        self.busy = False
 
     @property
     def marks(self) -> set[int]:
@@ -138,10 +143,8 @@ class _Rows:
             if mark == UNDECIDED:
                 text += f" {UNDECIDED_SIGN}"
             if self.clocks.busy(row, name):
-                slower = (
-                    f"the reference kernel took {self.clocks.slowdown(row, name):.1f} times its quiet time"
-                )
-                text += f" {markup.hint('busy', f'{slower}: the machine was busy')}"
+                text += f" {markup.hint(BUSY, f'{self.clocks.slowdown(row, name):.1f} times')}"
+                self.busy = True
             place = {1: " class=first", 2: " class=second"}.get(mark, "")
             cells.append(f"<td{place} data-v={float(row[name]):.7g}>{text}</td>")
         return "".join(cells)
@@ -175,8 +178,8 @@ def _controls(results: pd.DataFrame) -> str:
     )
 
 
-def _notes(report: Report, names: list[str], marks: set[int]) -> str:
-    results = report.results
+def _notes(report: Report, names: list[str], writer: _Rows) -> str:
+    results, marks = report.results, writer.marks
     note = (
         "Rows “all”: quality and FPS are means over scenes, size and time are sums, memory is the maximum. "
         "Sizes are in MiB (2<sup>20</sup> bytes). "
@@ -194,6 +197,11 @@ def _notes(report: Report, names: list[str], marks: set[int]) -> str:
         note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
     if UNDECIDED in marks:
         note += f"{UNDECIDED_NOTE} "
+    if writer.busy:
+        note += (
+            f"“{BUSY}” marks a speed of a busy machine: the reference kernel beside it took longer "
+            "than its quiet time, by the factor under the pointer. "
+        )
     for remark in (superseded_note(report.tables.get("superseded")), *notes(results)):
         note += f"<b>{escape(remark)}</b> " if remark else ""
     note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '

@@ -42,5 +42,6 @@ def test_speeds_of_a_busy_machine_are_marked(maker):
         where = {"processor": "P", "fit_processor": "P", "fit_reference_seconds": 0.01}
         maker.run(scene=f"tf{i}", views=0, reference_seconds=kernel, **where)
     page = write_report(maker.tables(), maker.root, maker.root / "r.html").read_text(encoding="utf-8")
-    assert re.findall(r"(\S+) <abbr [^>]*>busy</abbr>", page) == ["data-v=120>120"]
-    assert "2.0 times its quiet time" in page
+    marks = re.findall(r'(\S+) <abbr title="2.0 times">busy</abbr>', page)
+    assert marks == ["data-v=120>120"]
+    assert page.count("“busy” marks a speed of a busy machine") == 1
