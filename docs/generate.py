@@ -264,8 +264,19 @@ def _conditions(results: pd.DataFrame, note: str = "") -> str:
         parts.append("; ".join(machines))
     else:
         parts.append("; ".join(f"{name} ({', '.join(methods)})" for name, methods in machines.items()))
-    parts += [note] if note else []
+    parts += filter(None, [note, _earlier(results)])
     return f"*{'; '.join(parts)}.*\n"
+
+
+def _earlier(results: pd.DataFrame) -> str:
+    """Which rows are of versions that are no longer today's."""
+    registry, parts = Registry(), []
+    for (method,) in _ordered(results, ["method"]):
+        today = registry.spec(method).version
+        versions = set(results.loc[results["method"] == method, "method_version"].dropna())
+        if earlier := sorted(versions - {today}):
+            parts.append(f"{TITLES.get(method, method)} {', '.join(earlier)} (today {today})")
+    return f"earlier versions: {', '.join(parts)}" if parts else ""
 
 
 def _series(values: pd.Series) -> str:
@@ -404,7 +415,8 @@ def departures(description: str) -> str:
     whole = resolve(spec, preset, {CONFIGURATION: "paper"}).variant
     cells.append([f"`{whole}`", "", "", "all of them", *worth.get(whole, [DASH] * len(WORTH))])
     titles = ["option", "here", "paper", "meaning", *(title for title, _ in WORTH)]
-    return _markdown(titles, cells) + "\n" + _departure_conditions(results, spec.version)
+    conditions = "*Not measured yet.*\n" if results.empty else _conditions(results)
+    return _markdown(titles, cells) + "\n" + conditions
 
 
 def _measured(block: dict[str, Any], variants: list[str]) -> pd.DataFrame:
@@ -435,15 +447,6 @@ def _worth(results: pd.DataFrame, variant: str) -> list[str]:
         DASH if None in (one, base) else f"\N{MULTIPLICATION SIGN}{one / base:.2f}" for one, base in others
     ]
     return [_change(*psnr), *factors]
-
-
-def _departure_conditions(results: pd.DataFrame, today: str) -> str:
-    if results.empty:
-        return "*Not measured yet.*\n"
-    versions = sorted(set(results["method_version"].dropna()))
-    if versions == [today]:
-        return _conditions(results)
-    return f"{_conditions(results)}\n*Measured with version {', '.join(versions)}; today's is {today}.*\n"
 
 
 def economy_of(description: str) -> str:

@@ -13,6 +13,7 @@ import pytest
 from bench.tune import Conditions, Point, Study, Trial
 from methods.econgs.spec import SPEC
 from methods.options import declared, resolve
+from methods.registry import Registry
 from reports.schema import TABLES, frame
 from tests.reports.tables.test_ladders import table as rungs
 
@@ -104,6 +105,20 @@ def test_a_row_of_one_seed_is_marked_among_rows_of_several(generate, monkeypatch
     assert lines[-1] == "*preset quick; 8²; training views 4; seeds 0, 1, 2; P; ¹ one seed.*"
     rows[:] = [row for row in rows if row["seed"] == 0]
     assert "¹" not in generate.table(block)
+
+
+def test_a_table_names_the_methods_that_have_a_newer_version(generate, monkeypatch) -> None:
+    usual = {"kind": "basic", "variant": "", "rate": None, "preset": "quick", "width": 8, "height": 8,
+             "train_views": 4, "fit_processor": "P", "dataset": "d", "scene": "s", "seed": 0,
+             "psnr": 30.0}  # fmt: skip
+    today = {name: Registry().spec(name).version for name in ("3dgs", "hac")}
+    rows = [
+        usual | {"method": "3dgs", "method_version": today["3dgs"]},
+        usual | {"method": "hac", "method_version": "0"},
+    ]
+    monkeypatch.setattr(generate, "tables", lambda bundles: {"results": frame("results", rows)})
+    line = generate.table('bundles = ["b"]\nrows = "method"\ncolumns = ["psnr"]\n').splitlines()[-1]
+    assert line.endswith(f"; P; earlier versions: HAC 0 (today {today['hac']}).*")
 
 
 def test_tuned_settings_are_named_where_they_lose_nothing(generate, monkeypatch, tmp_path) -> None:
@@ -203,7 +218,7 @@ def test_departures_join_options_with_what_was_measured(generate, monkeypatch) -
 
 def test_departures_say_what_was_measured_with_another_version_or_not_at_all(generate, monkeypatch) -> None:
     lines = _departures(generate, monkeypatch, {"method_version": "0"})
-    assert lines[-1] == f"*Measured with version 0; today's is {SPEC.version}.*"
+    assert lines[-1].endswith(f"earlier versions: ECoNGS 0 (today {SPEC.version}).*")
     none = generate.departures(BLOCK.replace('"b"', "")).splitlines()
     assert none[-1] == "*Not measured yet.*"
     assert none[2] == "| **default** |  |  |  | \N{EN DASH} | \N{EN DASH} | \N{EN DASH} |"
