@@ -35,7 +35,8 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint, harness: dict[str, An
         return
     aside = folder / f".{target.name}"
     shutil.rmtree(aside, ignore_errors=True)
-    aside.mkdir(parents=True)
+    folder.mkdir(exist_ok=True)  # not its parents: a store that was removed stays away
+    aside.mkdir()
     if checkpoint.arrays:
         from safetensors.torch import save_file
 

@@ -79,7 +79,7 @@ def work(job: Job) -> float:
 
 
 def _likenesses(job: Job) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
-    """Keys that similar jobs share, the closest similarity first: of the same variant and views, and others."""
+    """Keys that similar jobs share, the closest first: those of the same variant and views, and others."""
     loose = (job.kind, job.method, job.preset)
     request = job.request
     sized = (*loose, request.width, request.height, request.train_views, request.test_views)

@@ -2,9 +2,9 @@
 
 The defaults end what hangs or fills the machine, never what is slow.
 
-Time: :data:`TIMES` the median of jobs like it that finished here, at least :data:`LEAST_SECONDS`. Jobs like it
-have its options. Of the committed records none takes 7 times what jobs like it take (tests hold that), and a
-busy machine took 8 times as long as a quiet one. Without such jobs: a cap by preset, at least 50 times its
+Time: :data:`TIMES` the median of jobs like it that finished here, at least :data:`LEAST_SECONDS`. Jobs like
+it have its options. Of the committed records none takes 7 times what jobs like it take (tests hold that), and
+a busy machine took 8 times as long as a quiet one. Without such jobs: a cap by preset, at least 50 times its
 longest committed record.
 
 Memory: :data:`SHARE` of the machine or control group, against what a job holds and the system cannot drop.

@@ -87,7 +87,15 @@ class Runner:
 
         Raises:
             Held: another process works on it.
+            DataError: the run store was removed meanwhile.
         """
+        try:
+            return self._run(job, limit)
+        except FileNotFoundError:
+            self._store.check()
+            raise
+
+    def _run(self, job: Job, limit: Limit) -> tuple[Record | None, str]:
         code, verdict = self._attempt(job, limit)
         if code == BUSY and not self._stops() and not self._died(job):
             raise Held(job.id)
@@ -134,6 +142,7 @@ class Runner:
             write_text(folder / "job.json", task.model_dump_json(indent=1) + "\n")
             log = (folder / "log.txt").open("ab")
         except FileNotFoundError:  # another run has just renamed the folder in place
+            self._store.check()
             return BUSY, None
         with log:
             start = self._processes.fork if self.forks(job) else self._processes.start

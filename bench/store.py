@@ -85,6 +85,19 @@ class Store:
         for folder in folders:
             folder.mkdir(exist_ok=True)
 
+    def check(self) -> None:
+        """Check that the store is still in place.
+
+        Raises:
+            DataError: it was removed or moved since it was opened.
+        """
+        if not all(path.exists() for path in (self.root / "store.json", self.jobs, self.partial, self.locks)):
+            raise DataError(
+                self.root,
+                "the run store was removed or moved during the run",
+                "Put it back and run again: finished jobs count as done",
+            )
+
     def lease(self, name: str) -> Lease:
         """The lease of a job or of "tables", not held at first."""
         return Lease(self.locks / name)
@@ -132,7 +145,7 @@ class Store:
         folder = folder or self.partial / record.job.id
         if lease is not None:
             lease.renew()
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(exist_ok=True)
         write_text(folder / "record.json", sealed(record.model_dump_json(indent=1) + "\n"))
         self.put_in_place(folder, record.job.id, lease)
 

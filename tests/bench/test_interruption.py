@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import time
@@ -93,6 +94,18 @@ def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> Non
     assert fit.fit.resumed == 1
     assert _models(bench.store) == undisturbed[hold.method]
     assert not list((bench.store / "partial").iterdir())
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["removed", "emptied"])
+def test_a_run_ends_with_an_error_once_its_store_is_gone(bench, hold, whole) -> None:
+    process = hold.start(bench)
+    for path in [bench.store] if whole else list(bench.store.iterdir()):
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    hold.let_go()
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 2, output
+    assert f"{bench.store}: the run store was removed or moved during the run. Put it back" in output
+    assert bench.store.exists() is not whole  # nothing is written where it was
 
 
 def test_killing_the_executor_stops_its_worker(bench, hold, undisturbed) -> None:
