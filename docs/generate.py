@@ -503,7 +503,7 @@ def verdict_of(description: str) -> str:
         lines = [[f"**{one.title}**", one.sentence] for one in report.answers]
     elif block["section"] == "places":
         heads, lines = _places(report)
-        sentence = "Means per scene, and in parentheses the rank."
+        sentence = "Means per scene, and in parentheses the rank and on how many scenes a method is first."
     else:
         verdicts = volumes.verdicts(report.curves)
         sentence, heads = volumes.conclusion(verdicts), volumes.HEADS
@@ -515,8 +515,11 @@ def _places(report: Report) -> tuple[list[str], list[list[str]]]:
     """Methods by criteria: heads and rows."""
     lines = []
     for method in report.contests[0].methods:
-        found = [answer.place(method) for answer in report.answers]
-        cells = [f"{one[0].text} ({one[1] + 1})" if one else MISSING for one in found]
+        cells = []
+        for answer in report.answers:
+            own, rank = answer.place(method) or (None, 0)
+            remarks = [str(rank + 1), answer.firsts(own)] if own else []
+            cells.append(f"{own.text} ({'; '.join(filter(None, remarks))})" if own else MISSING)
         lines.append([TITLES.get(method, method), *cells])
     return ["method", *(answer.title for answer in report.answers)], lines
 

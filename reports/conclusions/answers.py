@@ -93,11 +93,13 @@ class Place:
         method: its name.
         value: its figure; higher or lower is better as the criterion has it.
         text: the figure for people, with its unit.
+        firsts: number of scenes on which no other method is better, by means over seeds.
     """
 
     method: str
     value: float
     text: str
+    firsts: int = 0
 
 
 @dataclass(frozen=True)
@@ -109,12 +111,18 @@ class Answer:
         places: the ranked methods, best first; empty without an answer.
         winner: the best method, if its lead is sure; "" otherwise.
         sentence: the answer for people, with its uncertainty.
+        scenes: number of scenes of which ``firsts`` of the places are counted; 0 where they are not.
     """
 
     title: str
     places: tuple[Place, ...]
     winner: str
     sentence: str
+    scenes: int = 0
+
+    def firsts(self, place: Place) -> str:
+        """On how many scenes a method is first, for people; "" if on none, or if they are not counted."""
+        return f"first on {place.firsts} of {counted(self.scenes, 'scene')}" if place.firsts else ""
 
     def place(self, method: str) -> tuple[Place, int] | None:
         """A method's place and how many are ahead of it; equal values are equal."""
@@ -168,7 +176,15 @@ def measured(criterion: Criterion, contest: Contest) -> Answer:
         return Answer(criterion.title, (), "", f"Not decided: {_gap(values)}.")
     means = {name: _mean(own, criterion.ratio) for name, own in cells.items()}
     order = sorted(means, key=lambda name: -criterion.better * means[name])
-    places = tuple(Place(name, means[name], column.text(means[name]) + criterion.unit) for name in order)
+    scenes = _by_scene(cells)
+    firsts = dict.fromkeys(order, 0)
+    for scene in scenes:
+        best = max(criterion.better * value for value in scene.values())
+        for name, value in scene.items():
+            firsts[name] += criterion.better * value == best
+    places = tuple(
+        Place(name, means[name], column.text(means[name]) + criterion.unit, firsts[name]) for name in order
+    )
     differences = [criterion.effect(cells[order[0]], cells[name]) for name in order[1:]]
     lead = differences[0]
     assert lead is not None  # all methods have the same datasets
@@ -181,7 +197,17 @@ def measured(criterion: Criterion, contest: Contest) -> Answer:
         text += f"{criterion.amount(lead)} than {label(second.method)} ({second.text}; "
     text += f"{criterion.interval(lead)}), better on {lead.wins} of {counted(lead.datasets, 'dataset')}; "
     text += f"{_seeds(lead)}{_caution(values)}."
-    return Answer(criterion.title, places, order[0] if lead.sure else "", text)
+    return Answer(criterion.title, places, order[0] if lead.sure else "", text, len(scenes))
+
+
+def _by_scene(cells: dict[str, Cells]) -> list[dict[str, float]]:
+    """Per scene the methods' means over seeds; all methods have the same scenes."""
+    some = next(iter(cells.values()))
+    return [
+        {name: float(np.mean(list(own[dataset][scene].values()))) for name, own in cells.items()}
+        for dataset, scenes in some.items()
+        for scene in scenes
+    ]
 
 
 def stamina(climbed: Tally) -> Answer:

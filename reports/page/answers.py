@@ -93,7 +93,8 @@ def _matrix(answers: list[Answer], contest: Contest, models: list[Model], anchor
         lines.append(f'<tr><th scope="row">{_dot(method, models)}{escape(label(method))}</th>{cells}</tr>')
     return (
         '<div class="wide" role="region" tabindex="0" aria-label="Methods by criteria"><table class="matrix">'
-        "<caption>Methods by criteria: means per scene, shaded from best to worst; a criterion leads to its "
+        "<caption>Methods by criteria: means per scene, shaded from best to worst, and on how many scenes a "
+        "method is first; a criterion leads to its "
         f"evidence.</caption><thead><tr>{''.join(heads)}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
     )
 
@@ -105,5 +106,7 @@ def _cell(answer: Answer, method: str) -> str:
     own, rank = found
     shade = round(_SHADES * (1.0 - rank / max(1, len(answer.places) - 1)))
     text = escape(own.text)
+    if firsts := answer.firsts(own):
+        text += f'<br><span class="soft">{firsts}</span>'
     first = " first" if method == answer.winner else ""
     return f'<td class="shade{shade}{first}">{text}</td>'

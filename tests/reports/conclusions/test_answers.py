@@ -61,6 +61,27 @@ def test_a_lead_is_sure_where_students_t_says_so():
     assert [place.method for place in answer.places] == ["a", "b"]
 
 
+def test_first_places_are_counted_by_scene_from_means_over_seeds():
+    values = {"x": {"s": (31.0, 33.0), "t": (30.0, 30.0), "u": (29.0, 29.0)},
+              "y": {"s": (32.5, 30.5), "t": (30.0, 30.0), "u": (35.0, 27.0)}}  # fmt: skip
+    rows = [
+        row(name, psnr, scene=scene, seed=seed)
+        for name, scenes in values.items()
+        for scene, seeds in scenes.items()
+        for seed, psnr in enumerate(seeds)
+    ]
+    answer = measured(PICTURE, contest(*rows))
+    assert {place.method: answer.firsts(place) for place in answer.places} == {
+        "x": "first on 2 of 3 scenes",  # equal to y on t
+        "y": "first on 2 of 3 scenes",
+    }
+    sizes = measured(
+        SMALLEST, contest(*(one | {"size_bytes": 2 if one["method"] == "x" else 1} for one in rows))
+    )
+    assert [(place.method, place.firsts) for place in sizes.places] == [("y", 3), ("x", 0)]
+    assert sizes.firsts(sizes.places[1]) == ""
+
+
 def test_datasets_that_disagree_have_no_winner():
     answer = measured(PICTURE, contest(*pair([3.0, -1.0, 2.0, -1.5])))
     assert answer.winner == ""
