@@ -171,6 +171,8 @@ def table(description: str) -> str:
     by = [name for name in _names(block["rows"]) if name != "variant" or (results["variant"] != "").any()]
     across = _names(block.get("across", ()))
     rows = _ordered(results, by)
+    if not {"scene", "recipe"} & set(by) and (incomplete := _incomplete(results, by)):
+        raise SystemExit(f"means over different scenes in {block}: {'; '.join(incomplete)}")
     groups = _ordered(results, across) if across else [()]
     parts = dict(list(results.groupby(by + across)))
     cells = [[_label(name, value) for name, value in zip(by, row, strict=True)] for row in rows]
@@ -194,6 +196,17 @@ def table(description: str) -> str:
                 for line, (_, number) in zip(cells, numbers, strict=True):
                     line.append(_change(number, numbers[0][1]))
     return _markdown(titles, cells) + "\n" + _conditions(results, f"{ONE_SEED} one seed" if marked else "")
+
+
+def _incomplete(results: pd.DataFrame, by: list[str]) -> list[str]:
+    """Rows that lack scenes of a dataset which others of their kind have: their means would not compare."""
+    scenes = results.groupby(["dataset", "kind"])["scene"].agg(set)
+    incomplete = []
+    for (dataset, kind, *_), part in results.groupby(list(dict.fromkeys(["dataset", "kind", *by]))):
+        if missing := scenes[dataset, kind] - set(part["scene"]):
+            row = ", ".join(str(part[name].iloc[0]) for name in by)
+            incomplete.append(f"{row} has no {', '.join(sorted(missing))} of {dataset}")
+    return incomplete
 
 
 def _names(names: str | Iterable[str]) -> list[str]:
@@ -508,6 +521,8 @@ def verdict_of(description: str) -> str:
         verdicts = volumes.verdicts(report.curves)
         sentence, heads = volumes.conclusion(verdicts), volumes.HEADS
         lines = [volumes.row(one) for one in verdicts]
+    if not lines:
+        raise SystemExit(f"nothing of the kind for {block}")
     return f"**{sentence}**\n\n{_markdown(list(heads), lines)}\n{_conditions(report.results)}"
 
 

@@ -107,6 +107,17 @@ def test_a_row_of_one_seed_is_marked_among_rows_of_several(generate, monkeypatch
     assert "¹" not in generate.table(block)
 
 
+def test_means_over_different_scenes_are_no_table(generate, monkeypatch) -> None:
+    usual = {"kind": "basic", "variant": "", "rate": None, "preset": "quick", "width": 8, "height": 8,
+             "train_views": 4, "fit_processor": "P", "dataset": "d", "seed": 0, "psnr": 30.0}  # fmt: skip
+    scenes = {"3dgs": "ab", "hac": "a"}
+    rows = [usual | {"method": name, "scene": scene} for name, own in scenes.items() for scene in own]
+    monkeypatch.setattr(generate, "tables", lambda bundles: {"results": frame("results", rows)})
+    with pytest.raises(SystemExit, match="hac has no b of d"):
+        generate.table('bundles = ["b"]\nrows = "method"\ncolumns = ["psnr"]\n')
+    assert generate.table('bundles = ["b"]\nrows = ["method", "scene"]\ncolumns = ["psnr"]\n')
+
+
 def test_a_table_names_the_methods_that_have_a_newer_version(generate, monkeypatch) -> None:
     usual = {"kind": "basic", "variant": "", "rate": None, "preset": "quick", "width": 8, "height": 8,
              "train_views": 4, "fit_processor": "P", "dataset": "d", "scene": "s", "seed": 0,
