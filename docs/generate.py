@@ -171,7 +171,7 @@ def table(description: str) -> str:
     by = [name for name in _names(block["rows"]) if name != "variant" or (results["variant"] != "").any()]
     across = _names(block.get("across", ()))
     rows = _ordered(results, by)
-    if not {"scene", "recipe"} & set(by) and (incomplete := _incomplete(results, by)):
+    if not {"scene", "recipe", "edit"} & set(by) and (incomplete := _incomplete(results, by)):
         raise SystemExit(f"means over different scenes in {block}: {'; '.join(incomplete)}")
     groups = _ordered(results, across) if across else [()]
     parts = dict(list(results.groupby(by + across)))

@@ -107,6 +107,6 @@ def _cell(answer: Answer, method: str) -> str:
     shade = round(_SHADES * (1.0 - rank / max(1, len(answer.places) - 1)))
     text = escape(own.text)
     if firsts := answer.firsts(own):
-        text += f'<br><span class="soft">{firsts}</span>'
+        text += f"<br><small>{firsts}</small>"
     first = " first" if method == answer.winner else ""
     return f'<td class="shade{shade}{first}">{text}</td>'

@@ -21,6 +21,7 @@ class _Model:
 
 
 def _monitor(tmp_path, iterations=100) -> FitMonitor:
+    tmp_path.mkdir(exist_ok=True)
     return FitMonitor(tmp_path / "checkpoint", iterations, {}, lambda **state: None, Stop(), every=1e9)
 
 

@@ -19,7 +19,7 @@ def test_the_answers_come_first_with_their_evidence_and_all_else_is_folded(maker
     assert re.findall(r'<section aria-labelledby="([\w-]+)"', page) == ["answers"]
     assert page.count('<details class="part">') == len(anchors) - 1
     matrix = re.search(r'<table class="matrix">.*?</table>', page)[0]
-    best = re.search(r'<td class="shade4 first">0.95 MiB<br><span[^>]*>(.*?)</span></td>', matrix)
+    best = re.search(r'<td class="shade4 first">0.95 MiB<br><small>(.*?)</small></td>', matrix)
     assert best[1] == "first on 3 of 3 scenes"
     assert set(re.findall(r'href="#([\w-]+)"', matrix)) <= set(anchors)
     assert page.count('type="radio" name="decision"') == 3
