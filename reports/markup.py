@@ -16,7 +16,7 @@ _LONG = 30
 """Rows from which a table scrolls on its own on a screen, with fixed heads; print has all rows."""
 
 
-STALE = '<span class="tag stale" title="the method has a newer version">stale</span>'
+STALE = '<span class="tag stale">stale</span>'
 
 
 def method(row: Any, models: Sequence[Model]) -> str:
