@@ -1,6 +1,6 @@
 """Time of a frame by resolution, end to end: the saved models of a run store, drawn in turns.
 
-python tests/benchmarks/bench_drawing.py --runs DIR [--against METHOD] [--width N ...] [--views N] [--turns N]
+python tests/benchmarks/bench_drawing.py --runs DIR [--against METHOD] [--width N ...] [--turns N]
 """
 
 from __future__ import annotations
