@@ -154,8 +154,7 @@ SPEC = MethodSpec(
     options=EcongsOptions,
     presets={
         "quick": {**splatting.QUICK, "feature_lr": 2e-2},
-        # The threshold is 3e-4 after adapting to the iterations.
-        "paper": {"growth_gradient": 5.5e-4, "storage": "implicit"},
+        "paper": {"growth_gradient": 5.5e-4},  # 3e-4 after adapting to its iterations
     },
     iterations={"quick": 550, "standard": 2_500, "paper": 10_000},
     configurations={
@@ -170,7 +169,6 @@ SPEC = MethodSpec(
                 "offset_color": "sigmoid",
                 "decoder_precision": "float32",
                 "features": 50,
-                "storage": "hybrid",
                 "growth_gradient": 2e-4,
                 "growth_adapts": False,
                 "view_direction": True,
