@@ -251,7 +251,7 @@ class Runs:
         from bench.tables import build_tables
         from methods.registry import Registry
 
-        return build_tables(self._store, Registry(self._plugins).versions, write=False)
+        return build_tables(self._store, Registry(self._plugins).specs, write=False)
 
     @property
     def results(self) -> pd.DataFrame:

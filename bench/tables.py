@@ -15,7 +15,7 @@ from bench.lineage import Lineage, Model
 from bench.records import EncodeResult, FitResult, Job, MeasureResult, Record
 from bench.rungs import ladders_of, rungs_of
 from bench.store import Store
-from bench.versions import elected, is_stale, scene_choices
+from bench.versions import changes, elected, scene_choices
 from datasets.catalogue.entries import is_procedural
 from methods.options import label
 from reports.schema import COVERAGE, METRICS, TABLES, frame, joined
@@ -23,13 +23,15 @@ from reports.schema import COVERAGE, METRICS, TABLES, frame, joined
 if TYPE_CHECKING:
     import pandas as pd
 
+    from methods.interface import MethodSpec
+
 Row = dict[str, Any]
 _N = TypeVar("_N", int, float)
 _ORDER = ("dataset", "kind", "scene", "method", "variant", "preset", "seed", "rate", "split")
 
 
 def build_tables(
-    store: Store, versions: Mapping[str, str] | None = None, *, write: bool = True
+    store: Store, methods: Mapping[str, MethodSpec] | None = None, *, write: bool = True
 ) -> dict[str, pd.DataFrame]:
     """Derive all tables of a store, and write them as Parquet (each file whole or as before).
 
@@ -38,7 +40,8 @@ def build_tables(
 
     Args:
         store: where the records are.
-        versions: method -> its current version; rows of other versions are stale.
+        methods: name -> spec of today; rows that it would not make are stale
+            (:func:`bench.versions.changes`).
         write: whether to write files, if the store can be written.
 
     Returns:
@@ -46,9 +49,9 @@ def build_tables(
     """
     lineage = Lineage(store.records())
     choices = scene_choices(lineage)
-    newest = elected(lineage, versions or {}, choices)
+    newest = elected(lineage, methods or {}, choices)
     names = {record.job.id for record in newest}
-    tables = _stored(lineage, versions or {}, choices, names, ladders_of(store.root))
+    tables = _stored(lineage, methods or {}, choices, names, ladders_of(store.root))
     if write and os.access(store.tables, os.W_OK):
         with store.lease("tables"):
             for leftover in store.tables.glob(".*"):  # of a process that was killed
@@ -66,18 +69,18 @@ def build_tables(
 
 def stored_tables(
     records: Iterable[Record],
-    versions: Mapping[str, str] | None = None,
+    methods: Mapping[str, MethodSpec] | None = None,
     ladders: Iterable[Ladder] = (),
 ) -> dict[str, pd.DataFrame]:
     """All tables of all records as they are on disk: axes in `jobs` alone.
 
     Args:
         records: of one store, or of several joined.
-        versions: method -> its current version.
+        methods: name -> spec of today.
         ladders: of the suites that were run.
     """
     lineage = Lineage(records)
-    return _stored(lineage, versions or {}, scene_choices(lineage), lineage.by_id.keys(), list(ladders))
+    return _stored(lineage, methods or {}, scene_choices(lineage), lineage.by_id.keys(), list(ladders))
 
 
 def rungs_table(records: Iterable[Record], ladders: Iterable[Ladder]) -> pd.DataFrame:
@@ -92,7 +95,7 @@ def rungs_table(records: Iterable[Record], ladders: Iterable[Ladder]) -> pd.Data
 
 def _stored(
     lineage: Lineage,
-    versions: Mapping[str, str],
+    methods: Mapping[str, MethodSpec],
     choices: Mapping[str, int],
     newest: Collection[str],
     ladders: Collection[Ladder],
@@ -107,15 +110,15 @@ def _stored(
             continue
         if name in newest:
             if not record.job.stress:
-                for table, facts in _facts(record, lineage, versions).items():
+                for table, facts in _facts(record, lineage, methods).items():
                     tables[table] += ({"job": name, **row} for row in facts)
-            rungs = list(_rungs(record, lineage, versions, ladders))
+            rungs = list(_rungs(record, lineage, methods, ladders))
             tables["rungs"] += ({"job": name, **row} for row in rungs)
             if rungs:
                 views = _views(record, lineage.needed(record, "views"))
                 tables["rung_views"] += ({"job": name, **row} for row in views)
         elif record.job.kind == "measure" and not record.job.stress:
-            tables["superseded"].append({"job": name, **_result(record, lineage, versions)})
+            tables["superseded"].append({"job": name, **_result(record, lineage, methods)})
     for table, rows in tables.items():
         keys = [key for key in _ORDER if key not in ("kind", "split") or key in TABLES[table].columns]
         rows.sort(key=partial(_order, keys, axes))
@@ -195,10 +198,10 @@ def _processors(records: list[Record]) -> str | None:
 # --------------------------------------------------------------------------- facts of a job
 
 
-def _facts(record: Record, lineage: Lineage, versions: Mapping[str, str]) -> dict[str, Iterable[Row]]:
+def _facts(record: Record, lineage: Lineage, methods: Mapping[str, MethodSpec]) -> dict[str, Iterable[Row]]:
     """Table -> the rows of a job, without the job."""
     return {
-        "results": [_result(record, lineage, versions)] if record.job.kind == "measure" else [],
+        "results": [_result(record, lineage, methods)] if record.job.kind == "measure" else [],
         "views": _views(record, lineage.needed(record, "views")),
         "curve": _curve(record),
         "losses": _losses(record),
@@ -262,24 +265,26 @@ def _scenes(record: Record) -> Iterator[Row]:
 
 
 def _rungs(
-    record: Record, lineage: Lineage, versions: Mapping[str, str], ladders: Iterable[Ladder]
+    record: Record, lineage: Lineage, methods: Mapping[str, MethodSpec], ladders: Iterable[Ladder]
 ) -> Iterator[Row]:
     """A row per ladder of which the measurement is a rung."""
     rungs = list(rungs_of(record.job, ladders))
-    facts = _result(record, lineage, versions) if rungs else {}
+    facts = _result(record, lineage, methods) if rungs else {}
     failed = None if record.ok else (record.cause or record.job.id).partition("-")[0]
     for rung in rungs:
         yield facts | rung | {"failed_step": failed}
 
 
-def _result(record: Record, lineage: Lineage, versions: Mapping[str, str]) -> Row:
+def _result(record: Record, lineage: Lineage, methods: Mapping[str, MethodSpec]) -> Row:
     """The row of a basic scene (with one model) or of a composition (with those that hold its scenes)."""
     models, fits = lineage.models(record), lineage.fits(record)
+    changed = changes(fits, methods)
     row = {
         "status": record.status,
         "reason": record.reason,
         "stage": record.stage,
-        "stale": is_stale(fits, versions),
+        "stale": bool(changed),
+        "changes": changed,
         "recipe": json.dumps(record.job.recipe) if record.job.recipe else "",
         "distance": next((one.views.distance for one in lineage.needed(record, "views") if one.views), None),
         "fit_reference_seconds": _largest(fit.fit.reference_seconds for fit in fits if fit.fit is not None),

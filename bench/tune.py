@@ -689,7 +689,7 @@ class Trials(Planner):
         self, number: int, overrides: dict[str, Value], values: dict[str, Value], records: Sequence[Record]
     ) -> Trial:
         """A trial whose jobs have all ended, with its score."""
-        rows = joined(stored_tables(records, self.registry.versions))["results"]
+        rows = joined(stored_tables(records, self.registry.specs))["results"]
         shown = resolve(self._spec, self._like, overrides).overrides
         trial = Trial(number=number, overrides=shown, values=values, status="ok")
         failed = rows[(rows["status"] != "ok") | rows["psnr"].isna() | rows["size_bytes"].isna()]

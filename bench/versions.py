@@ -1,7 +1,7 @@
 """Which records the tables are made of, where a store holds several for one cell: a cell never counts twice.
 
-The newest of a method's current version wins; older ones are dropped and counted. Scenes that a joint method
-fitted together share bytes and time, so a fit is taken as a whole or not at all.
+The newest of a method's version and options of today wins; others are dropped and counted. Scenes that a
+joint method fitted together share bytes and time, so a fit is taken as a whole or not at all.
 """
 
 from __future__ import annotations
@@ -12,31 +12,56 @@ from typing import Any
 
 from bench.lineage import Lineage
 from bench.records import Job, Record
+from datasets.errors import DataError
+from methods.interface import MethodSpec
+from methods.options import declared, resolve, written
 
 _ROWS = ("measure", "dvr", "complexity")
 """Kinds of jobs that are a row each."""
 
 
-def is_stale(fits: Iterable[Record], versions: Mapping[str, str]) -> bool:
-    """Whether any of some fits was made by a version of its method other than the current one.
+def changes(fits: Iterable[Record], methods: Mapping[str, MethodSpec]) -> str:
+    """What was another when some fits were made, as "version 3 (today 6)"; "" if nothing.
+
+    Options are compared with what the fit's preset and overrides come to today. An option that is newer than
+    the fit had its default: with the same version that leaves results as they were. Not compared are options
+    that are gone, and presets that a suite names itself.
 
     Args:
         fits: records of fit jobs.
-        versions: method -> its current version; fits of other methods are not stale.
+        methods: name -> spec of today; fits of other methods have no changes.
     """
-    used = (fit.job.identity["method"] for fit in fits if "method" in fit.job.identity)
-    return any(versions.get(method, version) != version for method, version in used)
+    found = (_changes(fit.job, methods[str(fit.job.method)]) for fit in fits if fit.job.method in methods)
+    return ", ".join(dict.fromkeys(change for one in found for change in one))
 
 
-def elected(lineage: Lineage, versions: Mapping[str, str], choices: Mapping[str, int]) -> list[Record]:
+def _changes(job: Job, spec: MethodSpec) -> list[str]:
+    _, version = job.identity["method"]
+    if version != spec.version:
+        return [f"version {version} (today {spec.version})"]
+    if job.preset not in spec.iterations:
+        return []
+    try:
+        today = resolve(spec, job.preset, job.overrides).values
+        options = {name: option.default for name, option in declared(spec.options).items()} | job.options
+    except DataError:
+        return ["options that are refused today"]
+    return [
+        f"{name} {written(value)} (today {written(today[name])})"
+        for name, value in options.items()
+        if name in today and today[name] != value
+    ]
+
+
+def elected(lineage: Lineage, methods: Mapping[str, MethodSpec], choices: Mapping[str, int]) -> list[Record]:
     """The records of one fit per scene and cell, and of one measurement per row.
 
-    Fits of the current version come first, then those of more scenes learned together, then newer ones; what
+    Fits without :func:`changes` come first, then those of more scenes learned together, then newer ones; what
     is not measured yet takes no place.
 
     Args:
         lineage: the records of a store.
-        versions: method -> its current version.
+        methods: name -> spec of today.
         choices: job -> scenes learned together (:func:`scene_choices`).
     """
     finished: dict[str, str] = defaultdict(str)
@@ -46,7 +71,7 @@ def elected(lineage: Lineage, versions: Mapping[str, str], choices: Mapping[str,
 
     def rank(record: Record) -> tuple[bool, bool, int, str]:
         newest = finished[record.job.id]
-        return bool(newest), not is_stale([record], versions), lineage.scenes_together(record), newest
+        return bool(newest), not changes([record], methods), lineage.scenes_together(record), newest
 
     models = [record for record in lineage if record.job.kind == "fit"]
     scenes: dict[tuple[Any, ...], set[str]] = defaultdict(set)

@@ -158,7 +158,7 @@ def tables(bundles: tuple[str, ...]) -> dict[str, pd.DataFrame]:
             with zipfile.ZipFile(MEASURED / f"{bundle}.zip") as archive:
                 names = [name for name in archive.namelist() if not name.startswith("tables/")]
                 archive.extractall(folder, names)
-        return build_tables(Store(Path(folder)), write=False)
+        return build_tables(Store(Path(folder)), Registry().specs, write=False)
 
 
 def table(description: str) -> str:
@@ -282,14 +282,13 @@ def _conditions(results: pd.DataFrame, note: str = "") -> str:
 
 
 def _earlier(results: pd.DataFrame) -> str:
-    """Which rows are of versions that are no longer today's."""
-    registry, parts = Registry(), []
-    for (method,) in _ordered(results, ["method"]):
-        today = registry.spec(method).version
-        versions = set(results.loc[results["method"] == method, "method_version"].dropna())
-        if earlier := sorted(versions - {today}):
-            parts.append(f"{TITLES.get(method, method)} {', '.join(earlier)} (today {today})")
-    return f"earlier versions: {', '.join(parts)}" if parts else ""
+    """Which rows are of versions or options that are no longer today's."""
+    stale = results[results["stale"].fillna(False)]
+    parts = []
+    for (method,) in _ordered(stale, ["method"]):
+        changes = set(stale.loc[stale["method"] == method, "changes"])
+        parts.append(f"{TITLES.get(method, method)} {', '.join(sorted(changes))}")
+    return f"stale: {'; '.join(parts)}" if parts else ""
 
 
 def _series(values: pd.Series) -> str:

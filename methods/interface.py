@@ -130,7 +130,8 @@ class MethodSpec:
         name: identifier on the command line ("3dgs").
         title: full name.
         reference: citation of its paper.
-        version: raised when results may change; part of the fit key. Rows of another version are stale.
+        version: raised when the same options may come to other results; part of the fit key. Rows of another
+            version are stale.
         implementation: "module:attribute" of the :class:`Method`.
         source: packages or modules whose hash goes into records; default: the top-level package of the
             implementation.

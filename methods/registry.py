@@ -110,9 +110,9 @@ class Registry:
         return sorted(self._specs)
 
     @property
-    def versions(self) -> dict[str, str]:
-        """Method -> its version."""
-        return {spec.name: spec.version for spec in self}
+    def specs(self) -> dict[str, MethodSpec]:
+        """Name of a method -> its spec."""
+        return dict(self._specs)
 
     def built_in(self) -> list[str]:
         """Names of the methods that come with the harness, sorted."""

@@ -16,9 +16,6 @@ _LONG = 30
 """Rows from which a table scrolls on its own on a screen, with fixed heads; print has all rows."""
 
 
-STALE = '<span class="tag stale">stale</span>'
-
-
 def method(row: Any, models: Sequence[Model]) -> str:
     """A row's method with variant and rate, after a dot in its color in the charts."""
     shade = look(model(row["method"], row["variant"]), models).color
@@ -34,8 +31,14 @@ def status(row: Any) -> str:
     why = "" if state == "ok" or absent(row["reason"]) else f' title="{escape(str(row["reason"]))}"'
     tag = f'<span class="tag {"ok" if state == "ok" else "bad"}"{why}>{escape(state)}</span>'
     if not absent(row["stale"]) and row["stale"]:
-        tag += f" {STALE}"
+        tag += f" {stale(row['changes'])}"
     return tag
+
+
+def stale(changes: Any) -> str:
+    """Tag of a row that would be another today, with what changed."""
+    title = "" if absent(changes) else f' title="{escape(str(changes))}"'
+    return f'<span class="tag stale"{title}>stale</span>'
 
 
 def data(value: Any, anchor: str = "") -> str:

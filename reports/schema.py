@@ -192,7 +192,8 @@ COLUMNS: dict[str, Column] = _declare(
     Column("reason", _T, "why the job has no result, or why metrics are missing", "Reason", write=str),
     Column("omissions", _T, "JSON: metric -> why a finished job lacks it"),
     Column("stage", _T, "stage in which the job failed"),
-    Column("stale", _B, "the method has another version today", default=False),
+    Column("stale", _B, "method or settings are others today", default=False),
+    Column("changes", _T, "what of them: `version 3 (today 6)`, `rent 0.02 (today 0.01)`"),
     # Quality.
     Column("psnr", _F, "10 log10(1 / MSE) per image, over all pixels and channels of the 8-bit composited "
            "picture; mean over views. Identical images count 100 dB, which is also the cap", "PSNR", "dB", 1,
@@ -369,10 +370,10 @@ TABLES: dict[str, Table] = {
         "composition are sums over its scenes or groups; `load_seconds` and `fps` are measured; memory is "
         "the maximum. A method that cannot make an edit, or cannot render models of several groups together, "
         "has a row with status `refused`.", _RESULT,
-        ("job", "status", "reason", "omissions", "stage", "stale", "recipe", "distance", *METRICS, *COVERAGE,
-         "flicker", "identical_views", "size_bytes", "group_bytes", "standalone_bytes", "primitives", "drawn",
-         "start_points", "train_seconds", "group_seconds", "partition_seconds", "encode_seconds",
-         "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95", "reference_seconds",
+        ("job", "status", "reason", "omissions", "stage", "stale", "changes", "recipe", "distance", *METRICS,
+         *COVERAGE, "flicker", "identical_views", "size_bytes", "group_bytes", "standalone_bytes",
+         "primitives", "drawn", "start_points", "train_seconds", "group_seconds", "partition_seconds",
+         "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95", "reference_seconds",
          "fit_reference_seconds", "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes",
          "render_host_bytes", "render_device_bytes", "gaussians", *PRUNED),
     ),

@@ -13,7 +13,6 @@ import pytest
 from bench.tune import Conditions, Point, Study, Trial
 from methods.econgs.spec import SPEC
 from methods.options import declared, resolve
-from methods.registry import Registry
 from reports.schema import TABLES, frame
 from tests.reports.tables.test_ladders import table as rungs
 
@@ -118,18 +117,17 @@ def test_means_over_different_scenes_are_no_table(generate, monkeypatch) -> None
     assert generate.table('bundles = ["b"]\nrows = ["method", "scene"]\ncolumns = ["psnr"]\n')
 
 
-def test_a_table_names_the_methods_that_have_a_newer_version(generate, monkeypatch) -> None:
+def test_a_table_names_what_is_stale_and_why(generate, monkeypatch) -> None:
     usual = {"kind": "basic", "variant": "", "rate": None, "preset": "quick", "width": 8, "height": 8,
              "train_views": 4, "fit_processor": "P", "dataset": "d", "scene": "s", "seed": 0,
              "psnr": 30.0}  # fmt: skip
-    today = {name: Registry().spec(name).version for name in ("3dgs", "hac")}
     rows = [
-        usual | {"method": "3dgs", "method_version": today["3dgs"]},
-        usual | {"method": "hac", "method_version": "0"},
+        usual | {"method": "3dgs"},
+        usual | {"method": "hac", "stale": True, "changes": "version 0 (today 5)"},
     ]
     monkeypatch.setattr(generate, "tables", lambda bundles: {"results": frame("results", rows)})
     line = generate.table('bundles = ["b"]\nrows = "method"\ncolumns = ["psnr"]\n').splitlines()[-1]
-    assert line.endswith(f"; P; earlier versions: HAC 0 (today {today['hac']}).*")
+    assert line.endswith("; P; stale: HAC version 0 (today 5).*")
 
 
 def test_tuned_settings_are_named_where_they_lose_nothing(generate, monkeypatch, tmp_path) -> None:
@@ -176,7 +174,7 @@ BLOCK = 'method = "econgs"\npreset = "quick"\nsuite = "departures"\nbundles = ["
 
 def _departures(generate, monkeypatch, *rows) -> list[str]:
     usual = {"method": "econgs", "kind": "basic", "variant": "", "preset": "quick", "width": 8, "height": 8,
-             "train_views": 4, "seed": 0, "fit_processor": "P", "method_version": SPEC.version,
+             "train_views": 4, "seed": 0, "fit_processor": "P",
              "psnr": 30.0, "size_bytes": 2**20, "cpu_seconds": 100.0}  # fmt: skip
     results = frame("results", [usual | row for row in rows])
     monkeypatch.setattr(generate, "tables", lambda bundles: {"results": results})
@@ -227,9 +225,9 @@ def test_departures_join_options_with_what_was_measured(generate, monkeypatch) -
     assert lines[-1] == "*preset quick; 8²; training views 4; one seed, 0; P.*"
 
 
-def test_departures_say_what_was_measured_with_another_version_or_not_at_all(generate, monkeypatch) -> None:
-    lines = _departures(generate, monkeypatch, {"method_version": "0"})
-    assert lines[-1].endswith(f"earlier versions: ECoNGS 0 (today {SPEC.version}).*")
+def test_departures_say_what_is_stale_or_was_not_measured_at_all(generate, monkeypatch) -> None:
+    lines = _departures(generate, monkeypatch, {"stale": True, "changes": "rent 0.02 (today 0.01)"})
+    assert lines[-1].endswith("stale: ECoNGS rent 0.02 (today 0.01).*")
     none = generate.departures(BLOCK.replace('"b"', "")).splitlines()
     assert none[-1] == "*Not measured yet.*"
     assert none[2] == "| **default** |  |  |  | \N{EN DASH} | \N{EN DASH} | \N{EN DASH} |"

@@ -16,6 +16,7 @@ from datasets.errors import DataError
 if TYPE_CHECKING:
     import pandas as pd
 
+    from methods.interface import MethodSpec
     from reports.charts.report import Report
 
 
@@ -157,8 +158,8 @@ def print_grid(header: list[str], lines: list[list[str]]) -> None:
     console.print(grid, markup=False, highlight=False)
 
 
-def current(plugins: Iterable[str], *stores: Path) -> dict[str, str]:
-    """Method -> its current version, plugins included: rows of other versions are stale."""
+def current(plugins: Iterable[str], *stores: Path) -> dict[str, MethodSpec]:
+    """Method -> its spec of today, plugins included."""
     from methods.registry import Registry
 
-    return Registry(plugin_folders(plugins, *stores)).versions
+    return Registry(plugin_folders(plugins, *stores)).specs

@@ -35,10 +35,10 @@ def run(options: Namespace) -> int:
         **execution(options),
     )
     store, planner, outcome = done.store, done.planner, done.outcome
-    versions = planner.registry.versions
-    tables = build_tables(store, versions)
+    methods = planner.registry.specs
+    tables = build_tables(store, methods)
     # The rows of this run alone; the store's tables may hold another version of a model.
-    frames = joined(stored_tables(outcome.records, versions, planner.ladders))
+    frames = joined(stored_tables(outcome.records, methods, planner.ladders))
     if len(frames["results"]) or len(frames["rungs"]) or len(frames["dvr"]):
         from bench.commands.results import print_answers, print_results, print_table
         from reports.conclusions.ladders import summary

@@ -69,7 +69,7 @@ def _run(options: Namespace) -> int:
     )
     assert isinstance(done.planner, Trials)
     study = done.planner.study
-    build_tables(done.store, done.planner.registry.versions)
+    build_tables(done.store, done.planner.registry.specs)
     if done.outcome.stopped:
         print("bench: stopped; run the same command again to resume", file=sys.stderr)
         return 130

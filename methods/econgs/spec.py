@@ -152,7 +152,10 @@ SPEC = MethodSpec(
     edits=frozenset({"palette", "opacity", "light", "shading"}),
     uses_alpha="views are composited on the scene's background; alpha is also a target of its own",
     options=EcongsOptions,
-    presets={"quick": {**splatting.QUICK, "feature_lr": 2e-2}},
+    presets={
+        "quick": {**splatting.QUICK, "feature_lr": 2e-2},
+        "paper": {"growth_gradient": 5.5e-4},  # growth_adapts makes it 3e-4 again
+    },
     iterations={"quick": 550, "standard": 2_500, "paper": 10_000},
     configurations={
         "fair": Configuration(),

@@ -202,6 +202,6 @@ def _head(name: str, results: pd.DataFrame, sections: list[Section]) -> str:
         tags += ' <a href="#failures">unfinished runs</a>'
     stale = int(results["stale"].fillna(False).astype(bool).sum())
     if stale:
-        tags += f' <span class="tag stale">{stale} stale: the method has a newer version</span>'
+        tags += f' <span class="tag stale">{stale} stale: method or settings are others today</span>'
     facts_of_runs = f'<details><summary>About these runs</summary><dl class="facts">{cards}</dl></details>'
     return f"{title}<p>{tags}</p>{facts_of_runs}{nav}"

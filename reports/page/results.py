@@ -100,7 +100,7 @@ class _Rows:
         cells = self._cells(row, self.mean_marks, index, missing, spread=row["psnr_std"])
         seeds = f", {row['seeds']} seeds" if row["seeds"] > 1 else ""
         name = "all" if row["complete"] else markup.hint("incomplete", row["note"])
-        tag = f" {markup.STALE}" if row["stale"] else ""
+        tag = f" {markup.stale(row['changes'])}" if row["changes"] else ""
         return self._line(row, "mean", f"{name} ({row['scenes']} scenes{seeds})", "mean", tag, cells)
 
     def _line(self, row: Any, kind: str, name: str, status: str, tag: str, cells: str) -> str:

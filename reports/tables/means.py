@@ -33,7 +33,7 @@ def summary(results: pd.DataFrame) -> pd.DataFrame:
     import pandas as pd
 
     basic = results[results["kind"] == "basic"]
-    columns = [*_KEYS, "scene", "seed", "status", "stale", "job"]
+    columns = [*_KEYS, "scene", "seed", "status", "changes", "job"]
     numbers = basic[list(_NUMBERS)].to_numpy(float, na_value=np.nan)
     sets: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     scenes: dict[tuple[Any, ...], set[str]] = {}
@@ -45,7 +45,19 @@ def summary(results: pd.DataFrame) -> pd.DataFrame:
     for key, group in sets.items():
         axes = dict(zip(_KEYS, key, strict=True))
         rows.append(axes | _set(group, scenes[axes["dataset"], axes["preset"], axes["split"]]))
-    order = [*_KEYS, "scenes", "seeds", "complete", *_MEAN, "psnr_std", *_SUM, *_MAX, "stale", "note", "jobs"]
+    order = [
+        *_KEYS,
+        "scenes",
+        "seeds",
+        "complete",
+        *_MEAN,
+        "psnr_std",
+        *_SUM,
+        *_MAX,
+        "changes",
+        "note",
+        "jobs",
+    ]
     table = pd.DataFrame(rows, columns=order)
     return table.astype(dict.fromkeys(("rate", "psnr_std", *_NUMBERS), "Float64"))
 
@@ -69,7 +81,7 @@ def _set(group: list[dict[str, Any]], scenes: set[str]) -> dict[str, Any]:
         "seeds": len(seeds),
         "complete": complete,
         "psnr_std": float(np.std(psnr, ddof=1)) if len(psnr) > 1 else None,
-        "stale": any(row["stale"] is True for row in group),
+        "changes": "; ".join(sorted({row["changes"] for row in group if not absent(row["changes"])} - {""})),
         "note": f"incomplete, no average: {reasons}" if lacking else "",
         "jobs": tuple(str(row["job"]) for row in group if row["status"] == "ok") if complete else (),
         **dict(zip(_NUMBERS, means, strict=True)),

@@ -63,7 +63,7 @@ def superseded_note(superseded: pd.DataFrame | None) -> str:
     if not count:
         return ""
     rows, verb = ("1 row", "is") if count == 1 else (f"{count} rows", "are")
-    return f"{rows} of older versions of the same models {verb} omitted."
+    return f"{rows} of other versions of the same models {verb} omitted."
 
 
 def with_notes(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:

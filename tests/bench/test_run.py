@@ -210,7 +210,7 @@ def test_rows_of_another_version_are_stale_and_changed_source_alone_is_not(finis
     assert "nothing to run" in bench.run().stderr
     file.write_text(file.read_text().replace('version="1"', 'version="2"'))
     (row,) = json.loads(bench(*common, "--plugins", plugins).stdout)
-    assert (row["method_version"], row["stale"]) == ("1", True)
+    assert (row["stale"], row["changes"]) == (True, "version 1 (today 2)")
 
 
 def test_pictures_of_truth_and_model_can_be_scored(finished) -> None:

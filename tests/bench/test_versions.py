@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import pytest
 
 from bench.records import (
@@ -17,6 +19,7 @@ from bench.records import (
 )
 from bench.store import Store
 from bench.tables import build_tables, stored_tables
+from methods.interface import MethodSpec, option
 from reports.tables.means import summary
 from reports.tables.protocols import by_protocol
 from reports.tables.results import superseded_note
@@ -24,6 +27,19 @@ from tests.bench.conftest import measured
 
 REQUEST = Request(train_views=12, test_views=4, width=8, height=8)
 GROUPS = (("a", "b"), ("c",))
+REFUSED = "options that are refused today"
+
+
+@dataclass(frozen=True)
+class Options:
+    size: float = option(1.0, "how much", minimum=0.5)
+
+
+def spec(version, **quick):
+    return MethodSpec(
+        name="m", title="M", reference="", version=version, implementation="m:M", uses_alpha="no",
+        options=Options, presets={"quick": quick}, iterations={"quick": 1, "standard": 2, "paper": 3},
+    )  # fmt: skip
 
 
 def record(kind, identity, day, made_by="1", status="ok", **said):
@@ -86,11 +102,11 @@ def version(number, day, made_by="1", groups=GROUPS, joint=True, shared=10, fail
 
 @pytest.fixture
 def tables_of(tmp_path):
-    def make(*runs, current="1"):
+    def make(*runs, current="1", **quick):
         store = Store(tmp_path / "s", create=True)
         for one in (one for records in runs for one in records):
             store.finish(one)
-        return build_tables(store, {"m": current}, write=False)
+        return build_tables(store, {"m": spec(current, **quick)}, write=False)
 
     return make
 
@@ -124,12 +140,52 @@ def test_the_current_version_goes_before_a_newer_run_of_another(tables_of):
     assert not tables["results"]["stale"].any()
 
 
-def test_rows_are_stale_for_their_version_and_for_no_other_cause(tables_of):
+def test_rows_are_stale_for_their_version_and_not_for_changed_source(tables_of):
     records = version(1, 1)
     for one in records:
         one.provenance.source, one.provenance.commit = "changed", "changed"
     assert not tables_of(records)["results"]["stale"].any()
-    assert tables_of(records, current="2")["results"]["stale"].all()
+    results = tables_of(records, current="2")["results"]
+    assert results["stale"].all()
+    assert set(results["changes"]) == {"version 1 (today 2)"}
+
+
+@pytest.mark.parametrize(
+    ("options", "overrides", "changes"),
+    [
+        ({"size": 1.0}, {}, "size 1 (today 2)"),
+        ({"size": 2.0}, {}, ""),
+        ({"size": 1.0}, {"size": 1.0}, ""),
+        ({"size": 2.0, "former": 3}, {}, ""),
+        ({}, {}, "size 1 (today 2)"),
+        ({"size": 0.1}, {"size": 0.1}, REFUSED),
+        ({"size": 2.0, "former": 3}, {"former": 3}, REFUSED),
+    ],
+)
+def test_rows_are_stale_where_their_preset_has_other_options_today(tables_of, options, overrides, changes):
+    records = version(1, 1)
+    for one in records:
+        one.job.options, one.job.overrides = options, overrides
+    results = tables_of(records, size=2.0)["results"]
+    assert set(results["changes"]) == {changes}
+    assert set(results["stale"]) == {bool(changes)}
+
+
+def test_options_of_today_go_before_a_newer_run_with_others(tables_of):
+    today, newer = version(1, 1), version(2, 2)
+    for records, size in ((today, 2.0), (newer, 1.0)):
+        for one in records:
+            one.job.options = {"size": size}
+    tables = tables_of(today, newer, size=2.0)
+    assert list(tables["results"]["psnr"]) == [31.0] * 3
+    assert len(tables["superseded"]) == 3
+
+
+def test_presets_that_a_suite_names_itself_are_compared_by_version_alone(tables_of):
+    records = version(1, 1)
+    for one in records:
+        one.job.preset, one.job.options = "small", {"size": 1.0}
+    assert not tables_of(records, size=2.0)["results"]["stale"].any()
 
 
 def test_what_was_fitted_together_is_taken_whole_or_not_at_all(tables_of):

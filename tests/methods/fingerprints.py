@@ -1,7 +1,7 @@
 """Fingerprints of the methods: a tiny fit of each, recorded, so that no change of results passes unseen.
 
     python tests/methods/fingerprints.py            compare every method with tests/fingerprints.json
-    python tests/methods/fingerprints.py --write    record new methods and new versions
+    python tests/methods/fingerprints.py --write    record new methods, new versions, and options of presets
     python tests/methods/fingerprints.py --write --keep-version NAME
                                                     record changed results of the same version (say why)
 
@@ -23,6 +23,7 @@ import re
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -154,19 +155,28 @@ def _fit(subject: Any) -> dict[str, Any]:
     }
 
 
-def differences(now: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
-    """What of a method's results is not as recorded, one line each.
+def choices(now: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
+    """Options of presets that are not as recorded, one line each: rows with the former ones turn stale."""
+    return [line for name, line in _settings(now, recorded) if name != "iterations"]
 
-    Settings are compared exactly; fits too where the arithmetic is the recorded one, elsewhere within
-    :data:`TOLERANCE` (bytes and primitives: at least 4).
-    """
-    exact = now["arithmetic"] == recorded["arithmetic"]
-    lines = []
+
+def _settings(now: dict[str, Any], recorded: dict[str, Any]) -> Iterator[tuple[str, str]]:
     for name in sorted(set(now["settings"]) | set(recorded["settings"])):
         one, other = now["settings"].get(name, {}), recorded["settings"].get(name, {})
         for option in sorted(set(one) | set(other)):
             if one.get(option) != other.get(option):
-                lines.append(f"{name}: {option} is {one.get(option)!r}, recorded {other.get(option)!r}")
+                line = f"{name}: {option} is {one.get(option)!r}, recorded {other.get(option)!r}"
+                yield option, line
+
+
+def differences(now: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
+    """What of a method's results is not as recorded, one line each.
+
+    Iterations are compared exactly; fits too where the arithmetic is the recorded one, elsewhere within
+    :data:`TOLERANCE` (bytes and primitives: at least 4).
+    """
+    exact = now["arithmetic"] == recorded["arithmetic"]
+    lines = [line for name, line in _settings(now, recorded) if name == "iterations"]
     for name in sorted(set(now["fits"]) | set(recorded["fits"])):
         one, other = now["fits"].get(name), recorded["fits"].get(name)
         label = f"fit {name}".strip()
@@ -221,7 +231,10 @@ def verdict(name: str, now: dict[str, Any], past: dict[str, Any] | None) -> str:
     if now["version"] != past["version"]:
         return f"{name} has version {now['version']}, its fingerprint {past['version']}: run {remedy}"
     if lines:
+        lines += choices(now, past)
         return f"results of {name} changed: raise its version or undo it\n  " + "\n  ".join(lines)
+    if lines := choices(now, past):
+        return f"options of {name} changed: undo it or run {remedy}\n  " + "\n  ".join(lines)
     return ""
 
 

@@ -24,7 +24,6 @@ def recorded():
 @pytest.mark.parametrize(
     ("path", "value"),
     [
-        (("settings", "quick fair", "rate_weight"), 1.01e-4),
         (("settings", "paper paper", "iterations"), 20_001),
         (("fits", "fair", "primitives"), 290),
         (("fits", "fair", "losses", 20), 0.2),
@@ -42,6 +41,14 @@ def test_a_change_is_reported_with_its_remedy(recorded, path, value):
     problem = fingerprints.verdict("econgs", now, recorded)
     assert "raise its version or undo it" in problem
     assert not fingerprints.verdict("econgs", recorded, recorded)
+
+
+def test_another_choice_of_a_preset_asks_for_a_new_record_and_no_version(recorded):
+    now = copy.deepcopy(recorded)
+    now["settings"]["paper fair"]["rate_weight"] = 1.01e-4
+    problem = fingerprints.verdict("econgs", now, recorded)
+    assert problem.startswith("options of econgs changed: undo it or run")
+    assert "paper fair: rate_weight is 0.000101, recorded 0.0003" in problem
 
 
 def test_rounding_of_other_software_passes(recorded):
