@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 from bench.lineage import Lineage
 from bench.records import Job, Record
 from datasets.errors import DataError
 from methods.interface import MethodSpec
-from methods.options import declared, resolve, written
+from methods.options import resolve, written
 
 _ROWS = ("measure", "dvr", "complexity")
 """Kinds of jobs that are a row each."""
@@ -43,13 +44,13 @@ def _changes(job: Job, spec: MethodSpec) -> list[str]:
         return []
     try:
         today = resolve(spec, job.preset, job.overrides).values
-        options = {name: option.default for name, option in declared(spec.options).items()} | job.options
     except DataError:
         return ["options that are refused today"]
+    then = asdict(spec.options()) | job.options
     return [
-        f"{name} {written(value)} (today {written(today[name])})"
-        for name, value in options.items()
-        if name in today and today[name] != value
+        f"{name} {written(then[name])} (today {written(value)})"
+        for name, value in today.items()
+        if then[name] != value
     ]
 
 

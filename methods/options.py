@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from functools import cache
+from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
 
 from datasets.errors import DataError
 from datasets.names import unknown
@@ -68,6 +69,11 @@ def declared(options: type[Any]) -> dict[str, Option]:
         TypeError: it is no frozen dataclass, or a field is not declared by ``option`` or has a default of
             another type than its annotation.
     """
+    return dict(_declared(cast(Any, options)))  # mypy takes type[Any] for unhashable
+
+
+@cache  # tables resolve the settings of every fit
+def _declared(options: Any) -> dict[str, Option]:
     parameters = getattr(options, "__dataclass_params__", None)
     if parameters is None or not parameters.frozen:
         raise TypeError(f"{options!r} is no frozen dataclass")

@@ -45,19 +45,8 @@ def summary(results: pd.DataFrame) -> pd.DataFrame:
     for key, group in sets.items():
         axes = dict(zip(_KEYS, key, strict=True))
         rows.append(axes | _set(group, scenes[axes["dataset"], axes["preset"], axes["split"]]))
-    order = [
-        *_KEYS,
-        "scenes",
-        "seeds",
-        "complete",
-        *_MEAN,
-        "psnr_std",
-        *_SUM,
-        *_MAX,
-        "changes",
-        "note",
-        "jobs",
-    ]
+    counts = ["scenes", "seeds", "complete"]
+    order = [*_KEYS, *counts, *_MEAN, "psnr_std", *_SUM, *_MAX, "changes", "note", "jobs"]
     table = pd.DataFrame(rows, columns=order)
     return table.astype(dict.fromkeys(("rate", "psnr_std", *_NUMBERS), "Float64"))
 

@@ -15,9 +15,11 @@ from econgs.context.arrays import round_arrays, write_arrays
 from methods.econgs.control import RateControl
 from methods.econgs.model import EcongsModel
 from methods.econgs.schedule import Schedule
+from methods.econgs.spec import SPEC
 from methods.econgs.start import starting_points
 from methods.econgs.training import Trainer, growth_threshold
 from methods.interface import Refused
+from methods.options import resolve
 from methods.shared.rent import some_views, who_stays
 from methods.shared.start import first_of_cells
 from tests.methods.conftest import Fits
@@ -125,6 +127,14 @@ def test_growth_follows_the_pixel_and_the_budget(scene):
     assert growth_threshold([small, large], one, 6_000) == pytest.approx(2 / 3)
     assert growth_threshold([small], one, 12_000) == 0.5
     assert growth_threshold([large], options(growth_gradient=1.0, growth_adapts=False), 500) == 1.0
+
+
+def test_full_schedules_grow_by_the_threshold_of_3000_iterations(scene):
+    paper, standard = (resolve(SPEC, preset, {}) for preset in ("paper", "standard"))
+    cameras = [camera.resized(200, 200) for camera in scene.train.cameras]
+    wide = replace(scene, train=replace(scene.train, cameras=cameras))
+    threshold = growth_threshold([wide], paper.options, paper.iterations)
+    assert threshold == pytest.approx(growth_threshold([wide], standard.options, 3_000), rel=0.01)
 
 
 def test_gaussians_begin_smaller_than_what_lies_between_anchors(scene):
