@@ -6,8 +6,14 @@ from typing import Literal
 from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
 from methods.shared import splatting
 
-PUBLISHED: dict[str, OptionValue] = {**splatting.PUBLISHED, "start": "random", "sh_rest_lr": 1.25e-4}
-"""How the released code starts on scenes without a cloud of their own, and its rate of SH at every preset."""
+PUBLISHED: dict[str, OptionValue] = {
+    **splatting.PUBLISHED,
+    "start": "random",
+    "position_lr": 1.6e-4,
+    "opacity_lr": 5e-2,
+    "sh_rest_lr": 1.25e-4,
+}
+"""How the released code starts on scenes without a cloud of their own, and its rates at every preset."""
 QUICK: dict[str, OptionValue] = {**splatting.QUICK, "sh_rest_lr": 1e-3}
 """In so short a schedule; methods with options of 3DGS begin with these."""
 TUNED: dict[str, OptionValue] = {
@@ -80,7 +86,7 @@ SPEC = MethodSpec(
     options=GaussianOptions,
     presets={"quick": {**QUICK, **TUNED}, "standard": {"sh_rest_lr": 5e-4}},
     iterations={"quick": 1_200, "standard": 7_000, "paper": 30_000},
-    configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
+    configurations={"fair": Configuration(), "paper": Configuration({**PUBLISHED, "growth_gradient": 2e-4})},
     tunable=(
         *splatting.TUNABLE,
         "sh_degree",

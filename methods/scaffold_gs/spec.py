@@ -49,8 +49,11 @@ PUBLISHED: dict[str, OptionValue] = {
     "start": "random",
     "background": "white",
     "max_anchors": 0,
+    "offsets": 10,
+    "growth_gradient": 2e-4,
+    "scale_weight": 0.01,
 }
-"""How the released code starts on scenes without a cloud of their own."""
+"""How the released code starts on scenes without a cloud of their own, and its settings at every preset."""
 TUNED: dict[str, OptionValue] = {
     "start_spacing": 3.0,
     "alpha_weight": 0.35,

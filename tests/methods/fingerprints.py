@@ -231,8 +231,11 @@ def verdict(name: str, now: dict[str, Any], past: dict[str, Any] | None) -> str:
     if now["version"] != past["version"]:
         return f"{name} has version {now['version']}, its fingerprint {past['version']}: run {remedy}"
     if lines:
-        lines += choices(now, past)
-        return f"results of {name} changed: raise its version or undo it\n  " + "\n  ".join(lines)
+        chosen = choices(now, past)
+        remedies = "raise its version or undo it"
+        if chosen:
+            remedies += f"; if it is by options of presets alone, run {remedy} --keep-version"
+        return f"results of {name} changed: {remedies}\n  " + "\n  ".join([*lines, *chosen])
     if lines := choices(now, past):
         return f"options of {name} changed: undo it or run {remedy}\n  " + "\n  ".join(lines)
     return ""

@@ -49,6 +49,10 @@ def test_another_choice_of_a_preset_asks_for_a_new_record_and_no_version(recorde
     problem = fingerprints.verdict("econgs", now, recorded)
     assert problem.startswith("options of econgs changed: undo it or run")
     assert "paper fair: rate_weight is 0.000101, recorded 0.0003" in problem
+    now["fits"]["fair"]["primitives"] = 290
+    problem = fingerprints.verdict("econgs", now, recorded)
+    assert "by options of presets alone, run" in problem
+    assert "--write econgs --keep-version" in problem
 
 
 def test_rounding_of_other_software_passes(recorded):

@@ -11,6 +11,7 @@ from methods.econgs.spec import SPEC as ECONGS
 from methods.gaussian_splatting.spec import SPEC, GaussianOptions
 from methods.interface import Option
 from methods.options import check, declared, parse_assignments, resolve
+from methods.registry import Registry
 from methods.vq_3dgs.spec import VqOptions
 
 
@@ -22,6 +23,20 @@ def test_preset_overlays_defaults_and_the_user_overlays_the_preset():
     assert (own.options.sh_rest_lr, own.iterations) == (0.002, 7_000)
     assert own.variant == "iterations=7000,sh_rest_lr=0.002", "what equals the preset is no variant"
     assert set(own.values) == set(declared(GaussianOptions))
+
+
+BY_SCHEDULE = {"ccnerf": {"first_side", "side", "rays"}, "plenoxels": {"resolution"}}
+"""Options whose published values belong to a schedule that shorter presets shorten."""
+
+
+@pytest.mark.parametrize("spec", Registry().specs.values(), ids=lambda spec: spec.name)
+def test_published_settings_are_the_same_in_every_preset(spec):
+    if "paper" in spec.configurations:
+        own = [resolve(spec, preset, {"configuration": "paper"}).values for preset in spec.iterations]
+        names = {name for values in own for name in values if values[name] != own[0][name]}
+        assert names == BY_SCHEDULE.get(spec.name, set()), (
+            "what a search found for a preset is published nowhere"
+        )
 
 
 def test_a_group_has_the_iterations_of_its_scenes():
