@@ -60,6 +60,12 @@ changes. Keys:
 
     scenes      number of scenes of the studies to show
 
+``method``   what a method's author asks: what it wins, its places, its settings and their search. Keys:
+
+    method      its name; without: what each method wins
+    bundles     as above; none: no place
+    data        titles of what the bundles hold, one each
+
 ``index``    what each bundle holds; ``commands``: every command of ``bench`` with its options.
 """
 
@@ -88,7 +94,7 @@ from reports.charts import economy, rate_distortion, svg, unseen, volumes
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.conclusions import races
-from reports.conclusions.answers import scope
+from reports.conclusions.answers import Answer, scope, standing
 from reports.conclusions.ladders import amount, by_method, verdict
 from reports.paper import datasets
 from reports.paper.documents import to_markdown
@@ -104,7 +110,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
 STUDIES = MEASURED / "studies"
 BLOCK = re.compile(
-    r"(<!-- (table|chart|ladders|departures|economy|verdict|paper|tuned|index|commands)\b(.*?)-->\n)"
+    r"(<!-- (table|chart|ladders|departures|economy|verdict|paper|tuned|method|index|commands)\b(.*?)-->\n)"
     r".*?(<!-- end -->)",
     re.S,
 )
@@ -538,6 +544,65 @@ def _places(report: Report) -> tuple[list[str], list[list[str]]]:
     return ["method", *(answer.title for answer in report.answers)], lines
 
 
+def method_of(description: str) -> str:
+    """What a method wins, its places, its settings beside the published ones, and their search."""
+    block = tomllib.loads(description)
+    answers = {
+        title: Report(tables((bundle,))).answers
+        for title, bundle in zip(block["data"], block["bundles"], strict=True)
+    }
+    if "method" not in block:
+        names = {place.method for given in answers.values() for one in given for place in one.places}
+        ordered = sorted(names, key=METHODS.index)
+        return _markdown(["method", ""], [[TITLES[name], standing(answers, name)] for name in ordered])
+    method, text = block["method"], ""
+    if answers:
+        (titles,) = {tuple(answer.title for answer in given) for given in answers.values()}
+        places = [
+            [one, *(_place(given[i], method) for given in answers.values())] for i, one in enumerate(titles)
+        ]
+        text = f"**{standing(answers, method)}**\n\n"
+        text += _markdown(["", *(f"{title}: value, rank; the first" for title in answers)], places) + "\n"
+    return text + _settings(method)
+
+
+def _place(answer: Answer, method: str) -> str:
+    """A method's value, its rank, and who is first."""
+    own, rank = answer.place(method) or (None, 0)
+    if own is None:
+        return MISSING
+    first = answer.places[0]
+    ahead = "" if rank == 0 else f"; {TITLES.get(first.method, first.method)} {first.text}"
+    firsts = f", {answer.firsts(own)}" if own.firsts else ""
+    return f"{own.text}, {rank + 1} of {len(answer.places)}{firsts}{ahead}"
+
+
+def _settings(method: str) -> str:
+    """Options of the preset "quick" that are not the published ones or were searched, and the search."""
+    spec = Registry().spec(method)
+    every = [read_study(path) for path in sorted(STUDIES.glob("*.json"))]
+    study = next((one for one in every if one.method == method), None)
+    space = study.space if study else {}
+    here, paper = (
+        {ITERATIONS: one.iterations, **one.values}
+        for one in (resolve(spec, "quick", {CONFIGURATION: name}) for name in ("fair", "paper"))
+    )
+    lines = []
+    for name, value in here.items():
+        if value != paper[name] or name in space:
+            searched = space[name].text if name in space else ""
+            lines.append([f"`{name}`", written(value), written(paper[name]), searched])
+    text = _markdown(["option", "here", "published", "searched"], lines) if lines else ""
+    if study is None:
+        return f"{text}\n*Preset quick. Not searched.*\n"
+    under = study.conditions
+    scenes = ", ".join(f"`{dataset}` {scene}" for dataset, scene, _ in under.scenes)
+    least = min(len(one.trials) for one in every if one.conditions == under)
+    text += f"\n*Preset {under.preset}. Search: {counted(least, 'trial')} of version "
+    text += f"{study.version}, the first with published settings, the next with the defaults of then; "
+    return text + f"{scenes}; validation views, seed {', '.join(map(str, under.seeds))}.*\n"
+
+
 def paper_of(description: str) -> str:
     """A table of the paper as Markdown, without its title."""
     block = tomllib.loads(description)
@@ -651,6 +716,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "economy": economy_of,
     "verdict": verdict_of,
     "tuned": tuned_of,
+    "method": method_of,
     "paper": paper_of,
     "index": index,
     "commands": commands,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -112,6 +112,8 @@ class Answer:
         winner: the best method, if its lead is sure; "" otherwise.
         sentence: the answer for people, with its uncertainty.
         scenes: number of scenes of which ``firsts`` of the places are counted; 0 where they are not.
+        level: the methods that share the first place, best first, where the best one's lead on them is not
+            sure; empty if there is a winner.
     """
 
     title: str
@@ -119,6 +121,7 @@ class Answer:
     winner: str
     sentence: str
     scenes: int = 0
+    level: tuple[str, ...] = ()
 
     def firsts(self, place: Place) -> str:
         """On how many scenes a method is first, for people; "" if on none, or if they are not counted."""
@@ -189,15 +192,39 @@ def measured(criterion: Criterion, contest: Contest) -> Answer:
     lead = differences[0]
     assert lead is not None  # all methods have the same datasets
     first, second = places[:2]
+    level: tuple[str, ...] = ()
     if lead.sure:
         text = f"{label(first.method)}, {first.text}: {criterion.amount(lead)} than {label(second.method)} ("
     else:
         near = [name for name, one in zip(order[1:], differences, strict=True) if one is None or not one.sure]
-        text = f"No winner among {_listing([order[0], *near])}: {label(first.method)}, {first.text}, is "
+        level = (order[0], *near)
+        text = f"No winner among {_listing(level)}: {label(first.method)}, {first.text}, is "
         text += f"{criterion.amount(lead)} than {label(second.method)} ({second.text}; "
     text += f"{criterion.interval(lead)}), better on {lead.wins} of {counted(lead.datasets, 'dataset')}; "
     text += f"{_seeds(lead)}{_caution(values)}."
-    return Answer(criterion.title, places, order[0] if lead.sure else "", text, len(scenes))
+    return Answer(criterion.title, places, order[0] if lead.sure else "", text, len(scenes), level)
+
+
+def standing(data: Mapping[str, Iterable[Answer]], method: str) -> str:
+    """What one method wins, and where no lead on it is sure, for people.
+
+    Args:
+        data: title of some data -> the answers there (:func:`answers`).
+        method: its name.
+    """
+    won: dict[str, list[str]] = {}
+    level: dict[str, list[str]] = {}
+    for title, given in data.items():
+        for answer in given:
+            if answer.winner == method:
+                won.setdefault(answer.title, []).append(title)
+            elif method in answer.level:
+                level.setdefault(answer.title, []).append(title)
+    parts = []
+    for words, found in (("Wins", won), ("Shares the first place, as no lead is sure", level)):
+        names = ", ".join(f"{title} ({', '.join(where)})" for title, where in found.items())
+        parts += [f"{words}: {names}."] if names else []
+    return " ".join(parts) or "Is first nowhere."
 
 
 def _by_scene(cells: dict[str, Cells]) -> list[dict[str, float]]:

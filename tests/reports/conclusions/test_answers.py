@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports.conclusions.answers import CRITERIA, EDITABLE, ROBUST, answers, measured
+from reports.conclusions.answers import CRITERIA, EDITABLE, ROBUST, answers, measured, standing
 from reports.conclusions.clocks import BUSY
 from reports.conclusions.contest import contests
 from reports.conclusions.effects import effect
@@ -301,3 +301,13 @@ def test_a_failed_fit_holds_nothing() -> None:
 def test_without_two_methods_on_a_ladder_the_worst_case_decides() -> None:
     assert "behind" in robust(climb("a", 30.0, 20.0)).sentence
     assert "behind" in robust(climb("a", 30.0, 20.0, preset="other"), climb("b", 30.0, 20.0)).sentence
+
+
+def test_the_standing_of_a_method_names_what_it_wins_and_what_it_shares():
+    sure = [measured(PICTURE, contest(*pair([1.0, 1.5, 0.7, 1.2])))]
+    open_ = [measured(PICTURE, contest(*pair([-3.0, 3.1, 3.0, -2.9])))]
+    assert open_[0].level == ("a", "b")
+    both = "Wins: Best picture (views). Shares the first place, as no lead is sure: Best picture (volumes)."
+    assert standing({"views": sure, "volumes": open_}, "a") == both
+    assert standing({"views": sure}, "b") == "Is first nowhere."
+    assert standing({"views": sure, "others": sure}, "a") == "Wins: Best picture (views, others)."
