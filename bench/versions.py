@@ -15,7 +15,7 @@ from bench.lineage import Lineage
 from bench.records import Job, Record
 from datasets.errors import DataError
 from methods.interface import MethodSpec
-from methods.options import resolve, written
+from methods.options import ITERATIONS, resolve, written
 
 _ROWS = ("measure", "dvr", "complexity")
 """Kinds of jobs that are a row each."""
@@ -24,9 +24,9 @@ _ROWS = ("measure", "dvr", "complexity")
 def changes(fits: Iterable[Record], methods: Mapping[str, MethodSpec]) -> str:
     """What was another when some fits were made, as "version 3 (today 6)"; "" if nothing.
 
-    Options are compared with what the fit's preset and overrides come to today. An option that is newer than
-    the fit had its default: with the same version that leaves results as they were. Not compared are options
-    that are gone, and presets that a suite names itself.
+    Options and iterations are compared with what the fit's preset and overrides come to today. An option that
+    is newer than the fit had its default: with the same version that leaves results as they were. Not
+    compared are options that are gone, and presets that a suite names itself.
 
     Args:
         fits: records of fit jobs.
@@ -43,10 +43,13 @@ def _changes(job: Job, spec: MethodSpec) -> list[str]:
     if job.preset not in spec.iterations:
         return []
     try:
-        today = resolve(spec, job.preset, job.overrides).values
+        settings = resolve(spec, job.preset, job.overrides)
     except DataError:
         return ["options that are refused today"]
-    then = asdict(spec.options()) | job.options
+    then, today = asdict(spec.options()) | job.options, settings.values
+    if job.iterations is not None and not job.stress:
+        then[ITERATIONS] = job.iterations
+        today[ITERATIONS] = max(1, round(settings.budget(len(job.scenes))))
     return [
         f"{name} {written(then[name])} (today {written(value)})"
         for name, value in today.items()

@@ -592,7 +592,7 @@ def _settings(method: str) -> str:
         if value != paper[name] or name in space:
             searched = space[name].text if name in space else ""
             lines.append([f"`{name}`", written(value), written(paper[name]), searched])
-    text = _markdown(["option", "here", "published", "searched"], lines) if lines else ""
+    text = _markdown(["option", "here", "`paper`", "searched"], lines) if lines else ""
     if study is None:
         return f"{text}\n*Preset quick. Not searched.*\n"
     under = study.conditions

@@ -18,6 +18,12 @@ class HacOptions(ScaffoldOptions):
     )
     rate_weight: float = option(1e-3, "weight of the estimated bits (lambda)", minimum=0.0, maximum=1.0)
     mask_weight: float = option(5e-4, "weight of the mean mask of the offsets", minimum=0.0, maximum=1.0)
+    mask_lr: float = option(
+        1e-2,
+        "first learning rate of masks; the published one is too slow for short schedules",
+        minimum=0.0,
+        maximum=1.0,
+    )
     grid: Literal["small", "hac"] = option("hac", "size of the binary hash grids")
     context_hidden: int = option(100, "hidden units of the context model", minimum=8, maximum=256)
     feature_step: float = option(0.4, "quantisation step Q of features (published: 1)", minimum=1e-6)
@@ -44,8 +50,13 @@ SPEC = replace(
     configurations={
         "fair": Configuration(),
         "paper": Configuration(
-            {**PUBLISHED, "rate_weight": 4e-3, "feature_step": 1.0, "decoder_precision": "float32"},
-            {"paper": 30_000},
+            {
+                **PUBLISHED,
+                "rate_weight": 4e-3,
+                "feature_step": 1.0,
+                "mask_lr": 1e-2,
+                "decoder_precision": "float32",
+            },
         ),
     },
     tunable=(

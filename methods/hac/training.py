@@ -51,7 +51,8 @@ class Trainer(scaffold_gs.Trainer):
     def rates(self) -> dict[str, float]:
         """Learning rates of this iteration."""
         context = self.decayed(CONTEXT_RATE)
-        own = {self.anchors.name(MASKS): self.decayed(MASK_RATE), "grid": context, "head": context}
+        masks = self.options.mask_lr / MASK_RATE[0] * self.decayed(MASK_RATE)
+        own = {self.anchors.name(MASKS): masks, "grid": context, "head": context}
         return super().rates() | own
 
     def visible(self, values: Attributes, camera: Camera) -> Tensor:

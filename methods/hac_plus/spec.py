@@ -19,12 +19,6 @@ class HacPlusOptions(HacOptions):
         minimum=0.0,
         maximum=1.0,
     )
-    mask_lr: float = option(
-        1e-2,
-        "first learning rate of masks; the published one is too slow for short schedules",
-        minimum=0.0,
-        maximum=1.0,
-    )
     chunk: int = option(
         10, "channels of a chunk of features, predicted from all chunks before it", minimum=1, maximum=256
     )
@@ -53,7 +47,6 @@ SPEC = replace(
                 "mask_lr": 1e-2,
                 "decoder_precision": "float32",
             },
-            {"paper": 30_000},
         ),
     },
     tunable=(

@@ -7,6 +7,7 @@ from methods.gaussian_splatting.spec import QUICK, GaussianOptions
 from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.interface import Configuration, OptionValue, RateKnob, option
 from methods.shared import splatting
+from methods.shared.schedule import Decay
 
 PUBLISHED: dict[str, OptionValue] = {
     **PLAIN_PUBLISHED,
@@ -39,6 +40,9 @@ class IvrOptions(GaussianOptions):
         minimum=1e-3,
         maximum=4.999,
     )
+    decay: Decay = option(
+        "exponential", "how learning rates with a last value go there from the first, in the first stage"
+    )
     shading_lr: float = option(0.01, "learning rate of all attributes of shading", minimum=0.0, maximum=1.0)
     # Losses
     alpha_weight: float = option(0.1, "weight of the alpha mask's loss", minimum=0.0)
@@ -59,7 +63,7 @@ SPEC = replace(
         "K. Tang, S. Yao, C. Wang: iVR-GS: Inverse Volume Rendering for Explorable Visualization via "
         "Editable 3D Gaussian Splatting. IEEE Transactions on Visualization and Computer Graphics 31(6), 2025"
     ),
-    version="6",
+    version="7",
     implementation="methods.ivr_gs.method:IvrGs",
     edits=frozenset({"palette", "opacity", "light", "shading"}),
     uses_alpha=(

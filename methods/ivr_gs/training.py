@@ -62,6 +62,7 @@ class IvrTrainer(Trainer):
             resets=self.options.opacity_reset,
             early_reset=self.background == WHITE,
             grows_shaded=self.options.shaded_growth,
+            decay=self.options.decay,
         )
 
     def _start(self) -> tuple[dict[str, Tensor], dict[str, float]]:

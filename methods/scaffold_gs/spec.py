@@ -79,8 +79,8 @@ SPEC = MethodSpec(
     uses_alpha="views are composited on the training background; alpha is also a target of its own",
     options=ScaffoldOptions,
     presets={"quick": {**splatting.QUICK, **TUNED}},
-    iterations={"quick": 1_600, "standard": 8_000, "paper": 20_000},
-    configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED, {"paper": 30_000})},
+    iterations={"quick": 1_600, "standard": 8_000, "paper": 30_000},
+    configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
     tunable=(
         *splatting.TUNABLE,
         "features",

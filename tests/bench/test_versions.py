@@ -171,6 +171,25 @@ def test_rows_are_stale_where_their_preset_has_other_options_today(tables_of, op
     assert set(results["stale"]) == {bool(changes)}
 
 
+@pytest.mark.parametrize(
+    ("iterations", "overrides", "stress", "changes"),
+    [
+        (1, {}, "", ""),
+        (2, {}, "", "iterations 2 (today 1)"),
+        (2, {"iterations": 2}, "", ""),
+        (2, {}, "budget=0.5", ""),
+    ],
+)
+def test_rows_are_stale_where_their_preset_has_other_iterations_today(
+    tables_of, iterations, overrides, stress, changes
+):
+    records = version(1, 1)
+    for one in records:
+        if one.job.kind == "fit":
+            one.job.iterations, one.job.overrides, one.job.stress = iterations, overrides, stress
+    assert set(tables_of(records)["results"]["changes"]) == {changes}
+
+
 def test_options_of_today_go_before_a_newer_run_with_others(tables_of):
     today, newer = version(1, 1), version(2, 2)
     for records, size in ((today, 2.0), (newer, 1.0)):

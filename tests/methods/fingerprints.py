@@ -23,7 +23,6 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -156,27 +155,24 @@ def _fit(subject: Any) -> dict[str, Any]:
 
 
 def choices(now: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
-    """Options of presets that are not as recorded, one line each: rows with the former ones turn stale."""
-    return [line for name, line in _settings(now, recorded) if name != "iterations"]
-
-
-def _settings(now: dict[str, Any], recorded: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Settings of presets that are not as recorded, one line each: rows with the former ones turn stale."""
+    lines = []
     for name in sorted(set(now["settings"]) | set(recorded["settings"])):
         one, other = now["settings"].get(name, {}), recorded["settings"].get(name, {})
         for option in sorted(set(one) | set(other)):
             if one.get(option) != other.get(option):
-                line = f"{name}: {option} is {one.get(option)!r}, recorded {other.get(option)!r}"
-                yield option, line
+                lines.append(f"{name}: {option} is {one.get(option)!r}, recorded {other.get(option)!r}")
+    return lines
 
 
 def differences(now: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
     """What of a method's results is not as recorded, one line each.
 
-    Iterations are compared exactly; fits too where the arithmetic is the recorded one, elsewhere within
+    Fits are compared exactly where the arithmetic is the recorded one, elsewhere within
     :data:`TOLERANCE` (bytes and primitives: at least 4).
     """
     exact = now["arithmetic"] == recorded["arithmetic"]
-    lines = [line for name, line in _settings(now, recorded) if name == "iterations"]
+    lines = []
     for name in sorted(set(now["fits"]) | set(recorded["fits"])):
         one, other = now["fits"].get(name), recorded["fits"].get(name)
         label = f"fit {name}".strip()

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from datasets.errors import DataError
-from methods.contract.checks import CHECKS, Subject, files_of, run_checks
+from methods.contract.checks import CHECKS, Recorder, Subject, files_of, run_checks
 from methods.gaussian_splatting.method import GaussianSplatting
 from methods.gaussian_splatting.model import GaussianModel
 from methods.gaussian_splatting.spec import SPEC as PLAIN
@@ -46,6 +46,18 @@ def subject(request, tmp_path_factory):
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 def test_built_in_methods_keep_the_contract(subject, check):
     assert check(subject)
+
+
+@pytest.mark.parametrize("name", [one for one in SMALL if one not in ("ccnerf", "plenoxels")])
+def test_every_method_that_splats_follows_the_course_of_its_rates(name, tmp_path):
+    losses = []
+    for course in ("linear", "exponential"):
+        spec, recorder = Registry().spec(name), Recorder()
+        overrides = SMALL[name] | {"decay": course}
+        one = Subject(spec, load_method(spec), tmp_path / course, iterations=12, overrides=overrides)
+        one.fit([one.tiny("one")], recorder)
+        losses.append(recorder.losses)
+    assert losses[0] != losses[1]
 
 
 def test_a_changed_byte_is_refused_or_changes_no_picture(subject):

@@ -24,7 +24,6 @@ def recorded():
 @pytest.mark.parametrize(
     ("path", "value"),
     [
-        (("settings", "paper paper", "iterations"), 20_001),
         (("fits", "fair", "primitives"), 290),
         (("fits", "fair", "losses", 20), 0.2),
         (("fits", "fair", "pictures", 0, 3), 0.2),
@@ -46,9 +45,11 @@ def test_a_change_is_reported_with_its_remedy(recorded, path, value):
 def test_another_choice_of_a_preset_asks_for_a_new_record_and_no_version(recorded):
     now = copy.deepcopy(recorded)
     now["settings"]["paper fair"]["rate_weight"] = 1.01e-4
+    now["settings"]["paper paper"]["iterations"] = 20_001
     problem = fingerprints.verdict("econgs", now, recorded)
     assert problem.startswith("options of econgs changed: undo it or run")
     assert "paper fair: rate_weight is 0.000101, recorded 0.0003" in problem
+    assert "paper paper: iterations is 20001, recorded 20000" in problem
     now["fits"]["fair"]["primitives"] = 290
     problem = fingerprints.verdict("econgs", now, recorded)
     assert "by options of presets alone, run" in problem
