@@ -199,7 +199,10 @@ def parser() -> _Parser:
         "--views", type=_count, help="number of views on the test path (default: 8; contact sheets: 3)"
     )
     render.add_argument(
-        "--size", type=_size, metavar="WxH", help="pixels (default: 256; contact sheets: 140)"
+        "--size",
+        type=_size,
+        metavar="WxH",
+        help="pixels (default: 256, of pre-rendered views their own; contact sheets: 140)",
     )
     render.add_argument(
         "--contact-sheet", action="store_true",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,17 +36,17 @@ def render(options: Namespace) -> int:
 
 
 def _render(options: Namespace, dataset_name: str) -> None:
+    from bench import inputs
     from bench.edits import parse_edits
-    from bench.inputs import view_request
     from bench.metrics import evaluate
     from bench.records import Request
+    from bench.suites import ViewPreset
     from datasets.catalogue import open_dataset
     from datasets.png import write_png
     from datasets.render_views import cameras_of, views_of
 
     dataset = open_dataset(dataset_name)
-    count, (width, height) = options.views or 8, options.size or (256, 256)
-    request = view_request(Request(train_views=12, test_views=count, width=width, height=height), "test")
+    count = options.views or 8
     model, default = _model(options) if options.model else (None, ())
     names = options.scene or default or [scene.name for scene in dataset.scenes]
     parts = {name: [scene.name for scene in dataset.parts(name)] for name in names}
@@ -59,6 +60,12 @@ def _render(options: Namespace, dataset_name: str) -> None:
                 options.model, f"has no scene {', '.join(absent)}", f"It holds {', '.join(model.scenes)}"
             )
         edit = {scene: edits[scene] for scene in scenes if scene in edits}
+        if options.size:
+            width, height = options.size
+            views = Request(train_views=12, test_views=count, width=width, height=height)
+        else:
+            views = inputs.request(dataset, scenes[0], ViewPreset(12, count, 256, 256, sys.maxsize))
+        request = inputs.view_request(views, "test")
         folder = Path(options.out) / dataset.name / name
         folder.mkdir(parents=True, exist_ok=True)
         truth = views_of(dataset, name, request, edit=edit) if options.truth or model is None else None

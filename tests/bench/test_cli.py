@@ -24,7 +24,9 @@ from bench.records import hash_of
 from bench.store import Store
 from datasets.errors import DataError
 from datasets.ground_truth import probe
+from datasets.png import read_png
 from reports.tables.results import superseded_note
+from tests.datasets.views_folder import random_views
 
 LISTS = ("methods", "datasets", "suites", "metrics")
 
@@ -189,6 +191,16 @@ def test_folders_that_cannot_be_written_are_one_line(tmp_path, monkeypatch, caps
         main([*render, "--out", inside, "--debug"])
     _refusal(["run", "quick", "--out", inside], capsys, "cannot be written (Not a directory)")
     _refusal(["run", "quick", "--out", str(tmp_path)], capsys, "neither empty nor a run store")
+
+
+def test_pre_rendered_views_are_shown_in_their_own_size(tmp_path) -> None:
+    random_views(tmp_path / "views", size=10)
+    render = ["render", str(tmp_path / "views"), "--views", "2", "--out"]
+    assert main([*render, str(tmp_path / "own")]) == 0
+    assert main([*render, str(tmp_path / "half"), "--size", "5"]) == 0
+    for name, size in (("own", 10), ("half", 5)):
+        shapes = {read_png(path).shape[:2] for path in (tmp_path / name).rglob("*.png")}
+        assert shapes == {(size, size)}
 
 
 def test_a_machine_without_locks_is_one_line(tmp_path, monkeypatch, capsys) -> None:

@@ -16,26 +16,9 @@ from datasets.camera import Camera
 from datasets.camera_paths import training_cameras
 from datasets.errors import DataError
 from datasets.prerendered import load_views
-from datasets.scene import BasicScene
 from datasets.views import ViewRequest, evenly_spaced
 from tests.datasets.damage import check_damage
-from tests.datasets.views_folder import write_transforms
-
-
-def _folder(folder: Path, n: int = 12, size: int = 8, mode: str = "RGBA") -> BasicScene:
-    """Random pictures with cameras, in splits train and test."""
-    generator = np.random.default_rng(0)
-    channels = 4 if mode == "RGBA" else 3
-    for split in ("train", "test"):
-        (folder / split).mkdir(parents=True)
-        frames = []
-        for i in range(n):
-            pixels = generator.integers(0, 256, (size, size, channels), dtype=np.uint8)
-            Image.fromarray(pixels).save(folder / split / f"r_{i:04d}.png")
-            frames.append({"file_path": f"./{split}/r_{i:04d}", "transform_matrix": np.eye(4).tolist()})
-        content = {"camera_angle_x": 0.5, "frames": frames}
-        (folder / f"transforms_{split}.json").write_text(json.dumps(content))
-    return BasicScene("s", views_folder=folder)
+from tests.datasets.views_folder import random_views, write_transforms
 
 
 def test_a_blender_camera_looks_along_minus_z_with_y_up(tmp_path: Path) -> None:
@@ -107,7 +90,7 @@ def test_damaged_transforms(tmp_path: Path) -> None:
     ("split", "expected"), [("train", [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 11]), ("val", [9])]
 )
 def test_splits_and_premultiplied_area_average(tmp_path: Path, split: str, expected: list[int]) -> None:
-    scene = _folder(tmp_path)
+    scene = random_views(tmp_path)
     views = load_views(scene, ViewRequest(split, 92, 91, 4, 4))
     assert [camera.name for camera in views.cameras] == [f"r_{i:04d}" for i in expected]
     pixels = np.asarray(Image.open(tmp_path / "train" / f"r_{expected[0]:04d}.png")) / 255.0
@@ -121,7 +104,7 @@ def test_splits_and_premultiplied_area_average(tmp_path: Path, split: str, expec
 
 
 def test_fewer_views_are_evenly_spaced(tmp_path: Path) -> None:
-    scene = _folder(tmp_path, n=20)
+    scene = random_views(tmp_path, n=20)
     views = load_views(scene, ViewRequest("test", 92, 5, 8, 8))
     assert [camera.name for camera in views.cameras] == ["r_0000", "r_0004", "r_0008", "r_0012", "r_0016"]
     assert len(load_views(scene, ViewRequest("trainval", 10, 5, 8, 8))) == 10
@@ -131,7 +114,7 @@ def test_fewer_views_are_evenly_spaced(tmp_path: Path) -> None:
 
 
 def test_pictures_without_alpha_are_opaque(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    views = load_views(_folder(tmp_path, mode="RGB"), ViewRequest("train", 92, 91, 8, 8))
+    views = load_views(random_views(tmp_path, mode="RGB"), ViewRequest("train", 92, 91, 8, 8))
     assert (views.images[..., 3] == 1.0).all()
     assert "transparency" in caplog.text
 
@@ -139,11 +122,11 @@ def test_pictures_without_alpha_are_opaque(tmp_path: Path, caplog: pytest.LogCap
 @pytest.mark.parametrize("size", [(3, 3), (16, 16), (4, 8), (0, 0)])
 def test_sizes_that_do_not_divide(tmp_path: Path, size: tuple[int, int]) -> None:
     with pytest.raises(DataError, match="do not divide evenly"):
-        load_views(_folder(tmp_path), ViewRequest("train", 92, 91, *size))
+        load_views(random_views(tmp_path), ViewRequest("train", 92, 91, *size))
 
 
 def test_missing_and_damaged_pictures(tmp_path: Path) -> None:
-    scene = _folder(tmp_path)
+    scene = random_views(tmp_path)
     with pytest.raises(DataError, match="empty"):
         load_views(scene, ViewRequest("val", 6, 91, 8, 8))
     (tmp_path / "train/r_0003.png").write_bytes(b"no picture")
