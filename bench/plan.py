@@ -381,10 +381,10 @@ class Planner:
         """
         subset, stress = case.subset, part_of(case.stress, "truth", "input", "fit")
         request, device = subset.request, self._selection.device
-        budget = float(stress_of(stress).get("budget", 1.0))
+        share = float(stress_of(stress).get("budget", 1.0))
         if ITERATIONS not in settings.overrides:
-            budget *= self._preset.budget
-        iterations = max(1, round(budget * settings.budget(len(scenes))))
+            share *= self._preset.budget
+        iterations = settings.budget(len(scenes), share)
         points = max(self._preset.cloud_points, int(settings.values.get(CLOUD_POINTS, 0)))
         identity = {
             "kind": kind,

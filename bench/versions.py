@@ -49,7 +49,7 @@ def _changes(job: Job, spec: MethodSpec) -> list[str]:
     then, today = asdict(spec.options()) | job.options, settings.values
     if job.iterations is not None and not job.stress:
         then[ITERATIONS] = job.iterations
-        today[ITERATIONS] = max(1, round(settings.budget(len(job.scenes))))
+        today[ITERATIONS] = settings.budget(len(job.scenes))
     return [
         f"{name} {written(then[name])} (today {written(value)})"
         for name, value in today.items()

@@ -87,7 +87,8 @@ from bench.__main__ import parser
 from bench.store import Store
 from bench.suites import load_suite
 from bench.tables import build_tables
-from bench.tune import LOSS, SCENE_LOSS, Trial, means, read_study, smaller
+from bench.tune import LOSS, SCENE_LOSS, Study, Trial, means, read_study, smaller
+from methods.interface import MethodSpec, OptionValue
 from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
 from methods.registry import Registry
 from reports.charts import economy, rate_distortion, svg, unseen, volumes
@@ -412,9 +413,7 @@ def departures(description: str) -> str:
     block = tomllib.loads(description)
     method, preset = block["method"], block["preset"]
     spec = Registry().spec(method)
-    ours, theirs = (resolve(spec, preset, {CONFIGURATION: name}) for name in ("fair", "paper"))
-    here = {ITERATIONS: ours.iterations, **ours.values}
-    paper = {ITERATIONS: theirs.iterations, **theirs.values}
+    here, paper = (_resolved(spec, preset, name) for name in ("fair", "paper"))
     meaning = {ITERATIONS: "budget of a group of one scene"}
     meaning |= {name: option.doc for name, option in declared(spec.options).items()}
     variants = [one[method] for one in load_suite(block["suite"]).variants if one]
@@ -435,6 +434,12 @@ def departures(description: str) -> str:
     titles = ["option", "here", "paper", "meaning", *(title for title, _ in WORTH)]
     conditions = "*Not measured yet.*\n" if results.empty else _conditions(results)
     return _markdown(titles, cells) + "\n" + conditions
+
+
+def _resolved(spec: MethodSpec, preset: str, configuration: str) -> dict[str, OptionValue]:
+    """Iterations and options of a method."""
+    settings = resolve(spec, preset, {CONFIGURATION: configuration})
+    return {ITERATIONS: settings.iterations, **settings.values}
 
 
 def _measured(block: dict[str, Any], variants: list[str]) -> pd.DataFrame:
@@ -547,10 +552,7 @@ def _places(report: Report) -> tuple[list[str], list[list[str]]]:
 def method_of(description: str) -> str:
     """What a method wins, its places, its settings beside the published ones, and their search."""
     block = tomllib.loads(description)
-    answers = {
-        title: Report(tables((bundle,))).answers
-        for title, bundle in zip(block["data"], block["bundles"], strict=True)
-    }
+    answers = {title: _answers(bundle) for title, bundle in zip(block["data"], block["bundles"], strict=True)}
     if "method" not in block:
         names = {place.method for given in answers.values() for one in given for place in one.places}
         ordered = sorted(names, key=METHODS.index)
@@ -564,6 +566,11 @@ def method_of(description: str) -> str:
         text = f"**{standing(answers, method)}**\n\n"
         text += _markdown(["", *(f"{title}: value, rank; the first" for title in answers)], places) + "\n"
     return text + _settings(method)
+
+
+@cache
+def _answers(bundle: str) -> list[Answer]:
+    return Report(tables((bundle,))).answers
 
 
 def _place(answer: Answer, method: str) -> str:
@@ -580,13 +587,10 @@ def _place(answer: Answer, method: str) -> str:
 def _settings(method: str) -> str:
     """Options of the preset "quick" that are not the published ones or were searched, and the search."""
     spec = Registry().spec(method)
-    every = [read_study(path) for path in sorted(STUDIES.glob("*.json"))]
+    every = _studies()
     study = next((one for one in every if one.method == method), None)
     space = study.space if study else {}
-    here, paper = (
-        {ITERATIONS: one.iterations, **one.values}
-        for one in (resolve(spec, "quick", {CONFIGURATION: name}) for name in ("fair", "paper"))
-    )
+    here, paper = (_resolved(spec, "quick", name) for name in ("fair", "paper"))
     lines = []
     for name, value in here.items():
         if value != paper[name] or name in space:
@@ -615,11 +619,14 @@ def paper_of(description: str) -> str:
     return to_markdown(found[block["table"]]).partition("\n\n")[2]
 
 
+def _studies() -> list[Study]:
+    return [read_study(path) for path in sorted(STUDIES.glob("*.json"))]
+
+
 def tuned_of(description: str) -> str:
     """What `bench tune` found, a row per method, after what the studies had in common."""
     block = tomllib.loads(description)
-    every = [read_study(path) for path in sorted(STUDIES.glob("*.json"))]
-    found = [one for one in every if len(one.conditions.scenes) == block["scenes"] and one.chosen]
+    found = [one for one in _studies() if len(one.conditions.scenes) == block["scenes"] and one.chosen]
     if not found:
         raise SystemExit(f"no studies for {block}")
     least = min(len(one.trials) for one in found)

@@ -42,9 +42,13 @@ class Settings:
     overrides: dict[str, OptionValue]
     knob: str
 
-    def budget(self, scenes: int) -> float:
-        """Training iterations of a group of that many scenes; see :data:`GROUP_BUDGET`."""
-        return float(self.iterations * scenes ** getattr(self.options, GROUP_BUDGET, 0.0))
+    def budget(self, scenes: int, share: float = 1.0) -> int:
+        """Training iterations of a group of that many scenes, or a share of them, at least one.
+
+        See :data:`GROUP_BUDGET`.
+        """
+        whole = float(self.iterations * scenes ** getattr(self.options, GROUP_BUDGET, 0.0))
+        return max(1, round(share * whole))
 
     @property
     def variant(self) -> str:

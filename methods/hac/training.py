@@ -51,9 +51,14 @@ class Trainer(scaffold_gs.Trainer):
     def rates(self) -> dict[str, float]:
         """Learning rates of this iteration."""
         context = self.decayed(CONTEXT_RATE)
-        masks = self.options.mask_lr / MASK_RATE[0] * self.decayed(MASK_RATE)
+        masks = self.options.mask_lr / MASK_RATE[0] * self.decayed((MASK_RATE[0], self.last_mask_rate))
         own = {self.anchors.name(MASKS): masks, "grid": context, "head": context}
         return super().rates() | own
+
+    @property
+    def last_mask_rate(self) -> float:
+        """Last learning rate of masks where the first one is the published."""
+        return MASK_RATE[1]
 
     def visible(self, values: Attributes, camera: Camera) -> Tensor:
         """(N,) anchors that may show in a view and have an offset left."""

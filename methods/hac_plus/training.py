@@ -11,7 +11,7 @@ from torch import Tensor
 from econgs.anchors.anchor_set import MASKS
 from econgs.context.model import Attributes, ContextConfig, draw_sample
 from methods.hac import training as hac
-from methods.hac.training import LEAST_MASK, MASK_RATE
+from methods.hac.training import LEAST_MASK
 from methods.hac_plus.model import HacPlusModel
 from methods.hac_plus.spec import HacPlusOptions
 from methods.scaffold_gs.training import Prepared
@@ -35,11 +35,12 @@ class Trainer(hac.Trainer):
 
     def rates(self) -> dict[str, float]:
         """Learning rates of this iteration."""
-        last = min(MOST_LAST_MASK_RATE, LAST_MASK_RATE * self.options.rate_weight / 1e-3)
-        share = self.options.mask_lr / MASK_RATE[0]
-        masks = share * self.decayed((MASK_RATE[0], max(last, 1e-8)))
-        own = {self.anchors.name(MASKS): masks, "intra": self.decayed(INTRA_RATE)}
-        return super().rates() | own
+        return super().rates() | {"intra": self.decayed(INTRA_RATE)}
+
+    @property
+    def last_mask_rate(self) -> float:
+        """In proportion to lambda."""
+        return max(1e-8, min(MOST_LAST_MASK_RATE, LAST_MASK_RATE * self.options.rate_weight / 1e-3))
 
     def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
         """As in HAC, but bits are those of a sample of all anchors, visible or not.

@@ -1,7 +1,7 @@
 """Fingerprints of the methods: a tiny fit of each, recorded, so that no change of results passes unseen.
 
     python tests/methods/fingerprints.py            compare every method with tests/fingerprints.json
-    python tests/methods/fingerprints.py --write    record new methods, new versions, and options of presets
+    python tests/methods/fingerprints.py --write    record new methods, new versions, and settings of presets
     python tests/methods/fingerprints.py --write --keep-version NAME
                                                     record changed results of the same version (say why)
 
