@@ -44,7 +44,8 @@ SPEC = replace(
     ),
     version="5",
     implementation="methods.hac.method:Hac",
-    presets={"quick": splatting.QUICK},
+    # Masks move as far as in 30,000 iterations.
+    presets={"quick": {**PLAIN.presets["quick"], "mask_lr": 0.2}, "standard": {"mask_lr": 0.04}},
     options=HacOptions,
     rate_knobs=(RateKnob("rate_weight", (5e-4, 1e-3, 2e-3, 3e-3, 4e-3), refit=True),),
     configurations={

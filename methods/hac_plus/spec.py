@@ -35,8 +35,6 @@ SPEC = replace(
     version="2",
     implementation="methods.hac_plus.method:HacPlus",
     options=HacPlusOptions,
-    # Masks move as far as in 30,000 iterations.
-    presets={"quick": {**PLAIN.presets["quick"], "mask_lr": 0.2}, "standard": {"mask_lr": 0.04}},
     configurations={
         "fair": Configuration(),
         "paper": Configuration(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBLISHED
-from methods.gaussian_splatting.spec import QUICK, GaussianOptions
+from methods.gaussian_splatting.spec import QUICK, TUNED, GaussianOptions
 from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.interface import Configuration, OptionValue, RateKnob, option
 from methods.shared import splatting
@@ -15,8 +15,11 @@ PUBLISHED: dict[str, OptionValue] = {
     "background": "white",
     "shading_start": 0.0,
     "specular_start": 2.5,
+    "growth_gradient": 2e-4,
 }
 """How the released code starts."""
+START = {name: TUNED[name] for name in ("start_spacing", "growth_gradient")} | {"alpha_weight": 0.1}
+"""Of 3DGS in the preset quick; the loss of alpha is another one, with a weight of its own."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +74,7 @@ SPEC = replace(
         "palette color is the mean color weighted by alpha"
     ),
     options=IvrOptions,
-    # The loss of alpha is another one, with a weight of its own.
-    presets={**PLAIN.presets, "quick": {**QUICK, "alpha_weight": 0.1}},
+    presets={**PLAIN.presets, "quick": {**QUICK, **START}},
     iterations={"quick": 1_600, "standard": 9_300, "paper": 40_000},
     rate_knobs=(RateKnob("codebook size", (4, 16, 64, 256, 1024), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
