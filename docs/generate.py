@@ -293,8 +293,10 @@ def _earlier(results: pd.DataFrame) -> str:
     stale = results[results["stale"].fillna(False)]
     parts = []
     for (method,) in _ordered(stale, ["method"]):
-        changes = set(stale.loc[stale["method"] == method, "changes"])
-        parts.append(f"{TITLES.get(method, method)} {', '.join(sorted(changes))}")
+        changes = sorted(set(stale.loc[stale["method"] == method, "changes"]))
+        each = dict.fromkeys(change for one in changes for change in one.split(", "))
+        short = ", ".join(each) if len(each) < 3 else f"{len(each)} settings"
+        parts.append(f"{TITLES.get(method, method)} {short}")
     return f"stale: {'; '.join(parts)}" if parts else ""
 
 

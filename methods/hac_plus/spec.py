@@ -35,6 +35,7 @@ SPEC = replace(
     version="2",
     implementation="methods.hac_plus.method:HacPlus",
     options=HacPlusOptions,
+    presets={**PLAIN.presets, "quick": {**PLAIN.presets["quick"], "offsets": 5}},
     configurations={
         "fair": Configuration(),
         "paper": Configuration(
