@@ -77,7 +77,9 @@ def undisturbed(dataset, tmp_path_factory):
     return models
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("hold", "number"), [("fake", signal.SIGINT), ("fake-torch", signal.SIGTERM)], indirect=["hold"]
+)
 def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> None:
     process = hold.start(bench)
     process.send_signal(number)
@@ -96,7 +98,9 @@ def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> Non
     assert not list((bench.store / "partial").iterdir())
 
 
-@pytest.mark.parametrize("whole", [True, False], ids=["removed", "emptied"])
+@pytest.mark.parametrize(
+    ("hold", "whole"), [("fake", True), ("fake-torch", False)], indirect=["hold"], ids=["removed", "emptied"]
+)
 def test_a_run_ends_with_an_error_once_its_store_is_gone(bench, hold, whole) -> None:
     process = hold.start(bench)
     for path in [bench.store] if whole else list(bench.store.iterdir()):
