@@ -295,7 +295,7 @@ def _earlier(results: pd.DataFrame) -> str:
     for (method,) in _ordered(stale, ["method"]):
         changes = sorted(set(stale.loc[stale["method"] == method, "changes"]))
         each = dict.fromkeys(change for one in changes for change in one.split(", "))
-        short = ", ".join(each) if len(each) < 3 else f"{len(each)} settings"
+        short = ", ".join(each) if len(each) < 3 else f"{len(each)} changes"
         parts.append(f"{TITLES.get(method, method)} {short}")
     return f"stale: {'; '.join(parts)}" if parts else ""
 

@@ -3,8 +3,9 @@
 from dataclasses import dataclass, replace
 
 from methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBLISHED
-from methods.gaussian_splatting.spec import QUICK, TUNED, GaussianOptions
+from methods.gaussian_splatting.spec import QUICK, GaussianOptions
 from methods.gaussian_splatting.spec import SPEC as PLAIN
+from methods.gaussian_splatting.spec import TUNED as PLAIN_TUNED
 from methods.interface import Configuration, OptionValue, RateKnob, option
 from methods.shared import splatting
 from methods.shared.schedule import Decay
@@ -18,8 +19,8 @@ PUBLISHED: dict[str, OptionValue] = {
     "growth_gradient": 2e-4,
 }
 """How the released code starts."""
-START = {name: TUNED[name] for name in ("start_spacing", "growth_gradient")} | {"alpha_weight": 0.1}
-"""Of 3DGS in the preset quick; the loss of alpha is another one, with a weight of its own."""
+TUNED = {name: PLAIN_TUNED[name] for name in ("start_spacing", "growth_gradient")}
+"""What suits it of the settings of 3DGS in the preset quick (docs/results/tuning.md)."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,8 @@ SPEC = replace(
         "palette color is the mean color weighted by alpha"
     ),
     options=IvrOptions,
-    presets={**PLAIN.presets, "quick": {**QUICK, **START}},
+    # The loss of alpha is another one, with a weight of its own.
+    presets={**PLAIN.presets, "quick": {**QUICK, **TUNED, "alpha_weight": 0.1}},
     iterations={"quick": 1_600, "standard": 9_300, "paper": 40_000},
     rate_knobs=(RateKnob("codebook size", (4, 16, 64, 256, 1024), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
