@@ -10,10 +10,11 @@ import shutil
 import pandas as pd
 import pytest
 
+from bench.records import Record
 from datasets.png import read_png
 from reports.schema import TABLES, read_tables
 
-from .conftest import suite_file
+from .conftest import Bench, suite_file
 
 
 def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
@@ -119,33 +120,56 @@ def test_failures_are_rows_and_the_rest_goes_on(bench, method) -> None:
     assert "about to abort" in fit.log_tail
 
 
+@pytest.fixture(scope="module")
+def ended(dataset, tmp_path_factory) -> tuple[Bench, str]:
+    """One run, and what it printed, in which every fit ends in another way."""
+    bench = Bench(tmp_path_factory.mktemp("ended"), dataset)
+    variants = ", ".join(f'{{ fake = {{ behaviour = "{behaviour}" }} }}' for behaviour in ENDS)
+    suite = suite_file(bench.store.parent, f'"{dataset}" = ["a"]', f"variants = [{variants}]")
+    return bench, bench.run_suite(suite, code=1).stderr
+
+
+ENDS = {
+    "refuse": ("refused", "not to its taste"),
+    "diverge": ("diverged", "the color went away"),
+    "nan": ("diverged", "not finite at iteration 10"),
+    "raise": ("failed", "ValueError: a bug in the method (fake.py:"),
+    "mute": ("failed", "Mute: an exception without text (fake.py:"),
+    "escape": ("refused", r"\x1b[2Jgone\x07 \u202eout of order"),
+    "exit": ("failed", "exit code 3"),
+    "busy": ("failed", "exit code 76"),
+    "no-checkpoint": ("failed", "without a checkpoint"),
+}
+
+
+@pytest.mark.parametrize("behaviour", ENDS)
+def test_how_a_fit_can_end(ended, behaviour: str) -> None:
+    bench, printed = ended
+    (fit,) = (record for record in bench.of_kind("fit") if record.job.overrides["behaviour"] == behaviour)
+    _check_end(bench, fit, printed, *ENDS[behaviour])
+
+
 @pytest.mark.parametrize(
     ("behaviour", "limits", "status", "words"),
     [
-        ("refuse", (), "refused", "not to its taste"),
-        ("diverge", (), "diverged", "the color went away"),
-        ("nan", (), "diverged", "not finite at iteration 10"),
-        ("raise", (), "failed", "ValueError: a bug in the method (fake.py:"),
-        ("mute", (), "failed", "Mute: an exception without text (fake.py:"),
-        ("escape", (), "refused", r"\x1b[2Jgone\x07 \u202eout of order"),
-        ("exit", (), "failed", "exit code 3"),
-        ("busy", (), "failed", "exit code 76"),
-        ("no-checkpoint", (), "failed", "without a checkpoint"),
         ("sleep", ("--time-limit", "3"), "timeout", "time limit of 3 s"),
         ("hog", ("--memory-limit", "400M"), "oom", "of 400 MiB"),
     ],
 )
-def test_how_a_fit_can_end(bench, behaviour: str, limits: tuple[str, ...], status: str, words: str) -> None:
+def test_how_a_limit_ends_a_fit(bench, behaviour, limits, status: str, words: str) -> None:
     done = bench.run("--set", f"fake.behaviour={behaviour}", *limits, code=1)
     (fit,) = bench.of_kind("fit")
+    _check_end(bench, fit, done.stderr, status, words)
+
+
+def _check_end(bench: Bench, fit: Record, printed: str, status: str, words: str) -> None:
     assert (fit.status, words in fit.reason) == (status, True), fit.reason
-    (measure,) = bench.of_kind("measure")
-    assert (measure.status, measure.cause) == (status, fit.job.id)
-    assert measure.reason == f"fit: {fit.reason}"
-    assert "Traceback" not in done.stderr
-    assert not {"\x1b", "\x07", "\u202e"} & {*done.stdout, *done.stderr}
+    (measure,) = (record for record in bench.of_kind("measure") if record.cause == fit.job.id)
+    assert (measure.status, measure.reason) == (status, f"fit: {fit.reason}")
+    assert "Traceback" not in printed
+    assert not {"\x1b", "\x07", "\u202e"} & set(printed)
     log = bench.store / "jobs" / fit.job.id / "log.txt"
-    assert (f"log: {log}" in done.stderr) is (status not in ("refused", "diverged"))
+    assert (f"log: {log}" in printed) is (status not in ("refused", "diverged"))
     assert log.is_file()
 
 
