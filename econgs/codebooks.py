@@ -109,9 +109,9 @@ def nearest(values: Tensor, words: Tensor) -> Tensor:
         return order[torch.searchsorted((ordered[1:] + ordered[:-1]) / 2, values[:, 0].contiguous())]
     chunk = max(1, _DISTANCES // max(1, len(words)))
     lengths = words.square().sum(1)
-    # |v - w|^2 less |v|^2, which is constant over words.
-    parts = [torch.addmm(lengths, part, words.T, alpha=-2.0).argmin(1) for part in values.split(chunk)]
-    return torch.cat(parts)
+    # |v - w|^2 less |v|^2, which is constant over words. NumPy's argmin is vectorised, torch's is not.
+    distances = (torch.addmm(lengths, part, words.T, alpha=-2.0) for part in values.split(chunk))
+    return torch.cat([torch.from_numpy(part.numpy().argmin(1)) for part in distances])
 
 
 def _half(words: Tensor) -> Tensor:
