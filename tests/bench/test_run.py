@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+from subprocess import CompletedProcess
 
 import pandas as pd
 import pytest
@@ -120,15 +121,6 @@ def test_failures_are_rows_and_the_rest_goes_on(bench, method) -> None:
     assert "about to abort" in fit.log_tail
 
 
-@pytest.fixture(scope="module")
-def ended(dataset, tmp_path_factory) -> tuple[Bench, str]:
-    """One run, and what it printed, in which every fit ends in another way."""
-    bench = Bench(tmp_path_factory.mktemp("ended"), dataset)
-    variants = ", ".join(f'{{ fake = {{ behaviour = "{behaviour}" }} }}' for behaviour in ENDS)
-    suite = suite_file(bench.store.parent, f'"{dataset}" = ["a"]', f"variants = [{variants}]")
-    return bench, bench.run_suite(suite, code=1).stderr
-
-
 ENDS = {
     "refuse": ("refused", "not to its taste"),
     "diverge": ("diverged", "the color went away"),
@@ -142,11 +134,20 @@ ENDS = {
 }
 
 
+@pytest.fixture(scope="module")
+def ends(dataset, tmp_path_factory) -> tuple[Bench, CompletedProcess[str]]:
+    """A store, and the run of it in which every fit ends in another way."""
+    bench = Bench(tmp_path_factory.mktemp("ends"), dataset)
+    variants = ", ".join(f'{{ fake = {{ behaviour = "{behaviour}" }} }}' for behaviour in ENDS)
+    suite = suite_file(bench.store.parent, f'"{dataset}" = ["a"]', f"variants = [{variants}]")
+    return bench, bench.run_suite(suite, code=1)
+
+
 @pytest.mark.parametrize("behaviour", ENDS)
-def test_how_a_fit_can_end(ended, behaviour: str) -> None:
-    bench, printed = ended
+def test_how_a_fit_can_end(ends, behaviour: str) -> None:
+    bench, done = ends
     (fit,) = (record for record in bench.of_kind("fit") if record.job.overrides["behaviour"] == behaviour)
-    _check_end(bench, fit, printed, *ENDS[behaviour])
+    _check_end(bench, fit, done, *ENDS[behaviour])
 
 
 @pytest.mark.parametrize(
@@ -159,17 +160,17 @@ def test_how_a_fit_can_end(ended, behaviour: str) -> None:
 def test_how_a_limit_ends_a_fit(bench, behaviour, limits, status: str, words: str) -> None:
     done = bench.run("--set", f"fake.behaviour={behaviour}", *limits, code=1)
     (fit,) = bench.of_kind("fit")
-    _check_end(bench, fit, done.stderr, status, words)
+    _check_end(bench, fit, done, status, words)
 
 
-def _check_end(bench: Bench, fit: Record, printed: str, status: str, words: str) -> None:
+def _check_end(bench: Bench, fit: Record, done: CompletedProcess[str], status: str, words: str) -> None:
     assert (fit.status, words in fit.reason) == (status, True), fit.reason
     (measure,) = (record for record in bench.of_kind("measure") if record.cause == fit.job.id)
     assert (measure.status, measure.reason) == (status, f"fit: {fit.reason}")
-    assert "Traceback" not in printed
-    assert not {"\x1b", "\x07", "\u202e"} & set(printed)
+    assert "Traceback" not in done.stderr
+    assert not {"\x1b", "\x07", "\u202e"} & {*done.stdout, *done.stderr}
     log = bench.store / "jobs" / fit.job.id / "log.txt"
-    assert (f"log: {log}" in printed) is (status not in ("refused", "diverged"))
+    assert (f"log: {log}" in done.stderr) is (status not in ("refused", "diverged"))
     assert log.is_file()
 
 
