@@ -100,6 +100,7 @@ from reports.conclusions.ladders import amount, by_method, verdict
 from reports.paper import datasets
 from reports.paper.documents import to_markdown
 from reports.paper.tables import paper_tables
+from reports.paper.values import PaperTable
 from reports.schema import PRUNED
 from reports.statistics import Views
 from reports.style import MISSING, TITLES, counted
@@ -316,6 +317,7 @@ def chart(description: str) -> str:
     return f"![{block['alt']}]({block['image']})\n"
 
 
+@cache
 def image(description: str) -> tuple[str, str]:
     """The file of a chart, relative to its page, and its SVG."""
     block = tomllib.loads(description)
@@ -324,8 +326,8 @@ def image(description: str) -> tuple[str, str]:
         for name, part in parts.items():
             if column in part:
                 parts[name] = part[part[column].isin(values)]
-    sections = chart_sections(Report(parts))
-    (drawing,) = (section.charts[block["chart"]] for section in sections if block["chart"] in section.charts)
+    sections = chart_sections(Report(parts))  # each is made when it is asked for
+    drawing = next(section.charts[block["chart"]] for section in sections if block["chart"] in section.charts)
     return block["image"], svg.file(drawing) + "\n"
 
 
@@ -615,10 +617,16 @@ def paper_of(description: str) -> str:
     parts = tables(tuple(block["bundles"]))
     if block["table"] == "datasets":
         return costs_as_markdown(datasets.costs(parts["dvr"]))
-    found = {one.name: one for one in paper_tables(parts, Views(parts.get("views")))}
+    found = _papers(tuple(block["bundles"]))
     if block["table"] not in found:
         raise SystemExit(f"nothing of the kind for {block}")
     return to_markdown(found[block["table"]]).partition("\n\n")[2]
+
+
+@cache
+def _papers(bundles: tuple[str, ...]) -> dict[str, PaperTable]:
+    parts = tables(bundles)
+    return {one.name: one for one in paper_tables(parts, Views(parts.get("views")))}
 
 
 def _studies() -> list[Study]:
@@ -732,10 +740,15 @@ KINDS: dict[str, Callable[[str], str]] = {
 }
 
 
+@cache  # some blocks stand on several pages
+def _block(kind: str, description: str) -> str:
+    return KINDS[kind](description)
+
+
 def generated(page: Path) -> dict[Path, str]:
     """A page with its blocks written anew, and its charts: file -> content."""
     text = page.read_text(encoding="utf-8")
-    files = {page: BLOCK.sub(lambda match: match[1] + KINDS[match[2]](match[3]) + match[4], text)}
+    files = {page: BLOCK.sub(lambda match: match[1] + _block(match[2], match[3]) + match[4], text)}
     for match in BLOCK.finditer(text):
         if match[2] == "chart":
             path, drawing = image(match[3])
