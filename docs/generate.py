@@ -326,8 +326,8 @@ def image(description: str) -> tuple[str, str]:
         for name, part in parts.items():
             if column in part:
                 parts[name] = part[part[column].isin(values)]
-    sections = chart_sections(Report(parts))  # each is made when it is asked for
-    drawing = next(section.charts[block["chart"]] for section in sections if block["chart"] in section.charts)
+    sections = chart_sections(Report(parts))
+    (drawing,) = (section.charts[block["chart"]] for section in sections if block["chart"] in section.charts)
     return block["image"], svg.file(drawing) + "\n"
 
 
