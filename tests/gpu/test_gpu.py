@@ -17,6 +17,7 @@ preset = "tiny"
 "vortices@16" = ["cores"]
 [presets.tiny]
 like = "quick"
+budget = 0.1
 train_views = 6
 test_views = 2
 width = 24

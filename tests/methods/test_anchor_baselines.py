@@ -206,11 +206,11 @@ def test_the_context_model_begins_with_the_attributes_of_its_anchors(scene):
 def test_hac_pays_for_bits_and_masks(tiny, scene):
     """A larger lambda makes smaller streams; a larger weight of masks pushes them down."""
     kind = KINDS["hac"]
-    sizes = [kind.fit(scene, tiny.Recorder(), 400, rate_weight=w).bytes_estimate() for w in (0.0, 0.05)]
-    assert sizes[1] < 0.9 * sizes[0]
+    sizes = [kind.fit(scene, tiny.Recorder(), 200, rate_weight=w).bytes_estimate() for w in (0.0, 0.05)]
+    assert sizes[1] < 0.5 * sizes[0]
     masks = []
     for weight in (0.0, 0.1):
-        trainer = HacTrainer(scene, kind.fit.options(mask_weight=weight), 400, 0, "cpu")
+        trainer = HacTrainer(scene, kind.fit.options(mask_weight=weight), 200, 0, "cpu")
         trainer.run(tiny.Recorder())
         masks.append(float(trainer.optimiser[trainer.anchors.name("masks")].detach().mean()))
-    assert masks[1] < masks[0] - 0.1
+    assert masks[1] < masks[0] - 1.0
