@@ -187,7 +187,11 @@ class EcongsModel(SceneModel[SceneAnchors]):
 
     @classmethod
     def load(cls, folder: Path, device: str) -> EcongsModel:
-        return cls([Group(coded, device, file) for file, coded in read_streams(folder, SUFFIX, "econgs")])
+        model = cls([Group(coded, device, file) for file, coded in read_streams(folder, SUFFIX, "econgs")])
+        for scene in model._scenes.values():
+            if not scene.decoders.view_direction:
+                _ = scene.unshaded  # decoding once is a part of loading, not of the first frame
+        return model
 
     @classmethod
     def join(cls, models: Sequence[EcongsModel]) -> EcongsModel:

@@ -150,14 +150,20 @@ def answers(contest: Contest, results: pd.DataFrame, ladders: pd.DataFrame) -> l
 def scope(contest: Contest) -> str:
     """What is compared, and when a lead counts."""
     datasets = len(next(iter(contest.values("psnr").cells.values())))
+    whole = len(contest.main & set(contest.scenes))
+    of = counted(whole, "dataset") if datasets == whole else f"{datasets} of {counted(whole, 'dataset')}"
     text = (
-        f"{len(contest.methods)} methods with their default options on {datasets} "
-        f"{'dataset' if datasets == 1 else 'datasets'}, preset {contest.preset}. A method wins if the "
-        "95 % interval of its lead, over datasets (scenes of fewer than three) and seeds, excludes zero."
+        f"{len(contest.methods)} methods with their default options on {of}, preset {contest.preset}. "
+        "A method wins if the 95 % interval of its lead on every other, over datasets (scenes of fewer than "
+        "three) and seeds, excludes zero; robustness and edits are counts without an interval."
     )
+    if datasets < whole:
+        text += " A dataset counts if all methods finished it."
     others = sorted(contest.others.items(), key=lambda one: -one[1])
     names = ", ".join(f"{label(name)} ({count or 'too few scenes'})" for name, count in others)
-    return f"{text} Not ranked, as measured on fewer: {names}." if names else text
+    text += f" Not ranked, as measured on fewer: {names}." if names else ""
+    old = ", ".join(f"{label(name)} {count}" for name, count in contest.stale.items())
+    return f"{text} Stale rows, which today's methods would not make: {old}." if old else text
 
 
 def to_text(contest: Contest, answers: Iterable[Answer]) -> list[str]:
@@ -169,14 +175,14 @@ def to_text(contest: Contest, answers: Iterable[Answer]) -> list[str]:
 def measured(criterion: Criterion, contest: Contest) -> Answer:
     """The answer to one criterion of :data:`CRITERIA`.
 
-    The best mean wins if the interval of its difference to the next best excludes zero. Means are over
+    The best mean wins if the interval of its difference to every other one excludes zero. Means are over
     datasets, of means over scenes, of means over seeds; those of ratios are geometric.
     """
     column = COLUMNS[criterion.column]
     values = contest.values(criterion.column)
     cells = {name: own for name, own in values.cells.items() if own}
     if len(cells) < 2:
-        return Answer(criterion.title, (), "", f"Not decided: {_gap(values)}.")
+        return Answer(criterion.title, (), "", "Not decided: not measured of two methods on one dataset.")
     means = {name: _mean(own, criterion.ratio) for name, own in cells.items()}
     order = sorted(means, key=lambda name: -criterion.better * means[name])
     scenes = _by_scene(cells)
@@ -189,20 +195,19 @@ def measured(criterion: Criterion, contest: Contest) -> Answer:
         Place(name, means[name], column.text(means[name]) + criterion.unit, firsts[name]) for name in order
     )
     differences = [criterion.effect(cells[order[0]], cells[name]) for name in order[1:]]
-    lead = differences[0]
+    compared = list(zip(places[1:], differences, strict=True))
+    near = [(place, one) for place, one in compared if one is None or not one.sure]
+    rival, lead = (near or compared)[0]
     assert lead is not None  # all methods have the same datasets
-    first, second = places[:2]
-    level: tuple[str, ...] = ()
-    if lead.sure:
-        text = f"{label(first.method)}, {first.text}: {criterion.amount(lead)} than {label(second.method)} ("
-    else:
-        near = [name for name, one in zip(order[1:], differences, strict=True) if one is None or not one.sure]
-        level = (order[0], *near)
+    first, level = places[0], (order[0], *(place.method for place, _ in near)) if near else ()
+    if near:
         text = f"No winner among {_listing(level)}: {label(first.method)}, {first.text}, is "
-        text += f"{criterion.amount(lead)} than {label(second.method)} ({second.text}; "
+        text += f"{criterion.amount(lead)} than {label(rival.method)} ({rival.text}; "
+    else:
+        text = f"{label(first.method)}, {first.text}: {criterion.amount(lead)} than {label(rival.method)} ("
     text += f"{criterion.interval(lead)}), better on {lead.wins} of {counted(lead.datasets, 'dataset')}; "
     text += f"{_seeds(lead)}{_caution(values)}."
-    return Answer(criterion.title, places, order[0] if lead.sure else "", text, len(scenes), level)
+    return Answer(criterion.title, places, "" if near else order[0], text, len(scenes), level)
 
 
 def standing(data: Mapping[str, Iterable[Answer]], method: str) -> str:
@@ -213,15 +218,21 @@ def standing(data: Mapping[str, Iterable[Answer]], method: str) -> str:
         method: its name.
     """
     won: dict[str, list[str]] = {}
+    first: dict[str, list[str]] = {}
     level: dict[str, list[str]] = {}
     for title, given in data.items():
         for answer in given:
             if answer.winner == method:
-                won.setdefault(answer.title, []).append(title)
+                found = first if answer.title in (ROBUST, EDITABLE) else won
+                found.setdefault(answer.title, []).append(title)
             elif method in answer.level:
                 level.setdefault(answer.title, []).append(title)
     parts = []
-    for words, found in (("Wins", won), ("Shares the first place, as no lead is sure", level)):
+    for words, found in (
+        ("Wins", won),
+        ("Is first, without an interval", first),
+        ("Shares the first place, as no lead is sure", level),
+    ):
         names = ", ".join(f"{title} ({', '.join(where)})" for title, where in found.items())
         parts += [f"{words}: {names}."] if names else []
     return " ".join(parts) or "Is first nowhere."
@@ -361,16 +372,7 @@ def _seeds(lead: Effect) -> str:
 
 def _caution(values: Values) -> str:
     """Rows that a speed does not count."""
-    counts = [(values.busy, "from a busy machine"), (values.elsewhere, "from other processors")]
-    parts = [f"{counted(number, 'row')} {text}" for number, text in counts if number]
-    return f"; without {' and '.join(parts)}" if parts else ""
-
-
-def _gap(values: Values) -> str:
-    if values.busy:
-        rows = counted(values.busy, "row")
-        return f"without {rows} from a busy machine no dataset has all scenes of all methods"
-    return "not measured of two methods on one dataset"
+    return f"; without {counted(values.elsewhere, 'row')} from other processors" if values.elsewhere else ""
 
 
 def _listing(names: Iterable[str], every: bool = False) -> str:

@@ -1,10 +1,11 @@
-"""Which timings come from a busy machine: a fixed kernel beside every job shows how fast the machine was."""
+"""How fast the machine was beside a timing: a fixed kernel beside every job shows it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from reports.schema import COLUMNS
 from reports.style import absent
 
 if TYPE_CHECKING:
@@ -47,6 +48,14 @@ class Clocks:
         reference = CLOCKS[column][1]
         quiet, time = self._quiet.get((reference, place(row, column))), row.get(reference)
         return 1.0 if quiet is None or absent(time) else float(time or 0.0) / quiet
+
+    def corrected(self, row: Mapping[str, Any], column: str) -> float:
+        """A row's value; a speed's as on a quiet machine: its time / the slowdown, where that is above 1."""
+        value = float(row[column])
+        if column not in CLOCKS:
+            return value
+        slowdown = max(1.0, self.slowdown(row, column))
+        return value * slowdown if COLUMNS[column].better > 0 else value / slowdown
 
     def busy(self, row: Mapping[str, Any], column: str) -> bool:
         """Whether the machine was busy when a speed of a row was measured; False for other columns."""

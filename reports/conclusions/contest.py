@@ -27,14 +27,12 @@ class Values:
     """A column's values in a contest.
 
     Attributes:
-        cells: method -> its values.
-        busy: number of values that were measured on a busy machine and are left out.
+        cells: method -> its values; speeds as a quiet machine would show them.
         elsewhere: number of values from other processors, left out.
         processor: that all values are from; "" where it does not matter.
     """
 
     cells: Mapping[str, Cells]
-    busy: int = 0
     elsewhere: int = 0
     processor: str = ""
 
@@ -48,7 +46,7 @@ class Contest:
         rows: finished and failed rows of basic scenes, one per dataset, scene, method and seed; a dataset's
             name includes its number of training views where there are several.
         main: datasets that count for all but robustness: of several numbers of training views the largest.
-        clocks: which speeds are of a busy machine.
+        clocks: how fast the machine was beside each speed.
     """
 
     preset: str
@@ -105,10 +103,19 @@ class Contest:
                 failures[row["method"]] += 1
         return failures
 
+    @cached_property
+    def stale(self) -> dict[str, int]:
+        """Method -> number of its rows that its present version, options or data would change."""
+        counts: dict[str, int] = {}
+        for row in self.rows:
+            if row["method"] in self.methods and not absent(row["stale"]) and row["stale"]:
+                counts[row["method"]] = counts.get(row["method"], 0) + 1
+        return counts
+
     def values(self, column: str) -> Values:
         """The values of a column on the datasets where all ranked methods have the scenes that all tried.
 
-        Speeds are of quiet machines, and of the processor and number of threads with the most datasets.
+        Speeds are of the processor and number of threads with the most datasets.
         """
         rows = [
             row
@@ -121,23 +128,21 @@ class Contest:
         ]
         if column not in CLOCKS:
             return Values(self._common(rows, column))
-        quiet = [row for row in rows if not self.clocks.busy(row, column)]
         places: dict[tuple[Any, Any], list[dict[str, Any]]] = {}
-        for row in quiet:
+        for row in rows:
             places.setdefault(place(row, column), []).append(row)
         if not places:
-            return Values({}, busy=len(rows))
+            return Values({})
         common = {at: self._common(here, column) for at, here in places.items()}
         best = max(places, key=lambda at: (len(next(iter(common[at].values()))), len(places[at])))
         text = f"{best[0]}, {best[1]} thread{'s' if best[1] != 1 else ''}"
-        left_out = len(quiet) - len(places[best])
-        return Values(common[best], len(rows) - len(quiet), left_out, text)
+        return Values(common[best], len(rows) - len(places[best]), text)
 
     def _common(self, rows: Iterable[Mapping[str, Any]], column: str) -> dict[str, Cells]:
         cells: dict[str, Cells] = {name: {} for name in self.methods}
         for row in rows:
             scenes = cells[row["method"]].setdefault(row["dataset"], {})
-            scenes.setdefault(row["scene"], {})[row["seed"]] = float(row[column])
+            scenes.setdefault(row["scene"], {})[row["seed"]] = self.clocks.corrected(row, column)
         whole = [
             dataset
             for dataset, scenes in self.scenes.items()

@@ -94,8 +94,8 @@ class Lead:
     Attributes:
         limit: as shown.
         method, psnr: of the best, dB.
-        second: the next best; "" where it runs alone.
-        ahead: how far ahead it is; None where it runs alone.
+        second: the best of those on which its lead is not sure, or the next best; "" where it runs alone.
+        ahead: how far ahead of that one it is; None where it runs alone.
         starters: number of methods with a model within the limit.
     """
 
@@ -108,7 +108,7 @@ class Lead:
 
     @property
     def sure(self) -> bool:
-        """Whether the interval of the lead excludes zero."""
+        """Whether the interval of the lead on every other method excludes zero."""
         return self.ahead is not None and self.ahead.sure
 
 
@@ -173,10 +173,11 @@ class Race:
         if not means:
             return None
         order = sorted(means, key=lambda name: -means[name])
-        ahead = None
-        if len(order) > 1:
-            ahead = effect(self._cells(order[0], limit), self._cells(order[1], limit), 1, ratio=False)
-        return Lead(limit, order[0], means[order[0]], order[1] if ahead else "", ahead, len(order))
+        first = self._cells(order[0], limit)
+        leads = [(name, effect(first, self._cells(name, limit), 1, ratio=False)) for name in order[1:]]
+        near = [one for one in leads if one[1] is None or not one[1].sure]
+        second, ahead = (near or leads or [("", None)])[0]
+        return Lead(limit, order[0], means[order[0]], second if ahead else "", ahead, len(order))
 
     def _cells(self, method: str, limit: float) -> Cells:
         reached = self.reached(method, limit)
@@ -187,8 +188,8 @@ class Race:
 def races(results: pd.DataFrame) -> list[Race]:
     """A race per discipline and dataset on which a method has several models, disciplines first.
 
-    Training times are divided by how much slower than usual the reference kernel ran beside a fit, and count
-    only on the processor with the most rows.
+    Training times are those of a quiet machine (:meth:`Clocks.corrected`), and count only on the processor
+    with the most rows.
 
     Args:
         results: the table of that name.
@@ -221,7 +222,7 @@ def _race(
         here = [row for row, at in zip(here, places, strict=True) if at == usual]
     spots: dict[str, dict[str, dict[Any, list[Spot]]]] = {}
     for row in here:
-        cost = float(row[column]) / discipline.unit / _slowdown(clocks, row, column)
+        cost = clocks.corrected(row, column) / discipline.unit
         own = spots.setdefault(str(row["method"]), {}).setdefault(str(row["scene"]), {})
         own.setdefault(row["seed"], []).append((cost, float(row["psnr"])))
     scenes = {str(row["scene"]) for row in rows}
@@ -236,11 +237,6 @@ def _race(
         len(every) > 1 for own in spots.values() for seeds in own.values() for every in seeds.values()
     )
     return Race(dataset, discipline, fronts) if len(fronts) > 1 and several else None
-
-
-def _slowdown(clocks: Clocks, row: dict[str, Any], column: str) -> float:
-    """How much slower than usual the machine was; 1 for what no clock measures."""
-    return max(1.0, clocks.slowdown(row, column)) if column in CLOCKS else 1.0
 
 
 def conclusion(found: Sequence[Race]) -> list[str]:
@@ -279,8 +275,9 @@ def row(race: Race, lead: Lead) -> list[str]:
     name = label(lead.method)
     cells = [race.discipline.noun, race.dataset, race.discipline.text(lead.limit)]
     cells += [name if lead.sure or not lead.second else f"undecided ({name})", f"{lead.psnr:.2f}"]
+    starters = f"{lead.starters} of {len(race.fronts)}"
     if lead.ahead is None:
-        return [*cells, "alone", "", "", "", str(lead.starters)]
+        return [*cells, "alone", "", "", "", starters]
     low_high = lead.ahead.ends
     ends = (
         ""
@@ -289,4 +286,4 @@ def row(race: Race, lead: Lead) -> list[str]:
     )
     least, most = lead.ahead.seeds
     seeds = str(least) if least == most else f"{least} to {most}"
-    return [*cells, label(lead.second), f"{lead.ahead.mean:.2f}", ends, seeds, str(lead.starters)]
+    return [*cells, label(lead.second), f"{lead.ahead.mean:.2f}", ends, seeds, starters]

@@ -84,8 +84,24 @@ def test_a_lead_is_sure_by_scenes_and_seeds_alone():
     assert not any(lead.sure for lead in race(0.1, 1.0).leads)
     line = row(race(1.0, 0.01), race(1.0, 0.01).leads[0])
     assert line[:5] == ["training time", "d", "10 s", "3DGS", f"{31.0 + 0.01 / 3:.2f}"]
-    assert line[-2:] == ["3", "2"]
+    assert line[-2:] == ["3", "2 of 2"]
     assert row(race(0.1, 1.0), race(0.1, 1.0).leads[0])[3].startswith("undecided (")
+
+
+def test_a_lead_is_sure_if_it_is_on_every_other_method():
+    """VQ-3DGS has a lower mean than HAC, and is first on a scene."""
+    psnr = {"3dgs": (31.0, 31.0, 31.0), "hac": (30.0, 30.1, 29.9), "vq-3dgs": (33.0, 27.0, 27.0)}
+    race = of(
+        TIME,
+        *(
+            fit(method, seconds, value, f"s{scene}")
+            for method, values in psnr.items()
+            for scene, value in enumerate(values)
+            for seconds in (10.0, 40.0)
+        ),
+    )
+    assert [(lead.method, lead.second, lead.sure) for lead in race.leads] == [("3dgs", "vq-3dgs", False)]
+    assert row(race, race.leads[0])[3] == "undecided (3DGS)"
 
 
 def test_only_default_settings_race_at_any_length_and_rate_and_trained_methods():
