@@ -38,6 +38,18 @@ class Decoder(nn.Module):
         """First weight and bias, second weight and bias."""
         return self.first_weight, self.first_bias, self.second_weight, self.second_bias
 
+    @torch.no_grad()
+    def show_half(self, outputs: Tensor) -> None:
+        """Raise the last biases alike, until at least half of the outputs of an untrained network exceed 0.
+
+        Args:
+            outputs: (K,) what the network puts out as it is.
+        """
+        lowest_visible = len(outputs) // 2
+        ascending = outputs.sort().values
+        below = ascending[lowest_visible - 1] if lowest_visible else ascending[0] - 0.1
+        self.second_bias.sub_(torch.clamp(0.5 * (below + ascending[lowest_visible]), max=0.0))
+
 
 class Decoders(nn.Module):
     """F_o, F_cov, F_s and F_n (ECoNGS, section on neural editable Gaussians).
@@ -112,7 +124,8 @@ class Decoders(nn.Module):
                     decoder.first_weight[:, features : features + self.directions] *= direction_start
                 self.add_module(name, decoder)
         if direction_start < 1.0:
-            self._show_half()
+            first = self.network("opacity")
+            first.show_half(first.second_weight @ torch.relu(first.first_bias) + first.second_bias)
         if "shading" in self.names:
             with torch.no_grad():
                 bias = self.network("shading").second_bias.view(7, offsets)
@@ -165,15 +178,6 @@ class Decoders(nn.Module):
         width = self.features
         hidden = torch.relu(torch.addmm(bias + first[:, width:] @ embedding, features, first[:, :width].T))
         return torch.addmm(second_bias, hidden, second.T)
-
-    @torch.no_grad()
-    def _show_half(self) -> None:
-        network = self.network("opacity")
-        lowest_visible = self.offsets // 2
-        first = network.second_weight @ torch.relu(network.first_bias) + network.second_bias
-        ascending = first.sort().values
-        below = ascending[lowest_visible - 1] if lowest_visible else ascending[0] - 0.1
-        network.second_bias.sub_(torch.clamp(0.5 * (below + ascending[lowest_visible]), max=0.0))
 
     @property
     def directions(self) -> int:

@@ -24,8 +24,9 @@ class ColorDecoders(nn.Module):
     Inputs: anchor feature (‖ distance camera → anchor) ‖ unit vector camera → anchor.
 
     Args:
-        features: F, values of an anchor's feature; also the width of the hidden layers.
+        features: F, values of an anchor's feature.
         offsets: K, Gaussians per anchor.
+        hidden: width of the hidden layers; 0 = F.
         distance: whether the distance is an input (HAC).
         generator: CPU generator of the initial weights.
 
@@ -34,17 +35,26 @@ class ColorDecoders(nn.Module):
     """
 
     def __init__(
-        self, features: int, offsets: int, *, distance: bool, generator: torch.Generator | None = None
+        self,
+        features: int,
+        offsets: int,
+        *,
+        hidden: int = 0,
+        distance: bool,
+        generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
-        if min(features, offsets) < 1:
-            raise ValueError(f"decoders of {features} features and {offsets} offsets are not possible")
+        if min(features, offsets) < 1 or hidden < 0:
+            raise ValueError(
+                f"decoders of {features} features, {offsets} offsets, {hidden} hidden units are not possible"
+            )
         self.features = features
         self.offsets = offsets
+        self.hidden = hidden or features
         self.distance = distance
         inputs = features + int(distance) + 3
         for name, attributes in NETWORKS.items():
-            self.add_module(name, Decoder(inputs, features, attributes * offsets, generator))
+            self.add_module(name, Decoder(inputs, self.hidden, attributes * offsets, generator))
 
     def network(self, name: str) -> Decoder:
         """One of :data:`NETWORKS`."""

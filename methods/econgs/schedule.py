@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 from methods.shared.schedule import AnchorSchedule
@@ -15,9 +15,9 @@ class Schedule(AnchorSchedule):
     Attributes:
         iterations: the budget of the whole group, one (scene, view) pair each.
         coding: whether there is a second stage with the context model.
-        context_share: share of the budget after which it begins (published: half).
         growth_stop_share: share of the budget after which no anchor grows (the paper leaves it open: half,
             where the context model begins, or three quarters).
+        context_share: share of the budget after which the second stage begins (published: half).
         rounding_share: share of the budget, at its end, with rounded attributes.
         growth_pauses: whether nothing grows while the noise is new (HAC).
     """
@@ -25,13 +25,9 @@ class Schedule(AnchorSchedule):
     published: ClassVar[int] = 20_000
     coding: bool = True
     growth_stop_share: float = 0.5
-    context_share: float = 0.5
+    context_share: float = field(default=0.5, kw_only=True)
     rounding_share: float = 0.05
     growth_pauses: bool = True
-
-    @property
-    def context_start(self) -> int:
-        return max(1, round(self.context_share * self.iterations))
 
     @property
     def growth_stop(self) -> int:

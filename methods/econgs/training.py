@@ -33,7 +33,7 @@ from methods.econgs.schedule import Schedule
 from methods.econgs.spec import EcongsOptions
 from methods.econgs.start import starting_points
 from methods.interface import Checkpoint, SceneInput
-from methods.shared.anchors import AnchorLoop, Rate
+from methods.shared.anchors import AnchorLoop, Rate, hidden_units
 from methods.shared.coding import coded_context
 from methods.shared.rent import Frame, Holding, some_views
 from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
@@ -115,9 +115,8 @@ class Trainer(AnchorLoop):
         self.schedule = make_schedule(iterations, options)
         starts = [starting_points(source, options, seed) for source in group]
         first = sum(len(points) for points, _ in starts)
-        self.decoders = make_decoders(options, options.hidden or _units(first, 50, 25), self.generator).to(
-            device
-        )
+        hidden = options.hidden or hidden_units(first, 50, 25)
+        self.decoders = make_decoders(options, hidden, self.generator).to(device)
         shared = (options, self.decoders, self.generator, device)
         self.scenes = [
             _Scene(str(i), source, start, *shared)
@@ -141,7 +140,7 @@ class Trainer(AnchorLoop):
             groups[f"{scene.key}/palette"] = scene.palette.to(device)
             groups[f"{scene.key}/embedding"] = (_EMBEDDING_SPREAD * embedding).to(device)
         groups |= {name: list(self.decoders.network(name).tensors()) for name in self.decoders.names}
-        self.context_hidden = options.context_hidden or _units(first, 100, 4)
+        self.context_hidden = options.context_hidden or hidden_units(first, 100, 4)
         if self.schedule.coding:
             config = ContextConfig.of(options, self.decoders.width, self.context_hidden)
             self.coding = Coding(config, self.schedule, self.generator, device, sample=options.rate_sample)
@@ -411,16 +410,11 @@ def make_schedule(iterations: int, options: EcongsOptions) -> Schedule:
         iterations,
         options.context,
         options.growth_stop,
-        options.context_start,
         options.rounding,
         options.growth_pauses,
+        context_share=options.context_start,
         decay=options.decay,
     )
-
-
-def _units(anchors: int, per_unit: int, least: int) -> int:
-    """Hidden units of a network that so many first anchors are to pay for; 50, the paper's, at most."""
-    return min(max(anchors // per_unit, least), 50)
 
 
 def make_decoders(options: EcongsOptions, hidden: int, generator: torch.Generator) -> Decoders:

@@ -6,10 +6,10 @@ from methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBLISHED
 from methods.gaussian_splatting.spec import QUICK, HarmonicsOptions
 from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.gaussian_splatting.spec import TUNED as PLAIN_TUNED
-from methods.interface import Configuration, OptionValue, RateKnob, option
+from methods.interface import Configuration, OptionValue, RateKnob, option, with_default
 from methods.shared import splatting
 
-PUBLISHED: dict[str, OptionValue] = {**PLAIN_PUBLISHED, "cap": 300_000}
+PUBLISHED: dict[str, OptionValue] = {**PLAIN_PUBLISHED, "start_opacity": 0.5, "cap": 300_000}
 """How the released code starts; its caps are what 3DGS ends with, 150,000 to 350,000 on synthetic scenes."""
 TUNED = {name: PLAIN_TUNED[name] for name in ("alpha_weight", "position_lr", "opacity_lr", "sh_rest_lr")}
 """What suits it of the settings of 3DGS in the preset quick (docs/results/tuning.md)."""
@@ -23,7 +23,7 @@ class McmcOptions(HarmonicsOptions):
         1.0, "first scales of Gaussians, x what is published", minimum=0.01, maximum=10.0
     )
     cap: int = option(60_000, "most Gaussians", minimum=1, maximum=100_000_000)
-    start_opacity: float = option(0.5, "first opacity of Gaussians", minimum=0.005, maximum=0.999)
+    start_opacity: float = with_default(HarmonicsOptions, "start_opacity", 0.5)
     dead_opacity: float = option(
         0.005,
         "opacity up to which a Gaussian is dead: it is moved, and noise moves it fully",

@@ -13,7 +13,6 @@ from methods.interface import Refused, SceneInput
 from methods.shared.start import thinned
 
 SH_C0 = 0.28209479177387814
-INITIAL_OPACITY = 0.1
 
 
 def first_points(
@@ -38,7 +37,7 @@ def first_points(
 
 
 def first_gaussians(
-    points: Tensor, colors: Tensor, extent: float, *, scale: float, opacity: float = INITIAL_OPACITY
+    points: Tensor, colors: Tensor, extent: float, *, scale: float, opacity: float
 ) -> dict[str, Tensor]:
     """Round Gaussians of one opacity at points.
 

@@ -9,9 +9,11 @@ from methods.shared import splatting
 PUBLISHED: dict[str, OptionValue] = {
     **splatting.PUBLISHED,
     "start": "random",
+    "start_opacity": 0.1,
     "position_lr": 1.6e-4,
     "opacity_lr": 5e-2,
     "sh_rest_lr": 1.25e-4,
+    "last_lr_share": 1.0,
 }
 """How the released code starts on scenes without a cloud of their own, and its rates at every preset."""
 QUICK: dict[str, OptionValue] = {**splatting.QUICK, "sh_rest_lr": 1e-3}
@@ -36,6 +38,7 @@ class HarmonicsOptions(splatting.SplattingOptions):
     random_half_extent: float = option(
         1.3, "half side of the cube of a random start, scene units", minimum=1e-3, maximum=100.0
     )
+    start_opacity: float = option(0.1, "first opacity of Gaussians", minimum=0.005, maximum=0.999)
     background: Literal["scene", "white", "black", "random"] = option(
         "scene", "what training views are composited on: the scene's own, or another"
     )
@@ -51,6 +54,14 @@ class HarmonicsOptions(splatting.SplattingOptions):
         minimum=0.0,
         maximum=1.0,
     )
+    last_lr_share: float = option(
+        1.0,
+        "last learning rate of all but positions as a share of the first, from the end of growth on; "
+        "1 = constant (published)",
+        minimum=1e-4,
+        maximum=1.0,
+        search=(0.01, 1.0),
+    )
 
 
 @dataclass(frozen=True)
@@ -65,6 +76,12 @@ class GaussianOptions(HarmonicsOptions):
     )
     prune_opacity: float = option(0.005, "opacity under which a Gaussian is pruned", minimum=0.0, maximum=1.0)
     opacity_reset: bool = option(True, "reset opacities to 0.01 periodically while growing")
+    reset_interval: int = option(
+        0,
+        "least iterations before the first reset and between two; 0 = a share of the budget (published)",
+        minimum=0,
+        search=(0, 1_000),
+    )
     max_gaussians: int = option(
         0, "growth stops at this number (reported as a stage); 0 = no limit", minimum=0
     )
@@ -86,7 +103,10 @@ SPEC = MethodSpec(
     options=GaussianOptions,
     presets={"quick": {**QUICK, **TUNED}, "standard": {"sh_rest_lr": 5e-4}},
     iterations={"quick": 1_200, "standard": 7_000, "paper": 30_000},
-    configurations={"fair": Configuration(), "paper": Configuration({**PUBLISHED, "growth_gradient": 2e-4})},
+    configurations={
+        "fair": Configuration(),
+        "paper": Configuration({**PUBLISHED, "growth_gradient": 2e-4, "reset_interval": 0}),
+    },
     tunable=(
         *splatting.TUNABLE,
         "sh_degree",

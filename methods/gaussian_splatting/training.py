@@ -41,12 +41,16 @@ class HarmonicsTrainer(TrainingLoop):
 
     Arguments: a scene, resolved options, and those of :class:`methods.shared.training.TrainingLoop`.
 
+    Attributes:
+        first_rates: learning rates of the parameters that are optimised now, as they are while growing.
+
     Raises:
         Refused: no views, or no initial points.
     """
 
     options: HarmonicsOptions
     schedule: Schedule
+    first_rates: dict[str, float]
 
     def __init__(
         self, scene: SceneInput, options: HarmonicsOptions, iterations: int, seed: int, device: str
@@ -57,8 +61,10 @@ class HarmonicsTrainer(TrainingLoop):
         self.schedule = self._schedule(iterations)
         self.images = training_images(scene.train.images, device)
         self.transparent = are_transparent(self.images)
-        parameters, rates = self._start()
-        self.optimiser = Adam({name: values.to(device) for name, values in parameters.items()}, rates)
+        parameters, self.first_rates = self._start()
+        self.optimiser = Adam(
+            {name: values.to(device) for name, values in parameters.items()}, self.first_rates
+        )
 
     @abstractmethod
     def _schedule(self, iterations: int) -> Schedule:
@@ -173,9 +179,12 @@ class HarmonicsTrainer(TrainingLoop):
         return self.shuffled(len(self.scene.train))
 
     def _set_rates(self) -> None:
-        """Learning rates of this iteration, as far as they change."""
+        """Learning rates of this iteration."""
+        factor = self.schedule.settled(self.iteration, self.options.last_lr_share)
+        rates = {name: factor * rate for name, rate in self.first_rates.items()}
         first = self.options.position_lr * self.scene.extent
-        self.optimiser.rates["means"] = self.schedule.decayed(self.iteration, first, POSITION_DECAY * first)
+        rates["means"] = self.schedule.decayed(self.iteration, first, POSITION_DECAY * first)
+        self.optimiser.rates = rates
 
     # ------------------------------------------------------------------ what comes out
 
@@ -217,6 +226,7 @@ class Trainer(HarmonicsTrainer):
             sh_degree=self.options.sh_degree,
             resets=self.options.opacity_reset,
             early_reset=self.background == WHITE,
+            least_interval=self.options.reset_interval,
             decay=self.options.decay,
         )
 
@@ -225,7 +235,8 @@ class Trainer(HarmonicsTrainer):
         limit = self.options.max_gaussians
         if 0 < limit < len(points):
             raise Refused(f"{len(points)} initial points are more than max_gaussians = {limit}")
-        return first_gaussians(points, colors, self.scene.extent, scale=self.options.start_scale)
+        scale, opacity = self.options.start_scale, self.options.start_opacity
+        return first_gaussians(points, colors, self.scene.extent, scale=scale, opacity=opacity)
 
     def stage(self) -> str:
         if self.count == 0:

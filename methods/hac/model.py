@@ -9,10 +9,9 @@ from urllib.parse import quote
 
 from datasets.errors import DataError
 from datasets.scene import RGB
-from econgs.anchors.direct import ColorDecoders
 from econgs.context.arrays import Precision
 from econgs.context.stream import Encoded, GroupAttributes, encode_group
-from methods.scaffold_gs.model import AnchorModel, SceneAnchors
+from methods.scaffold_gs.model import AnchorModel, SceneAnchors, decoders_for
 from methods.shared.coding import placed, placed_anchors, stored_networks
 from methods.shared.edits import triple
 from methods.shared.files import read_streams
@@ -82,7 +81,8 @@ def _ready(group: GroupAttributes, device: str, what: str, method: str) -> Scene
         if group.metadata.get("precision", "float32") not in get_args(Precision):
             raise ValueError("its networks have an unknown precision")
         background = triple(group.metadata["background"])
-        decoders = ColorDecoders(scene.features.shape[1], scene.offsets.shape[1], distance=True)
+        sizes = scene.features.shape[1], scene.offsets.shape[1]
+        decoders = decoders_for(group.decoders, *sizes, distance=True)
         stored_networks(decoders, group, device)
         anchors = placed_anchors(scene, device)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:

@@ -3,29 +3,40 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from methods.interface import Configuration, RateKnob, option
-from methods.scaffold_gs.spec import PUBLISHED, ScaffoldOptions
+from methods.interface import Configuration, OptionValue, RateKnob, option, with_default
+from methods.scaffold_gs.spec import PUBLISHED as PLAIN_PUBLISHED
 from methods.scaffold_gs.spec import SPEC as PLAIN
+from methods.scaffold_gs.spec import AnchorOptions
 from methods.shared import splatting
 
 
 @dataclass(frozen=True)
-class HacOptions(ScaffoldOptions):
+class HacOptions(AnchorOptions):
     """Options of Scaffold-GS, and those of quantisation and coding."""
 
-    features: int = option(
-        50, "values of an anchor's feature, and hidden units of each decoder", minimum=4, maximum=256
-    )
+    features: int = with_default(AnchorOptions, "features", 50)
     rate_weight: float = option(1e-3, "weight of the estimated bits (lambda)", minimum=0.0, maximum=1.0)
     mask_weight: float = option(5e-4, "weight of the mean mask of the offsets", minimum=0.0, maximum=1.0)
     mask_lr: float = option(
-        1e-2,
-        "first learning rate of masks; the published one is too slow for short schedules",
+        2.3e-3,
+        "first learning rate of masks, times the extent of the scene (published: 0.01)",
         minimum=0.0,
         maximum=1.0,
     )
     grid: Literal["small", "hac"] = option("hac", "size of the binary hash grids")
-    context_hidden: int = option(100, "hidden units of the context model", minimum=8, maximum=256)
+    context_start: float = option(
+        1 / 3,
+        "share of the budget after which the context model begins (published: a third)",
+        minimum=0.1,
+        maximum=0.9,
+    )
+    context_hidden: int = option(
+        0,
+        "hidden units of the context model (published: 100); 0: one per 100 first anchors, 4 to 50",
+        minimum=0,
+        maximum=256,
+        search=(0, 100),
+    )
     feature_step: float = option(0.4, "quantisation step Q of features (published: 1)", minimum=1e-6)
     scaling_step: float = option(0.001, "quantisation step Q of scalings", minimum=1e-8)
     offset_step: float = option(0.2, "quantisation step Q of offsets", minimum=1e-6)
@@ -33,6 +44,16 @@ class HacOptions(ScaffoldOptions):
         "int8", "precision of stored decoder weights"
     )
 
+
+PUBLISHED: dict[str, OptionValue] = {
+    **PLAIN_PUBLISHED,
+    "mask_lr": 1e-2,
+    "context_start": 1 / 3,
+    "context_hidden": 100,
+    "feature_step": 1.0,
+    "decoder_precision": "float32",
+}
+"""As for Scaffold-GS, and the released settings of coding."""
 
 SPEC = replace(
     PLAIN,
@@ -42,23 +63,15 @@ SPEC = replace(
         "Y. Chen, Q. Wu, W. Lin, M. Harandi, J. Cai: HAC: Hash-grid Assisted Context for 3D Gaussian "
         "Splatting Compression. ECCV 2024"
     ),
-    version="5",
+    version="6",
     implementation="methods.hac.method:Hac",
     # Masks move as far as in 30,000 iterations.
-    presets={"quick": {**PLAIN.presets["quick"], "mask_lr": 0.2}, "standard": {"mask_lr": 0.04}},
+    presets={"quick": {**PLAIN.presets["quick"], "mask_lr": 0.045}, "standard": {"mask_lr": 9.1e-3}},
     options=HacOptions,
     rate_knobs=(RateKnob("rate_weight", (5e-4, 1e-3, 2e-3, 3e-3, 4e-3), refit=True),),
     configurations={
         "fair": Configuration(),
-        "paper": Configuration(
-            {
-                **PUBLISHED,
-                "rate_weight": 4e-3,
-                "feature_step": 1.0,
-                "mask_lr": 1e-2,
-                "decoder_precision": "float32",
-            },
-        ),
+        "paper": Configuration({**PUBLISHED, "rate_weight": 4e-3}),
     },
     tunable=(
         *splatting.TUNABLE,

@@ -13,7 +13,7 @@ from datasets.camera import Camera
 from econgs.anchors.anchor_set import MASKS
 from econgs.anchors.coding import Coding, saved_grid
 from econgs.context.arrays import round_arrays
-from econgs.context.model import Attributes, ContextConfig
+from econgs.context.model import Attributes, ContextConfig, draw_sample
 from econgs.context.positions import PositionGrid
 from econgs.context.stream import GroupAttributes, SceneAttributes, round_group
 from methods.hac.model import HacModel
@@ -22,6 +22,7 @@ from methods.interface import Checkpoint
 from methods.scaffold_gs import training as scaffold_gs
 from methods.scaffold_gs.schedule import Schedule
 from methods.scaffold_gs.training import KEY, Prepared, color_decoders
+from methods.shared.anchors import Rate, hidden_units
 from methods.shared.coding import coded_context
 from methods.shared.training import TrainingState, to_numpy
 
@@ -29,7 +30,9 @@ LEAST_MASK = 0.01
 """An offset is there if the sigmoid of its mask exceeds this."""
 BOX_MARGIN = 0.1
 """The box of the context's positions exceeds the anchors by this share on every side (published: 1.2 x)."""
-MASK_RATE, CONTEXT_RATE = (1e-2, 1e-4), (5e-3, 1e-5)
+MASK_RATE: Rate = (1e-2, 1e-4)
+"""As published, times the extent."""
+CONTEXT_RATE: Rate = (5e-3, 1e-5)
 
 
 class Trainer(scaffold_gs.Trainer):
@@ -38,13 +41,17 @@ class Trainer(scaffold_gs.Trainer):
     options: HacOptions
     coding: Coding
     distance = True
-    quantised = True
     masks = True
     model_class: ClassVar[type[HacModel]] = HacModel
 
+    @staticmethod
+    def phases(iterations: int, options: Any) -> Schedule:
+        return Schedule(iterations, coding=True, context_share=options.context_start, decay=options.decay)
+
     def groups(self) -> dict[str, Tensor | Sequence[Tensor]]:
         """Parameters of the optimiser; the context model is made here, after the decoders."""
-        config = self.context_config(self.options)
+        hidden = self.options.context_hidden or hidden_units(len(self.anchors), 100, 4)
+        config = self.context_config(self.options, hidden)
         self.coding = Coding(config, self.schedule, self.generator, self.device, margin=BOX_MARGIN)
         return {**super().groups(), **self.coding.groups()}
 
@@ -52,17 +59,22 @@ class Trainer(scaffold_gs.Trainer):
         """Learning rates of this iteration."""
         context = self.decayed(CONTEXT_RATE)
         masks = self.options.mask_lr / MASK_RATE[0] * self.decayed((MASK_RATE[0], self.last_mask_rate))
+        masks *= self.scene.extent
         own = {self.anchors.name(MASKS): masks, "grid": context, "head": context}
         return super().rates() | own
 
     @property
     def last_mask_rate(self) -> float:
-        """Last learning rate of masks where the first one is the published."""
+        """Last learning rate of masks where the first one is the published; times the extent."""
         return MASK_RATE[1]
 
     def visible(self, values: Attributes, camera: Camera) -> Tensor:
-        """(N,) anchors that may show in a view and have an offset left."""
-        return super().visible(values, camera) & self.present().any(1)
+        """(N,) anchors that may show in a view; while growth counts visits, those without an offset too.
+
+        They count as visited with opacity 0, so that pruning takes them.
+        """
+        visible = super().visible(values, camera)
+        return visible if self.schedule.collects(self.iteration) else visible & self.present().any(1)
 
     def present(self) -> Tensor:
         """(N, K) which offsets there are."""
@@ -76,7 +88,14 @@ class Trainer(scaffold_gs.Trainer):
         masks = (hard + (soft - soft.detach())).index_select(0, rows)
         masks_of = partial(masks.index_select, 0)
         total = len(self.anchors)
-        values, rate = self.coding.apply(self.anchors, values, rows, total, self.iteration, masks_of)
+        sample = None
+        if self.schedule.coded(self.iteration):  # bits are those of anchors that are there
+            there = hard.index_select(0, rows).any(1).nonzero()[:, 0]
+            chosen = draw_sample(len(there), self.generator, self.coding.sample)
+            sample = there.index_select(0, chosen.to(there.device))
+        values, rate = self.coding.apply(
+            self.anchors, values, rows, total, self.iteration, masks_of, sample=sample
+        )
         losses: dict[str, Tensor] = {}
         if rate is not None and total:
             valid = float(hard.any(1).float().mean())
@@ -86,9 +105,9 @@ class Trainer(scaffold_gs.Trainer):
         return Prepared(values, masks, losses)
 
     @staticmethod
-    def context_config(options: Any) -> ContextConfig:
+    def context_config(options: Any, hidden: int) -> ContextConfig:
         """Sizes of the context model."""
-        return ContextConfig.of(options, options.features, options.context_hidden)
+        return ContextConfig.of(options, options.features, hidden)
 
     @classmethod
     @torch.no_grad()
@@ -101,12 +120,13 @@ class Trainer(scaffold_gs.Trainer):
         raw = {name: state.value(f"{KEY}/{name}") for name in ("features", "log_scalings", "offsets")}
         values = raw["features"], raw["log_scalings"].exp(), raw["offsets"]
         features, scalings, offsets = (to_numpy(one)[keep] for one in values)
-        coded = Schedule(state.iterations, coding=True).coded(state.iteration)
+        coded = cls.phases(state.iterations, options).coded(state.iteration)
+        config = cls.context_config(options, len(state.value("head")))  # rows of its first layer
         decoders, precision = color_decoders(state, options, distance=True), options.decoder_precision
         group = GroupAttributes(
             (SceneAttributes(label.name, positions, features, scalings, offsets, masks=masks[keep]),),
             saved_grid(state.arrays) if coded else PositionGrid.lattice(state.scalars["voxel"], positions),
-            coded_context(state, cls.context_config(options)) if coded else None,
+            coded_context(state, config) if coded else None,
             round_arrays({name: to_numpy(one) for name, one in decoders.state_dict().items()}, precision),
             cls.model_class.metadata(label.background, precision),
         )

@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass, replace
 
+from methods.hac.spec import PUBLISHED, HacOptions
 from methods.hac.spec import SPEC as PLAIN
-from methods.hac.spec import HacOptions
 from methods.interface import Configuration, option
-from methods.scaffold_gs.spec import PUBLISHED
 from methods.shared import splatting
 
 
@@ -32,21 +31,13 @@ SPEC = replace(
         "Y. Chen, Q. Wu, W. Lin, M. Harandi, J. Cai: HAC++: Towards 100X Compression of 3D Gaussian "
         "Splatting. IEEE Transactions on Pattern Analysis and Machine Intelligence, 2025"
     ),
-    version="2",
+    version="3",
     implementation="methods.hac_plus.method:HacPlus",
     options=HacPlusOptions,
     presets={**PLAIN.presets, "quick": {**PLAIN.presets["quick"], "offsets": 5}},
     configurations={
         "fair": Configuration(),
-        "paper": Configuration(
-            {
-                **PUBLISHED,
-                "rate_weight": 1e-3,
-                "feature_step": 1.0,
-                "mask_lr": 1e-2,
-                "decoder_precision": "float32",
-            },
-        ),
+        "paper": Configuration({**PUBLISHED, "rate_weight": 1e-3}),
     },
     tunable=(
         *splatting.TUNABLE,

@@ -19,7 +19,7 @@ from methods.shared.anchors import Rate
 
 INTRA_RATE: Rate = (5e-3, 5e-4)
 LAST_MASK_RATE, MOST_LAST_MASK_RATE = 8e-5, 1.5e-3
-"""At lambda 0.001, in proportion to lambda; and at most."""
+"""Times the extent: at lambda 0.001, in proportion to lambda; and at most."""
 
 
 class Trainer(hac.Trainer):
@@ -29,9 +29,9 @@ class Trainer(hac.Trainer):
     model_class = HacPlusModel
 
     @staticmethod
-    def context_config(options: Any) -> ContextConfig:
+    def context_config(options: Any, hidden: int) -> ContextConfig:
         """Sizes of the context model."""
-        return ContextConfig.of(options, options.features, options.context_hidden, options.chunk)
+        return ContextConfig.of(options, options.features, hidden, options.chunk)
 
     def rates(self) -> dict[str, float]:
         """Learning rates of this iteration."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -14,14 +14,18 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.scene import RGB
+from econgs.anchors.decoders import OffsetColor
 from econgs.anchors.gaussians import Gaussians
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
 from econgs.codebooks import quantise_scalars
 from econgs.splat.composite import scale_depth
+from methods.formats.integer import CELL
 from methods.interface import Edit, Refused
+from methods.ivr_gs.spec import IvrOptions
 from methods.shared.edits import Direction, shading_edit, triple
 from methods.shared.model import SceneModel
-from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, read_folder
+from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, placed, read_folder
+from methods.shared.training import SceneLabel
 
 FORMAT = "econgs-bench ivr-gs 1"
 METHOD = "ivr-gs"
@@ -41,6 +45,8 @@ WIDTHS = {
 
 Columns hold values before their activation, which is applied once, when a model is made ready to render.
 """
+OFFSET_COLORS = {"sigmoid": torch.sigmoid, "tanh": torch.tanh}
+"""Activation of the offset colors; files that name none have sigmoid."""
 _SEED = 0  # scalar codebooks start from quantiles: no choice depends on it
 
 
@@ -57,7 +63,7 @@ class ShadedGaussians:
         quats: (N, 4), w x y z.
         opacities: (N,) in [0, 1].
         normals: (N, 3) of any length.
-        offsets: (N, 3) offset colors in [0, 1].
+        offsets: (N, 3) offset colors, which the palette color is added to, in [0, 1] or (-1, 1).
         coefficients: (N, 4) k_a, k_d, k_s and β.
     """
 
@@ -83,7 +89,7 @@ class ShadedGaussians:
         return shade(self.means, self.normals, base, coefficients, eye, toward)
 
 
-def activated(raw: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def activated(raw: Mapping[str, Tensor], offset_color: OffsetColor) -> dict[str, Tensor]:
     """Fields of :class:`ShadedGaussians` from columns; differentiable."""
     quats = torch.cat([raw["rotation real"], raw["rotation imaginary"]], dim=1)
     return {
@@ -91,7 +97,7 @@ def activated(raw: Mapping[str, Tensor]) -> dict[str, Tensor]:
         "quats": torch.nn.functional.normalize(quats, dim=1),
         "opacities": raw["opacity"][:, 0].sigmoid(),
         "normals": raw["normal"],
-        "offsets": raw["offset color"].sigmoid(),
+        "offsets": OFFSET_COLORS[offset_color](raw["offset color"]),
         "coefficients": torch.cat(
             [
                 raw["ambient"],
@@ -127,7 +133,8 @@ class Stored:
 
     Attributes:
         coded: at the default codebook size.
-        raw: column -> (N, width) values that were learned; None where a file was read, which has one size.
+        raw: column -> (N, width) values that were learned, on the CPU; None where a file was read, which has
+            one size.
         with_codebooks: names of columns that have one.
     """
 
@@ -138,19 +145,31 @@ class Stored:
     @classmethod
     def of(
         cls,
-        name: str,
-        background: RGB,
-        light: Direction | None,
+        label: SceneLabel,
         palette: Sequence[float],
-        positions: Tensor,
+        means: Tensor,
         raw: Mapping[str, Tensor],
-        with_codebooks: frozenset[str],
-        size: int,
+        options: IvrOptions,
     ) -> Stored:
-        """Codebooks of what was learned."""
-        about = {"light": None if light is None else list(light), "palette": list(palette)}
-        bare = QuantisedScene(name, background, about, half_exact(positions), {}, "fixed")
-        return cls(_coded(bare, raw, with_codebooks, size), raw, with_codebooks)
+        """Positions and codebooks of what was learned.
+
+        Args:
+            label: of the scene.
+            palette: its palette color.
+            means: (N, 3).
+            raw: column -> (N, width) values.
+            options: of the fit.
+        """
+        light = None if label.light is None else list(label.light)
+        about: dict[str, object] = {"light": light, "palette": list(palette)}
+        if options.offset_color != "sigmoid":
+            about["offset color"] = options.offset_color
+        share = CELL if options.positions == "coded" else None
+        order, positions, grid = placed(means, raw["scale"], share)
+        raw = {name: values.detach().cpu()[order] for name, values in raw.items()}
+        bare = QuantisedScene(label.name, label.background, about, positions, {}, "fixed", grid)
+        with_codebooks = attributes_with_codebooks(options.quantised)
+        return cls(_coded(bare, raw, with_codebooks, options.codebook_size), raw, with_codebooks)
 
     def at(self, size: float | None) -> QuantisedScene:
         """The scene with codebooks of another size; the default's where it is None."""
@@ -168,23 +187,24 @@ def _coded(
 ) -> QuantisedScene:
     columns: dict[str, Column] = {}
     for name in WIDTHS:
-        values = raw[name].detach().cpu()
+        values = raw[name]
         book = name in with_codebooks
         columns[name] = (quantise_scalars(values, size, _SEED),) if book else half_exact(values)
-    return QuantisedScene(scene.name, scene.background, scene.about, scene.positions, columns, "fixed")
+    return replace(scene, columns=columns)
 
 
 def ready(coded: QuantisedScene, device: str) -> ShadedGaussians:
     """The scene, ready to render."""
     raw = {name: coded.column(name, width).to(device) for name, width in WIDTHS.items()}
     palette, light = cast("Sequence[float]", coded.about["palette"]), coded.about["light"]
+    offset_color = cast("OffsetColor", coded.about.get("offset color", "sigmoid"))
     return ShadedGaussians(
         name=coded.name,
         background=coded.background,
         light=None if light is None else triple(cast("Sequence[float]", light)),
         palette=torch.tensor([float(value) for value in palette], device=device),
         means=coded.positions.to(device),
-        **activated(raw),
+        **activated(raw, offset_color),
     )
 
 

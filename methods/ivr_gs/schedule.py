@@ -68,8 +68,13 @@ class IvrSchedule(Schedule):
         return iteration % interval == 0
 
     def prunes_large(self, iteration: int) -> bool:
-        """Whether Gaussians that are too large go as well: once resets have begun, in the first stage."""
+        """Whether Gaussians that are too large go as well: in the first stage alone."""
         return not self.shaded(iteration) and super().prunes_large(iteration)
+
+    @property
+    def settling_start(self) -> int:
+        """Iteration up to which :meth:`settled` is 1: one of the second stage."""
+        return max(self.shading_start, self.last_growth)
 
     def decayed(self, iteration: int, first: float, last: float) -> float:
         """From ``first`` to ``last`` over the first stage; ``last`` in the second."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.scene import RGB, WHITE
+from econgs.anchors.decoders import OffsetColor
 from econgs.anchors.shading import MIN_NORMAL, Factors, raw_specular
 from econgs.losses import ssim
 from econgs.optim import Adam
@@ -28,6 +30,7 @@ from methods.ivr_gs.model import (
 )
 from methods.ivr_gs.schedule import IvrSchedule
 from methods.ivr_gs.spec import IvrOptions
+from methods.shared.rent import Frame, Scene
 from methods.shared.training import SceneLabel, TrainingState
 
 GEOMETRY = ("means", "log_scales", "quats", "logits", "normals")
@@ -61,6 +64,7 @@ class IvrTrainer(Trainer):
             sh_degree=self.options.sh_degree,
             resets=self.options.opacity_reset,
             early_reset=self.background == WHITE,
+            least_interval=self.options.reset_interval,
             grows_shaded=self.options.shaded_growth,
             decay=self.options.decay,
         )
@@ -92,10 +96,10 @@ class IvrTrainer(Trainer):
     def _begin_shading(self, geometry: dict[str, Tensor]) -> None:
         """A fresh optimiser for what the second stage learns."""
         shading = first_shading(geometry["means"], self.options)
-        plain = {name: LEARNING_RATES[name] for name in ("log_scales", "quats")}
-        rates = plain | {"means": 0.0, "logits": self.options.opacity_lr, "normals": NORMAL_RATE}
-        rates |= dict.fromkeys(SHADING, self.options.shading_lr)
-        self.optimiser = Adam(geometry | shading, rates)
+        rates = {name: LEARNING_RATES[name] for name in ("log_scales", "quats")}
+        rates |= {"means": 0.0, "logits": self.options.opacity_lr, "normals": NORMAL_RATE}
+        self.first_rates = rates | dict.fromkeys(SHADING, self.options.shading_lr)
+        self.optimiser = Adam(geometry | shading, self.first_rates)
         self._forget()
 
     # ------------------------------------------------------------------ losses
@@ -127,10 +131,10 @@ class IvrTrainer(Trainer):
         self, splats: SplatImages, camera: Camera, truth: Tensor, back: RGB | Tensor
     ) -> dict[str, Tensor]:
         """Losses of both stages: picture, mask and normals."""
-        losses = self.view_losses(splats.features[..., :3], splats.alpha, truth, back)
-        weight = _SSIM_SHARE * self._weight("alpha")
+        losses = self.view_losses(splats.features[..., :3], splats.alpha, truth, back, self.transparent)
+        weight = _SSIM_SHARE * self._weight("mask")
         if weight:
-            losses["alpha"] = weight * (1.0 - ssim(splats.alpha[..., None], truth[..., 3:].contiguous()))
+            losses["mask"] = weight * (1.0 - ssim(splats.alpha[..., None], truth[..., 3:].contiguous()))
         weight = self._weight("normal")
         if weight:
             normals = splats.features[..., 3:6]
@@ -140,10 +144,13 @@ class IvrTrainer(Trainer):
     def _weight(self, part: str) -> float:
         return float(getattr(self.options, f"{part}_weight"))
 
+    def rent_scene(self, source: SceneInput, images: Tensor, transparent: bool, frame: Frame) -> Scene:
+        scene = super().rent_scene(source, images, transparent, frame)
+        return replace(scene, asks_alpha=transparent and (scene.asks_alpha or self.options.mask_weight > 0.0))
+
     def _shaded(self) -> ShadedGaussians:
-        return shaded_gaussians(
-            self.labels[0], self.palette, {name: self.optimiser[name] for name in self.names}
-        )
+        parameters = {name: self.optimiser[name] for name in self.names}
+        return shaded_gaussians(self.labels[0], self.palette, parameters, self.options.offset_color)
 
     def _colors(self, camera: Camera) -> Tensor:
         return self._seen(self._shaded(), camera) if self.shading else super()._colors(camera)
@@ -191,22 +198,13 @@ class IvrTrainer(Trainer):
         (label,) = state.scenes
         if not finished:
             palette = torch.tensor(state.scalars["palette"], device=state.device)
-            return IvrModel([shaded_gaussians(label, palette, now)], None)
+            return IvrModel([shaded_gaussians(label, palette, now, options.offset_color)], None)
         visible = now["logits"].sigmoid() >= MIN_ALPHA
         raw = {name: values[visible] for name, values in columns(now).items()}
         normals = raw["normal"]
         length = torch.linalg.vector_norm(normals, dim=1, keepdim=True)
         raw["normal"] = normals / length.clamp(min=MIN_NORMAL)
-        stored = Stored.of(
-            label.name,
-            label.background,
-            label.light,
-            state.scalars["palette"],
-            now["means"][visible],
-            raw,
-            attributes_with_codebooks(options.quantised),
-            options.codebook_size,
-        )
+        stored = Stored.of(label, state.scalars["palette"], now["means"][visible], raw, options)
         return IvrModel([ready(stored.coded, state.device)], [stored])
 
     def checkpoint(self) -> Checkpoint:
@@ -251,9 +249,11 @@ def columns(parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
     }
 
 
-def shaded_gaussians(label: SceneLabel, palette: Tensor, parameters: Mapping[str, Tensor]) -> ShadedGaussians:
+def shaded_gaussians(
+    label: SceneLabel, palette: Tensor, parameters: Mapping[str, Tensor], offset_color: OffsetColor
+) -> ShadedGaussians:
     """A scene of the second stage; differentiable."""
-    values = activated(columns(parameters))
+    values = activated(columns(parameters), offset_color)
     return ShadedGaussians(label.name, label.background, label.light, palette, parameters["means"], **values)
 
 

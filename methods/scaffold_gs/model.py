@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal, get_args
 from urllib.parse import quote
 
 import numpy as np
@@ -29,6 +30,10 @@ from methods.shared.model import SceneModel
 from methods.shared.sealed import read_tensors, write_tensors
 
 FORMAT = "econgs-bench scaffold-gs 1"
+Storage = Literal["read", "released"]
+"""Columns of a file of anchors: those that a reader needs, or all that the released code writes."""
+_UNUSED = {"opacity": -2.1972246, "rot_0": 1.0}
+"""Column that nothing reads -> what the released code writes (logit of 0.1; no turn); others hold 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +78,24 @@ class AnchorModel(SceneModel[SceneAnchors]):
         return decoded if whole else replace(decoded, rows=rows)
 
 
+def decoders_for(
+    weights: Mapping[str, Tensor] | Mapping[str, NDArray[np.float32]],
+    features: int,
+    offsets: int,
+    *,
+    distance: bool,
+) -> ColorDecoders:
+    """Networks with room for stored weights, whose first layer gives the number of hidden units.
+
+    Raises:
+        KeyError, TypeError, ValueError: there are none, or a size is out of range.
+    """
+    hidden = len(weights["opacity.first_weight"])
+    if not (1 <= features <= 1024 and 1 <= offsets <= 256 and 1 <= hidden <= 1024):
+        raise ValueError(f"{features} features, {offsets} offsets and {hidden} hidden units")
+    return ColorDecoders(features, offsets, hidden=hidden, distance=distance)
+
+
 # --------------------------------------------------------------------------- Scaffold-GS's own folder
 
 
@@ -85,12 +108,14 @@ class StoredScene:
         background: its recorded background.
         decoders: the scene's networks.
         rows: (N, columns) float32, columns as in ``properties(parts_of(F, K))``.
+        storage: columns of its file.
     """
 
     name: str
     background: RGB
     decoders: ColorDecoders
     rows: NDArray[np.float32]
+    storage: Storage
 
     @classmethod
     def of(
@@ -102,21 +127,33 @@ class StoredScene:
         features: NDArray[np.float32],
         log_scalings: NDArray[np.float32],
         offsets: NDArray[np.float32],
+        *,
+        storage: Storage,
     ) -> StoredScene:
-        """From the arrays of a trained scene; unused columns get what the released code writes."""
-        count = len(positions)
-        by_axis = offsets.transpose(0, 2, 1).reshape(count, 3 * decoders.offsets)
-        unused = np.zeros((count, 3), np.float32), np.full((count, 1), -2.1972246, np.float32)  # logit of 0.1
-        rotation = np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
-        columns = (positions, unused[0], by_axis, features, unused[1], log_scalings, rotation)
-        return cls(name, background, decoders, np.concatenate(columns, 1, dtype=np.float32))
+        """From the arrays of a trained scene."""
+        by_axis = offsets.transpose(0, 2, 1).reshape(len(positions), 3 * decoders.offsets)
+        columns = (positions, by_axis, features, log_scalings)
+        return cls(name, background, decoders, np.concatenate(columns, 1, dtype=np.float32), storage)
+
+    @property
+    def parts(self) -> Parts:
+        """Columns of its file."""
+        return parts_of(self.decoders.features, self.decoders.offsets, self.storage)
+
+    def table(self) -> NDArray[np.float32]:
+        """(N, columns) float32 of its file."""
+        places = properties(parts_of(self.decoders.features, self.decoders.offsets))
+        names = properties(self.parts)
+        table = np.empty((len(self.rows), len(names)), np.float32)
+        for column, name in enumerate(names):
+            table[:, column] = self.rows[:, places.index(name)] if name in places else _UNUSED.get(name, 0.0)
+        return table
 
     def ready(self, device: str) -> SceneAnchors:
         """Its anchors on a device."""
         f, k, count = self.decoders.features, self.decoders.offsets, len(self.rows)
         table = torch.from_numpy(self.rows).to(device)
-        ends = np.cumsum([3, 3, 3 * k, f, 1, 6]).tolist()
-        positions, _, by_axis, features, _, log_scalings, _ = table.tensor_split(ends, dim=1)
+        positions, by_axis, features, log_scalings = table.split([3, 3 * k, f, 6], dim=1)
         return SceneAnchors(
             self.name,
             self.background,
@@ -130,9 +167,9 @@ class StoredScene:
         )
 
 
-def parts_of(features: int, offsets: int) -> Parts:
-    """Columns of the PLY: those of the released code, of which eight are never used."""
-    return {
+def parts_of(features: int, offsets: int, storage: Storage = "read") -> Parts:
+    """Columns of the PLY; the released code writes eight that nothing reads."""
+    released = {
         "positions": ("x", "y", "z"),
         "unused normals": ("nx", "ny", "nz"),
         "offsets": tuple(f"f_offset_{i}" for i in range(3 * offsets)),
@@ -141,6 +178,9 @@ def parts_of(features: int, offsets: int) -> Parts:
         "scalings": tuple(f"scale_{i}" for i in range(6)),
         "unused rotation": tuple(f"rot_{i}" for i in range(4)),
     }
+    if storage == "released":
+        return released
+    return {part: names for part, names in released.items() if not part.startswith("unused")}
 
 
 class ScaffoldModel(AnchorModel):
@@ -160,7 +200,7 @@ class ScaffoldModel(AnchorModel):
     def bytes_estimate(self) -> int:
         """Bytes of anchors and networks; headers and metadata add a few thousand."""
         networks = 4 * sum(one.numel() for scene in self.stored for one in scene.decoders.parameters())
-        return networks + sum(scene.rows.nbytes for scene in self.stored)
+        return networks + sum(4 * len(scene.rows) * len(properties(scene.parts)) for scene in self.stored)
 
     def write(self, folder: Path) -> Mapping[str, Mapping[str, int]]:
         """Write ``<scene>.ply`` (anchors) and ``<scene>.safetensors`` (networks) per scene."""
@@ -168,9 +208,7 @@ class ScaffoldModel(AnchorModel):
         for scene in self.stored:
             stem = quote(scene.name, safe=" ")
             decoders = scene.decoders
-            parts = write_ply(
-                folder / f"{stem}.ply", scene.rows, parts_of(decoders.features, decoders.offsets)
-            )
+            parts = write_ply(folder / f"{stem}.ply", scene.table(), scene.parts)
             about = {
                 "format": FORMAT,
                 "scene": scene.name,
@@ -179,6 +217,8 @@ class ScaffoldModel(AnchorModel):
                 "offsets": decoders.offsets,
                 "distance": decoders.distance,
             }
+            if scene.storage != "released":  # which files without it have
+                about["storage"] = scene.storage
             weights = {name: one.cpu().contiguous() for name, one in decoders.state_dict().items()}
             sizes = write_tensors(folder / f"{stem}.safetensors", weights, about)
             metadata = sizes.pop("metadata")
@@ -199,14 +239,14 @@ def _load_scene(file: Path, device: str) -> StoredScene:
     try:
         about, weights = read_tensors(file, FORMAT)
         features, offsets = int(about["features"]), int(about["offsets"])
-        if not (1 <= features <= 1024 and 1 <= offsets <= 256):
-            raise ValueError(f"{features} features and {offsets} offsets")
-        decoders = ColorDecoders(features, offsets, distance=bool(about["distance"]))
+        decoders = decoders_for(weights, features, offsets, distance=bool(about["distance"]))
         if not all(bool((one.abs() <= LARGEST).all()) for one in weights.values()):
             raise ValueError(f"a weight that is not finite, or of more than {LARGEST:g}")
         decoders.load_state_dict(weights)
         background = triple(about["background"])
-        name = str(about["scene"])
+        name, storage = str(about["scene"]), about.get("storage", "released")
+        if storage not in get_args(Storage):
+            raise ValueError(f"storage {storage!r}")
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         reason = f"not the networks of a scaffold-gs scene ({error})"
         raise DataError(file, reason, "Save the model again") from error
@@ -216,4 +256,4 @@ def _load_scene(file: Path, device: str) -> StoredScene:
     if np.abs(rows[:, attributes]).max(initial=0.0) > LARGEST:
         raise DataError(ply, f"holds an attribute of more than {LARGEST:g}", "Save the model again")
     decoders.requires_grad_(False)
-    return StoredScene(name, background, decoders.to(device), rows)
+    return StoredScene(name, background, decoders.to(device), rows, storage)

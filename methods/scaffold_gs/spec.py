@@ -8,8 +8,8 @@ from methods.shared import splatting
 
 
 @dataclass(frozen=True)
-class ScaffoldOptions(splatting.SplattingOptions):
-    """Options of Scaffold-GS, and the first of HAC's."""
+class AnchorOptions(splatting.SplattingOptions):
+    """Options that Scaffold-GS, HAC and HAC++ have in common."""
 
     # Start
     start: Literal["cloud", "random"] = option("cloud", "where the first anchors come from")
@@ -21,10 +21,18 @@ class ScaffoldOptions(splatting.SplattingOptions):
         "scene", "what training views are composited on: the scene's own, or another"
     )
     # Representation
-    features: int = option(
-        32, "values of an anchor's feature, and hidden units of each decoder", minimum=4, maximum=256
+    features: int = option(32, "values of an anchor's feature", minimum=4, maximum=256)
+    hidden: int = option(
+        0,
+        "hidden units of each decoder; 0 = as many as `features` (published)",
+        minimum=0,
+        maximum=256,
+        search=(0, 64),
     )
     offsets: int = option(10, "Gaussians of an anchor (K)", minimum=1, maximum=64)
+    show_half: bool = option(
+        False, "opacities begin with half of the offsets shown, whatever the seed draws (published: not)"
+    )
     voxel: float = option(
         0.001,
         "lattice of anchors, scene units; 0 = median distance to the nearest point",
@@ -39,9 +47,29 @@ class ScaffoldOptions(splatting.SplattingOptions):
         2e-4, "mean screen-space gradient (NDC) from which an offset grows an anchor", minimum=0.0
     )
     max_anchors: int = option(200_000, "growth stops at this number; 0 = no limit", minimum=0)
+    # Learning rates
+    feature_lr: float = option(
+        7.5e-3, "first learning rate of features (published: 0.0075)", minimum=0.0, maximum=1.0
+    )
+    last_lr_share: float = option(
+        1.0,
+        "last learning rate of features and scalings as a share of the first; 1 = constant (published)",
+        minimum=1e-4,
+        maximum=1.0,
+        search=(0.01, 1.0),
+    )
     # Losses
     ssim_weight: float = option(0.2, "weight of 1 - SSIM against L1", minimum=0.0, maximum=1.0)
     scale_weight: float = option(0.01, "weight of the mean product of scales of drawn Gaussians", minimum=0.0)
+
+
+@dataclass(frozen=True)
+class ScaffoldOptions(AnchorOptions):
+    """Options of Scaffold-GS."""
+
+    storage: Literal["read", "released"] = option(
+        "read", "columns of the stored file: those that a reader needs; all that the released code writes"
+    )
 
 
 PUBLISHED: dict[str, OptionValue] = {
@@ -49,8 +77,12 @@ PUBLISHED: dict[str, OptionValue] = {
     "start": "random",
     "background": "white",
     "max_anchors": 0,
+    "hidden": 0,
     "offsets": 10,
+    "show_half": False,
     "growth_gradient": 2e-4,
+    "feature_lr": 7.5e-3,
+    "last_lr_share": 1.0,
     "scale_weight": 0.01,
 }
 """How the released code starts on scenes without a cloud of their own, and its settings at every preset."""
@@ -71,7 +103,7 @@ SPEC = MethodSpec(
         "T. Lu, M. Yu, L. Xu, Y. Xiangli, L. Wang, D. Lin, B. Dai: Scaffold-GS: Structured 3D Gaussians for "
         "View-Adaptive Rendering. CVPR 2024"
     ),
-    version="5",
+    version="6",
     implementation="methods.scaffold_gs.method:ScaffoldGS",
     source=SHARED_SOURCE,
     composable=True,
@@ -80,7 +112,7 @@ SPEC = MethodSpec(
     options=ScaffoldOptions,
     presets={"quick": {**splatting.QUICK, **TUNED}},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 30_000},
-    configurations={"fair": Configuration(), "paper": Configuration(PUBLISHED)},
+    configurations={"fair": Configuration(), "paper": Configuration({**PUBLISHED, "storage": "released"})},
     tunable=(
         *splatting.TUNABLE,
         "features",

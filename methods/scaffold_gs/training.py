@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,14 +23,14 @@ from econgs.points import median_neighbour_distance
 from methods.interface import Model, Refused, SceneInput
 from methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from methods.scaffold_gs.schedule import Schedule
-from methods.scaffold_gs.spec import ScaffoldOptions
+from methods.scaffold_gs.spec import AnchorOptions, ScaffoldOptions
 from methods.shared.anchors import AnchorLoop, Rate, start_cloud
 from methods.shared.rent import Holding
 from methods.shared.start import thinned
 from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
 
 DECODER_RATES: dict[str, Rate] = {"opacity": (2e-3, 2e-5), "covariance": (4e-3, 4e-3), "color": (8e-3, 5e-5)}
-FEATURE_RATE, SCALING_RATE = 7.5e-3, 7e-3
+SCALING_RATE = 7e-3
 OFFSET_RATE: Rate = (1e-2, 1e-4)
 """Times the extent."""
 KEY = "scene"
@@ -60,18 +61,17 @@ class Trainer(AnchorLoop):
         Refused: no views, no points to start from, or more than ``max_anchors``.
     """
 
-    options: ScaffoldOptions
+    options: AnchorOptions
     schedule: Schedule
     distance = False
-    quantised = False
     masks = False
 
     def __init__(
-        self, scene: SceneInput, options: ScaffoldOptions, iterations: int, seed: int, device: str
+        self, scene: SceneInput, options: AnchorOptions, iterations: int, seed: int, device: str
     ) -> None:
         super().__init__([scene], iterations, seed, device)
         self.scene, self.options = scene, options
-        self.schedule = Schedule(iterations, self.quantised, decay=options.decay)
+        self.schedule = self.phases(iterations, options)
         start = np.array(start_cloud(scene, options, seed).points, dtype=np.float32)
         if options.start == "cloud":
             start = start[thinned(start, options.start_spacing, scene.train.cameras)]
@@ -105,14 +105,35 @@ class Trainer(AnchorLoop):
         except ValueError as error:  # options that are possible one by one
             raise Refused(str(error)) from error
         self.decoders = ColorDecoders(
-            options.features, options.offsets, distance=self.distance, generator=self.generator
+            options.features,
+            options.offsets,
+            hidden=options.hidden,
+            distance=self.distance,
+            generator=self.generator,
         ).to(device)
         self.background = self.chosen_background(scene)
         self.images = training_images(scene.train.images, device)
         self.transparent = are_transparent(self.images)
         groups = self.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
-        self._show_some()
+        if options.show_half:
+            self._show_half()
+        else:
+            self._show_some()
+
+    @torch.no_grad()
+    def _show_half(self) -> None:
+        """Raise opacities until half of the offsets have a mean above 0 over anchors and training views.
+
+        Features start at zero, so that the networks hide the same offsets in all anchors, and what is hidden
+        gets no gradient.
+        """
+        values, positions = self.attributes(self.anchors), self.anchors.positions
+        means = [
+            decode_colors(positions, *values, self.decoders, camera.position).raw_opacities.atanh().mean(0)
+            for camera in self.scene.train.cameras
+        ]
+        self.decoders.network("opacity").show_half(torch.stack(means).mean(0))
 
     @torch.no_grad()
     def _show_some(self) -> None:
@@ -131,6 +152,11 @@ class Trainer(AnchorLoop):
 
     # ------------------------------------------------------------------ what HAC changes
 
+    @staticmethod
+    def phases(iterations: int, options: Any) -> Schedule:
+        """Phases of a fit."""
+        return Schedule(iterations, decay=options.decay)
+
     def groups(self) -> dict[str, Tensor | Sequence[Tensor]]:
         """Parameters of the optimiser."""
         networks = {name: list(self.decoders.network(name).tensors()) for name in NETWORKS}
@@ -138,8 +164,12 @@ class Trainer(AnchorLoop):
 
     def rates(self) -> dict[str, float]:
         """Learning rates of this iteration."""
-        offsets = self.decayed(OFFSET_RATE) * self.scene.extent
-        anchors = {"features": FEATURE_RATE, "log_scalings": SCALING_RATE, "offsets": offsets}
+        share = self.decayed((1.0, self.options.last_lr_share))
+        anchors = {
+            "features": share * self.options.feature_lr,
+            "log_scalings": share * SCALING_RATE,
+            "offsets": self.decayed(OFFSET_RATE) * self.scene.extent,
+        }
         rates = {self.anchors.name(name): rate for name, rate in anchors.items()}
         return rates | {name: self.decayed(rate) for name, rate in DECODER_RATES.items()}
 
@@ -170,6 +200,7 @@ class Trainer(AnchorLoop):
             color_decoders(state, options, distance=False),
             to_numpy(state.arrays[f"anchors/{KEY}/positions"]),
             *(to_numpy(state.value(f"{KEY}/{name}")) for name in ("features", "log_scalings", "offsets")),
+            storage=options.storage,
         )
         return ScaffoldModel([stored], state.device)
 
@@ -238,10 +269,14 @@ class Trainer(AnchorLoop):
         return self.shuffled(len(self.images))
 
 
-def color_decoders(state: TrainingState, options: ScaffoldOptions, *, distance: bool) -> ColorDecoders:
+def color_decoders(state: TrainingState, options: AnchorOptions, *, distance: bool) -> ColorDecoders:
     """The networks of a state."""
     decoders = ColorDecoders(
-        options.features, options.offsets, distance=distance, generator=torch.Generator()
+        options.features,
+        options.offsets,
+        hidden=options.hidden,
+        distance=distance,
+        generator=torch.Generator(),
     ).to(state.device)
     for name in NETWORKS:
         state.fill(name, decoders.network(name).tensors())

@@ -109,6 +109,11 @@ class AnchorLoop(TrainingLoop):
             self.coding.load_state(arrays)
 
 
+def hidden_units(anchors: int, per_unit: int, least: int) -> int:
+    """Hidden units of a network that so many first anchors are to pay for; 50, ECoNGS's, at most."""
+    return min(max(anchors // per_unit, least), 50)
+
+
 def start_cloud(scene: SceneInput, options: Any, seed: int) -> PointCloud:
     """The points that anchors start from: the scene's, or random ones.
 

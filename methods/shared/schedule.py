@@ -81,10 +81,12 @@ class AnchorSchedule(Proportional):
 
     Attributes:
         coding: whether attributes are quantised and coded: trained under noise, then with the context model.
+        context_share: share of the budget after which the context model begins (published for HAC: a third).
     """
 
     growth = (1_500, 15_000)
     coding: bool = False
+    context_share: float = field(default=1 / 3, kw_only=True)
 
     @property
     def last_growth(self) -> int:
@@ -99,7 +101,7 @@ class AnchorSchedule(Proportional):
     @property
     def context_start(self) -> int:
         """From here on steps and probabilities come from the context model, and the rate counts."""
-        return self._scaled(10_000)
+        return max(1, round(self.context_share * self.iterations))
 
     @property
     def rest(self) -> range:

@@ -11,9 +11,11 @@ from torch import Tensor
 
 from econgs.codebooks import quantise, quantise_scalars
 from econgs.splat.composite import MIN_ALPHA
+from methods.formats.integer import CELL
 from methods.gaussian_splatting.model import SceneGaussians, SplatModel
 from methods.interface import Refused
-from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, read_folder
+from methods.shared.quantised_scene import Column, QuantisedScene, placed, read_folder
+from methods.vq_3dgs.spec import VqOptions
 
 FORMAT = "econgs-bench vq-3dgs 1"
 GROUPS = {"color": 3, "sh1": 9, "sh2": 15, "sh3": 21, "scale": 3, "rotation": 4}
@@ -37,15 +39,18 @@ def grouped(scene: SceneGaussians) -> dict[str, Tensor]:
     }
 
 
-def quantised(scene: SceneGaussians, size: int, stages: int, seed: int) -> QuantisedScene:
+def quantised(scene: SceneGaussians, options: VqOptions, seed: int) -> QuantisedScene:
     """Codebooks of the Gaussians that can be seen at all."""
+    size, stages = options.codebook_size, options.stages
     rows = (scene.logits.sigmoid() >= MIN_ALPHA).nonzero()[:, 0]
+    share = CELL if options.positions == "coded" else None
+    order, positions, grid = placed(scene.means[rows], scene.log_scales[rows], share)
+    rows, positions = rows[order.to(rows.device)], positions.to(rows.device)
     columns: dict[str, Column] = {"opacity": (quantise_scalars(scene.logits[rows], OPACITIES, seed),)}
     for name, values in grouped(scene).items():
         columns[name] = quantise(values[rows], size, seed, stages)
     about = {"codebook size": size, "sh degree": scene.sh_degree}
-    positions = half_exact(scene.means[rows]).to(scene.means.device)
-    return QuantisedScene(scene.name, scene.background, about, positions, columns, "entropy")
+    return QuantisedScene(scene.name, scene.background, about, positions, columns, "entropy", grid)
 
 
 def gaussians(coded: QuantisedScene) -> SceneGaussians:
@@ -66,10 +71,10 @@ def gaussians(coded: QuantisedScene) -> SceneGaussians:
 
 
 class VqModel(SplatModel):
-    """Scenes that exist at several codebook sizes, rendered at the first.
+    """Scenes of decoded codebooks.
 
     Args:
-        stored: of each scene, the default first; none while it is not quantised yet.
+        stored: the scenes; none while they are not quantised yet.
         rendered: Gaussians of each scene.
         device: where.
     """
@@ -77,31 +82,31 @@ class VqModel(SplatModel):
     method = "vq-3dgs"
 
     def __init__(
-        self, stored: Sequence[Sequence[QuantisedScene]], rendered: Sequence[SceneGaussians], device: str
+        self, stored: Sequence[QuantisedScene], rendered: Sequence[SceneGaussians], device: str
     ) -> None:
         super().__init__(rendered)
         self.stored, self.device = tuple(stored), device
 
     @classmethod
-    def of(cls, stored: Sequence[Sequence[QuantisedScene]], device: str) -> VqModel:
+    def of(cls, stored: Sequence[QuantisedScene], device: str) -> VqModel:
         """A model of coded scenes."""
         with torch.no_grad():
-            return cls(stored, [_placed(gaussians(sizes[0]), device) for sizes in stored], device)
+            return cls(stored, [_on(gaussians(coded), device) for coded in stored], device)
 
-    def write_size(self, folder: Path, rate: float | None) -> Mapping[str, Mapping[str, int]]:
-        """Write ``<scene>.safetensors`` per scene, at a codebook size.
+    def write(self, folder: Path) -> Mapping[str, Mapping[str, int]]:
+        """Write ``<scene>.safetensors`` per scene.
 
         Raises:
-            Refused: it was not prepared for that size.
+            Refused: it is not quantised yet.
         """
         if not self.stored:
             raise Refused("vq-3dgs is quantised in the last part of a fit only")
-        return {sizes[0].name: _at(sizes, rate).write(folder, FORMAT) for sizes in self.stored}
+        return {coded.name: coded.write(folder, FORMAT) for coded in self.stored}
 
     @classmethod
     def load(cls, folder: Path, device: str) -> VqModel:
         read = read_folder(folder, "vq-3dgs", FORMAT, WIDTHS, partial(_checked, device=device))
-        return cls([[coded] for coded, _ in read], [ready for _, ready in read], device)
+        return cls([coded for coded, _ in read], [ready for _, ready in read], device)
 
     @classmethod
     def join(cls, models: Sequence[VqModel]) -> VqModel:
@@ -109,17 +114,7 @@ class VqModel(SplatModel):
         return cls(stored, [model.scene(name) for model in models for name in model.scenes], models[0].device)
 
 
-def _at(sizes: Sequence[QuantisedScene], rate: float | None) -> QuantisedScene:
-    if rate is None:
-        return sizes[0]
-    there = {float(str(one.about["codebook size"])): one for one in sizes}
-    if rate not in there:
-        names = ", ".join(f"{size:g}" for size in there)
-        raise Refused(f"vq-3dgs has no codebooks of {rate:g} words for scene {sizes[0].name!r}, only {names}")
-    return there[rate]
-
-
-def _placed(scene: SceneGaussians, device: str) -> SceneGaussians:
+def _on(scene: SceneGaussians, device: str) -> SceneGaussians:
     tensors = {name: v.to(device) for name, v in vars(scene).items() if isinstance(v, Tensor)}
     return SceneGaussians(scene.name, scene.background, scene.sh_degree, **tensors)
 
@@ -128,7 +123,7 @@ def _checked(coded: QuantisedScene, device: str) -> SceneGaussians:
     degree, size = coded.about["sh degree"], coded.about["codebook size"]
     if not isinstance(degree, int) or not 0 <= degree <= 3 or not isinstance(size, int):
         raise ValueError(f"SH degree {degree}, codebooks of {size} words")
-    ready = _placed(gaussians(coded), device)
+    ready = _on(gaussians(coded), device)
     if not bool((ready.quats.square().sum(1) > 0).all()):
         raise ValueError("a rotation is zero")
     if not bool(torch.isfinite(ready.log_scales.exp()).all()):

@@ -5,25 +5,26 @@ from typing import Literal, get_args
 
 from methods.gaussian_splatting.spec import SPEC as PLAIN
 from methods.gaussian_splatting.spec import GaussianOptions
-from methods.interface import RateKnob, option
+from methods.interface import Configuration, RateKnob, option
 from methods.shared import splatting
 
 Size = Literal[16, 64, 256, 1024]
 SIZES: tuple[int, ...] = get_args(Size)
-"""Codebook sizes that one fit prepares."""
+"""Codebook sizes of the rate curve."""
 
 
 @dataclass(frozen=True)
 class VqOptions(GaussianOptions):
     """Options of 3DGS, and those of its codebooks."""
 
-    codebook_size: Size = option(256, "words of each codebook, where no rate is asked for")
+    codebook_size: Size = option(256, "words of each codebook")
     stages: int = option(2, "residual codebooks per group of attributes", minimum=1, maximum=8)
-    tuning: float = option(
-        0.2, "share of the budget that fine-tunes codebooks, all sizes in turn", minimum=0.0, maximum=0.9
-    )
+    tuning: float = option(0.2, "share of the budget that fine-tunes codebooks", minimum=0.0, maximum=0.9)
     tuning_lr: float = option(
         1.0, "learning rates of words, as a share of those of 3DGS", minimum=0.0, maximum=10.0
+    )
+    positions: Literal["float16", "coded"] = option(
+        "coded", "stored form of positions: cells of a fine grid, as those of ECoNGS; float16 (published)"
     )
 
 
@@ -35,10 +36,14 @@ SPEC = replace(
         f"{PLAIN.reference}; quantised by products of residual codebooks with fine-tuning, as a line of work "
         "since K. Navaneet, K. Meibodi, S. Koohpayegani, H. Pirsiavash (Compact3D, ECCV 2024) does"
     ),
-    version="5",
+    version="6",
     implementation="methods.vq_3dgs.method:VectorQuantised",
     options=VqOptions,
-    rate_knobs=(RateKnob("codebook size", SIZES, refit=False),),
+    rate_knobs=(RateKnob("codebook_size", SIZES, refit=True),),
+    configurations={
+        "fair": Configuration(),
+        "paper": Configuration({**PLAIN.configurations["paper"].options, "positions": "float16"}),
+    },
     tunable=(
         *splatting.TUNABLE,
         "sh_degree",

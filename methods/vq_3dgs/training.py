@@ -1,9 +1,8 @@
-"""3DGS, then quantisation at every codebook size, then fine-tuning of the words."""
+"""3DGS, then quantisation, then fine-tuning of the words."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import torch
 from torch import Tensor
@@ -11,6 +10,7 @@ from torch import Tensor
 from datasets.camera import Camera
 from datasets.scene import RGB
 from econgs.codebooks import Codebook, rounded
+from econgs.context.positions import PositionGrid
 from econgs.optim import Adam
 from econgs.splat.rasterise import rasterise
 from econgs.splat.sh import spherical_harmonics
@@ -21,7 +21,7 @@ from methods.interface import Checkpoint, SceneInput
 from methods.shared.quantised_scene import QuantisedScene
 from methods.shared.training import TrainingState
 from methods.vq_3dgs.model import GROUPS, VqModel, gaussians, quantised
-from methods.vq_3dgs.spec import SIZES, VqOptions
+from methods.vq_3dgs.spec import VqOptions
 
 _LAST = 0.1  # words end at this share of their first learning rates
 
@@ -29,8 +29,7 @@ _LAST = 0.1  # words end at this share of their first learning rates
 class VqTrainer(Trainer):
     """A fit of 3DGS that ends in fine-tuning codebooks; arguments as there.
 
-    While words are tuned, ids, positions and opacities stay as they are, and each step sees the codebooks
-    of one size, in turn: every size is trained.
+    While words are tuned, ids, positions and opacities stay as they are.
     """
 
     options: VqOptions
@@ -39,7 +38,7 @@ class VqTrainer(Trainer):
         self, scene: SceneInput, options: VqOptions, iterations: int, seed: int, device: str
     ) -> None:
         self.seed = seed
-        self.coded: dict[int, QuantisedScene] = {}
+        self.coded: QuantisedScene | None = None
         super().__init__(scene, options, iterations, seed, device)
 
     def _schedule(self, iterations: int) -> Schedule:
@@ -48,24 +47,24 @@ class VqTrainer(Trainer):
     @property
     def count(self) -> int:
         """Number of Gaussians."""
-        return len(next(iter(self.coded.values())).positions) if self.coded else super().count
+        return super().count if self.coded is None else len(self.coded.positions)
 
     def stage(self) -> str:
         return "codebooks" if self.iteration >= self.schedule.iterations else super().stage()
 
     def step(self) -> dict[str, float]:
-        if self.iteration >= self.schedule.iterations and not self.coded:
-            plain = self._plain()
-            self._place({size: quantised(plain, size, self.options.stages, self.seed) for size in SIZES})
+        if self.iteration >= self.schedule.iterations and self.coded is None:
+            self.check_finite()
+            self._place(quantised(self._plain(), self.options, self.seed))
         return super().step()
 
     def _losses(
         self, camera: Camera, truth: Tensor, back: RGB | Tensor
     ) -> tuple[dict[str, Tensor], Tensor | None, Tensor]:
-        if not self.coded:
+        if self.coded is None:
             return super()._losses(camera, truth, back)
         position = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
-        now = gaussians(self._now(SIZES[self.iteration % len(SIZES)]))
+        now = gaussians(self._now(self.coded))
         splats = rasterise(
             now.means,
             now.quats,
@@ -79,12 +78,12 @@ class VqTrainer(Trainer):
         return losses, None, splats.radii
 
     def _set_rates(self) -> None:
-        if not self.coded:
+        if self.coded is None:
             super()._set_rates()
             return
         tuning = max(1, self.iterations - self.schedule.iterations)
         done = (self.iteration - self.schedule.iterations) / tuning
-        for name, first in self._word_rates().items():
+        for name, first in self._word_rates(self.coded).items():
             self.optimiser.rates[name] = first * _LAST**done
 
     # ------------------------------------------------------------------ codebooks
@@ -93,81 +92,77 @@ class VqTrainer(Trainer):
         values = {name: self.optimiser[name].detach().clone() for name in PARAMETERS}
         return SceneGaussians(self.scene.name, self.scene.train.background, self.schedule.sh_degree, **values)
 
-    def _place(self, coded: Mapping[int, QuantisedScene]) -> None:
-        """Begin to optimise the words of these codebooks, and nothing else."""
-        self.coded = dict(coded)
+    def _place(self, coded: QuantisedScene) -> None:
+        """Begin to optimise the words of the codebooks, and nothing else."""
+        self.coded = coded
         words = {
-            _name(size, group, stage): book.words.to(self.device)
-            for size, scene in coded.items()
+            _name(group, stage): book.words.to(self.device)
             for group in GROUPS
-            for stage, book in enumerate(_books(scene, group))
+            for stage, book in enumerate(_books(coded, group))
         }
-        self.optimiser = Adam(words, self._word_rates())
+        self.optimiser = Adam(words, self._word_rates(coded))
 
-    def _word_rates(self) -> dict[str, float]:
+    def _word_rates(self, coded: QuantisedScene) -> dict[str, float]:
         plain = LEARNING_RATES | {"sh_rest": self.options.sh_rest_lr}
         of_group = {"color": "sh_dc", "scale": "log_scales", "rotation": "quats"}
         share = self.options.tuning_lr
         return {
-            _name(size, group, stage): share * plain[of_group.get(group, "sh_rest")]
-            for size, scene in self.coded.items()
+            _name(group, stage): share * plain[of_group.get(group, "sh_rest")]
             for group in GROUPS
-            for stage in range(len(_books(scene, group)))
+            for stage in range(len(_books(coded, group)))
         }
 
-    def _now(self, size: int) -> QuantisedScene:
-        """The scene at a size, with the words that are being optimised."""
-        scene = self.coded[size]
-        columns = dict(scene.columns)
+    def _now(self, coded: QuantisedScene) -> QuantisedScene:
+        """The scene with the words that are being optimised."""
+        columns = dict(coded.columns)
         for group in GROUPS:
             columns[group] = tuple(
-                replace(book, words=self.optimiser[_name(size, group, stage)])
-                for stage, book in enumerate(_books(scene, group))
+                replace(book, words=self.optimiser[_name(group, stage)])
+                for stage, book in enumerate(_books(coded, group))
             )
-        return replace(scene, columns=columns)
+        return replace(coded, columns=columns)
 
     # ------------------------------------------------------------------ what comes out
 
     @staticmethod
     def restored(state: TrainingState, options: VqOptions) -> VqModel:  # type: ignore[override]
         """As 3DGS until it is quantised, then as it will be stored."""
-        sizes = [options.codebook_size, *(size for size in SIZES if size != options.codebook_size)]
         if _is_coded(state):
-            return VqModel.of([[_rounded(_coded(size, state, options)) for size in sizes]], state.device)
+            return VqModel.of([_rounded(_coded(state, options))], state.device)
         plain = plain_gaussians(state, options.sh_degree)
         if state.iteration < state.iterations:
             return VqModel([], [plain], state.device)
-        seed = int(state.scalars["seed"])
-        return VqModel.of([[quantised(plain, size, options.stages, seed) for size in sizes]], state.device)
+        return VqModel.of([quantised(plain, options, int(state.scalars["seed"]))], state.device)
 
     def checkpoint(self) -> Checkpoint:
         state = super().checkpoint()
         state.scalars["seed"] = self.seed
-        for size, scene in self.coded.items():
-            state.arrays[f"positions/{size}"] = scene.positions.clone()
-            for group in scene.columns:
-                for stage, book in enumerate(_books(scene, group)):
-                    state.arrays[f"ids/{_name(size, group, stage)}"] = book.ids.clone()
+        if self.coded is not None:
+            state.arrays["positions"] = self.coded.positions.clone()
+            state.scalars["grid"] = None if self.coded.grid is None else asdict(self.coded.grid)
+            for group in self.coded.columns:
+                for stage, book in enumerate(_books(self.coded, group)):
+                    state.arrays[f"ids/{_name(group, stage)}"] = book.ids.clone()
                     if group not in GROUPS:
-                        state.arrays[f"words/{_name(size, group, stage)}"] = book.words.clone()
+                        state.arrays[f"words/{_name(group, stage)}"] = book.words.clone()
         return state
 
     def resume(self, checkpoint: Checkpoint) -> None:
         state = TrainingState(checkpoint, self.device)
         if _is_coded(state):
-            self._place({size: _coded(size, state, self.options) for size in SIZES})
+            self._place(_coded(state, self.options))
         super().resume(checkpoint)
 
 
 def _is_coded(state: TrainingState) -> bool:
-    return f"positions/{SIZES[0]}" in state.arrays
+    return "positions" in state.arrays
 
 
-def _coded(size: int, state: TrainingState, options: VqOptions) -> QuantisedScene:
-    """A coded scene, with the words that are being optimised."""
+def _coded(state: TrainingState, options: VqOptions) -> QuantisedScene:
+    """The coded scene, with the words that are being optimised."""
     columns: dict[str, tuple[Codebook, ...]] = {}
     for group in ("opacity", *GROUPS):
-        names = [_name(size, group, stage) for stage in range(options.stages if group in GROUPS else 1)]
+        names = [_name(group, stage) for stage in range(options.stages if group in GROUPS else 1)]
         columns[group] = tuple(
             Codebook(
                 state.value(name) if group in GROUPS else state.arrays[f"words/{name}"],
@@ -175,14 +170,22 @@ def _coded(size: int, state: TrainingState, options: VqOptions) -> QuantisedScen
             )
             for name in names
         )
-    about = {"codebook size": size, "sh degree": options.sh_degree}
+    about = {"codebook size": options.codebook_size, "sh degree": options.sh_degree}
     (label,) = state.scenes
-    positions = state.arrays[f"positions/{size}"]
-    return QuantisedScene(label.name, label.background, about, positions, columns, "entropy")
+    grid = state.scalars["grid"]
+    return QuantisedScene(
+        label.name,
+        label.background,
+        about,
+        state.arrays["positions"],
+        columns,
+        "entropy",
+        None if grid is None else PositionGrid(**{name: tuple(values) for name, values in grid.items()}),
+    )
 
 
-def _name(size: int, group: str, stage: int) -> str:
-    return f"{size}-{group}-{stage}"
+def _name(group: str, stage: int) -> str:
+    return f"{group}-{stage}"
 
 
 def _books(scene: QuantisedScene, group: str) -> tuple[Codebook, ...]:

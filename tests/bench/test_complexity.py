@@ -60,7 +60,7 @@ def test_a_suite_asks_for_it_and_it_is_the_same_at_any_preset(tmp_path):
 def test_models_of_other_rates_are_not_asked_what_could_go(tmp_path):
     path = tmp_path / "rates.toml"
     path.write_text(
-        'title = "t"\nmethods = ["hac", "vq-3dgs"]\npreset = "quick"\nrates = "all"\nparsimony = true\n'
+        'title = "t"\nmethods = ["hac", "ivr-gs"]\npreset = "quick"\nrates = "all"\nparsimony = true\n'
         '[datasets]\n"argon_bubble_like@32" = []\n'
     )
     measures = [job for job in plan(str(path)) if job.kind == "measure"]

@@ -1,5 +1,6 @@
 """Scaffold-GS and HAC on a tiny scene of known Gaussians: what both promise to the harness."""
 
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -8,7 +9,7 @@ import pytest
 import torch
 
 from datasets.errors import DataError
-from econgs.anchors.direct import ColorDecoders
+from econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
 from methods.gaussian_splatting.ply import properties, read_ply, write_ply
 from methods.hac.training import Trainer as HacTrainer
 from methods.interface import EstimatesBytes, Refused
@@ -63,6 +64,65 @@ def test_attributes_that_overflow_when_they_are_decoded_are_refused(tmp_path, ti
     write_ply(file, rows, parts)
     with pytest.raises(DataError, match=r"tiny.ply: holds an attribute of more than 1e\+06"):
         fit.method.load(tmp_path, "cpu")
+
+
+@pytest.mark.parametrize("storage", ["read", "released"])
+def test_a_file_has_the_columns_that_are_asked_for_and_either_is_read(tmp_path, tiny, scene, storage):
+    fit = KINDS["scaffold-gs"].fit
+    model = fit(scene, tiny.Recorder(), 5, storage=storage)
+    ledger = model.save(tmp_path)["tiny"]
+    (file,), count = tmp_path.glob("*.ply"), model.primitives()
+    columns = 3 + 3 * SMALL["offsets"] + SMALL["features"] + 6 + (8 if storage == "released" else 0)
+    assert file.stat().st_size - ledger["header"] == 4 * columns * count
+    assert sum(size for part, size in ledger.items() if part.startswith("unused")) == (
+        32 * count if storage == "released" else 0
+    )
+    loaded, camera = fit.method.load(tmp_path, "cpu"), scene.validation.cameras[0]
+    assert torch.equal(loaded.render(camera)[0], model.render(camera)[0])
+    (tmp_path / "again").mkdir()
+    assert loaded.save(tmp_path / "again")["tiny"] == ledger
+    if storage == "released":
+        unused = read_ply(file, {"unused": ("nx", "ny", "nz", "opacity", "rot_0", "rot_1", "rot_2", "rot_3")})
+        assert (unused == np.float32([0, 0, 0, np.log(0.1 / 0.9), 1, 0, 0, 0])).all()
+
+
+def test_decoders_have_the_width_that_is_asked_for_also_once_loaded(tmp_path, kind, tiny, scene):
+    for hidden, width in ((0, SMALL["features"]), (7, 7)):
+        model = kind.fit(scene, tiny.Recorder(), 5, hidden=hidden)
+        (tmp_path / str(hidden)).mkdir()
+        model.save(tmp_path / str(hidden))
+        loaded, camera = kind.fit.method.load(tmp_path / str(hidden), "cpu"), scene.validation.cameras[0]
+        decoders = loaded.scene("tiny").decoders
+        assert {decoders.network(name).first_weight.shape[0] for name in NETWORKS} == {width}
+        assert torch.equal(loaded.render(camera)[0], model.render(camera)[0])
+
+
+def test_rates_are_constant_or_end_at_the_share_that_is_asked_for(kind, scene):
+    def rates(**changed):
+        trainer = kind.trainer(scene, kind.fit.options(**changed), 100, 0, "cpu")
+        for trainer.iteration in (1, 100):
+            yield [trainer.rates()[trainer.anchors.name(one)] for one in ("features", "log_scalings")]
+
+    for decay in ("linear", "exponential"):
+        assert list(rates(decay=decay)) == [[7.5e-3, 7e-3]] * 2
+        first, last = rates(decay=decay, feature_lr=2e-2, last_lr_share=0.05)
+        assert first == pytest.approx([2e-2, 7e-3], rel=0.05)
+        assert last == pytest.approx([1e-3, 3.5e-4])
+
+
+def test_half_of_the_gaussians_are_shown_at_the_start_whatever_the_seed_draws(kind, scene):
+    def shown(show_half, seed):
+        """Share of Gaussians that are shown, over all training views."""
+        trainer = kind.trainer(scene, kind.fit.options(offsets=3, show_half=show_half), 100, seed, "cpu")
+        values, positions = trainer.attributes(trainer.anchors), trainer.anchors.positions
+        views = [
+            decode_colors(positions, *values, trainer.decoders, camera.position).raw_opacities > 0.0
+            for camera in scene.train.cameras
+        ]
+        return float(torch.stack(views).float().mean())
+
+    assert min(shown(True, seed) for seed in range(3)) > 0.5
+    assert min(shown(False, seed) for seed in range(3)) < 0.3
 
 
 def test_networks_of_int8_take_a_quarter_and_are_drawn_as_they_are_stored(tmp_path, tiny, scene):
@@ -165,6 +225,72 @@ def test_the_schedule_is_the_published_one_at_its_budget():
     assert next(i for i in range(1, 30_001) if coding.coded(i)) == 10_001
     assert not any(plain.noisy(i) or plain.coded(i) or plain.exact(i) for i in (5_000, 20_000, 30_000))
     assert sum(Schedule(600, coding=True).grows(i) for i in range(601)) >= 10
+
+
+def test_what_hangs_on_the_context_model_begins_with_it(tiny, scene):
+    early, late = (Schedule(1_000, coding=True, context_share=share) for share in (0.1, 0.7))
+    assert [next(i for i in range(1_001) if one.coded(i)) for one in (early, late)] == [101, 701]
+    assert [next(i for i in range(1_001) if one.noisy(i)) for one in (early, late)] == [101, 101]
+    assert [[i for i in range(1_001) if one.settles_rent(i)] for one in (early, late)] == [
+        [501, 751],
+        [701, 851],
+    ]
+    for iterations in range(1, 30_001, 7):
+        published = max(1, round(10_000 * iterations / 30_000))
+        assert Schedule(iterations, coding=True).context_start == published
+    recorder = tiny.Recorder(checkpoint_at=[30, 40])
+    KINDS["hac"].fit(scene, recorder, 50, context_start=0.7)
+    contexts = [model.groups[0].context for model in recorder.models]
+    assert [context is None for context in contexts] == [True, False]
+
+
+def test_the_context_model_is_as_wide_as_the_first_anchors_ask_for(tmp_path, tiny, scene):
+    cloud = np.random.default_rng(0).uniform(-0.5, 0.5, (900, 3))
+    many, fit = tiny.with_cloud(scene, cloud), KINDS["hac"].fit
+    sizes, widths = [], []
+    for hidden in (0, 100):
+        model = fit(many, tiny.Recorder(), 20, context_hidden=hidden, start_spacing=0.0)
+        folder = tmp_path / str(hidden)
+        folder.mkdir()
+        sizes.append(model.save(folder)["tiny"]["context head"])
+        loaded, camera = fit.method.load(folder, "cpu"), scene.validation.cameras[0]
+        widths.append(loaded.groups[0].context.config.hidden)
+        assert torch.equal(loaded.render(camera)[0], model.render(camera)[0])
+    first = len(np.unique(np.round(cloud / SMALL["voxel"]), axis=0))
+    assert widths == [first // 100, 100]
+    assert sizes[0] < 0.2 * sizes[1]
+
+
+def test_masks_learn_in_proportion_to_the_extent(scene):
+    def rates(extent):
+        options = KINDS["hac"].fit.options(configuration="paper", random_points=50)
+        trainer = HacTrainer(replace(scene, extent=extent), options, 100, 0, "cpu")
+        for trainer.iteration in (0, 100):
+            yield trainer.rates()[trainer.anchors.name("masks")]
+
+    assert list(rates(1.0)) == pytest.approx([1e-2, 1e-4])
+    assert list(rates(4.4)) == pytest.approx([4.4e-2, 4.4e-4])
+
+
+def test_anchors_without_an_offset_are_pruned_while_growth_lasts_and_cost_no_bits(scene):
+    trainer = HacTrainer(scene, KINDS["hac"].fit.options(growth_gradient=1e3, rent=0.0), 400, 0, "cpu")
+    masks, count = trainer.optimiser[trainer.anchors.name("masks")], len(trainer.anchors)
+    places = trainer.anchors.positions[:5].clone()
+    with torch.no_grad():
+        masks[:5] = -20.0
+    trainer.iteration = trainer.schedule.context_start
+    for _ in range(4):
+        trainer.step()
+        assert len(trainer.anchors) == count
+        gradient = trainer.optimiser[trainer.anchors.name("features")].grad
+        assert gradient.any()
+        assert not gradient[:5].any()
+    assert int((trainer.anchors.statistics.visits[:5] > 0).sum()) > 0
+    assert float(trainer.anchors.statistics.opacities[:5].sum()) == 0.0
+    while trainer.iteration < trainer.schedule.growth_stop:
+        trainer.step()
+    assert len(trainer.anchors) <= count - 5
+    assert not (trainer.anchors.positions[:, None] == places).all(-1).any()
 
 
 def test_hac_pays_for_the_share_of_anchors_that_are_there(scene):

@@ -19,7 +19,7 @@ def test_it_is_the_fit_of_3dgs_and_its_rates_have_names():
     assert SPEC.iterations == PLAIN.iterations
     assert RATES[SPEC.name] == {number: codec.name for number, codec in CODECS.items()}
     assert label(SPEC.name, "", 3.0) == "3DGS, coded @ spz"
-    assert label("vq-3dgs", "", 64.0) == "VQ-3DGS @ 64"
+    assert label("ivr-gs", "", 64.0) == "iVR-GS @ 64"
 
 
 def test_every_codec_counts_its_bytes_and_names_itself(tmp_path):

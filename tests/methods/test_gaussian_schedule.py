@@ -56,3 +56,27 @@ def test_boundaries_scale_with_the_budget_and_no_budget_is_too_small(iterations,
         assert degrees.index(degree) == pytest.approx(degree * iterations / 30, abs=degree)
     events(schedule.grows, iterations)
     assert not Schedule(iterations, resets=False).resets_opacity(iterations)
+
+
+def test_large_ones_are_pruned_from_the_same_iteration_without_resets():
+    for changed in ({"resets": False}, {"least_interval": 5_000}):
+        assert events(Schedule(30_000, **changed).prunes_large, 3_002) == [3_001, 3_002]
+
+
+def test_resets_have_a_least_interval():
+    short = Schedule(1_200, early_reset=True)
+    assert events(short.resets_opacity, 1_200) == [20, 120, 240, 360, 480]
+    rare = Schedule(1_200, early_reset=True, least_interval=250)
+    assert events(rare.resets_opacity, 1_200) == [250, 500]
+    assert events(Schedule(30_000, early_reset=True, least_interval=500).resets_opacity, 30_000)[:2] == [
+        500,
+        3_000,
+    ]
+
+
+@pytest.mark.parametrize(("decay", "middle"), [("linear", 0.55), ("exponential", 0.1**0.5)])
+def test_other_rates_fall_from_the_end_of_growth_to_the_end_of_the_budget(decay, middle):
+    schedule = Schedule(1_200, decay=decay)
+    factors = [schedule.settled(i, 0.1) for i in (1, 600, 900, 1_200)]
+    assert factors == pytest.approx([1.0, 1.0, middle, 0.1])
+    assert {schedule.settled(i, 1.0) for i in range(1_201)} == {1.0}

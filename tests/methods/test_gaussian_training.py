@@ -48,6 +48,26 @@ def test_start_from_the_cloud_takes_its_points_and_colors(tiny, scene):
     np.testing.assert_allclose(gaussians.log_scales.exp(), 0.6 * np.sqrt(0.02), rtol=1e-6)
 
 
+@pytest.mark.parametrize("name", ["3dgs", "3dgs-mcmc", "vq-3dgs", "ivr-gs"])
+def test_the_first_opacity_is_an_option(scene, name):
+    fits = Fits(name)
+    trainer = fits.method.trainer(scene, fits.options(start_opacity=0.25), 10, 0, "cpu")
+    np.testing.assert_allclose(trainer.optimiser["logits"].detach().sigmoid(), 0.25, atol=1e-6)
+    assert fits.options().start_opacity == (0.5 if name == "3dgs-mcmc" else 0.1)
+
+
+@pytest.mark.parametrize(("name", "growing"), [("3dgs", 20), ("3dgs-mcmc", 33)])
+def test_rates_of_all_but_positions_fall_once_nothing_grows(scene, name, growing):
+    fits = Fits(name)
+    trainer = fits.method.trainer(scene, fits.options(last_lr_share=0.2, rent=0.0), 40, 0, "cpu")
+    first = dict(trainer.optimiser.rates)
+    for iteration in range(1, 41):
+        trainer.step()
+        factors = {n: trainer.optimiser.rates[n] / first[n] for n in first if n != "means"}
+        share = max(0, iteration - growing) / (40 - growing)
+        assert factors == pytest.approx(dict.fromkeys(factors, 1.0 - 0.8 * share))
+
+
 def test_random_start_fills_its_cube(scene):
     options = fit.options(start="random", random_half_extent=0.7, random_points=5000)
     means = Trainer(scene, options, 10, 0, "cpu").model().scene("tiny").means

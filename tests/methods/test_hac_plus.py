@@ -111,6 +111,17 @@ def test_anchors_without_offsets_are_not_stored(scene):
     assert np.asarray(model.groups[0].scenes[0].masks).any(1).all()
 
 
+def test_networks_and_context_model_are_as_wide_as_they_are_asked_for(tiny, scene, tmp_path):
+    recorder = tiny.Recorder(checkpoint_at=[14])
+    small = fit(scene, recorder, 20, hidden=7, context_hidden=0, context_start=0.7)
+    assert recorder.models[0].groups[0].context is None
+    small.save(tmp_path)
+    loaded, camera = fit.method.load(tmp_path, "cpu"), scene.validation.cameras[0]
+    assert torch.equal(loaded.render(camera)[0], small.render(camera)[0])
+    assert loaded.groups[0].context.config.hidden == 4
+    assert loaded.scene("tiny").decoders.hidden == 7
+
+
 def test_hac_and_hac_plus_do_not_mix(tiny, scene, tmp_path):
     plain = Fits("hac", **SMALL)(scene, tiny.Recorder(), 5)
     plus = fit(scene, tiny.Recorder(), 5)

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 import torch
 
+from datasets.errors import DataError
 from datasets.scene import Light
 from methods.interface import Edit, Refused
 from methods.ivr_gs.losses import depth_normals, normal_loss, smoothness_loss
-from methods.ivr_gs.model import WIDTHS, IvrModel, Stored, attributes_with_codebooks, ready
+from methods.ivr_gs.model import FORMAT, WIDTHS, IvrModel, Stored, attributes_with_codebooks, ready
 from methods.ivr_gs.schedule import IvrSchedule
 from methods.ivr_gs.training import IvrTrainer
+from methods.shared.training import SceneLabel
 from tests.methods.conftest import Fits
 
 fit = Fits("ivr-gs", max_gaussians=500)
@@ -58,7 +60,8 @@ def test_24_bytes_per_gaussian_and_ten_codebooks_of_256(tmp_path):
     count, generator = 5_000, torch.Generator().manual_seed(0)
     raw = {name: torch.randn((count, width), generator=generator) for name, width in WIDTHS.items()}
     positions = torch.rand((count, 3), generator=generator)
-    stored = Stored.of("tiny", (1.0, 1.0, 1.0), None, (0.5, 0.5, 0.5), positions, raw, frozenset(WIDTHS), 256)
+    label = SceneLabel("tiny", (1.0, 1.0, 1.0), None)
+    stored = Stored.of(label, (0.5, 0.5, 0.5), positions, raw, fit.options(positions="float16"))
     _, ledger = saved(IvrModel([ready(stored.coded, "cpu")], [stored]), tmp_path / "a")
     ids = sum(ledger[name] for name in WIDTHS)
     assert ledger["positions"] + ids == 24 * count
@@ -91,7 +94,7 @@ def test_values_are_activated_once(tiny, scene, tmp_path):
 
 def test_parts_of_the_loss_carry_their_weights(tiny, scene):
     """Each part is its weight times what it was: twice the weight is twice the part."""
-    names = {"alpha": "alpha", "normal": "normals", "offset": "offset colors",
+    names = {"alpha": "alpha", "mask": "mask", "normal": "normals", "offset": "offset colors",
              "smoothness": "smoothness", "opacity": "opacity"}  # fmt: skip
     trainer = IvrTrainer(scene, fit.options(), 40, 0, "cpu")
     while not trainer.shading:
@@ -99,15 +102,38 @@ def test_parts_of_the_loss_carry_their_weights(tiny, scene):
     camera, back = scene.train.cameras[0], scene.train.background
     for option, name in names.items():
         values = []
-        for weight in (0.5, 1.0):
+        for weight in (1.0, 2.0):  # a smaller weight of alpha grows while the scene vanishes
             trainer.options = replace(trainer.options, **{f"{option}_weight": weight})
             found, _, _ = trainer._losses(camera, trainer.images[0], back)
             values.append(float(found[name].detach()))
         assert values[1] == pytest.approx(2.0 * values[0])
         assert values[1] > 0.0
-    trainer.options = replace(trainer.options, alpha_weight=0.0, normal_weight=0.0)
+    trainer.options = replace(trainer.options, alpha_weight=0.0, mask_weight=0.0, normal_weight=0.0)
     found, _, _ = trainer._losses(camera, trainer.images[0], back)
     assert set(found) == {"image", "offset colors", "smoothness", "opacity"}
+
+
+@pytest.mark.parametrize(
+    ("weights", "asks"),
+    [((0.0, 0.1), True), ((0.1, 0.0), True), ((0.0, 0.0), False)],
+)
+def test_pruning_by_contribution_minds_alpha_where_a_loss_does(scene, weights, asks):
+    alpha, mask = weights
+    trainer = IvrTrainer(scene, fit.options(alpha_weight=alpha, mask_weight=mask), 40, 0, "cpu")
+    (holding,) = trainer.holdings()
+    assert holding.scenes[0].asks_alpha is asks
+
+
+def test_rates_fall_in_the_second_stage_once_nothing_grows(scene):
+    trainer = IvrTrainer(scene, fit.options(last_lr_share=0.1, decay="linear", rent=0.0), 400, 0, "cpu")
+    assert [trainer.schedule.settled(i, 0.1) for i in (1, 300, 320)] == [1.0, 1.0, 1.0]
+    trainer.iteration = 300
+    while trainer.iteration < 360:
+        trainer.step()
+    assert trainer.optimiser.rates["diffuse"] == pytest.approx(0.55 * trainer.options.shading_lr)
+    assert trainer.optimiser.rates["logits"] == pytest.approx(0.55 * trainer.options.opacity_lr)
+    still = IvrSchedule(400, grows_shaded=False, decay="linear")
+    assert still.settled(350, 0.1) == pytest.approx(0.55)
 
 
 def test_shading_begins_as_chosen(scene):
@@ -118,6 +144,31 @@ def test_shading_begins_as_chosen(scene):
     shown = trainer._shaded().coefficients.detach()
     expected = torch.tensor([0.3, 0.3, 0.7]).expand(len(shown), 3)
     torch.testing.assert_close(shown[:, :3], expected, atol=1e-4, rtol=0.0)
+
+
+def test_offset_colors_by_tanh_also_darken_and_come_back(tiny, scene, tmp_path):
+    """A file that names no activation has sigmoid, as those of earlier versions."""
+    trainer = IvrTrainer(scene, fit.options(offset_color="tanh"), 40, 0, "cpu")
+    while not trainer.shading:
+        trainer.step()
+    assert not trainer._shaded().offsets.detach().abs().max() > 0.1  # begins at the palette color
+    with torch.no_grad():
+        trainer.optimiser["offset_color"].fill_(-1.0)
+    trainer.iteration = 40
+    model = trainer.model()
+    again, _ = saved(model, tmp_path / "a")
+    for one in (model, again):
+        expected = torch.tensor(-1.0).half().float().tanh().expand(model.primitives(), 3)
+        torch.testing.assert_close(one.scene("tiny").offsets, expected)
+    bright = fit(scene, tiny.Recorder(), 40)
+    assert bright.stored[0].coded.about.keys() == {"light", "palette"}
+    assert saved(bright, tmp_path / "b")[0].scene("tiny").offsets.min() > 0.0
+    about = {**model.stored[0].coded.about, "offset color": "relu"}
+    unknown = replace(model.stored[0].coded, about=about)
+    (tmp_path / "c").mkdir()
+    unknown.write(tmp_path / "c", FORMAT)
+    with pytest.raises(DataError, match="tiny"):
+        fit.method.load(tmp_path / "c", "cpu")
 
 
 def test_attributes_chosen_have_codebooks_and_the_others_none(tiny, scene, tmp_path):
@@ -133,6 +184,30 @@ def test_attributes_chosen_have_codebooks_and_the_others_none(tiny, scene, tmp_p
     assert attributes_with_codebooks("all") == frozenset(WIDTHS)
     with pytest.raises(Refused, match="'colour' is none of"):
         fit(scene, tiny.Recorder(), 5, quantised="colour")
+
+
+def test_coded_positions_take_fewer_bytes_and_every_row_stays_together(tiny, scene, tmp_path):
+    trainer = IvrTrainer(scene, fit.options(), 40, 0, "cpu")
+    trainer.run(tiny.Recorder())
+    models = {}
+    for form in ("float16", "coded"):
+        trainer.options = replace(trainer.options, positions=form)
+        models[form] = trainer.model()
+    again, ledger = saved(models["coded"], tmp_path / "coded")
+    assert ledger["positions"] < saved(models["float16"], tmp_path / "float16")[1]["positions"]
+    plain, coded = (one.stored[0].coded for one in models.values())
+    cell = coded.grid.cell[0]
+    assert cell == pytest.approx(0.08 * float(plain.column("scale", 3).mean(1).median().exp()), rel=0.01)
+    tables = [torch.cat([one.column(*column) for column in WIDTHS.items()], dim=1) for one in (plain, coded)]
+    same = (tables[0][:, None] == tables[1]).all(2)
+    rows = torch.where(same, torch.cdist(plain.positions, coded.positions), torch.inf).argmin(1)
+    assert len(rows.unique()) == len(plain.positions)
+    assert (plain.positions - coded.positions[rows]).abs().max() < 0.5 * cell + 1e-3
+    camera = scene.validation.cameras[0]
+    assert torch.equal(again.render(camera)[0], models["coded"].render(camera)[0])
+    torch.testing.assert_close(
+        again.render(camera)[0], models["float16"].render(camera)[0], atol=0.01, rtol=0
+    )
 
 
 def test_normals_of_depth_maps(tiny):

@@ -133,9 +133,9 @@ def test_single_sizes_of_variants_are_not_in_the_chart_of_rates(maker):
     many_variants(maker)
     maker.run(method="3dgs", variant="start=cloud", psnr=33.0, views=0)
     for rate, size in ((64, 1 << 20), (256, 2 << 20)):
-        maker.run(method="vq-3dgs", rate=rate, psnr=30.0 + rate / 100, size=size, views=0)
+        maker.run(method="ivr-gs", rate=rate, psnr=30.0 + rate / 100, size=size, views=0)
     (curves,) = rate_distortion.panels(maker.report().curves).values()
-    assert [curve.title for curve in curves] == ["ECoNGS", "HAC", "3DGS [start=cloud]", "VQ-3DGS"]
+    assert [curve.title for curve in curves] == ["ECoNGS", "HAC", "3DGS [start=cloud]", "iVR-GS"]
 
 
 def test_every_row_of_the_page_has_a_key_of_its_own(maker):

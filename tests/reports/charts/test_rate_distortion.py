@@ -120,15 +120,15 @@ def test_curves_gather_rates_and_fits_that_differ_in_the_rate_knob(maker):
     maker.run(scene="a", method="econgs", variant="rate_weight=1", psnr=1.0, size=50, views=0)  # lacks b
     for rate, psnr, size in ((None, 34.0, 500), (64, 34.0, 500), (4, 32.0, 450)):  # the default's size is 64
         for scene in "ab":
-            maker.run(scene=scene, method="vq-3dgs", rate=rate, psnr=psnr, size=size, views=0)
+            maker.run(scene=scene, method="ivr-gs", rate=rate, psnr=psnr, size=size, views=0)
     rows = maker.report().curves["vortex"]
-    assert [c.title for c in rows] == ["ECoNGS", "VQ-3DGS"]
+    assert [c.title for c in rows] == ["ECoNGS", "iVR-GS"]
     assert [(p.rate, p.bytes, p.psnr) for p in rows[0].points] == [
         ("0.01", 100, 33.0), ("0.005", 200, 34.0), ("0.001", 300, 35.0), ("", 400, 36.0)
     ]  # fmt: skip
     assert [(p.rate, p.bytes) for p in rows[1].points] == [("4", 450), ("64", 500)]
     (pair,) = differences({"vortex": rows})
-    assert pair.refused == "VQ-3DGS has 2 points, 4 are needed"
+    assert pair.refused == "iVR-GS has 2 points, 4 are needed"
 
 
 def test_other_options_make_other_curves(maker):

@@ -98,13 +98,13 @@ def test_what_is_spent_over_complexity(maker) -> None:
 
 def test_other_rates_are_no_lines_over_complexity(maker) -> None:
     for count in (1, 8, 64):
-        maker.run(dataset=f"blobs_{count}", method="vq-3dgs")
-        maker.run(dataset=f"blobs_{count}", method="vq-3dgs", rate=16.0)
+        maker.run(dataset=f"blobs_{count}", method="veg")
+        maker.run(dataset=f"blobs_{count}", method="veg", rate=16.0)
         maker.run(dataset=f"blobs_{count}", method="hac")
         maker.run(dataset=f"blobs_{count}", method="hac", variant="rate_weight=0.5")
         maker.run(dataset=f"blobs_{count}", method="ivr-gs", rate=16.0)
     lines = stability.by_complexity(maker.tables()["results"], "psnr")["blobs"]
-    assert [line.title for line in lines] == ["VQ-3DGS", "HAC", "iVR-GS @ 16"]
+    assert [line.title for line in lines] == ["VEG", "HAC", "iVR-GS @ 16"]
 
 
 def test_page_and_files_show_both(few, maker, tmp_path) -> None:

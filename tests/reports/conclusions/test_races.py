@@ -110,14 +110,14 @@ def test_only_default_settings_race_at_any_length_and_rate_and_trained_methods()
         fit("3dgs", 10.0, 30.0, size_bytes=mib // 2),
         fit("3dgs", 40.0, 33.0, size_bytes=mib),
         fit("3dgs", 20.0, 60.0, variant="sh_degree=0", base="sh_degree=0", size_bytes=mib // 4),
-        fit("vq-3dgs", 10.0, 29.0, rate=16.0, size_bytes=mib // 8),
-        fit("vq-3dgs", 10.0, 31.0, rate=64.0, size_bytes=mib // 4),
+        fit("ivr-gs", 10.0, 29.0, rate=16.0, size_bytes=mib // 8),
+        fit("ivr-gs", 10.0, 31.0, rate=64.0, size_bytes=mib // 4),
         fit("sz3", 0.01, 90.0, size_bytes=mib // 9),
     ]
     race = of(SIZE, *rows)
-    assert set(race.fronts) == {"3dgs", "vq-3dgs"}
+    assert set(race.fronts) == {"3dgs", "ivr-gs"}
     assert [(lead.limit, lead.method) for lead in race.leads] == [
-        (0.25, "vq-3dgs"), (0.5, "vq-3dgs"), (1.0, "3dgs"),
+        (0.25, "ivr-gs"), (0.5, "ivr-gs"), (1.0, "3dgs"),
     ]  # fmt: skip
 
 

@@ -65,14 +65,14 @@ def test_views_are_not_repeated_and_need_no_metric():
 
 def test_one_row_per_model_is_shown(maker):
     for rate, size in ((1.0, 300), (2.0, 200), (4.0, 100)):
-        maker.run(method="vq-3dgs", rate=rate, size=size, views=1)
+        maker.run(method="ivr-gs", rate=rate, size=size, views=1)
     maker.run(method="3dgs", seed=1, psnr=20, views=1)
     maker.run(method="3dgs", seed=0, psnr=33, views=1)
     maker.run(method="hac", seed=0, stale=True, psnr=22, views=1)
     maker.run(method="hac", seed=1, psnr=23, views=1)
     maker.run(method="veg", seed=0, status="oom")
     rows = models(maker.tables()["results"]).set_index("method")
-    assert rows["rate"]["vq-3dgs"] == 2.0
+    assert rows["rate"]["ivr-gs"] == 2.0
     assert rows["psnr"]["3dgs"] == 33
     assert rows["psnr"]["hac"] == 23
     assert rows["status"]["veg"] == "oom"
@@ -83,7 +83,7 @@ def test_of_several_rates_the_default_is_shown(maker):
     for variant, size in (("rate_weight=0.01", 100), ("", 400), ("rate_weight=0.001", 200)):
         maker.run(method="hac", variant=variant, size=size, views=1)
     for rate, size in ((1.0, 300), (2.0, 200), (None, 500)):
-        maker.run(method="vq-3dgs", rate=rate, size=size, views=1)
+        maker.run(method="ivr-gs", rate=rate, size=size, views=1)
     for variant, size in (("a=1,rate_weight=0.01", 100), ("a=1,rate_weight=0.02", 50), ("a=2", 70)):
         maker.run(method="econgs", variant=variant, size=size, views=1)
     rows = models(maker.tables()["results"])
