@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from econgs.anchors.decoders import Decoders
+from econgs.anchors.decoders import OFFSET_COLORS, Decoders
 from econgs.anchors.shading import unit
 
 
@@ -30,4 +30,4 @@ def offset_colors(
         hidden = torch.relu(torch.addmm(bias + first[:, width:] @ embedding, inputs, first[:, :width].T))
         rows = 3 * many  # attribute * K + offset: the color comes first
         raw = torch.addmm(second_bias[:rows], hidden, second[:rows].T).view(len(features), 3, many)
-    return torch.tanh(raw) if decoders.offset_color == "tanh" else torch.sigmoid(raw)
+    return OFFSET_COLORS[decoders.offset_color](raw)

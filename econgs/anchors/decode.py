@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from datasets.camera import Camera
-from econgs.anchors.decoders import NETWORKS, Decoders
+from econgs.anchors.decoders import NETWORKS, OFFSET_COLORS, Decoders
 from econgs.anchors.gaussians import UnshadedGaussians, ViewGaussians
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, unit
 from econgs.splat.composite import scale_depth
@@ -185,7 +185,6 @@ def _unshaded(
     scale = scalings.index_select(0, anchor)
     offset = offsets.reshape(-1, 3).index_select(0, slots)
     covariance, shading, normals = by_slot_of("covariance"), by_slot_of("shading"), by_slot_of("normal")
-    activate = torch.tanh if decoders.offset_color == "tanh" else torch.sigmoid
     ranges = shading.new_tensor([MAX_SPECULAR, MAX_SHININESS])
     ready = UnshadedGaussians(
         means=anchors.index_select(0, anchor) + offset * scale[:, :3],
@@ -193,7 +192,7 @@ def _unshaded(
         scales=scale[:, 3:] * torch.sigmoid(covariance[:, :3]),
         opacities=raw.reshape(-1).index_select(0, slots),
         normals=normals,
-        offset_colors=activate(shading[:, :3]),
+        offset_colors=OFFSET_COLORS[decoders.offset_color](shading[:, :3]),
         coefficients=torch.cat([shading[:, 3:5], torch.sigmoid(shading[:, 5:7]) * ranges], dim=1),
         slots=slots,
     )

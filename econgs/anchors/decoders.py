@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal, get_args
 
 import torch
@@ -12,6 +12,8 @@ from torch import Tensor, nn
 from datasets.names import unknown
 
 OffsetColor = Literal["tanh", "sigmoid"]
+OFFSET_COLORS: dict[str, Callable[[Tensor], Tensor]] = {"tanh": torch.tanh, "sigmoid": torch.sigmoid}
+"""Activation of offset colors by its name."""
 Storage = Literal["hybrid", "implicit", "partial", "explicit"]
 NETWORKS = {"opacity": 1, "covariance": 7, "shading": 7, "normal": 3}
 """Network (F_o, F_cov, F_s and F_n of the paper) → number of outputs per Gaussian."""

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from datasets.camera import Camera
 from datasets.scene import RGB
-from econgs.anchors.decoders import OffsetColor
+from econgs.anchors.decoders import OFFSET_COLORS, OffsetColor
 from econgs.anchors.gaussians import Gaussians
 from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
 from econgs.codebooks import quantise_scalars
@@ -45,8 +45,6 @@ WIDTHS = {
 
 Columns hold values before their activation, which is applied once, when a model is made ready to render.
 """
-OFFSET_COLORS = {"sigmoid": torch.sigmoid, "tanh": torch.tanh}
-"""Activation of the offset colors; files that name none have sigmoid."""
 _SEED = 0  # scalar codebooks start from quantiles: no choice depends on it
 
 
@@ -197,7 +195,7 @@ def ready(coded: QuantisedScene, device: str) -> ShadedGaussians:
     """The scene, ready to render."""
     raw = {name: coded.column(name, width).to(device) for name, width in WIDTHS.items()}
     palette, light = cast("Sequence[float]", coded.about["palette"]), coded.about["light"]
-    offset_color = cast("OffsetColor", coded.about.get("offset color", "sigmoid"))
+    offset_color = cast("OffsetColor", coded.about.get("offset color", "sigmoid"))  # older files name none
     return ShadedGaussians(
         name=coded.name,
         background=coded.background,
