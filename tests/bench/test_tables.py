@@ -76,7 +76,7 @@ def test_records_of_the_former_schema_have_their_settings(path):
         job = migrated(record).job
         assert label(job.overrides) == record.job.variant
         assert job.knob in (*job.overrides, "")
-        assert bool(job.knob) == ("rate_weight" in record.job.variant)
+        assert bool(job.knob) == any(knob in record.job.variant for knob in ("rate_weight", "codebook_size"))
         for name, value in job.overrides.items():
             assert value == record.job.options.get(name, value)
 
