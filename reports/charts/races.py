@@ -57,8 +57,9 @@ def race_chart(found: Sequence[Race], models: list[Model]) -> Chart:
 
 
 def _look(name: str, models: list[Model]) -> Look:
-    """That of a method's default, or of its first model."""
-    return look(min((one for one in models if one.method == name), key=lambda one: one.options != ""), models)
+    """That of a method's default, or of its first model; lines are solid."""
+    first = min((one for one in models if one.method == name), key=lambda one: one.options != "")
+    return look(first, models)._replace(dash="solid")
 
 
 def _series(race: Race, name: str, last: float, style: Look) -> list[Series]:
@@ -74,7 +75,7 @@ def _series(race: Race, name: str, last: float, style: Look) -> list[Series]:
         low, high = ([end(one[cost] for one in each) for cost in across] for end in (min, max))
         outline = [*across, *across[::-1]], [*high, *low[::-1]]
         found.append(Series("", *outline, Look(style.color, "", "solid"), fill=True, opacity=0.15))
-    found.append(Series("", across, [psnr for _, psnr in line], style._replace(dash="solid"), line=1.6))
+    found.append(Series("", across, [psnr for _, psnr in line], style, line=1.6))
     marks = _spots(race, name, costs)
     x, y = [cost for cost, _ in marks], [psnr for _, psnr in marks]
     return [*found, Series(label(name), x, y, style, mark=6.0, names=[""] * len(marks))]
