@@ -74,8 +74,8 @@ def _charts(charts: dict[str, Chart]) -> str:
         figures.append(f'<figure class="card" data-decision="{name}">{svg.page_panel(panel)}</figure>')
     return (
         f'<div class="decision"><div class="controls">PSNR against {"".join(inputs)}</div>{"".join(figures)}'
-        '<p class="note">Bars are 95 % intervals; the dashed line joins the methods that no other is better '
-        "than in both.</p></div>"
+        '<p class="note">Bars are 95 % intervals; a dashed line joins the methods that no other is better '
+        "than in both, where there are several.</p></div>"
     )
 
 
