@@ -66,7 +66,7 @@ def main(folder: Path) -> int:
         report = Progress(folder / "progress.jsonl")
         try:
             if task.job.kind != "views":  # timed jobs have the machine to themselves
-                report(stage="waiting for the machine", waiting=True)
+                report(stage="waiting for another timed job on this machine", waiting=True)
                 stack.enter_context(machine_lock() if task.alone else _share())
             report(stage=task.job.kind, waiting=False)
             record = run(task, folder, store, stop, report)

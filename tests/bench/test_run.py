@@ -10,12 +10,27 @@ from subprocess import CompletedProcess
 
 import pandas as pd
 import pytest
+from filelock import FileLock
 
 from bench.records import Record
 from datasets.png import read_png
 from reports.schema import TABLES, read_tables
 
 from .conftest import Bench, suite_file
+
+
+def test_a_wait_for_the_machine_is_printed(bench) -> None:
+    locks = bench.store.parent / "locks"
+    locks.mkdir()
+    with FileLock(locks / "econgs-bench-timing.lock"):
+        run = bench.start()
+        text = ""
+        while "waiting for another timed job on this machine" not in text:
+            line = run.stdout.readline()
+            assert line, text
+            text += line
+        assert "[2/4] fit" in text
+    assert run.wait(bench.patience) == 0, run.stdout.read()
 
 
 def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
