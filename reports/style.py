@@ -9,9 +9,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     import pandas as pd
 
-# Okabe & Ito (2008) without its yellow, which is too pale on white; black last.
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7F7F7F", "#000000")
-DARK = {"#000000": "#ffffff", "#0072B2": "#4ba3dc", "#D55E00": "#f2803a"}
+# Okabe & Ito (2008) without its yellow, which is too pale on white; then indigo and wine of P. Tol's "muted".
+PALETTE = (
+    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7F7F7F", "#000000",
+    "#332288", "#882255",
+)  # fmt: skip
+DARK = {
+    "#000000": "#ffffff", "#0072B2": "#4ba3dc", "#D55E00": "#f2803a",
+    "#332288": "#9d90e8", "#882255": "#d8578f",
+}  # fmt: skip
 """What would drown on dark -> what stands there instead."""
 MARKERS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "star", "x", "cross")
 DASHES = ("solid", "dash", "dot", "dashdot")
