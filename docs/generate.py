@@ -668,7 +668,8 @@ def tuned_of(description: str) -> str:
     scenes = ", ".join(f"`{dataset}` {scene}" for dataset, scene, _ in under.scenes)
     conclusion = f"**Of {counted(len(found), 'method')}, after {least} trials each, {len(won)} score better "
     conclusion += f"than with their defaults ({', '.join(won)}); {len(better)} found a smaller model at most "
-    conclusion += f"{LOSS:g} dB below it, {SCENE_LOSS:g} on a scene" + (f" ({', '.join(better)}).**" if better else ".**")
+    conclusion += f"{LOSS:g} dB below it, {SCENE_LOSS:g} on a scene"
+    conclusion += f" ({', '.join(better)}).**" if better else ".**"
     words = f"*PSNR [dB] / size [MiB] / score. {scenes}; preset {under.preset}, validation views, "
     words += f"seed {', '.join(map(str, under.seeds))}; score: {found[0].objective.title}, mean over scenes.*"
     return f"{conclusion}\n\n{_markdown(heads, lines)}\n{words}\n"
