@@ -12,9 +12,13 @@ from bench.timing import lock_file
 
 
 @contextmanager
-def machine_share() -> Iterator[None]:
-    """Hold the lock of this machine together with others that time jobs on cores of their own."""
-    with _lock(lock_file("timing"), fcntl.LOCK_SH):
+def machine_share(wait: bool) -> Iterator[None]:
+    """Hold the lock of this machine together with others that time jobs on cores of their own.
+
+    Raises:
+        BlockingIOError: a process holds it alone, and ``wait`` is False.
+    """
+    with _lock(lock_file("timing"), fcntl.LOCK_SH | (0 if wait else fcntl.LOCK_NB)):
         yield
 
 

@@ -36,7 +36,7 @@ class Display:
         self._print(f"{prefix} {job.title}")
 
     def state(self, job: Job, state: dict[str, Any]) -> None:
-        if time.monotonic() - self._printed >= PLAIN_SECONDS:
+        if state.get("waiting") or time.monotonic() - self._printed >= PLAIN_SECONDS:
             self._printed = time.monotonic()
             self._print(f"{self._begun[job.id][0]}   {describe(state)}")
 

@@ -163,14 +163,11 @@ class Runner:
         stop_time: float | None = None
         end_time: float | None = None
         look_time = 0.0
-        state: dict[str, Any] = {}
         while (code := process.poll()) is None:
             states, offset = read_progress(folder, offset)
             for state in (one for one in states if one["time"] >= self._started):  # others: earlier attempts
                 if state.get("waiting") is False:
                     start = time.monotonic()
-                self._show(job, state)
-            if state.get("waiting") and stop_time is None:  # a wait reports no progress of its own
                 self._show(job, state)
             if self._stops():
                 if stop_time is None:

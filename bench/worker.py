@@ -22,6 +22,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from filelock import Timeout
 from pydantic import ValidationError
 
 from bench.leases import BEAT, Held, Lease, Lost
@@ -66,8 +67,11 @@ def main(folder: Path) -> int:
         report = Progress(folder / "progress.jsonl")
         try:
             if task.job.kind != "views":  # timed jobs have the machine to themselves
-                report(stage="waiting for another timed job on this machine", waiting=True)
-                stack.enter_context(machine_lock() if task.alone else _share())
+                try:
+                    stack.enter_context(_turn(task.alone, wait=False))
+                except (Timeout, BlockingIOError):
+                    report(stage="waiting for another timed job on this machine", waiting=True)
+                    stack.enter_context(_turn(task.alone, wait=True))
             report(stage=task.job.kind, waiting=False)
             record = run(task, folder, store, stop, report)
         except Stopped:
@@ -82,10 +86,17 @@ def main(folder: Path) -> int:
     return 0
 
 
-def _share() -> AbstractContextManager[None]:
+def _turn(alone: bool, wait: bool) -> AbstractContextManager[object]:
+    """The lock of this machine, held alone or together with other workers of a cluster.
+
+    Raises:
+        Timeout, BlockingIOError: another process holds it (without ``wait``; here or on entry).
+    """
+    if alone:
+        return machine_lock().acquire(timeout=-1 if wait else 0)
     from bench.cores import machine_share
 
-    return machine_share()
+    return machine_share(wait)
 
 
 def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) -> Record:

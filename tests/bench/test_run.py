@@ -19,11 +19,12 @@ from reports.schema import TABLES, read_tables
 from .conftest import Bench, suite_file
 
 
-def test_a_wait_for_the_machine_is_printed(bench) -> None:
+@pytest.mark.parametrize("executor", [(), ("--executor", "dask", "--workers", 1)], ids=["local", "dask"])
+def test_a_wait_for_the_machine_is_printed(bench, executor) -> None:
     locks = bench.store.parent / "locks"
     locks.mkdir()
     with FileLock(locks / "econgs-bench-timing.lock"):
-        run = bench.start()
+        run = bench.start(*executor)
         text = ""
         while "waiting for another timed job on this machine" not in text:
             line = run.stdout.readline()
