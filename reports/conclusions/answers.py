@@ -219,6 +219,7 @@ def standing(data: Mapping[str, Iterable[Answer]], method: str) -> str:
     """
     won: dict[str, list[str]] = {}
     first: dict[str, list[str]] = {}
+    ahead: dict[str, list[str]] = {}
     level: dict[str, list[str]] = {}
     for title, given in data.items():
         for answer in given:
@@ -226,12 +227,14 @@ def standing(data: Mapping[str, Iterable[Answer]], method: str) -> str:
                 found = first if answer.title in (ROBUST, EDITABLE) else won
                 found.setdefault(answer.title, []).append(title)
             elif method in answer.level:
-                level.setdefault(answer.title, []).append(title)
+                found = ahead if answer.level[0] == method else level
+                found.setdefault(answer.title, []).append(title)
     parts = []
     for words, found in (
         ("Wins", won),
         ("Is first, without an interval", first),
-        ("Shares the first place, as no lead is sure", level),
+        ("Is first, but not surely", ahead),
+        ("Is not surely behind the first", level),
     ):
         names = ", ".join(f"{title} ({', '.join(where)})" for title, where in found.items())
         parts += [f"{words}: {names}."] if names else []

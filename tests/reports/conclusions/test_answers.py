@@ -327,8 +327,9 @@ def test_the_standing_of_a_method_names_what_it_wins_and_what_it_shares():
     sure = [measured(PICTURE, contest(*pair([1.0, 1.5, 0.7, 1.2])))]
     open_ = [measured(PICTURE, contest(*pair([-3.0, 3.1, 3.0, -2.9])))]
     assert open_[0].level == ("a", "b")
-    both = "Wins: Best picture (views). Shares the first place, as no lead is sure: Best picture (volumes)."
+    both = "Wins: Best picture (views). Is first, but not surely: Best picture (volumes)."
     assert standing({"views": sure, "volumes": open_}, "a") == both
+    assert standing({"volumes": open_}, "b") == "Is not surely behind the first: Best picture (volumes)."
     assert standing({"views": sure}, "b") == "Is first nowhere."
     assert standing({"views": sure, "others": sure}, "a") == "Wins: Best picture (views, others)."
     robust = [of(answers(contest(*pair([3.0])), table(*pair([3.0])), NO_LADDERS), ROBUST)]
