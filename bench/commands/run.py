@@ -86,14 +86,19 @@ def _verdict(outcome: Outcome, store: Store) -> int:
             log = store.jobs / record.job.id / "log.txt"
             if record.status not in ("refused", "diverged") and log.is_file():
                 print(f"bench:   log: {log}", file=sys.stderr)
-    # A method that cannot compose is a finding, not a failure.
-    failed = [r for r in outcome.failed if not (r.status == "refused" and r.job.composition and not r.cause)]
+    failed = [record for record in outcome.failed if not _is_finding(record)]
     if failed:
         print("bench: --retry runs failed jobs again", file=sys.stderr)
     if outcome.stopped:
         print("bench: stopped; run the same command again to resume", file=sys.stderr)
         return 130
     return 1 if failed or outcome.unfinished else 0
+
+
+def _is_finding(record: Record) -> bool:
+    """Whether a job shows what its method cannot do, compose or edit, and is no failure."""
+    asked = record.job.composition or record.job.edit
+    return record.status == "refused" and bool(asked) and record.cause is None
 
 
 def plan(options: Namespace) -> int:

@@ -66,7 +66,7 @@ def test_pre_rendered_views_have_no_edited_truth(suite, data_folder) -> None:
 
 
 def test_a_run_with_edits(bench, suite) -> None:
-    done = bench.run_suite(suite(EDITS), report=True, code=1)
+    done = bench.run_suite(suite(EDITS), report=True)
     assert "fake: refused: fake cannot edit opacity, light" in done.stderr
     tables = bench.tables()
     results = tables["results"].set_index(["scene"])
@@ -85,5 +85,5 @@ def test_a_run_with_edits(bench, suite) -> None:
     assert set(tables["timing"]["scene"]) == {"shock", "bubble"}
     page = (bench.store / "report.html").read_text(encoding="utf-8")
     assert 'id="editing"' in page
-    again = bench.run_suite(suite(EDITS), code=1)
+    again = bench.run_suite(suite(EDITS))
     assert "nothing to run" in again.stderr
