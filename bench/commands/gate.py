@@ -17,14 +17,15 @@ ERROR = 3
 
 
 def baseline(options: Namespace) -> int:
-    """Write the results of a store as a baseline, or update one."""
+    """Write the results of a store as a baseline, or update one: what the store lacks stays."""
     from bench.gate import baseline as files
     from bench.gate.cells import cells_of
     from bench.provenance import commit_here
     from bench.tables import build_tables
+    from reports.style import counted
 
     path = Path(options.out)
-    earlier = files.read(path).changes if path.exists() else []
+    earlier = files.read(path) if path.exists() else None
     store = Store(Path(options.store))
     cells = cells_of(store, build_tables(store, write=False))
     if not cells:
@@ -37,14 +38,26 @@ def baseline(options: Namespace) -> int:
         version=version("econgs-bench"),
         commit=commit_here(),
     )
+    environment = {"python": platform.python_version(), **_versions(store)}
+    kept = [cell for cell in earlier.cells if cell.key not in cells] if earlier else []
+    if earlier and kept and earlier.environment != environment:
+        raise DataError(
+            path,
+            f"{counted(len(kept), 'result')} of it, as {kept[0].key.title}, that {options.store} lacks, "
+            f"came from other software ({files.option_changes({**earlier.environment}, {**environment})})",
+            "Run them again into the store, or write another file",
+        )
     content = files.Baseline(
         format=files.FORMAT,
-        changes=[*earlier, change],
-        environment={"python": platform.python_version(), **_versions(store)},
-        cells=files.sorted_cells(files.cell_of(cell) for cell in cells.values()),
+        changes=[*(earlier.changes if earlier else []), change],
+        environment=environment,
+        cells=files.sorted_cells([*kept, *(files.cell_of(cell) for cell in cells.values())]),
     )
     files.write(path, content)
-    print(f"{path}: {len(content.cells)} results, {path.stat().st_size / 2**10:.0f} KiB")
+    print(
+        f"{path}: {counted(len(content.cells), 'result')}, {path.stat().st_size / 2**10:.0f} KiB"
+        + (f"; {len(kept)} as before, which {options.store} lacks" if kept else "")
+    )
     return 0
 
 

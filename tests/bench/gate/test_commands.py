@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import platform
 import shutil
 import subprocess
 import sys
@@ -130,6 +131,29 @@ def test_a_baseline_needs_seeds_and_finished_runs(gate: Bench, tmp_path: Path) -
     assert "1 seeds show no spread" in done.stderr
     assert not (tmp_path / "new.json").exists()
     gate("baseline", "runs", "--out", "new.json", code=2)
+
+
+def test_an_update_keeps_what_its_store_lacks(gate: Bench, tmp_path: Path) -> None:
+    before = read(tmp_path / "base.json").cells
+    change(tmp_path / "runs", "measure", lambda record: record["measure"]["metrics"].update(psnr=9.0))
+    for path in (tmp_path / "runs" / "jobs").glob("measure-*/record.json"):
+        if json.loads(unsealed(path.read_text()))["job"]["scenes"] == ["b"]:
+            shutil.rmtree(path.parent)
+    done = gate("baseline", "runs", "--out", "base.json", "--reason", "a alone")
+    assert "2 results" in done.stdout
+    assert "1 as before, which runs lacks" in done.stdout
+    after = read(tmp_path / "base.json").cells
+    assert [cell.scene for cell in after] == ["a", "b"]
+    assert (after[0].values["psnr"], after[1]) == ([9.0] * 3, before[1])
+
+    text = (tmp_path / "base.json").read_text()
+    other = text.replace(f'"python": "{platform.python_version()}"', '"python": "2.7"')
+    assert other != text
+    (tmp_path / "base.json").write_text(other)
+    done = gate("baseline", "runs", "--out", "base.json", "--reason", "a alone", code=2)
+    assert "base.json: 1 result of it, as tiny/b" in done.stderr
+    assert "came from other software (python 2.7 → " in done.stderr
+    assert (tmp_path / "base.json").read_text() == other
 
 
 def test_pytest_has_a_test_per_result(gate: Bench, tmp_path: Path) -> None:
