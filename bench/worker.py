@@ -67,11 +67,7 @@ def main(folder: Path) -> int:
         report = Progress(folder / "progress.jsonl")
         try:
             if task.job.kind != "views":  # timed jobs have the machine to themselves
-                try:
-                    stack.enter_context(_turn(task.alone, wait=False))
-                except (Timeout, BlockingIOError):
-                    report(stage="waiting for another timed job on this machine", waiting=True)
-                    stack.enter_context(_turn(task.alone, wait=True))
+                _wait_for_turn(task.alone, stack, report)
             report(stage=task.job.kind, waiting=False)
             record = run(task, folder, store, stop, report)
         except Stopped:
@@ -86,12 +82,16 @@ def main(folder: Path) -> int:
     return 0
 
 
-def _turn(alone: bool, wait: bool) -> AbstractContextManager[object]:
-    """The lock of this machine, held alone or together with other workers of a cluster.
+def _wait_for_turn(alone: bool, stack: ExitStack, report: Progress) -> None:
+    """Take the lock of this machine, alone or with other workers of a cluster; a wait is reported."""
+    try:
+        stack.enter_context(_turn(alone, wait=False))
+    except (Timeout, BlockingIOError):
+        report(stage="waiting for another timed job on this machine", waiting=True)
+        stack.enter_context(_turn(alone, wait=True))
 
-    Raises:
-        Timeout, BlockingIOError: another process holds it (without ``wait``; here or on entry).
-    """
+
+def _turn(alone: bool, wait: bool) -> AbstractContextManager[object]:
     if alone:
         return machine_lock().acquire(timeout=-1 if wait else 0)
     from bench.cores import machine_share

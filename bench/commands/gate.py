@@ -44,7 +44,7 @@ def baseline(options: Namespace) -> int:
         raise DataError(
             path,
             f"{counted(len(kept), 'result')} of it, as {kept[0].key.title}, that {options.store} lacks, "
-            f"came from other software ({files.option_changes({**earlier.environment}, {**environment})})",
+            f"came from other software ({files.differences(earlier.environment, environment)})",
             "Run them again into the store, or write another file",
         )
     content = files.Baseline(

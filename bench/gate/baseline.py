@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -107,7 +107,7 @@ def cell_of(cell: Cell) -> BaselineCell:
             f"Run at least {LEAST_SEEDS}: --seed 0 --seed 1 --seed 2",
         )
     for seed in seeds[1:]:
-        if changes := option_changes(cell.options[seeds[0]], cell.options[seed]):
+        if changes := differences(cell.options[seeds[0]], cell.options[seed]):
             text = f"seeds {seeds[0]} and {seed} differ in options: {changes}"
             raise DataError(cell.key.title, text, "Repeat the run in a new store")
     views, spread = _views(cell, seeds)
@@ -129,9 +129,9 @@ def cell_of(cell: Cell) -> BaselineCell:
     )
 
 
-def option_changes(before: Options, after: Options) -> str:
-    """The options that differ, as "ssim_weight 0.2 → 0.3"; "" if none does."""
-    names = [name for name in before | after if before.get(name) != after.get(name)]
+def differences(before: Mapping[str, object], after: Mapping[str, object]) -> str:
+    """Options or versions that differ, as "ssim_weight 0.2 → 0.3"; "" if none does."""
+    names = [name for name in {**before, **after} if before.get(name) != after.get(name)]
     return ", ".join(f"{name} {before.get(name, 'absent')} → {after.get(name, 'absent')}" for name in names)
 
 

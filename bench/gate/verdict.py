@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from bench.gate.baseline import Baseline, BaselineCell, option_changes
+from bench.gate.baseline import Baseline, BaselineCell, differences
 from bench.gate.cells import VIEW_METRIC, Cell, Key
 from bench.gate.quantities import QUANTITIES, Quantity
 from bench.gate.spread import Prior, prior, quantile, tail
@@ -204,7 +204,7 @@ class _Pair:
         if other_version:
             yield Finding("note", self.title, f"method version {self.old.version} → {self.new.version}")
         # The same version means the same results, so a setting that differs is a mistake without one.
-        for text in dict.fromkeys(option_changes(self.old.options, own) for own in self.new.options.values()):
+        for text in dict.fromkeys(differences(self.old.options, own) for own in self.new.options.values()):
             if text:
                 yield Finding("note" if other_version else "worse", self.title, f"options differ: {text}")
         if self._pace:

@@ -211,7 +211,7 @@ def measured(criterion: Criterion, contest: Contest) -> Answer:
 
 
 def standing(data: Mapping[str, Iterable[Answer]], method: str) -> str:
-    """What one method wins, and where no lead on it is sure, for people.
+    """What one method wins, and where it is not surely behind the first, for people.
 
     Args:
         data: title of some data -> the answers there (:func:`answers`).
