@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -117,17 +119,12 @@ def torch_ssim(rendered: Tensor, target: Tensor) -> Tensor:
     SSIM = (1 − d̄² / ((s̄² + d̄²) / 2 + C₁)) · (1 − V[d] / ((V[s] + V[d]) / 2 + C₂)).
     """
     height, width, channels = rendered.shape
-    offset = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
-    taps = torch.exp(-0.5 * (offset / SIGMA) ** 2)
-    taps = (taps / taps.sum()).reshape(1, 1, 1, WINDOW)
-    # Sums are centred at 1 (their variance does not mind); `outside` is the window's share on the padding.
+    taps, inside, outside = _window(height, width, rendered.dtype, rendered.device)
+    # Sums are centred at 1 (their variance does not mind).
     x, y = rendered.permute(2, 0, 1), target.permute(2, 0, 1)
     total, difference = x + y - 1, x - y
-    covered = _blur(torch.ones(1, 1, height, width, dtype=torch.float64), taps)[0, 0]
-    inside, outside = covered.to(rendered), (1 - covered).to(rendered)
-
     moments = torch.cat([total, difference, total * total, difference * difference])[None]
-    mean, mean_d, square, square_d = _blur(moments, taps.to(rendered))[0].split(channels)
+    mean, mean_d, square, square_d = _blur(moments, taps)[0].split(channels)
     variance = square - mean * mean + outside * (2 * mean + inside)
     variance_d = square_d - mean_d * mean_d
     mean = mean + inside
@@ -135,6 +132,25 @@ def torch_ssim(rendered: Tensor, target: Tensor) -> Tensor:
     structure = 1 - variance_d / (0.5 * (variance + variance_d) + C2)
     value: Tensor = (luminance * structure).mean()
     return value
+
+
+@lru_cache(maxsize=8)  # as long as a step takes on a GPU: computed once for a size of picture
+@torch.inference_mode(False)
+def _window(
+    height: int, width: int, dtype: torch.dtype, device: torch.device
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The taps (1, 1, 1, 11), and the window's share inside the picture and on the padding (H, W)."""
+    offset = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
+    taps = torch.exp(-0.5 * (offset / SIGMA) ** 2)
+    taps = (taps / taps.sum()).reshape(1, 1, WINDOW)
+    across, down = (
+        functional.conv1d(torch.ones(1, 1, length, dtype=torch.float64), taps, padding=WINDOW // 2)[0, 0]
+        for length in (width, height)
+    )
+    covered = down[:, None] * across
+    window = taps[None], covered, 1 - covered
+    taps, inside, outside = (one.to(device, dtype) for one in window)
+    return taps, inside, outside
 
 
 def _blur(images: Tensor, taps: Tensor) -> Tensor:

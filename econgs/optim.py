@@ -166,15 +166,22 @@ def _native_step(entries: Entries, step: int, betas: tuple[float, float], eps: f
 
 
 def _torch_step(entries: Entries, step: int, betas: tuple[float, float], eps: float) -> None:
-    for value, gradient, first, second, rate in entries:
+    by_rate: dict[float, Entries] = {}
+    for entry in entries:
+        by_rate.setdefault(entry[-1], []).append(entry)
+    for rate, equal in by_rate.items():
+        values, gradients, first, second, _ = (list(column) for column in zip(*equal, strict=True))
+        device = values[0].device
+        # Filled on the device: a number that comes from the host would be waited for.
+        steps = torch.full((len(values),), float(step - 1), device=device).unbind()
         adam(
-            [value],
-            [gradient],
-            [first],
-            [second],
+            values,
+            gradients,
+            first,
+            second,
             [],
-            [torch.tensor(float(step - 1), device=value.device)],
-            fused=value.device.type in ("cpu", "cuda"),
+            list(steps),
+            fused=device.type in ("cpu", "cuda"),
             amsgrad=False,
             beta1=betas[0],
             beta2=betas[1],

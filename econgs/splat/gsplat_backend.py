@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from datasets.camera import Camera
-from econgs.splat.rays import deepen, relative_depths
+from econgs.splat.rays import deepen
 from econgs.splat.splats import Splats
-from econgs.splat.torch_backend import rotations
+from econgs.splat.torch_backend import ray_factors
 
 TILE = 16
 
@@ -30,7 +30,10 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     width, height = camera.width, camera.height
     if len(means) == 0:
         # Zeros with a gradient path to the inputs, for a backward pass.
-        nothing = torch.cat([features, means.sum(1, keepdim=True)], dim=1).sum(0)
+        rest = torch.cat([means, quats, scales, opacities[:, None]], dim=1)
+        if screen_offset is not None:
+            rest = torch.cat([rest, screen_offset], dim=1)
+        nothing = torch.cat([features, rest.sum(1, keepdim=True)], dim=1).sum(0)
         image = nothing.expand(height, width, -1)
         return image[..., :-1], image[..., -1], image[..., -1], means.new_zeros(0, dtype=torch.int32)
     pose = torch.as_tensor(camera.world_to_camera, dtype=means.dtype, device=means.device)
@@ -61,12 +64,6 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         centres, conics, payload, opacities[None], width, height, TILE, offsets.reshape(1, down, across), flat
     )
     return image[0, ..., :-1], alpha[0, ..., 0], image[0, ..., -1], radius
-
-
-def ray_factors(means: Tensor, quats: Tensor, scales: Tensor, camera: Camera, power: float) -> Tensor:
-    """N factors on optical depths in a view; see ``ray_power`` of :class:`econgs.splat.LowPass`."""
-    rays = torch.nn.functional.normalize(means - means.new_tensor(camera.position), dim=1)
-    return relative_depths(torch.einsum("nij,ni->nj", rotations(quats), rays), scales) ** power
 
 
 def _extents(

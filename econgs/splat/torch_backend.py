@@ -100,11 +100,7 @@ def project(
     view = pose[:3, :3]
     x, y, z = (means @ view.T + pose[:3, 3]).unbind(-1)
 
-    # The Jacobian of the projection, on a ray clamped to a little outside the image.
-    limit_x = CLAMP * 0.5 * camera.width / camera.fx
-    limit_y = CLAMP * 0.5 * camera.height / camera.fy
-    slope_x = (x / z).clamp(-limit_x, limit_x)
-    slope_y = (y / z).clamp(-limit_y, limit_y)
+    slope_x, slope_y = _slopes(x, y, z, camera)
     zero = torch.zeros_like(z)
     jacobian = torch.stack(
         [
@@ -125,14 +121,35 @@ def project(
     share = (before / det).sqrt() if low_pass.compensated else None
     ray = None
     if low_pass.ray_power:
-        direction = torch.stack([slope_x, slope_y, torch.ones_like(z)], dim=1)  # as the Jacobian has it
-        direction = torch.nn.functional.normalize(direction, dim=1) @ view
-        ray = relative_depths(torch.einsum("nij,ni->nj", turns, direction), scales) ** low_pass.ray_power
+        ray = _ray_factors(slope_x, slope_y, view, turns, scales, low_pass.ray_power)
 
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
     if screen_offset is not None:
         u, v = u + screen_offset[:, 0], v + screen_offset[:, 1]
     return Projected(u, v, z, aa + variance, (first * second).sum(-1), cc + variance, det, share, ray)
+
+
+def ray_factors(means: Tensor, quats: Tensor, scales: Tensor, camera: Camera, power: float) -> Tensor:
+    """N factors on optical depths in a view; see ``ray_power`` of :class:`econgs.splat.LowPass`."""
+    pose = torch.as_tensor(camera.world_to_camera, dtype=means.dtype, device=means.device)
+    view = pose[:3, :3]
+    x, y, z = (means @ view.T + pose[:3, 3]).unbind(-1)
+    return _ray_factors(*_slopes(x, y, z, camera), view, rotations(quats), scales, power)
+
+
+def _slopes(x: Tensor, y: Tensor, z: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+    """Slopes of the rays on which the Jacobian is taken: clamped to a little outside the image."""
+    limit_x = CLAMP * 0.5 * camera.width / camera.fx
+    limit_y = CLAMP * 0.5 * camera.height / camera.fy
+    return (x / z).clamp(-limit_x, limit_x), (y / z).clamp(-limit_y, limit_y)
+
+
+def _ray_factors(
+    slope_x: Tensor, slope_y: Tensor, view: Tensor, turns: Tensor, scales: Tensor, power: float
+) -> Tensor:
+    direction = torch.stack([slope_x, slope_y, torch.ones_like(slope_x)], dim=1)
+    direction = torch.nn.functional.normalize(direction, dim=1) @ view
+    return relative_depths(torch.einsum("nij,ni->nj", turns, direction), scales) ** power
 
 
 def rotations(quats: Tensor) -> Tensor:

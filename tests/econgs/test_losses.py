@@ -9,6 +9,8 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 from torch.nn import functional
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
 from econgs.losses import photometric_loss, ssim, view_losses
 
@@ -125,6 +127,24 @@ def test_losses_of_a_view_have_the_gradient_of_their_sum() -> None:
     picture, _ = view_losses(colors, alpha, torch.rand(4, 4, 4), (1.0, 1.0, 1.0), alpha_weight=0.1)
     with pytest.raises(RuntimeError, match="gradient of their sum"):
         picture.backward()
+
+
+def test_a_step_needs_nothing_from_the_host_but_its_picture() -> None:
+    """On a GPU the window, computed at every step in float64 on the host, took longer than all else."""
+
+    class HostWork(TorchDispatchMode):
+        dtypes: set[torch.dtype] = set()
+
+        def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+            made = func(*args, **(kwargs or {}))
+            self.dtypes |= {one.dtype for one in tree_leaves(made) if isinstance(one, torch.Tensor)}
+            return made
+
+    rendered, target = (one.float() for one in images((21, 33, 3)))
+    photometric_loss(rendered, target, backend="torch")
+    with HostWork() as work:
+        photometric_loss(rendered.requires_grad_(), target, backend="torch").backward()
+    assert work.dtypes == {torch.float32}
 
 
 def test_gradient_is_that_of_finite_differences() -> None:
