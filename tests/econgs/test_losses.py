@@ -132,19 +132,19 @@ def test_losses_of_a_view_have_the_gradient_of_their_sum() -> None:
 def test_a_step_needs_nothing_from_the_host_but_its_picture() -> None:
     """On a GPU the window, computed at every step in float64 on the host, took longer than all else."""
 
-    class HostWork(TorchDispatchMode):
-        dtypes: set[torch.dtype] = set()
+    dtypes: set[torch.dtype] = set()
 
+    class Work(TorchDispatchMode):
         def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
             made = func(*args, **(kwargs or {}))
-            self.dtypes |= {one.dtype for one in tree_leaves(made) if isinstance(one, torch.Tensor)}
+            dtypes.update(one.dtype for one in tree_leaves(made) if isinstance(one, torch.Tensor))
             return made
 
     rendered, target = (one.float() for one in images((21, 33, 3)))
     photometric_loss(rendered, target, backend="torch")
-    with HostWork() as work:
+    with Work():
         photometric_loss(rendered.requires_grad_(), target, backend="torch").backward()
-    assert work.dtypes == {torch.float32}
+    assert dtypes == {torch.float32}
 
 
 def test_gradient_is_that_of_finite_differences() -> None:
