@@ -27,7 +27,7 @@ RULE = (
 )
 _COLUMNS = 3
 _CELL, _GAP, _SPACE, _TEXT = 0.82, 0.04, 0.16, 0.13  # inches
-_CAPTION = 22
+_CAPTION = 16
 """Letters that fit under a picture."""
 _DPI = 120
 _LETTERS = 44  # letters of a line above three pictures
