@@ -134,7 +134,7 @@ def torch_ssim(rendered: Tensor, target: Tensor) -> Tensor:
     return value
 
 
-@lru_cache(maxsize=8)  # as long as a step takes on a GPU: computed once for a size of picture
+@lru_cache(maxsize=8)  # once for a size of picture: a GPU would wait for the host at every step
 @torch.inference_mode(False)
 def _window(
     height: int, width: int, dtype: torch.dtype, device: torch.device

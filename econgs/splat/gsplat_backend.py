@@ -30,9 +30,8 @@ def rasterise(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     width, height = camera.width, camera.height
     if len(means) == 0:
         # Zeros with a gradient path to the inputs, for a backward pass.
-        rest = torch.cat([means, quats, scales, opacities[:, None]], dim=1)
-        if screen_offset is not None:
-            rest = torch.cat([rest, screen_offset], dim=1)
+        offsets = [] if screen_offset is None else [screen_offset]
+        rest = torch.cat([means, quats, scales, opacities[:, None], *offsets], dim=1)
         nothing = torch.cat([features, rest.sum(1, keepdim=True)], dim=1).sum(0)
         image = nothing.expand(height, width, -1)
         return image[..., :-1], image[..., -1], image[..., -1], means.new_zeros(0, dtype=torch.int32)

@@ -1,5 +1,6 @@
 """Isolated pieces of a scene that models lack: the pictures of a run store against their ground truth.
 
+bench run tests/benchmarks/lost_pieces.toml --out DIR
 python tests/benchmarks/lost_pieces.py --runs DIR
 
 A piece is a connected region of a test view's alpha, of four pixels at least. It is lost where the model
@@ -24,12 +25,12 @@ KEPT = 0.25
 
 
 def main() -> None:
-    """Print pieces, lost ones and the pixels of these, for each measurement of a basic scene."""
+    """Print pieces, lost ones and the pixels of these, for each model of a scene."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=Path, required=True, help="run store that still has its pictures")
     root = parser.parse_args().runs
     print("| dataset | scene | method | variant | seed | pieces | lost | pixels of these |\n|" + "---|" * 8)
-    views = Runs(root).tables["views"]
+    views = Runs(root).tables["views"].query("rate.isna()")  # not what is thinned without a fit of its own
     names = ["dataset", "scene", "method", "variant", "seed"]
     for cell, group in views.fillna({"variant": ""}).groupby(names, sort=False):
         files = zip(group["truth_file"], group["render_file"], strict=True)

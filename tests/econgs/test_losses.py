@@ -130,8 +130,7 @@ def test_losses_of_a_view_have_the_gradient_of_their_sum() -> None:
 
 
 def test_a_step_needs_nothing_from_the_host_but_its_picture() -> None:
-    """On a GPU the window, computed at every step in float64 on the host, took longer than all else."""
-
+    """The window, in float64, is computed once for a size of picture, not on the host at every step."""
     dtypes: set[torch.dtype] = set()
 
     class Work(TorchDispatchMode):
