@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from reports import rate_intervals
+from reports.fronts import pareto
 from reports.style import MIB, MISSING, Model, absent, mean_key, mib, model
 from reports.tables import confidence
 from reports.tables.columns import records
@@ -99,17 +100,31 @@ class Curve:
         return {"name": self.title, "description": words, "results": columns}
 
     @property
+    def front(self) -> tuple[Point, ...]:
+        """The points that no other one beats in bytes and PSNR: what a difference is taken of.
+
+        Rates may be codecs, of which one is worse than another, and the largest model is not always the best.
+        """
+        spots = set(pareto(((point.bytes, point.psnr) for point in self.points), -1))
+        return tuple(point for point in self.points if (point.bytes, point.psnr) in spots)
+
+    @property
     def problem(self) -> str:
         """Why no difference can be taken of it; "" if it can."""
-        if len(self.points) < LEAST_POINTS:
-            return f"{self.title} has {_points(len(self.points))}, {LEAST_POINTS} are needed"
-        for a, b in zip(self.points, self.points[1:], strict=False):
-            if b.bytes <= a.bytes or b.psnr <= a.psnr:
-                return (
-                    f"{self.title} is not monotone: {a.psnr:.2f} dB in {a.bytes:,.0f} B, "
-                    f"{b.psnr:.2f} dB in {b.bytes:,.0f} B"
-                )
-        return ""
+        if len(self.front) >= LEAST_POINTS:
+            return ""
+        where = " on its front" if self._beaten else ""
+        return f"{self.title} has {_points(len(self.front))}{where}, {LEAST_POINTS} are needed"
+
+    @property
+    def doubt(self) -> str:
+        """What of it a difference leaves out; "" if nothing."""
+        beaten = self._beaten
+        return f"{self.title} without {_points(beaten)} that others of its own beat" if beaten else ""
+
+    @property
+    def _beaten(self) -> int:
+        return len(self.points) - len(self.front)
 
 
 def at_default_rates(table: pd.DataFrame) -> pd.DataFrame:
@@ -233,7 +248,7 @@ class Difference:
 def difference(
     reference: Curve, test: Curve, views: Views | None = None, results: pd.DataFrame | None = None
 ) -> Difference:
-    """BD-rate and BD-PSNR of a curve against another (Bjøntegaard 2001, VCEG-M33).
+    """BD-rate and BD-PSNR of a curve's front against another's (Bjøntegaard 2001, VCEG-M33).
 
     Args:
         reference: a curve.
@@ -246,11 +261,12 @@ def difference(
     who = (reference.dataset, reference.title, test.title)
     if refused := "; ".join(filter(None, (reference.problem, test.problem))):
         return Difference(*who, refused=refused)
-    quality = [[point.psnr for point in curve.points] for curve in (reference, test)]
-    size = [[point.bytes for point in curve.points] for curve in (reference, test)]
+    fronts = [curve.front for curve in (reference, test)]
+    quality = [[point.psnr for point in front] for front in fronts]
+    size = [[point.bytes for point in front] for front in fronts]
     common, by_quality = _overlap(*quality)
     common_log, by_size = _overlap(*(list(np.log10(values)) for values in size))
-    doubts = []
+    doubts = [curve.doubt for curve in (reference, test) if curve.doubt]
     if common is None:
         doubts.append(f"no overlap of their PSNR: {_ranges(quality, 2)} dB")
     if common_log is None:
@@ -272,8 +288,7 @@ def difference(
     around_rate = around_psnr = None
     if views is not None and results is not None:
         first, second = (
-            [rate_intervals.Spot(one.psnr, one.bytes, one.row["jobs"]) for one in curve.points]
-            for curve in (reference, test)
+            [rate_intervals.Spot(one.psnr, one.bytes, one.row["jobs"]) for one in front] for front in fronts
         )
         if rate is not None:
             around_rate = rate_intervals.interval(first, second, _log_bytes, views, results)
@@ -366,33 +381,64 @@ def row(pair: Difference) -> list[str]:
 
 
 def conclusion(differences: Iterable[Difference]) -> str:
-    """Which method surely takes the fewest bytes at equal PSNR, if any, dataset by dataset."""
-    sentences = []
-    for dataset, pairs in _by_dataset(differences).items():
-        against: dict[str, list[tuple[str, float, bool]]] = {}
-        for pair in pairs:
-            if pair.rate is None:
-                continue
-            sure = pair.rate_interval is not None and min(pair.rate_interval) * max(pair.rate_interval) > 0
+    """Which method surely takes the fewest bytes at equal PSNR, and has the best picture at equal bytes.
+
+    Named is only who can be compared with all others: two methods may have no PSNR or no size in common.
+    """
+    return " ".join(
+        f"On {dataset}, {_fewest_bytes(pairs)}; {_best_picture(pairs)}."
+        for dataset, pairs in _by_dataset(differences).items()
+    )
+
+
+def _fewest_bytes(pairs: Iterable[Difference]) -> str:
+    against: _Against = {}
+    for pair in pairs:
+        if pair.rate is not None:
             mirrored = 100 * (100 / (100 + pair.rate) - 1)
-            against.setdefault(pair.test, []).append((pair.reference, pair.rate, sure))
-            against.setdefault(pair.reference, []).append((pair.test, mirrored, sure))
-        most = max(map(len, against.values()), default=0)
-        if not most:
-            sentences.append(f"On {dataset} no two curves can be compared at equal PSNR.")
-            continue
-        firsts = [
-            (name, sorted((rate, other) for other, rate, _ in rivals))
-            for name, rivals in against.items()
-            if len(rivals) == most and all(rate < 0 and sure for _, rate, sure in rivals)
-        ]
-        if not firsts:
-            sentences.append(f"On {dataset} no method surely takes the fewest bytes at equal PSNR.")
-            continue
-        name, rates = firsts[0]
-        factors = [f"{100 / (100 + rate):.1f} times fewer than {other}" for rate, other in rates]
-        sentences.append(f"On {dataset}, at equal PSNR, {name} takes the fewest bytes: {', '.join(factors)}.")
-    return " ".join(sentences)
+            _enter(against, pair, (pair.rate, mirrored), pair.rate_interval)
+    if not against:
+        return "no two curves can be compared at equal PSNR"
+    name, rates = _first(against)
+    if not name:
+        return "at equal PSNR, no method surely takes the fewest bytes"
+    factors = [f"{100 / (100 + rate):.1f} times fewer than {other}" for rate, other in rates]
+    return f"at equal PSNR, {name} takes the fewest bytes: {', '.join(factors)}"
+
+
+def _best_picture(pairs: Iterable[Difference]) -> str:
+    against: _Against = {}
+    for pair in pairs:
+        if pair.psnr is not None:
+            _enter(against, pair, (-pair.psnr, pair.psnr), pair.psnr_interval)
+    if not against:
+        return "no two curves can be compared at equal bytes"
+    name, losses = _first(against)
+    if not name:
+        return "at equal bytes, no method surely has the highest PSNR"
+    gains = [f"{-loss:.1f} dB above {other}" for loss, other in losses]
+    return f"at equal bytes, {name} has the highest PSNR: {', '.join(gains)}"
+
+
+_Against = dict[str, list[tuple[str, float, bool]]]
+"""Method -> the others, what it costs against them, and whether that is sure."""
+
+
+def _enter(
+    against: _Against, pair: Difference, costs: tuple[float, float], ends: tuple[float, float] | None
+) -> None:
+    """Costs: of the pair's curve against the reference, and the other way round."""
+    sure = ends is not None and min(ends) * max(ends) > 0
+    against.setdefault(pair.test, []).append((pair.reference, costs[0], sure))
+    against.setdefault(pair.reference, []).append((pair.test, costs[1], sure))
+
+
+def _first(against: _Against) -> tuple[str, list[tuple[float, str]]]:
+    """The method that surely costs less than all others, "" if there is none; what it costs against each."""
+    for name, rivals in against.items():
+        if len(rivals) == len(against) - 1 and all(cost < 0 and sure for _, cost, sure in rivals):
+            return name, sorted((cost, other) for other, cost, _ in rivals)
+    return "", []
 
 
 def _by_dataset(differences: Iterable[Difference]) -> dict[str, list[Difference]]:

@@ -164,8 +164,8 @@ def _rate_distortion(report: Report) -> Section | None:
             f"BD-PSNR: dB at equal bytes. Interpolated with {rate_distortion.INTERPOLATION} splines over the "
             "logarithm of the size, averaged over the range that both curves cover: BD-rate over the PSNR "
             "they share, BD-PSNR over the sizes. Intervals are over test views and, with several seeds, over "
-            "seeds. Refused with fewer than "
-            f"{rate_distortion.LEAST_POINTS} points, for curves that bend back, and without overlap.</p>"
+            "seeds. Models that another of the same method beats in both are left out. Refused with fewer "
+            f"than {rate_distortion.LEAST_POINTS} others, and without overlap.</p>"
         )
     return Section("rate-distortion", "Rate and distortion", "".join(parts), {"rate-distortion": chart})
 

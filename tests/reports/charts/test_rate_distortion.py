@@ -74,7 +74,7 @@ def test_curves_may_have_different_numbers_of_points():
     ("size", "psnr", "reason"),
     [
         (ANCHOR[0][:3], ANCHOR[1][:3], "b has 3 points, 4 are needed"),
-        (ANCHOR[0], [34.0, 36.0, 35.0, 40.0], "b is not monotone: 36.00 dB in 2,486 B, 35.00"),
+        (ANCHOR[0], [34.0, 36.0, 35.0, 40.0], "b has 3 points on its front, 4 are needed"),
         ([1e5, 2e5, 3e5, 4e5], [24.0, 26.0, 28.0, 30.0], "no overlap of their PSNR: 34.85 to 40.04"),
     ],
 )  # fmt: skip
@@ -82,6 +82,16 @@ def test_refused_with_the_reason(size, psnr, reason):
     pair = difference(curve(*ANCHOR, "a"), curve(size, psnr, "b"))
     assert pair.refused.startswith(reason)
     assert pair.rate is pair.psnr is None
+
+
+def test_models_that_others_of_the_same_method_beat_are_left_out():
+    """As rates that are codecs: one that is larger and worse than another says nothing of the method."""
+    size, psnr = [*ANCHOR[0], 5000.0, 20000.0], [*ANCHOR[1], 36.0, 39.0]
+    order = np.argsort(size)
+    whole = curve(np.array(size)[order], np.array(psnr)[order], "b")
+    pair, plain = difference(whole, curve(*TEST, "a")), difference(curve(*ANCHOR, "b"), curve(*TEST, "a"))
+    assert (pair.rate, pair.psnr) == (plain.rate, plain.psnr)
+    assert pair.warnings == ("b without 2 points that others of its own beat",)
 
 
 def test_curves_that_share_no_size_still_have_a_bd_rate():
@@ -244,23 +254,43 @@ def test_a_seed_narrows_no_interval_and_missing_views_make_none():
     assert difference(*curves, Views(), fits).rate == several.rate
 
 
-def test_the_conclusion_names_who_surely_takes_the_fewest_bytes():
-    def pair(reference, test, rate, ends, dataset="d"):
-        return Difference(dataset, reference, test, rate=rate, rate_interval=ends)
+def test_the_conclusion_names_who_surely_takes_the_fewest_bytes_and_has_the_best_picture():
+    def pair(reference, test, rate, ends, psnr=None, around=None, dataset="d"):
+        return Difference(
+            dataset, reference, test, rate=rate, rate_interval=ends, psnr=psnr, psnr_interval=around
+        )
 
     sure = [
         pair("b", "a", -50.0, (-60.0, -40.0)),
         pair("c", "a", -80.0, (-85.0, -70.0)),
         pair("c", "b", 5.0, None),
     ]
+    bytes_alone = "no two curves can be compared at equal bytes."
     assert conclusion(sure) == (
-        "On d, at equal PSNR, a takes the fewest bytes: 5.0 times fewer than c, 2.0 times fewer than b."
+        "On d, at equal PSNR, a takes the fewest bytes: 5.0 times fewer than c, 2.0 times fewer than b; "
+        f"{bytes_alone}"
     )
     # The reference may be the one that wins.
-    assert conclusion([pair("b", "a", 25.0, (10.0, 40.0))]).endswith(
-        "b takes the fewest bytes: 1.2 times fewer than a."
+    assert "b takes the fewest bytes: 1.2 times fewer than a;" in conclusion(
+        [pair("b", "a", 25.0, (10.0, 40.0))]
     )
-    assert conclusion([pair("b", "a", -50.0, (-80.0, 10.0))]).startswith("On d no method surely")
+    assert conclusion([pair("b", "a", -50.0, (-80.0, 10.0))]).startswith(
+        "On d, at equal PSNR, no method surely"
+    )
+    # A curve that another one has no PSNR in common with wins nothing at equal PSNR.
+    assert "no method surely takes the fewest bytes" in conclusion(sure[1:])
     assert conclusion([*sure, Difference("e", "a", "b", refused="x")]).endswith(
-        "On e no two curves can be compared at equal PSNR."
+        f"On e, no two curves can be compared at equal PSNR; {bytes_alone}"
+    )
+    better = [
+        pair("b", "a", None, None, 2.0, (1.0, 3.0)),
+        pair("a", "c", None, None, -3.25, (-4.0, -2.5)),
+        pair("c", "b", None, None, 0.1, (-1.0, 1.2)),
+    ]
+    assert conclusion(better) == (
+        "On d, no two curves can be compared at equal PSNR; "
+        "at equal bytes, a has the highest PSNR: 3.2 dB above c, 2.0 dB above b."
+    )
+    assert conclusion([*better[1:], pair("b", "a", None, None, 2.0, (-1.0, 5.0))]).endswith(
+        "at equal bytes, no method surely has the highest PSNR."
     )
