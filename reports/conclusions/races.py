@@ -188,6 +188,7 @@ class Race:
 def races(results: pd.DataFrame) -> list[Race]:
     """A race per discipline and dataset on which a method has several models, disciplines first.
 
+    Lengths and rates that were not measured with all seeds of a method take no part.
     Training times are those of a quiet machine (:meth:`Clocks.corrected`), and count only on the processor
     with the most rows.
 
@@ -211,6 +212,17 @@ def races(results: pd.DataFrame) -> list[Race]:
     return found
 
 
+_Models = dict[Any, dict[Any, Spot]]
+"""Length and rate -> seed -> model, of a method on a scene."""
+
+
+def _of_all_seeds(models: _Models) -> dict[Any, list[Spot]]:
+    """Seed -> models. One that a seed lacks is left out, if no seed lacks some other: seeds are compared."""
+    seeds = {seed for own in models.values() for seed in own}
+    whole = [own for own in models.values() if own.keys() == seeds] or list(models.values())
+    return {seed: [own[seed] for own in whole if seed in own] for seed in seeds}
+
+
 def _race(
     dataset: str, discipline: Discipline, rows: Sequence[dict[str, Any]], clocks: Clocks
 ) -> Race | None:
@@ -220,11 +232,15 @@ def _race(
         places = [place(row, column) for row in here]
         usual = max(set(places), key=lambda one: (places.count(one), str(one)))
         here = [row for row, at in zip(here, places, strict=True) if at == usual]
-    spots: dict[str, dict[str, dict[Any, list[Spot]]]] = {}
+    entered: dict[str, dict[str, _Models]] = {}
     for row in here:
         cost = clocks.corrected(row, column) / discipline.unit
-        own = spots.setdefault(str(row["method"]), {}).setdefault(str(row["scene"]), {})
-        own.setdefault(row["seed"], []).append((cost, float(row["psnr"])))
+        own = entered.setdefault(str(row["method"]), {}).setdefault(str(row["scene"]), {})
+        settings = (row["variant"], "" if absent(row["rate"]) else row["rate"])
+        own.setdefault(settings, {})[row["seed"]] = (cost, float(row["psnr"]))
+    spots = {
+        name: {scene: _of_all_seeds(models) for scene, models in own.items()} for name, own in entered.items()
+    }
     scenes = {str(row["scene"]) for row in rows}
     fronts = {
         name: {

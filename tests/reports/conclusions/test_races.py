@@ -69,6 +69,23 @@ def test_the_leader_changes_with_the_limit_and_beginners_wait():
     assert race.mean("hac", 99.0) is None
 
 
+def test_a_model_that_a_seed_lacks_takes_no_part():
+    """Or the mean at a limit would be of long schedules for one seed and of short ones for another."""
+    rows = [
+        fit(method, seconds, 30.0 + seconds / 10.0, seed=seed)
+        for method in ("3dgs", "hac")
+        for seed in range(3)
+        for seconds in (10.0, 40.0)
+    ]
+    longer = fit("3dgs", 160.0, 50.0, seed=1)
+    race, plain = of(TIME, *rows, longer), of(TIME, *rows)
+    assert race.costs("3dgs") == [10.0, 40.0]
+    assert race.leads == plain.leads
+    # Seeds that have no length in common race as they are.
+    apart = [fit("3dgs", 10.0, 30.0, seed=0), fit("3dgs", 40.0, 34.0, seed=1), *rows[6:]]
+    assert of(TIME, *apart).seeds("3dgs") == [0, 1]
+
+
 def test_a_lead_is_sure_by_scenes_and_seeds_alone():
     def race(lead, spread):
         rows = [
