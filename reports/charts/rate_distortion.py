@@ -226,6 +226,7 @@ class Difference:
         seeds: the fewer of both curves; with 1 the intervals hold the spread of views alone.
         overlap: share of the two curves' PSNR and of their log bytes that is common; the smaller of both, of
             those that are.
+        beaten: the method all of whose models are larger and worse than one of the other's; "" if neither.
         warnings: what makes the numbers doubtful, or why one is not there.
         refused: why neither is there.
     """
@@ -241,6 +242,7 @@ class Difference:
     psnr_interval: tuple[float, float] | None = None
     seeds: int = 0
     overlap: float = 0.0
+    beaten: str = ""
     warnings: tuple[str, ...] = ()
     refused: str = ""
 
@@ -301,7 +303,16 @@ def difference(
     if psnr is not None and around_psnr is not None and around_psnr.half is not None:
         of_psnr = (psnr - around_psnr.half, psnr + around_psnr.half)
     seeds = max((one.seeds for one in (around_rate, around_psnr) if one and one.half is not None), default=0)
-    return Difference(*who, rate, psnr, common, ends, of_rate, of_psnr, seeds, overlap, tuple(doubts))
+    beaten = [curve.title for curve, other in ((reference, test), (test, reference)) if _beats(other, curve)]
+    return Difference(
+        *who, rate, psnr, common, ends, of_rate, of_psnr, seeds, overlap, "".join(beaten), tuple(doubts)
+    )
+
+
+def _beats(curve: Curve, other: Curve) -> bool:
+    """Whether one model of a curve is smaller and better than all of another's."""
+    smallest, best = other.front[0].bytes, other.front[-1].psnr
+    return any(point.bytes < smallest and point.psnr > best for point in curve.front)
 
 
 def _log_bytes(size: list[float], quality: list[float], size2: list[float], quality2: list[float]) -> float:
@@ -342,14 +353,14 @@ def _overlap(first: list[float], second: list[float]) -> tuple[tuple[float, floa
 def differences(
     curves: dict[str, list[Curve]], views: Views | None = None, results: pd.DataFrame | None = None
 ) -> list[Difference]:
-    """Of all pairs of a dataset's curves that have several points, each against those before it.
+    """Of all pairs of a dataset's curves with several points on their front, each against those before it.
 
     Arguments as of :func:`difference`.
     """
     return [
         difference(reference, test, views, results)
         for rows in curves.values()
-        for several in ([curve for curve in rows if len(curve.points) > 1],)
+        for several in ([curve for curve in rows if len(curve.front) > 1],)
         for i, test in enumerate(several)
         for reference in several[:i]
     ]
@@ -383,62 +394,72 @@ def row(pair: Difference) -> list[str]:
 def conclusion(differences: Iterable[Difference]) -> str:
     """Which method surely takes the fewest bytes at equal PSNR, and has the best picture at equal bytes.
 
-    Named is only who can be compared with all others: two methods may have no PSNR or no size in common.
+    A method also wins against one that has no PSNR, or no size, in common with it, if it has a model that is
+    smaller and better than all of that one's, and surely wins where the two can be compared.
     """
     return " ".join(
-        f"On {dataset}, {_fewest_bytes(pairs)}; {_best_picture(pairs)}."
+        f"On {dataset}, {_fewest_bytes(pairs)}. {_best_picture(pairs)}."
         for dataset, pairs in _by_dataset(differences).items()
     )
 
 
-def _fewest_bytes(pairs: Iterable[Difference]) -> str:
+def _fewest_bytes(pairs: list[Difference]) -> str:
     against: _Against = {}
     for pair in pairs:
         if pair.rate is not None:
             mirrored = 100 * (100 / (100 + pair.rate) - 1)
-            _enter(against, pair, (pair.rate, mirrored), pair.rate_interval)
-    if not against:
+            _enter(against, pair, (pair.rate, mirrored), _sure(pair.rate_interval))
+        elif pair.psnr is not None:
+            _enter(against, pair, None, _sure(pair.psnr_interval))
+    if all(pair.rate is None for pair in pairs):
         return "no two curves can be compared at equal PSNR"
-    name, rates = _first(against)
+    name, rates, beaten = _first(against)
     if not name:
         return "at equal PSNR, no method surely takes the fewest bytes"
     factors = [f"{100 / (100 + rate):.1f} times fewer than {other}" for rate, other in rates]
-    return f"at equal PSNR, {name} takes the fewest bytes: {', '.join(factors)}"
+    return f"at equal PSNR, {name} takes the fewest bytes: {'; '.join([*factors, *beaten])}"
 
 
-def _best_picture(pairs: Iterable[Difference]) -> str:
+def _best_picture(pairs: list[Difference]) -> str:
     against: _Against = {}
     for pair in pairs:
         if pair.psnr is not None:
-            _enter(against, pair, (-pair.psnr, pair.psnr), pair.psnr_interval)
-    if not against:
-        return "no two curves can be compared at equal bytes"
-    name, losses = _first(against)
+            _enter(against, pair, (-pair.psnr, pair.psnr), _sure(pair.psnr_interval))
+        elif pair.rate is not None:
+            _enter(against, pair, None, _sure(pair.rate_interval))
+    if all(pair.psnr is None for pair in pairs):
+        return "No two curves can be compared at equal bytes"
+    name, losses, beaten = _first(against)
     if not name:
-        return "at equal bytes, no method surely has the highest PSNR"
+        return "At equal bytes, no method surely has the highest PSNR"
     gains = [f"{-loss:.1f} dB above {other}" for loss, other in losses]
-    return f"at equal bytes, {name} has the highest PSNR: {', '.join(gains)}"
+    return f"At equal bytes, {name} has the highest PSNR: {'; '.join([*gains, *beaten])}"
 
 
-_Against = dict[str, list[tuple[str, float, bool]]]
-"""Method -> the others, what it costs against them, and whether that is sure."""
+_Against = dict[str, list[tuple[str, float | None, bool]]]
+"""Method -> the others; its cost against each, None where they have nothing in common; whether it wins."""
 
 
-def _enter(
-    against: _Against, pair: Difference, costs: tuple[float, float], ends: tuple[float, float] | None
-) -> None:
-    """Costs: of the pair's curve against the reference, and the other way round."""
-    sure = ends is not None and min(ends) * max(ends) > 0
-    against.setdefault(pair.test, []).append((pair.reference, costs[0], sure))
-    against.setdefault(pair.reference, []).append((pair.test, costs[1], sure))
+def _sure(ends: tuple[float, float] | None) -> bool:
+    return ends is not None and min(ends) * max(ends) > 0
 
 
-def _first(against: _Against) -> tuple[str, list[tuple[float, str]]]:
-    """The method that surely costs less than all others, "" if there is none; what it costs against each."""
+def _enter(against: _Against, pair: Difference, costs: tuple[float, float] | None, sure: bool) -> None:
+    """Costs: of the pair's curve against the reference, and the other way round; None: nothing in common."""
+    for i, (name, other) in enumerate(((pair.test, pair.reference), (pair.reference, pair.test))):
+        wins = pair.beaten == other if costs is None else costs[i] < 0
+        against.setdefault(name, []).append((other, costs[i] if costs else None, sure and wins))
+
+
+def _first(against: _Against) -> tuple[str, list[tuple[float, str]], list[str]]:
+    """The method that surely wins against all others, "" if none does; its costs; words on the rest."""
     for name, rivals in against.items():
-        if len(rivals) == len(against) - 1 and all(cost < 0 and sure for _, cost, sure in rivals):
-            return name, sorted((cost, other) for other, cost, _ in rivals)
-    return "", []
+        if len(rivals) == len(against) - 1 and all(wins for _, _, wins in rivals):
+            costs = sorted((cost, other) for other, cost, _ in rivals if cost is not None)
+            beaten = sorted(other for other, cost, _ in rivals if cost is None)
+            words = f"one model of it is smaller and better than all of {' and '.join(beaten)}"
+            return name, costs, [words] if beaten else []
+    return "", [], []
 
 
 def _by_dataset(differences: Iterable[Difference]) -> dict[str, list[Difference]]:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -265,13 +267,13 @@ def test_the_conclusion_names_who_surely_takes_the_fewest_bytes_and_has_the_best
         pair("c", "a", -80.0, (-85.0, -70.0)),
         pair("c", "b", 5.0, None),
     ]
-    bytes_alone = "no two curves can be compared at equal bytes."
+    bytes_alone = "No two curves can be compared at equal bytes."
     assert conclusion(sure) == (
-        "On d, at equal PSNR, a takes the fewest bytes: 5.0 times fewer than c, 2.0 times fewer than b; "
+        "On d, at equal PSNR, a takes the fewest bytes: 5.0 times fewer than c; 2.0 times fewer than b. "
         f"{bytes_alone}"
     )
     # The reference may be the one that wins.
-    assert "b takes the fewest bytes: 1.2 times fewer than a;" in conclusion(
+    assert "b takes the fewest bytes: 1.2 times fewer than a." in conclusion(
         [pair("b", "a", 25.0, (10.0, 40.0))]
     )
     assert conclusion([pair("b", "a", -50.0, (-80.0, 10.0))]).startswith(
@@ -280,7 +282,7 @@ def test_the_conclusion_names_who_surely_takes_the_fewest_bytes_and_has_the_best
     # A curve that another one has no PSNR in common with wins nothing at equal PSNR.
     assert "no method surely takes the fewest bytes" in conclusion(sure[1:])
     assert conclusion([*sure, Difference("e", "a", "b", refused="x")]).endswith(
-        f"On e, no two curves can be compared at equal PSNR; {bytes_alone}"
+        f"On e, no two curves can be compared at equal PSNR. {bytes_alone}"
     )
     better = [
         pair("b", "a", None, None, 2.0, (1.0, 3.0)),
@@ -288,9 +290,35 @@ def test_the_conclusion_names_who_surely_takes_the_fewest_bytes_and_has_the_best
         pair("c", "b", None, None, 0.1, (-1.0, 1.2)),
     ]
     assert conclusion(better) == (
-        "On d, no two curves can be compared at equal PSNR; "
-        "at equal bytes, a has the highest PSNR: 3.2 dB above c, 2.0 dB above b."
+        "On d, no two curves can be compared at equal PSNR. "
+        "At equal bytes, a has the highest PSNR: 3.2 dB above c; 2.0 dB above b."
     )
     assert conclusion([*better[1:], pair("b", "a", None, None, 2.0, (-1.0, 5.0))]).endswith(
-        "at equal bytes, no method surely has the highest PSNR."
+        "At equal bytes, no method surely has the highest PSNR."
     )
+
+
+def test_a_method_wins_against_one_that_a_model_of_it_beats_throughout():
+    """Which has no PSNR, or no size, in common with it: all its models are larger and worse."""
+    size, psnr = np.array(ANCHOR[0]), np.array(ANCHOR[1])
+    best, worse = curve(size, psnr, "best"), curve(size * 1.5, psnr - 6.0, "worse")
+    large = curve(size * 100, psnr - 1.0, "large")
+    assert [difference(worse, best).beaten, difference(best, worse).beaten] == ["worse", "worse"]
+    assert difference(best, curve(size, psnr + 1.0, "x")).beaten == ""
+    # Smaller, but not better than the best of the others.
+    assert difference(best, curve(size * 100, psnr + 1.0, "x")).beaten == ""
+
+    pairs = [
+        replace(difference(best, worse), psnr_interval=(-9.0, -8.0)),
+        replace(difference(best, large), rate_interval=(9e3, 2e4)),
+        difference(worse, large),
+    ]
+    factor, gain = 1 + pairs[1].rate / 100, -pairs[0].psnr
+    dominant = "one model of it is smaller and better than all of"
+    assert conclusion(pairs) == (
+        f"On d, at equal PSNR, best takes the fewest bytes: {factor:.1f} times fewer than large; "
+        f"{dominant} worse. "
+        f"At equal bytes, best has the highest PSNR: {gain:.1f} dB above worse; {dominant} large."
+    )
+    # Where they can be compared, the lead has to be sure.
+    assert "no method surely takes" in conclusion([difference(best, worse), *pairs[1:]])
