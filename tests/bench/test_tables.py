@@ -76,7 +76,9 @@ def test_records_of_the_former_schema_have_their_settings(path):
         job = migrated(record).job
         assert label(job.overrides) == record.job.variant
         assert job.knob in (*job.overrides, "")
-        assert bool(job.knob) == any(knob in record.job.variant for knob in ("rate_weight", "codebook_size"))
+        assert bool(job.knob) == any(
+            knob in record.job.variant for knob in ("rate_weight", "codebook_size", "cap")
+        )
         for name, value in job.overrides.items():
             assert value == record.job.options.get(name, value)
 
