@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from reports import rate_intervals
 from reports.fronts import pareto
@@ -99,7 +100,7 @@ class Curve:
         words += "" if seeds == 1 else f" and {seeds} seeds"
         return {"name": self.title, "description": words, "results": columns}
 
-    @property
+    @cached_property
     def front(self) -> tuple[Point, ...]:
         """The points that no other one beats in bytes and PSNR: what a difference is taken of.
 
@@ -303,10 +304,8 @@ def difference(
     if psnr is not None and around_psnr is not None and around_psnr.half is not None:
         of_psnr = (psnr - around_psnr.half, psnr + around_psnr.half)
     seeds = max((one.seeds for one in (around_rate, around_psnr) if one and one.half is not None), default=0)
-    beaten = [curve.title for curve, other in ((reference, test), (test, reference)) if _beats(other, curve)]
-    return Difference(
-        *who, rate, psnr, common, ends, of_rate, of_psnr, seeds, overlap, "".join(beaten), tuple(doubts)
-    )
+    beaten = reference.title if _beats(test, reference) else test.title if _beats(reference, test) else ""
+    return Difference(*who, rate, psnr, common, ends, of_rate, of_psnr, seeds, overlap, beaten, tuple(doubts))
 
 
 def _beats(curve: Curve, other: Curve) -> bool:
@@ -397,69 +396,81 @@ def conclusion(differences: Iterable[Difference]) -> str:
     A method also wins against one that has no PSNR, or no size, in common with it, if it has a model that is
     smaller and better than all of that one's, and surely wins where the two can be compared.
     """
-    return " ".join(
-        f"On {dataset}, {_fewest_bytes(pairs)}. {_best_picture(pairs)}."
-        for dataset, pairs in _by_dataset(differences).items()
-    )
+    sentences = []
+    for dataset, pairs in _by_dataset(differences).items():
+        rates = [_Gap(each.rate, each.rate_interval) for each in pairs]
+        gains = [_Gap(each.psnr, each.psnr_interval) for each in pairs]
+        fewest = _verdict(pairs, rates, gains, _BYTES)
+        best = _verdict(pairs, gains, rates, _PICTURE)
+        sentences += [f"On {dataset}, {fewest}.", f"{best[:1].upper()}{best[1:]}."]
+    return " ".join(sentences)
 
 
-def _fewest_bytes(pairs: list[Difference]) -> str:
-    against: _Against = {}
-    for pair in pairs:
-        if pair.rate is not None:
-            mirrored = 100 * (100 / (100 + pair.rate) - 1)
-            _enter(against, pair, (pair.rate, mirrored), _sure(pair.rate_interval))
-        elif pair.psnr is not None:
-            _enter(against, pair, None, _sure(pair.psnr_interval))
-    if all(pair.rate is None for pair in pairs):
-        return "no two curves can be compared at equal PSNR"
-    name, rates, beaten = _first(against)
-    if not name:
-        return "at equal PSNR, no method surely takes the fewest bytes"
-    factors = [f"{100 / (100 + rate):.1f} times fewer than {other}" for rate, other in rates]
-    return f"at equal PSNR, {name} takes the fewest bytes: {'; '.join([*factors, *beaten])}"
+class _Gap(NamedTuple):
+    """A number of a difference and its interval; None where the two curves have nothing in common."""
+
+    number: float | None
+    ends: tuple[float, float] | None
+
+    @property
+    def sure(self) -> bool:
+        """Whether the interval excludes zero; without an interval nothing is sure."""
+        return self.ends is not None and (self.ends[0] > 0 or self.ends[1] < 0)
 
 
-def _best_picture(pairs: list[Difference]) -> str:
-    against: _Against = {}
-    for pair in pairs:
-        if pair.psnr is not None:
-            _enter(against, pair, (-pair.psnr, pair.psnr), _sure(pair.psnr_interval))
-        elif pair.rate is not None:
-            _enter(against, pair, None, _sure(pair.rate_interval))
-    if all(pair.psnr is None for pair in pairs):
-        return "No two curves can be compared at equal bytes"
-    name, losses, beaten = _first(against)
-    if not name:
-        return "At equal bytes, no method surely has the highest PSNR"
-    gains = [f"{-loss:.1f} dB above {other}" for loss, other in losses]
-    return f"At equal bytes, {name} has the highest PSNR: {'; '.join([*gains, *beaten])}"
+class _Question(NamedTuple):
+    """What methods are compared for.
+
+    Attributes:
+        where, feat: what is equal, and what the winner does.
+        lead: how far the curve is ahead of the reference, from the number; the opposite the other way round.
+        words: on a lead over a method.
+    """
+
+    where: str
+    feat: str
+    lead: Callable[[float], float]
+    words: Callable[[float, str], str]
 
 
-_Against = dict[str, list[tuple[str, float | None, bool]]]
-"""Method -> the others; its cost against each, None where they have nothing in common; whether it wins."""
+_BYTES = _Question(
+    "at equal PSNR",
+    "takes the fewest bytes",
+    lambda rate: -math.log10(1 + rate / 100),
+    lambda lead, other: f"{10**lead:.1f} times fewer than {other}",
+)
+_PICTURE = _Question(
+    "at equal bytes",
+    "has the highest PSNR",
+    lambda gain: gain,
+    lambda lead, other: f"{lead:.1f} dB above {other}",
+)
 
 
-def _sure(ends: tuple[float, float] | None) -> bool:
-    return ends is not None and min(ends) * max(ends) > 0
+def _verdict(pairs: list[Difference], gaps: list[_Gap], others: list[_Gap], question: _Question) -> str:
+    """Who surely wins against all.
 
-
-def _enter(against: _Against, pair: Difference, costs: tuple[float, float] | None, sure: bool) -> None:
-    """Costs: of the pair's curve against the reference, and the other way round; None: nothing in common."""
-    for i, (name, other) in enumerate(((pair.test, pair.reference), (pair.reference, pair.test))):
-        wins = pair.beaten == other if costs is None else costs[i] < 0
-        against.setdefault(name, []).append((other, costs[i] if costs else None, sure and wins))
-
-
-def _first(against: _Against) -> tuple[str, list[tuple[float, str]], list[str]]:
-    """The method that surely wins against all others, "" if none does; its costs; words on the rest."""
+    Where a gap has no number, the other one and :attr:`Difference.beaten` decide.
+    """
+    if all(gap.number is None for gap in gaps):
+        return f"no two curves can be compared {question.where}"
+    against: dict[str, list[tuple[float | None, str, bool]]] = {}
+    for pair, gap, other in zip(pairs, gaps, others, strict=True):
+        if pair.refused:
+            continue
+        lead = None if gap.number is None else question.lead(gap.number)
+        for sign, name, rival in ((1, pair.test, pair.reference), (-1, pair.reference, pair.test)):
+            own = None if lead is None else sign * lead
+            wins = other.sure and pair.beaten == rival if own is None else gap.sure and own > 0
+            against.setdefault(name, []).append((own, rival, wins))
     for name, rivals in against.items():
         if len(rivals) == len(against) - 1 and all(wins for _, _, wins in rivals):
-            costs = sorted((cost, other) for other, cost, _ in rivals if cost is not None)
-            beaten = sorted(other for other, cost, _ in rivals if cost is None)
-            words = f"one model of it is smaller and better than all of {' and '.join(beaten)}"
-            return name, costs, [words] if beaten else []
-    return "", [], []
+            leads = sorted(((lead, rival) for lead, rival, _ in rivals if lead is not None), reverse=True)
+            parts = [question.words(*each) for each in leads]
+            if beaten := sorted(rival for lead, rival, _ in rivals if lead is None):
+                parts.append(f"one model of it is smaller and better than all of {' and '.join(beaten)}")
+            return f"{question.where}, {name} {question.feat}: {'; '.join(parts)}"
+    return f"{question.where}, no method surely {question.feat}"
 
 
 def _by_dataset(differences: Iterable[Difference]) -> dict[str, list[Difference]]:
