@@ -42,7 +42,7 @@ changes. Keys:
     bundles     as above
     show        "bytes", "primitives": for ``level`` dB; "gains": dB per added KiB along the curve;
                 "prunable": percent of Gaussians that can go at ``level`` dB of loss
-    level       of :data:`reports.charts.economy.LEVELS`, or a value of :data:`reports.schema.PRUNED`
+    level       of :data:`reports.conclusions.economy.LEVELS`, or a value of :data:`reports.schema.PRUNED`
 
 ``verdict``  what a section of the report concludes, its table, and a line with the conditions. Keys:
 
@@ -91,10 +91,10 @@ from bench.tune import LOSS, SCENE_LOSS, Study, Trial, means, read_study, smalle
 from methods.interface import MethodSpec, OptionValue
 from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
 from methods.registry import Registry
-from reports.charts import economy, rate_distortion, svg, unseen, volumes
+from reports.charts import svg
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
-from reports.conclusions import races
+from reports.conclusions import economy, races, rates, unseen, volumes
 from reports.conclusions.answers import Answer, scope, standing
 from reports.conclusions.ladders import amount, by_method, verdict
 from reports.paper import datasets
@@ -523,8 +523,8 @@ def verdict_of(description: str) -> str:
         sentence, heads = " ".join(races.conclusion(report.races)), races.HEADS
         lines = [races.row(race, lead) for race in report.races for lead in race.leads]
     elif block["section"] == "rates":
-        sentence, heads = rate_distortion.conclusion(report.differences), rate_distortion.HEADS
-        lines = [rate_distortion.row(one) for one in report.differences]
+        sentence, heads = rates.conclusion(report.differences), rates.HEADS
+        lines = [rates.row(one) for one in report.differences]
     elif block["section"] == "answers":
         sentence, heads = scope(report.contests[0]), ("", "")
         lines = [[f"**{one.title}**", one.sentence] for one in report.answers]

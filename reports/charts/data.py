@@ -1,7 +1,7 @@
 """What the charts draw, taken from the documented tables; shared by the page and the figures.
 
 Of training (convergence, anytime, losses) see :mod:`reports.charts.training`, of rates
-:mod:`reports.charts.rate_distortion`, of attributes :mod:`reports.charts.features`.
+:mod:`reports.curves`, of attributes :mod:`reports.charts.features`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from reports.tables.results import distinct_processors
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from reports.curves import Curve
 
 
 AXIS = {
@@ -150,7 +152,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
     without their scenes.
 
     Args:
-        results: of the seeds that :func:`reports.charts.rate_distortion.with_shared_seeds` leaves.
+        results: of the seeds that :func:`reports.curves.with_shared_seeds` leaves.
         against: the column.
     """
     unit = AXIS[against].scale
@@ -191,6 +193,26 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
         mixed = against in _CLOCK and len(distinct_processors(good, _CLOCK[against])) > 1
         panels.append(Panel(title, list(lines.values()), AXIS[against].better, mixed))
     return panels
+
+
+def rate_panels(curves: dict[str, list[Curve]]) -> dict[str, list[Curve]]:
+    """What a chart shows of the datasets on which some method was measured at several rates.
+
+    Those methods, and of the others the default settings (the first where there are none): single sizes of
+    all variants are what the trade-off charts are for.
+    """
+    chart = {}
+    for dataset, rows in curves.items():
+        models = {curve.model for curve in rows if len(curve.points) > 1}
+        if not models:
+            continue
+        methods = {each.method for each in models}
+        for each in sorted((curve.model for curve in rows), key=lambda each: each.options != ""):
+            if not each.options or each.method not in methods:
+                models.add(each)
+                methods.add(each.method)
+        chart[dataset] = [curve for curve in rows if curve.model in models]
+    return chart
 
 
 @dataclass

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.charts.rate_distortion import at_default_rates
+from reports.curves import at_default_rates
 from reports.style import Model, model, models, named
 from reports.tables.protocols import comparable
 

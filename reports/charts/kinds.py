@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from reports.charts import data, economy, features, rate_distortion, training
+from reports.charts import data, features, training
 from reports.charts.chart import (
     GRAY,
     INK,
@@ -23,6 +23,8 @@ from reports.charts.chart import (
 )
 from reports.charts.labels import text_width
 from reports.charts.parts import colors
+from reports.conclusions import economy
+from reports.curves import Curve
 from reports.schema import PRUNED
 from reports.style import OTHERS, OTHERS_NAME, PALETTE, Look, Model, legend_entries, looks, mib
 
@@ -83,7 +85,7 @@ def _dominated(outline: list[tuple[float, float]]) -> list[Series]:
     return [Series("", x, y, look, fill=True, opacity=0.13), Series("", x[1:-1], y[1:-1], look, line=1.0)]
 
 
-def rate_curves(panels: Mapping[str, list[rate_distortion.Curve]], models: list[Model]) -> Chart:
+def rate_curves(panels: Mapping[str, list[Curve]], models: list[Model]) -> Chart:
     """PSNR over size (log) at all rates, a panel per dataset; defaults of other methods are single marks."""
     parts = []
     for title, curves in panels.items():

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reports.charts import economy, rate_distortion
 from reports.conclusions.answers import answers
 from reports.conclusions.contest import contests
+from reports.conclusions.economy import economies
 from reports.conclusions.races import races
+from reports.conclusions.rates import differences
+from reports.curves import curves, with_shared_seeds
 from reports.schema import frame
 from reports.statistics import Views
 from reports.style import Model, absent, models
@@ -24,11 +26,12 @@ from reports.tables.ranks import ranks
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.charts.economy import Economy
-    from reports.charts.rate_distortion import Curve, Difference
     from reports.conclusions.answers import Answer
     from reports.conclusions.contest import Contest
+    from reports.conclusions.economy import Economy
     from reports.conclusions.races import Race
+    from reports.conclusions.rates import Difference
+    from reports.curves import Curve
 
 
 def _cells(table: pd.DataFrame) -> Iterator[tuple[tuple[Any, ...], bool]]:
@@ -136,17 +139,17 @@ class Report:
     @cached_property
     def at_shared_seeds(self) -> pd.DataFrame:
         """The results of basic scenes, at the seeds that all points of a curve have."""
-        return rate_distortion.with_shared_seeds(self.results[self.results["kind"] == "basic"])
+        return with_shared_seeds(self.results[self.results["kind"] == "basic"])
 
     @cached_property
     def curves(self) -> dict[str, list[Curve]]:
-        return rate_distortion.curves(self.at_shared_seeds)
+        return curves(self.at_shared_seeds)
 
     @cached_property
     def economies(self) -> list[Economy]:
         complexity = self.stored["complexity"] if "complexity" in self.stored else frame("complexity")
-        return economy.economies(self.at_shared_seeds, complexity)
+        return economies(self.at_shared_seeds, complexity)
 
     @cached_property
     def differences(self) -> list[Difference]:
-        return rate_distortion.differences(self.curves, self.views, self.at_shared_seeds)
+        return differences(self.curves, self.views, self.at_shared_seeds)

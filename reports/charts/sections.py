@@ -7,15 +7,17 @@ from html import escape
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from reports.charts import data, features, kinds, rate_distortion, stability_sections, training
+from reports.charts import data, features, kinds, stability_sections, training
 from reports.charts.chart import Chart, Panel
 from reports.charts.decision import decisions
-from reports.charts.economy_section import economy_section
+from reports.charts.economy import economy_section
 from reports.charts.elements import Section, card, cards, legend, rest, table
 from reports.charts.ladders import ladders_section
 from reports.charts.races import races_section
 from reports.charts.unseen import unseen_section
 from reports.charts.volumes import volumes_section
+from reports.conclusions import rates
+from reports.curves import LEAST_POINTS, at_default_rates
 from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, models, seconds
 from reports.tables import confidence
 from reports.tables.columns import records
@@ -144,7 +146,7 @@ def _against(pairs: pd.DataFrame, row: dict, best: str) -> list[str]:
 
 
 def _rate_distortion(report: Report) -> Section | None:
-    panels = rate_distortion.panels(report.curves)
+    panels = data.rate_panels(report.curves)
     if not panels:
         return None
     chart = kinds.rate_curves(panels, report.models)
@@ -156,16 +158,16 @@ def _rate_distortion(report: Report) -> Section | None:
     words += _seeds_left_out(report)
     parts = [f"<p>{words}</p>{cards(chart.panels)}"]
     if report.differences:
-        parts.insert(0, f"<p><b>{escape(rate_distortion.conclusion(report.differences))}</b></p>")
-        rows = [rate_distortion.row(each) for each in report.differences]
-        parts.append(table("Average differences", list(rate_distortion.HEADS), rows))
+        parts.insert(0, f"<p><b>{escape(rates.conclusion(report.differences))}</b></p>")
+        rows = [rates.row(each) for each in report.differences]
+        parts.append(table("Average differences", list(rates.HEADS), rows))
         parts.append(
             '<p class="note">BD-rate: bytes at equal PSNR against those of the other method. '
-            f"BD-PSNR: dB at equal bytes. Interpolated with {rate_distortion.INTERPOLATION} splines over the "
+            f"BD-PSNR: dB at equal bytes. Interpolated with {rates.INTERPOLATION} splines over the "
             "logarithm of the size, averaged over the range that both curves cover: BD-rate over the PSNR "
             "they share, BD-PSNR over the sizes. Intervals are over test views and, with several seeds, over "
             "seeds. Models that another of the same method beats in both are left out. Refused with fewer "
-            f"than {rate_distortion.LEAST_POINTS} others, and without overlap.</p>"
+            f"than {LEAST_POINTS} others, and without overlap.</p>"
         )
     return Section("rate-distortion", "Rate and distortion", "".join(parts), {"rate-distortion": chart})
 
@@ -177,7 +179,7 @@ def _many(table: pd.DataFrame) -> bool:
 
 def _rates_left_out(table: pd.DataFrame) -> str:
     """What to say of fits that charts of training and of attributes do not draw."""
-    return _ONE_RATE if len(rate_distortion.at_default_rates(table)) < len(table) else ""
+    return _ONE_RATE if len(at_default_rates(table)) < len(table) else ""
 
 
 def _seeds_left_out(report: Report) -> str:

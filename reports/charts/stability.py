@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reports.charts.rate_distortion import at_default_rates
 from reports.charts.training import Curve
+from reports.curves import at_default_rates
 from reports.style import MIB, label, model
 from reports.tables.columns import places
 from reports.tables.protocols import ORIGIN, conditions

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from reports.charts.rate_distortion import at_default_rates
+from reports.curves import at_default_rates
 from reports.style import MIB, Model, model, models, named
 from reports.tables.columns import places
 from reports.tables.protocols import comparable

@@ -6,7 +6,8 @@ import fnmatch
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from reports.charts.rate_distortion import Curve, difference
+from reports.conclusions.rates import difference
+from reports.curves import Curve
 from reports.paper.layouts import known_as
 from reports.paper.values import QUANTITIES, Block, PaperTable, Row, Value
 from reports.schema import frame

@@ -15,7 +15,7 @@ from datasets.seals import unsealed
 from methods.gaussian_splatting.spec import SPEC
 from methods.interface import RateKnob, option
 from methods.options import label, resolve
-from reports.charts.rate_distortion import at_default_rates, curves
+from reports.curves import at_default_rates, curves
 from reports.schema import PRUNED, joined, read_tables
 from tests.bench.test_versions import version
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from reports.charts import data, features, kinds, rate_distortion, training
+from reports.charts import data, features, kinds, training
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.style import Model
@@ -45,7 +45,7 @@ def tradeoff(maker, column="size_bytes"):
 def rates(maker):
     """The panels of rate-distortion curves."""
     report = maker.report()
-    return kinds.rate_curves(rate_distortion.panels(report.curves), report.models).panels
+    return kinds.rate_curves(data.rate_panels(report.curves), report.models).panels
 
 
 def sections(tables):

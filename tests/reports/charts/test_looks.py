@@ -7,7 +7,7 @@ import pandas as pd
 from scipy.signal import find_peaks
 
 from reports import style
-from reports.charts import data, features, kinds, parts, rate_distortion, svg, training
+from reports.charts import data, features, kinds, parts, svg, training
 from reports.charts.elements import legend
 from reports.charts.labels import text_width
 from reports.page import results as results_table
@@ -134,7 +134,7 @@ def test_single_sizes_of_variants_are_not_in_the_chart_of_rates(maker):
     maker.run(method="3dgs", variant="start=cloud", psnr=33.0, views=0)
     for rate, size in ((64, 1 << 20), (256, 2 << 20)):
         maker.run(method="ivr-gs", rate=rate, psnr=30.0 + rate / 100, size=size, views=0)
-    (curves,) = rate_distortion.panels(maker.report().curves).values()
+    (curves,) = data.rate_panels(maker.report().curves).values()
     assert [curve.title for curve in curves] == ["ECoNGS", "HAC", "3DGS [start=cloud]", "iVR-GS"]
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from reports.charts import unseen
 from reports.charts.report import Report
+from reports.charts.unseen import unseen_section
+from reports.conclusions import unseen
 from reports.page.document import write_report
 
 
@@ -78,4 +79,4 @@ def test_the_page_has_the_section_where_bumps_were_moved(moved, tmp_path):
 def test_other_edits_make_no_section(maker):
     maker.run(scene="a opacity=2", kind="edited", edit="opacity=2", distance=0.4)
     maker.run(scene="a")
-    assert unseen.unseen_section(Report(maker.tables())) is None
+    assert unseen_section(Report(maker.tables())) is None

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from reports.charts.rate_distortion import Curve, Point
 from reports.charts.report import Report
-from reports.charts.volumes import verdicts, volumes_chart, volumes_section
+from reports.charts.volumes import volumes_chart, volumes_section
+from reports.conclusions.volumes import verdicts
+from reports.curves import Curve, Point
 from reports.style import MIB, Model
 
 

@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 import scipy.stats
 
-from reports.charts.rate_distortion import Curve, Difference, Point, conclusion, difference, differences
+from reports.conclusions.rates import Difference, conclusion, difference, differences
+from reports.curves import Curve, Point
 from reports.statistics import Views
 from reports.style import Model
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from reports.charts import economy
-from reports.charts.rate_distortion import Curve, Point
 from reports.charts.report import Report
+from reports.conclusions import economy
+from reports.curves import Curve, Point
 from reports.page.document import write_report
 from reports.schema import PRUNED
 from reports.style import MISSING, Model

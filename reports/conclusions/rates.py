@@ -1,214 +1,28 @@
-"""Rate-distortion curves, and the average difference of two of them (Bjøntegaard's delta)."""
+"""Who takes the fewest bytes: average differences of rate-distortion curves (Bjøntegaard's delta)."""
 
 from __future__ import annotations
 
 import math
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from reports import rate_intervals
-from reports.fronts import pareto
-from reports.style import MIB, MISSING, Model, absent, mean_key, mib, model
+from reports.style import MISSING, mib
 from reports.tables import confidence
-from reports.tables.columns import records
-from reports.tables.means import summary
-from reports.tables.protocols import comparable, shared_by_all
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from reports.curves import Curve
     from reports.statistics import Views
 
-LEAST_POINTS = 4
-"""Of each curve, for a difference."""
 LEAST_OVERLAP = 0.5
 """Less of the common range, as a share of what both curves span, is warned of."""
 INTERPOLATION = "Akima"
 """Of log10(bytes) over PSNR and the other way round; steadier than cubic or PCHIP (Herglotz et al. 2024)."""
 _DISAGREE = 0.1
-
-
-@dataclass(frozen=True)
-class Point:
-    """A model of all scenes of a dataset.
-
-    Attributes:
-        rate: value of the knob, "" if it is not named.
-        bytes: per scene.
-        psnr: mean over scenes, dB.
-        row: the summary's row, with the other metrics.
-    """
-
-    rate: str
-    bytes: float
-    psnr: float
-    row: dict[str, Any] = field(repr=False, compare=False)
-
-    @property
-    def key(self) -> str:
-        """Of the table's row."""
-        return mean_key(self.row)
-
-
-@dataclass(frozen=True)
-class Curve:
-    """A method (with options that are no rate knob) on a dataset; points from the smallest to the largest.
-
-    Attributes:
-        dataset: with preset and split where there are several.
-        model: without the rate knob.
-        first: that of its first row, which decides its color.
-    """
-
-    dataset: str
-    model: Model
-    first: Model
-    points: tuple[Point, ...]
-
-    @property
-    def title(self) -> str:
-        """What it is called."""
-        return self.model.title
-
-    @property
-    def mebibytes(self) -> list[float]:
-        """Sizes of the points, as charts show them."""
-        return [point.bytes / MIB for point in self.points]
-
-    def exchange(self) -> dict[str, Any]:
-        """The curve as CompressAI lays out its own: lists of equal length by metric, from small to large.
-
-        ``bytes`` are per scene; a value that was not measured is None.
-        """
-        metrics = ("psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv", "fps")
-        columns: dict[str, list[Any]] = {
-            "rate": [point.rate for point in self.points],
-            "bytes": [point.bytes for point in self.points],
-            "psnr": [point.psnr for point in self.points],
-        }
-        for name in metrics:
-            values = [point.row.get(name) for point in self.points]
-            if not all(absent(value) for value in values):
-                columns[name] = [None if absent(value) else float(value) for value in values]  # type: ignore[arg-type]
-        first = self.points[0].row
-        scenes, seeds = _scenes(first), first["seeds"]
-        words = f"{first['dataset']}, preset {first['preset']}, {first['split']} views: "
-        words += f"means over {scenes} scenes"
-        words += "" if seeds == 1 else f" and {seeds} seeds"
-        return {"name": self.title, "description": words, "results": columns}
-
-    @cached_property
-    def front(self) -> tuple[Point, ...]:
-        """The points that no other one beats in bytes and PSNR: what a difference is taken of.
-
-        Rates may be codecs, of which one is worse than another, and the largest model is not always the best.
-        """
-        spots = set(pareto(((point.bytes, point.psnr) for point in self.points), -1))
-        return tuple(point for point in self.points if (point.bytes, point.psnr) in spots)
-
-    @property
-    def problem(self) -> str:
-        """Why no difference can be taken of it; "" if it can."""
-        if len(self.front) >= LEAST_POINTS:
-            return ""
-        where = " on its front" if self._beaten else ""
-        return f"{self.title} has {_points(len(self.front))}{where}, {LEAST_POINTS} are needed"
-
-    @property
-    def doubt(self) -> str:
-        """What of it a difference leaves out; "" if nothing."""
-        beaten = self._beaten
-        return f"{self.title} without {_points(beaten)} that others of its own beat" if beaten else ""
-
-    @property
-    def _beaten(self) -> int:
-        return len(self.points) - len(self.front)
-
-
-def at_default_rates(table: pd.DataFrame) -> pd.DataFrame:
-    """Without fits that differ only in a rate knob from fits of the same table at its default value.
-
-    Args:
-        table: `results`, `curve`, `losses` or `features`.
-    """
-    import pandas as pd
-
-    fits = list(table[["dataset", "preset", "method", "base"]].itertuples(index=False, name=None))
-    at_default = table["knob_value"].isna()
-    default = {fit for fit, unset in zip(fits, at_default, strict=True) if unset}
-    alone = pd.Series([fit not in default for fit in fits], table.index, dtype=bool)
-    rows: pd.DataFrame = table[at_default | alone]
-    return rows
-
-
-def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
-    """Dataset (with preset and split where there are several) -> its curves.
-
-    The points are the rates that one fit was saved at (column ``rate``), or fits that differ only in a rate
-    knob (column ``knob_value``); a method of one size is a curve of one point. Sets that lack a scene are
-    left out, seeds are averaged.
-
-    Args:
-        results: of the seeds that :func:`with_shared_seeds` leaves.
-    """
-    panels: dict[str, list[Curve]] = {}
-    columns = results[["method", "variant", "base", "knob_value"]]
-    knobs = {(method, variant): rest for method, variant, *rest in columns.itertuples(index=False)}
-    for dataset, rows in comparable(summary(results)):
-        groups: dict[Model, list[tuple[Model, Point]]] = {}
-        whole = rows[rows["complete"] & rows["psnr"].notna() & (rows["size_bytes"] > 0)]
-        for row in records(whole):
-            base, knob = knobs[row["method"], row["variant"]]
-            rate = knob if absent(row["rate"]) else row["rate"]
-            size = float(row["size_bytes"]) / _scenes(row)
-            point = Point("" if absent(rate) else f"{rate:g}", size, float(row["psnr"]), row)
-            first = model(row["method"], row["variant"])
-            groups.setdefault(model(row["method"], base), []).append((first, point))
-        for each, group in groups.items():
-            points = _distinct([point for _, point in group])
-            panels.setdefault(dataset, []).append(Curve(dataset, each, group[0][0], points))
-    return panels
-
-
-def with_shared_seeds(results: pd.DataFrame) -> pd.DataFrame:
-    """Without those seeds of a curve that some of its points lack; as it is where they share none.
-
-    Seeds may lie further apart than rates.
-
-    Args:
-        results: the documented table.
-    """
-    import pandas as pd
-
-    points: dict[tuple[Any, ...], dict[tuple[str, str], set[Any]]] = {}
-    names = ["dataset", "preset", "split", "method", "base", "variant", "rate", "seed"]
-    cells = [
-        [None if absent(cell) else cell for cell in row] for row in results[names].itertuples(index=False)
-    ]
-    for *axes, variant, rate, seed in cells:
-        point = points.setdefault(tuple(axes), {})
-        point.setdefault((str(variant), str(rate)), set()).add(seed)
-    shared = {curve: shared_by_all(seeds.values()) for curve, seeds in points.items()}
-    kept = [seed in shared[tuple(axes)] for *axes, _, _, seed in cells]
-    return results[pd.Series(kept, results.index, dtype=bool)]
-
-
-def _scenes(row: Any) -> int:
-    """Number of scenes of a complete row of the summary."""
-    return len(row["jobs"]) // int(row["seeds"])
-
-
-def _distinct(points: list[Point]) -> tuple[Point, ...]:
-    """By bytes. The default's model is left out where the knob's value that it is was measured too."""
-    ordered = sorted(points, key=lambda point: (point.bytes, point.psnr, not point.rate))
-    return tuple(
-        point
-        for i, point in enumerate(ordered)
-        if i == 0 or (point.bytes, point.psnr) != (ordered[i - 1].bytes, ordered[i - 1].psnr)
-    )
 
 
 @dataclass(frozen=True)
@@ -478,27 +292,3 @@ def _by_dataset(differences: Iterable[Difference]) -> dict[str, list[Difference]
     for pair in differences:
         groups.setdefault(pair.dataset, []).append(pair)
     return groups
-
-
-def _points(count: int) -> str:
-    return "one point" if count == 1 else f"{count} points"
-
-
-def panels(curves: dict[str, list[Curve]]) -> dict[str, list[Curve]]:
-    """What a chart shows of the datasets on which some method was measured at several rates.
-
-    Those methods, and of the others the default settings (the first where there are none): single sizes of
-    all variants are what the trade-off charts are for.
-    """
-    chart = {}
-    for dataset, rows in curves.items():
-        models = {curve.model for curve in rows if len(curve.points) > 1}
-        if not models:
-            continue
-        methods = {each.method for each in models}
-        for each in sorted((curve.model for curve in rows), key=lambda each: each.options != ""):
-            if not each.options or each.method not in methods:
-                models.add(each)
-                methods.add(each.method)
-        chart[dataset] = [curve for curve in rows if curve.model in models]
-    return chart
