@@ -120,8 +120,8 @@ METHODS = (
     "3dgs", "3dgs-mcmc", "vq-3dgs", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs", "veg",
     "plenoxels", "ccnerf", "econgs", "mesh", "sz3", "zfp",
 )  # fmt: skip
-ONE_SEED = "¹"
-"""Behind a row of one seed, where other rows of the table have several."""
+FEWER_SEEDS = {1: ("¹", "one seed"), 2: ("²", "two seeds"), 3: ("³", "three seeds"), 4: ("⁴", "four seeds")}
+"""Number of seeds -> mark behind a row where other rows of the table have more, and its meaning."""
 BY_ITSELF = "kind == 'basic' and rate.isna()"
 
 
@@ -185,10 +185,10 @@ def table(description: str) -> str:
     parts = dict(list(results.groupby(by + across)))
     cells = [[_label(name, value) for name, value in zip(by, row, strict=True)] for row in rows]
     counts = results.groupby(by)["seed"].nunique()
-    single = [int(counts[row[0] if len(by) == 1 else row]) == 1 for row in rows]
-    if marked := any(single) and not all(single):
-        for line, alone in zip(cells, single, strict=True):
-            line[-1] += ONE_SEED if alone else ""
+    seeds = [int(counts[row[0] if len(by) == 1 else row]) for row in rows]
+    marks = {count: FEWER_SEEDS[count] for count in sorted(set(seeds)) if count < max(seeds)}
+    for line, count in zip(cells, seeds, strict=True):
+        line[-1] += marks[count][0] if count in marks else ""
     sole = across and len(block["columns"]) == 1  # its name then stands once, at the head of the first column
     titles = [f"{VALUES[block['columns'][0]].title} by {by[0]}", *by[1:]] if sole else list(by)
     for group in groups:
@@ -203,7 +203,7 @@ def table(description: str) -> str:
                 titles.append("change [dB]")
                 for line, (_, number) in zip(cells, numbers, strict=True):
                     line.append(_change(number, numbers[0][1]))
-    return _markdown(titles, cells) + "\n" + _conditions(results, f"{ONE_SEED} one seed" if marked else "")
+    return _markdown(titles, cells) + "\n" + _conditions(results, ", ".join(map(" ".join, marks.values())))
 
 
 def _incomplete(results: pd.DataFrame, by: list[str]) -> list[str]:

@@ -91,19 +91,19 @@ def test_a_block_of_ladders(generate, monkeypatch, show, line) -> None:
     assert lines[-1] == "*preset quick; 8²; training views 4; one seed, 0; P.*"
 
 
-def test_a_row_of_one_seed_is_marked_among_rows_of_several(generate, monkeypatch) -> None:
+def test_rows_of_fewer_seeds_than_others_are_marked(generate, monkeypatch) -> None:
     usual = {"kind": "basic", "variant": "", "rate": None, "preset": "quick", "width": 8, "height": 8,
              "train_views": 4, "fit_processor": "P", "dataset": "d", "scene": "s"}  # fmt: skip
     rows = [
         usual | {"method": name, "seed": seed, "psnr": 30.0 + seed}
-        for name, seeds in (("3dgs", (0, 1, 2)), ("hac", (0,)))
+        for name, seeds in (("3dgs", (0, 1, 2)), ("hac", (0,)), ("ivr-gs", (0, 1)))
         for seed in seeds
     ]
     monkeypatch.setattr(generate, "tables", lambda bundles: {"results": frame("results", rows)})
     block = 'bundles = ["b"]\nrows = "method"\ncolumns = ["psnr"]\n'
     lines = generate.table(block).splitlines()
-    assert lines[2:4] == ["| 3DGS | 31.00 |", "| HAC¹ | 30.00 |"]
-    assert lines[-1] == "*preset quick; 8²; training views 4; seeds 0, 1, 2; P; ¹ one seed.*"
+    assert lines[2:5] == ["| 3DGS | 31.00 |", "| HAC¹ | 30.00 |", "| iVR-GS² | 30.50 |"]
+    assert lines[-1] == "*preset quick; 8²; training views 4; seeds 0, 1, 2; P; ¹ one seed, ² two seeds.*"
     rows[:] = [row for row in rows if row["seed"] == 0]
     assert "¹" not in generate.table(block)
 
