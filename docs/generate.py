@@ -50,6 +50,7 @@ changes. Keys:
     section     "answers", "places" (the report's first screen: sentences, ranks), "races", "rates", "unseen"
                 or "volumes"
     where       as above; which rows the section sees
+    table       false: the sentence alone
 
 ``paper``    a table of the paper as measured, over the published values. Keys:
 
@@ -537,6 +538,8 @@ def verdict_of(description: str) -> str:
         lines = [volumes.row(one) for one in verdicts]
     if not lines:
         raise SystemExit(f"nothing of the kind for {block}")
+    if not block.get("table", True):
+        return f"**{sentence}**\n"
     return f"**{sentence}**\n\n{_markdown(list(heads), lines)}\n{_conditions(report.results)}"
 
 

@@ -256,27 +256,30 @@ def _race(
 
 
 def conclusion(found: Sequence[Race]) -> list[str]:
-    """Who leads where, a sentence per discipline."""
+    """Who surely leads where, a sentence per discipline."""
     sentences = []
     for discipline in DISCIPLINES:
         own = [race for race in found if race.discipline == discipline]
         leads = [(race, lead) for race in own for lead in race.leads if lead.starters > 1]
         if not leads:
             continue
-        won: dict[str, int] = {}
-        for _, lead in leads:
+        won: dict[str, dict[str, list[str]]] = {}
+        for race, lead in leads:
             if lead.sure:
-                won[lead.method] = won.get(lead.method, 0) + 1
-        names = [
-            f"{label(name)} {count}" for name, count in sorted(won.items(), key=lambda one: (-one[1], one[0]))
-        ]
-        open_ = len(leads) - sum(won.values())
-        names += [f"undecided {open_}"] if open_ else []
-        datasets = len({race.dataset for race, _ in leads})
-        sentences.append(
-            f"At equal {discipline.noun}, of {counted(len(leads), 'limit')} on "
-            f"{counted(datasets, 'dataset')}: {', '.join(names)}."
-        )
+                where = won.setdefault(lead.method, {}).setdefault(race.dataset, [])
+                where.append(discipline.text(lead.limit))
+        parts: list[str] = []
+        for name in sorted(won, key=lambda name: (-sum(map(len, won[name].values())), name)):
+            places = (f"{dataset} ({', '.join(at)})" for dataset, at in won[name].items())
+            parts.append(f"{label(name)}{'' if parts else ' surely leads'} on {', '.join(places)}")
+        undecided = sum(not lead.sure for _, lead in leads)
+        limits = counted(len(leads), "limit")
+        datasets = counted(len({race.dataset for race, _ in leads}), "dataset")
+        if not parts:
+            parts.append(f"nobody surely leads at any of {limits} on {datasets}")
+        elif undecided:
+            parts.append(f"{undecided} of {limits} on {datasets} undecided")
+        sentences.append(f"At equal {discipline.noun}, {'; '.join(parts)}.")
     return sentences
 
 

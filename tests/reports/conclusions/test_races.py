@@ -159,15 +159,25 @@ def test_one_model_each_is_no_race():
     assert races(table(*rows)) == []
 
 
-def test_a_sentence_counts_the_leads_of_a_discipline():
-    rows = [
-        fit(method, seconds, psnr + seconds / 100 + 0.01 * scene, f"s{scene}")
-        for method, psnr in (("3dgs", 31.0), ("hac", 30.0))
-        for scene in range(3)
-        for seconds in (10.0, 40.0)
-    ]
-    (sentence,) = [one for one in conclusion(races(table(*rows))) if "training time" in one]
-    assert sentence == "At equal training time, of 2 limits on 1 dataset: 3DGS 2."
+@pytest.mark.parametrize(
+    ("short", "long", "sentence"),
+    [
+        (1.0, 1.0, "3DGS surely leads on d (10 s, 30 s)"),
+        (1.0, -1.0, "3DGS surely leads on d (10 s); HAC on d (30 s)"),
+        (1.0, 0.0, "3DGS surely leads on d (10 s); 1 of 2 limits on 1 dataset undecided"),
+        (0.0, 0.0, "nobody surely leads at any of 2 limits on 1 dataset"),
+    ],
+)
+def test_a_sentence_names_the_sure_leads_of_a_discipline(short, long, sentence):
+    """Leads of 3DGS at 10 and at 30 s; none is one that differs from scene to scene."""
+    rows = []
+    for scene, spread in enumerate((0.5, -0.4, -0.1)):
+        for seconds, lead in ((10.0, short), (30.0, long)):
+            rows.append(fit("hac", seconds, 30.0 + seconds / 10, f"s{scene}"))
+            ahead = lead + 0.01 * scene if lead else spread
+            rows.append(fit("3dgs", seconds, 30.0 + seconds / 10 + ahead, f"s{scene}"))
+    (found,) = [one for one in conclusion(races(table(*rows))) if "training time" in one]
+    assert found == f"At equal training time, {sentence}."
 
 
 def test_bands_reach_over_the_seeds_and_lines_over_all_costs():
