@@ -27,7 +27,8 @@ A block begins with ``<!-- KIND`` and a description in TOML, and ends with ``<!-
 
     bundles     as above
     show        "breaks": the first break of each method on each ladder; "verdicts": where each method breaks
-                first, in a sentence; "flicker": that of each method on each scene
+                first, in a sentence; "contrasts": which ladder breaks whom, in sentences; "flicker": that of
+                each method on each scene
 
 ``departures``  every option by which the configuration "paper" of a method differs, and what taking it back
 changes. Keys:
@@ -97,7 +98,7 @@ from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.conclusions import economy, races, rates, unseen, volumes
 from reports.conclusions.answers import Answer, scope, standing
-from reports.conclusions.ladders import amount, by_method, verdict
+from reports.conclusions.ladders import amount, by_method, contrasts, verdict
 from reports.paper import datasets
 from reports.paper.documents import to_markdown
 from reports.paper.tables import paper_tables
@@ -340,7 +341,10 @@ def ladders_of(description: str) -> str:
     rungs = rungs[rungs["variant"] == ""]
     if rungs.empty:
         raise SystemExit(f"no ladders for {block}")
-    shows = {"breaks": _breaks, "verdicts": _verdicts, "flicker": _flicker, "method": _of_method}
+    shows = {
+        "breaks": _breaks, "verdicts": _verdicts, "contrasts": _contrasts, "flicker": _flicker,
+        "method": _of_method,
+    }  # fmt: skip
     if "method" in block:
         rungs = rungs[rungs["method"] == block["method"]]
     usual = parts["results"].query(BY_ITSELF, engine="python")
@@ -371,6 +375,11 @@ def _verdicts(rungs: pd.DataFrame) -> str:
     names = [name for (name,) in _ordered(rungs, ["method"])]
     ordered = sorted(own.items(), key=lambda item: names.index(item[0][0]))
     return "".join(f"- {verdict(climbs)}\n" for _, climbs in ordered)
+
+
+def _contrasts(rungs: pd.DataFrame) -> str:
+    climbs = sorted(climbed(rungs), key=lambda climb: METHODS.index(climb["method"]))
+    return "".join(f"- {sentence}\n" for sentence in contrasts(climbs))
 
 
 def _of_method(rungs: pd.DataFrame) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 from reports.charts.chart import Axis, Bar, Chart, Panel
 from reports.charts.elements import Section, card, legend
-from reports.conclusions.ladders import words
+from reports.conclusions.ladders import contrasts, title, words
 from reports.style import PALETTE, Look, label
 from reports.tables.ladders import climbed, held
 
@@ -26,7 +27,6 @@ _SPAN = 0.92
 _GAP = 0.012
 """Half of the gap between two rungs, in columns."""
 _COLUMN, _ROW = 104.0, 25.0
-_CONDITIONS = ("preset", "split", "requested_views")
 
 
 def kind_of(failure: str) -> str:
@@ -72,12 +72,6 @@ def ladder_chart(climbs: Sequence[dict[str, Any]]) -> Chart:
     return Chart([Panel("", x, y, bars=bars, width=width, height=height)], looks)
 
 
-def title(row: dict[str, Any], climbs: Sequence[dict[str, Any]]) -> str:
-    """The ladder of a climb, with its conditions where there are several."""
-    several = [name for name in _CONDITIONS if len({other[name] for other in climbs}) > 1]
-    return " ".join([row["ladder"], *(f"{row[name]}" for name in several)])
-
-
 def _outcome(row: dict[str, Any]) -> str:
     if row["failure"] is not None:
         return f"first breaks at {words(row)}"
@@ -102,5 +96,6 @@ def ladders_section(report: Report) -> Section | None:
         "its fall is that of the distance to the best method. A ladder and a method lead to their details. "
         'All rungs: <a href="ladders.csv">ladders</a>.'
     )
-    html = f"<p>{text}</p>{legend(chart.legend)}{card(chart.panels[0], '')}"
+    sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in contrasts(climbs))
+    html = f"<ul>{sentences}</ul><p>{text}</p>{legend(chart.legend)}{card(chart.panels[0], '')}"
     return Section("ladders", "Where methods break", html, {"ladders": chart})

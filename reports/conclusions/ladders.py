@@ -1,4 +1,4 @@
-"""What ladders say about a method: how many rungs it holds, and where it breaks first.
+"""What ladders say: how many rungs a method holds, where it breaks first, which ladder breaks whom.
 
 The usual run, a ladder's first rung, counts nowhere.
 """
@@ -31,6 +31,8 @@ _DECIDES = {
 """Kind of break -> the column that decides it."""
 _MOST_NAMES = 4
 """Ladders that a sentence names one by one."""
+_CONDITIONS = ("preset", "split", "requested_views")
+_HOLDS, _UNKNOWN = "holds", "not measured"
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,57 @@ def verdict(climbs: Sequence[Row]) -> str:
     return f"{text}{_rest(climbs)}."
 
 
+def contrasts(climbs: Sequence[Row]) -> list[str]:
+    """Sentences on all methods: which ladders break none, which break all alike, and whom each other breaks.
+
+    Args:
+        climbs: as of :func:`reports.tables.ladders.climbed`.
+    """
+    methods = {(climb["method"], climb["variant"]) for climb in climbs}
+    none, alike, others = [], [], []
+    for ladder in dict.fromkeys(title(climb, climbs) for climb in climbs):
+        own = [climb for climb in climbs if title(climb, climbs) == ladder]
+        breaks: dict[str, list[str]] = {}
+        for climb in sorted(own, key=lambda climb: severity(climb)[:2]):
+            name = label(climb["method"], climb["variant"])
+            breaks.setdefault(_place(climb), []).append(name)
+        if list(breaks) == [_HOLDS]:
+            none.append(f"“{ladder}”")
+        elif len(breaks) == 1 and len(own) == len(methods) > 1 and _UNKNOWN not in breaks:
+            alike.append(f"“{ladder}” at {next(iter(breaks))}")
+        else:
+            parts = []
+            for place, names in breaks.items():
+                one = len(names) == 1
+                verb = {
+                    _HOLDS: "holds" if one else "hold",
+                    _UNKNOWN: f"{'is' if one else 'are'} not measured on all rungs",
+                }
+                does = verb.get(place) or f"{'breaks' if one else 'break'} at {place}"
+                parts.append(f"{joined(names)} {does}")
+            others.append(f"“{ladder}”: {'; '.join(parts)}.")
+    first = []
+    if none:
+        first.append(f"No method breaks on {joined(none)}.")
+    if alike:
+        first.append(f"Every method breaks on {joined(alike)}.")
+    return first + others
+
+
+def _place(climb: Row) -> str:
+    """Of a climb's first break, as "views=6" or, if it is not of quality, "noise=32 (floaters)"."""
+    if climb["failure"] is None:
+        return _HOLDS if len(climb["outcomes"]) == climb["rungs"] else _UNKNOWN
+    kind = "" if climb["failure"] == "quality" else f" ({climb['failure']})"
+    return f"{climb['rung']}{kind}"
+
+
+def title(climb: Row, climbs: Sequence[Row]) -> str:
+    """The ladder of a climb, with its conditions where there are several."""
+    several = [name for name in _CONDITIONS if len({other[name] for other in climbs}) > 1]
+    return " ".join([climb["ladder"], *(f"{climb[name]}" for name in several)])
+
+
 def words(climb: Row) -> str:
     """A first break, as "views=6 on vis_male/skin: quality, -3.4 dB"."""
     where = f" on {climb['subject']}" if climb["subject"] else ""
@@ -179,7 +232,12 @@ def listing(names: Iterable[str]) -> str:
     quoted = [f"“{name}”" for name in names]
     if len(quoted) > _MOST_NAMES + 1:
         quoted = [*quoted[:_MOST_NAMES], f"{len(quoted) - _MOST_NAMES} more"]
-    *head, last = quoted
+    return joined(quoted)
+
+
+def joined(names: Sequence[str]) -> str:
+    """As "a, b and c"."""
+    *head, last = names
     return f"{', '.join(head)} and {last}" if head else last
 
 

@@ -9,8 +9,8 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 from reports import markup
-from reports.charts.ladders import KINDS, anchor, kind_of, title
-from reports.conclusions.ladders import by_method, flickering, verdict
+from reports.charts.ladders import KINDS, anchor, kind_of
+from reports.conclusions.ladders import by_method, flickering, title, verdict
 from reports.pictures import ladder_files, strips
 from reports.pictures.files import thumbnail
 from reports.schema import COLUMNS, COVERAGE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from reports.conclusions.ladders import by_method, flickering, summary, verdict, words
+from reports.conclusions.ladders import by_method, contrasts, flickering, summary, verdict, words
 from reports.tables.ladders import climbed, ladders
 from tests.reports.tables.test_ladders import table
 
@@ -64,6 +64,29 @@ def test_what_was_not_measured_is_said() -> None:
     (own,) = by_method(climbs({"place": 0, "rungs": 4}, {"place": 1, "rungs": 4})).values()
     text = "a breaks on none of 1 ladder; 2 rungs are not measured."
     assert verdict(own) == text
+
+
+def test_ladders_that_break_none_all_and_some_are_told_apart() -> None:
+    rows = []
+    for method, late in (("a", 29.0), ("b", 20.0)):
+        rows += one(30.0, 29.0, ladder="easy", method=method)
+        rows += one(30.0, 29.0, 29.0, ladder="easier", method=method)
+        rows += one(30.0, 20.0, ladder="hard", method=method)
+        rows += one(30.0, late, ladder="half", method=method)
+        rows += one(30.0, late, 20.0, ladder="order", method=method)
+    rows += [*one(30.0, 20.0, ladder="alone"), *one(30.0, 20.0, ladder="hard", method="c")]
+    floaters = one(30.0, 29.0, ladder="half", method="c")
+    floaters[1] |= {"excess": 0.5}
+    stopped = one(30.0, 29.0, ladder="order", method="c")
+    rows += [*floaters, *(rung | {"rungs": 3} for rung in stopped)]
+    assert contrasts(climbs(*rows)) == [
+        "No method breaks on “easy” and “easier”.",
+        "Every method breaks on “hard” at r1.",
+        "“half”: c breaks at r1 (floaters); b breaks at r1; a holds.",
+        "“order”: b breaks at r1; a breaks at r2; c is not measured on all rungs.",
+        "“alone”: a breaks at r1.",
+    ]
+    assert contrasts([]) == []
 
 
 def test_a_line_per_method_for_a_terminal() -> None:
