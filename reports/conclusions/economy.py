@@ -27,6 +27,8 @@ DROP = "prunable_010"
 KIB = 1024.0
 _LEAST_SCENES = 3
 """Of a method, for how its bytes grow."""
+_LEAST_DECADES = 1.0
+"""That its scenes' volumes span, for the same."""
 
 
 @dataclass(frozen=True)
@@ -244,7 +246,7 @@ def _growth(economies: Sequence[Economy], level: float) -> str:
             if one.model == each and one.volume and (own := one.needs[level]) is not None
         ]
         x, y = np.array(spots).T if spots else (np.zeros(0), np.zeros(0))
-        if len(spots) >= _LEAST_SCENES and np.ptp(x) > 0:
+        if len(spots) >= _LEAST_SCENES and np.ptp(x) >= _LEAST_DECADES:
             factors[each.title] = 10.0 ** float(np.polyfit(x, y, 1)[0])
     if not factors:
         return ""

@@ -94,6 +94,11 @@ def test_the_conclusion_names_who_is_cheapest_who_grows_and_who_has_to_spare(spe
     )
 
 
+def test_growth_is_not_told_of_volumes_within_a_factor_of_ten(spent):
+    spent["complexity"]["lossless_bytes"] **= 0.45  # two decades become 0.9
+    assert "ten times the bytes" not in economy.conclusion(Report(spent).economies)
+
+
 def test_page_and_files_show_them(spent, maker, tmp_path):
     page = write_report(spent, maker.root, tmp_path / "report.html").read_text(encoding="utf-8")
     section = page[page.index('id="economy"') :]
