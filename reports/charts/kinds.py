@@ -10,7 +10,6 @@ from reports.charts import data, features, training
 from reports.charts.chart import (
     GRAY,
     INK,
-    MOST_LABELS,
     Axis,
     Bar,
     Chart,
@@ -31,6 +30,8 @@ from reports.style import OTHERS, OTHERS_NAME, PALETTE, Look, Model, legend_entr
 Panels = Mapping[str, Sequence[training.Curve]]
 """Title -> lines."""
 _QUALITY = "PSNR [dB]"
+_MOST_ENDS = 6
+"""Lines that are named at their ends; more of them crowd where they meet."""
 _BARS = 540.0
 """Width of stacked bars with their totals in pixels."""
 _MOST_BARS = 36
@@ -123,7 +124,8 @@ def lines(
     parts = []
     for title, curves in panels.items():
         styles = looks({curve.model: curve.model for curve in curves}, models)
-        few = len(curves) <= MOST_LABELS
+        few = len(curves) <= _MOST_ENDS
+        names = [curve.title for curve in curves] if few else []
         series = []
         for curve in sorted(curves, key=lambda curve: list(styles).index(curve.model)):
             look = styles[curve.model]
@@ -132,14 +134,14 @@ def lines(
         parts.append(
             Panel(
                 title,
-                across([v for curve in curves for v in curve.x], room=room_for([c.title for c in curves])),
+                across([v for curve in curves for v in curve.x], room=room_for(names)),
                 upright([v for curve in curves for v in curve.y]),
                 series,
                 [Text(c.x[-1], c.y[-1], c.title, styles[c.model].color) for c in curves] if few else [],
                 [spot for c in curves for spot in zip(c.x, c.y, strict=True)] if few else [],
             )
         )
-    crowded = any(len(curves) > MOST_LABELS for curves in panels.values())
+    crowded = any(len(curves) > _MOST_ENDS for curves in panels.values())
     return Chart(parts, legend_of(panels, models) if crowded else {})
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from reports.charts import kinds, stability
 from reports.charts.elements import Section, card, cards, legend, table
-from reports.style import MISSING
+from reports.style import MISSING, Look
 
 if TYPE_CHECKING:
     from reports.charts.report import Report
@@ -71,11 +71,13 @@ def complexity_section(report: Report) -> Section | None:
     """What grows with the number in the names of datasets."""
     charts = {}
     panels = []
+    entries: dict[str, Look] = {}
     for what, title in stability.COMPLEXITY.items():
         if curves := stability.by_complexity(report.results, what):
             name = f"complexity-{what.split('_')[0]}"
             charts[name] = kinds.lines(curves, "number of parts", title, report.models, log_y=what != "psnr")
             panels += [(f"{panel.title}: {title}", panel) for panel in charts[name].panels]
+            entries |= kinds.legend_of(curves, report.models)
     if not charts:
         return None
     words = (
@@ -84,6 +86,5 @@ def complexity_section(report: Report) -> Section | None:
         "small."
     )
     grid = "".join(card(panel, caption) for caption, panel in panels)
-    return Section(
-        "complexity", "What a scene needs", f'<p>{words}</p><div class="charts">{grid}</div>', charts
-    )
+    html = f'<p>{words}</p>{legend(entries)}<div class="charts">{grid}</div>'
+    return Section("complexity", "What a scene needs", html, charts)

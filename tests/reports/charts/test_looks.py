@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pandas as pd
+import pytest
 from scipy.signal import find_peaks
 
 from reports import style
@@ -80,6 +81,17 @@ def test_the_legend_of_lines_is_what_is_drawn():
     assert len(set(swatches)) == len(names)
 
 
+@pytest.mark.parametrize(("count", "labels"), [(6, 6), (7, 0)])
+def test_lines_are_named_at_their_ends_or_in_a_legend(count, labels):
+    names = [Model(f"m{i}") for i in range(count)]
+    curves = [
+        training.Curve(name, name.method, [1.0, 10.0], [30.0, 31.0 + i]) for i, name in enumerate(names)
+    ]
+    chart = kinds.lines({"d": curves}, "", "", names)
+    assert len(chart.panels[0].labels) == labels
+    assert len(chart.legend) == (0 if labels else count)
+
+
 def test_page_legends_name_only_what_is_drawn(maker):
     maker.run(method="3dgs")
     maker.run(method="hac")
@@ -89,6 +101,14 @@ def test_page_legends_name_only_what_is_drawn(maker):
     html = sections(tables)
     for anchor in ("convergence", "anytime"):
         assert re.findall(r"</svg> ([^<]+)</span>", html[anchor]) == ["3DGS", "ECoNGS"]
+
+
+def test_the_page_names_the_lines_over_complexity(maker):
+    for count in (1, 8, 64):
+        maker.run(method="3dgs", dataset=f"blobs_{count}")
+        maker.run(method="econgs", dataset=f"blobs_{count}")
+    html = sections(maker.tables())["complexity"]
+    assert re.findall(r"</svg> ([^<]+)</span>", html) == ["3DGS", "ECoNGS"]
 
 
 def test_the_front_is_named_among_many_variants_and_the_rest_is_gray(maker):
