@@ -113,6 +113,13 @@ class Adam:
             self.first[name][0][rows] = 0.0
             self.second[name][0][rows] = 0.0
 
+    @torch.no_grad()
+    def restart(self, name: str) -> None:
+        """Clear the moments of a group and count its steps anew."""
+        for moment in (*self.first[name], *self.second[name]):
+            moment.zero_()
+        self.steps[name] = [0] * len(self.steps[name])
+
     def state(self) -> dict[str, Tensor]:
         """Parameters, moments and step counts as plain tensors ``group/place/part``, for a checkpoint."""
         saved = {}

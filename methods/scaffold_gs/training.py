@@ -29,6 +29,8 @@ from methods.shared.rent import Holding
 from methods.shared.start import thinned
 from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
 
+_MOST_OPACITY = 1.0 - 1e-6
+"""Of what is inverted: float32 has hidden Gaussians of -1, whose inverse is infinite."""
 DECODER_RATES: dict[str, Rate] = {"opacity": (2e-3, 2e-5), "covariance": (4e-3, 4e-3), "color": (8e-3, 5e-5)}
 SCALING_RATE = 7e-3
 OFFSET_RATE: Rate = (1e-2, 1e-4)
@@ -129,10 +131,11 @@ class Trainer(AnchorLoop):
         gets no gradient.
         """
         values, positions = self.attributes(self.anchors), self.anchors.positions
-        means = [
-            decode_colors(positions, *values, self.decoders, camera.position).raw_opacities.atanh().mean(0)
+        opacities = [
+            decode_colors(positions, *values, self.decoders, camera.position).raw_opacities
             for camera in self.scene.train.cameras
         ]
+        means = [one.clamp(-_MOST_OPACITY, _MOST_OPACITY).atanh().mean(0) for one in opacities]
         self.decoders.network("opacity").show_half(torch.stack(means).mean(0))
 
     @torch.no_grad()
@@ -142,13 +145,30 @@ class Trainer(AnchorLoop):
         Few starts give every offset a negative opacity; what is not shown gets no gradient, and such a fit
         would never begin.
         """
+        if self._shows_nothing():
+            network = self.decoders.network("opacity")
+            network.second_weight.neg_()
+            network.second_bias.neg_()
+
+    def _shows_nothing(self) -> bool:
+        """Whether every offset of every anchor is hidden in every training view."""
         values, positions = self.attributes(self.anchors), self.anchors.positions
-        for camera in self.scene.train.cameras:
-            if len(decode_colors(positions, *values, self.decoders, camera.position).slots):
-                return
-        network = self.decoders.network("opacity")
-        network.second_weight.neg_()
-        network.second_bias.neg_()
+        return not any(
+            len(decode_colors(positions, *values, self.decoders, camera.position).slots)
+            for camera in self.scene.train.cameras
+        )
+
+    @torch.no_grad()
+    def _revive(self, truth: Tensor) -> None:
+        """Show half of the offsets again where all have vanished, though the view's alpha has not.
+
+        A part of the loss of alpha's rescue (:data:`econgs.losses.RESCUE`): while features are nearly zero,
+        all anchors hide together, and what is hidden gets no gradient.
+        """
+        wanted = self.options.alpha_weight and self.transparent and bool((truth[..., 3] > 0).any())
+        if wanted and len(self.anchors) and self._shows_nothing():
+            self._show_half()
+            self.optimiser.restart("opacity")
 
     # ------------------------------------------------------------------ what HAC changes
 
@@ -244,6 +264,8 @@ class Trainer(AnchorLoop):
                 )
             self.optimiser.rates.update(self.rates())
             self.optimiser.step()
+        if not len(decoded.slots):
+            self._revive(truth)
         if self.schedule.grows(self.iteration):
             self.grow()
         if self.iteration % CHECK_EVERY == 0:

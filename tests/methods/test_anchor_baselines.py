@@ -125,6 +125,27 @@ def test_half_of_the_gaussians_are_shown_at_the_start_whatever_the_seed_draws(ki
     assert min(shown(False, seed) for seed in range(3)) < 0.3
 
 
+@pytest.mark.parametrize("depth", [1.0, 30.0])
+def test_gaussians_that_have_all_vanished_are_shown_again(depth, kind, scene):
+    """As the rescue of the loss of alpha: without that loss, and of a scene without alpha, they stay away."""
+
+    def drawn(scene=scene, **changed):
+        trainer = kind.trainer(scene, kind.fit.options(offsets=3, **changed), 100, 0, "cpu")
+        trainer.step()
+        with torch.no_grad():
+            trainer.decoders.network("opacity").second_bias -= depth
+        for _ in range(8):
+            trainer.step()
+        values, positions = trainer.attributes(trainer.anchors), trainer.anchors.positions
+        camera = scene.train.cameras[0]
+        return len(decode_colors(positions, *values, trainer.decoders, camera.position).slots)
+
+    train = replace(scene.train, images=scene.train.images * np.float32([1, 1, 1, 0]))
+    assert drawn(alpha_weight=0.3) > 0
+    assert drawn(alpha_weight=0.0) == 0
+    assert drawn(replace(scene, train=train), alpha_weight=0.3) == 0
+
+
 def test_networks_of_int8_take_a_quarter_and_are_drawn_as_they_are_stored(tmp_path, tiny, scene):
     fit, recorder = KINDS["hac"].fit, tiny.Recorder(checkpoint_at=[BUDGET])
     fit(scene, recorder, BUDGET)
