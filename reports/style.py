@@ -52,6 +52,12 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
+def enumeration(names: Sequence[str]) -> str:
+    """As "a, b and c", of at least one name."""
+    *head, last = names
+    return f"{', '.join(head)} and {last}" if head else last
+
+
 def label(method: Any, variant: Any = "", rate: Any = None) -> str:
     """What a row is called in tables and charts."""
     parts = [TITLES.get(str(method), str(method))]

@@ -13,7 +13,7 @@ from reports.conclusions.contest import Cells, Contest, Values
 from reports.conclusions.effects import LEAST_DATASETS, Effect, effect
 from reports.conclusions.ladders import Tally, tally
 from reports.schema import COLUMNS
-from reports.style import absent, counted, label
+from reports.style import absent, counted, enumeration, label
 from reports.tables.confidence import signed
 
 if TYPE_CHECKING:
@@ -379,7 +379,5 @@ def _caution(values: Values) -> str:
 
 
 def _listing(names: Iterable[str], every: bool = False) -> str:
-    *head, last = [label(name) for name in names]
-    if len(head) >= _MOST_NAMES and not every:
-        return f"{len(head) + 1} methods"
-    return f"{', '.join(head)} and {last}" if head else last
+    labels = [label(name) for name in names]
+    return f"{len(labels)} methods" if len(labels) > _MOST_NAMES and not every else enumeration(labels)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from reports.style import absent, counted, label
+from reports.style import absent, counted, enumeration, label
 from reports.tables.columns import records
 from reports.tables.confidence import signed
 from reports.tables.ladders import held, severity
@@ -154,13 +154,13 @@ def contrasts(climbs: Sequence[Row]) -> list[str]:
                     _UNKNOWN: f"{'is' if one else 'are'} not measured on all rungs",
                 }
                 does = verb.get(place) or f"{'breaks' if one else 'break'} at {place}"
-                parts.append(f"{joined(names)} {does}")
+                parts.append(f"{enumeration(names)} {does}")
             others.append(f"“{ladder}”: {'; '.join(parts)}.")
     first = []
     if none:
-        first.append(f"No method breaks on {joined(none)}.")
+        first.append(f"No method breaks on {enumeration(none)}.")
     if alike:
-        first.append(f"Every method breaks on {joined(alike)}.")
+        first.append(f"Every method breaks on {enumeration(alike)}.")
     return first + others
 
 
@@ -232,13 +232,7 @@ def listing(names: Iterable[str]) -> str:
     quoted = [f"“{name}”" for name in names]
     if len(quoted) > _MOST_NAMES + 1:
         quoted = [*quoted[:_MOST_NAMES], f"{len(quoted) - _MOST_NAMES} more"]
-    return joined(quoted)
-
-
-def joined(names: Sequence[str]) -> str:
-    """As "a, b and c"."""
-    *head, last = names
-    return f"{', '.join(head)} and {last}" if head else last
+    return enumeration(quoted)
 
 
 def _rest(climbs: Iterable[Row]) -> str:

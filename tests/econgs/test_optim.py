@@ -165,3 +165,26 @@ def test_rows_are_written_and_forgotten_alone():
         assert torch.equal(ours.state()[name][others], before[name][others])
         assert part == "value" or not ours.state()[name][rows].any()
     assert torch.equal(ours.state()["sh/0/first"], before["sh/0/first"])
+
+
+def test_a_group_that_restarts_steps_as_that_of_a_new_optimiser():
+    """Several tensors in a group; another group goes on."""
+    start = {name: [torch.randn(3, 2), torch.randn(5)] for name in ("a", "b")}
+    ours = Adam({name: [one.clone() for one in group] for name, group in start.items()}, {"a": 0.1, "b": 0.1})
+
+    def step(optimiser, names=("a", "b")):
+        for name in names:
+            for tensor in optimiser.parameters[name]:
+                tensor.grad = torch.cos(tensor.detach())
+        optimiser.step()
+
+    for _ in range(4):
+        step(ours)
+    now = {name: [one.detach().clone() for one in group] for name, group in ours.parameters.items()}
+    ours.restart("a")
+    step(ours)
+    new = Adam({"a": now["a"]}, {"a": 0.1})
+    step(new, ("a",))
+    for one, expected in zip(ours.parameters["a"], new.parameters["a"], strict=True):
+        torch.testing.assert_close(one, expected, rtol=0, atol=0)
+    assert ours.steps == {"a": [1, 1], "b": [5, 5]}
