@@ -21,6 +21,7 @@ from datasets.errors import DataError
 WARMUP_SECONDS = 3.0
 MEASURE_SECONDS = 1.0
 MEASURE_FRAMES = 500
+PARTS_SECONDS = 0.1
 STABLE = 0.05
 _WINDOW = 5
 _LAPS = 3
@@ -151,9 +152,27 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
 def median_timings(
     timings: Callable[[Camera], Any], cameras: Sequence[Camera], frames: int = 9
 ) -> dict[str, float]:
-    """Median seconds of each part of a frame over cameras spread along the path, after one warm-up frame."""
-    step = max(1, len(cameras) // frames)
-    samples = [dict(timings(camera)) for camera in [cameras[0], *cameras[::step]]][1:]
+    """Median seconds of each part of a frame over cameras spread along the path.
+
+    After one frame of warm-up, whole passes over these cameras are timed for a tenth of a second, so that an
+    interruption of some milliseconds is no part of the median. The garbage collector is off meanwhile.
+
+    Args:
+        timings: seconds by part of one frame of a camera.
+        cameras: the path.
+        frames: about as many cameras of it are timed.
+    """
+    chosen = cameras[:: max(1, len(cameras) // frames)]
+    gc.collect()
+    gc.disable()
+    try:
+        timings(chosen[0])
+        samples: list[dict[str, float]] = []
+        begin = time.perf_counter()
+        while not samples or time.perf_counter() - begin < PARTS_SECONDS:
+            samples += [dict(timings(camera)) for camera in chosen]
+    finally:
+        gc.enable()
     return {part: float(np.median([s[part] for s in samples])) for part in samples[0]}
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from bench.checkpoints import VERSION, Damaged, read_checkpoint, write_checkpoint
 from bench.monitor import FitMonitor, Stop, Stopped
-from bench.timing import time_frames
+from bench.timing import median_timings, time_frames
 from datasets.errors import DataError
 from methods.interface import Checkpoint, Diverged
 
@@ -228,6 +228,20 @@ def test_frame_times_cover_the_whole_path_alike(monkeypatch) -> None:
     assert 0.001 <= times.frame_seconds < times.frame_seconds_p95
     assert times.frame_seconds_p95 >= 0.004
     assert times.reference_seconds == 8.0
+
+
+def test_an_interruption_is_no_part_of_a_frame(monkeypatch) -> None:
+    """A frame takes 2 ms, and 4 ms for ten frames in a row, in which the machine does something else too."""
+    clock, frames = [0.0], [0]
+    monkeypatch.setattr("bench.timing.time.perf_counter", lambda: clock[0])
+
+    def timings(camera: int) -> dict[str, float]:
+        frames[0] += 1
+        seconds = 0.004 if 2 <= frames[0] < 12 else 0.002
+        clock[0] += seconds
+        return {"shade": 0.25 * seconds, "rasterise": 0.75 * seconds}
+
+    assert median_timings(timings, range(45)) == {"shade": 0.0005, "rasterise": 0.0015}
 
 
 class _Picture(_Model):
