@@ -15,7 +15,6 @@ from scipy.spatial.distance import squareform
 
 from econgs.context.positions import morton_order
 
-LINKAGES = ("average", "single", "complete")
 SAMPLE = 512
 """Sampled points of each cloud: distances within 3 %, as with 2,048 random points."""
 
@@ -69,7 +68,7 @@ def cluster(distances: NDArray[np.float64], threshold: float, method: str = "ave
     Args:
         distances: (n, n) symmetric with a zero diagonal.
         threshold: largest distance of a merge; 0 keeps every item apart.
-        method: one of :data:`LINKAGES`.
+        method: linkage of SciPy: "average", "single" or "complete".
 
     Returns:
         Groups in the order of their first items; items ascending.
