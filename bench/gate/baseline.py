@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -129,10 +129,22 @@ def cell_of(cell: Cell) -> BaselineCell:
     )
 
 
-def differences(before: Mapping[str, object], after: Mapping[str, object]) -> str:
-    """Options or versions that differ, as "ssim_weight 0.2 → 0.3"; "" if none does."""
-    names = [name for name in {**before, **after} if before.get(name) != after.get(name)]
-    return ", ".join(f"{name} {before.get(name, 'absent')} → {after.get(name, 'absent')}" for name in names)
+def differences(
+    before: Mapping[str, object], after: Mapping[str, object], names: Collection[str] | None = None
+) -> str:
+    """Options or versions that differ, as "ssim_weight 0.2 → 0.3"; "" if none does.
+
+    Args:
+        before: name -> value.
+        after: as ``before``.
+        names: those to compare; None: all.
+    """
+    every = [n for n in {**before, **after} if names is None or n in names]
+    return ", ".join(
+        f"{n} {before.get(n, 'absent')} → {after.get(n, 'absent')}"
+        for n in every
+        if before.get(n) != after.get(n)
+    )
 
 
 def _views(cell: Cell, seeds: list[int]) -> tuple[dict[str, float], float]:

@@ -203,10 +203,7 @@ class _Pair:
         other_version = self.new.version != self.old.version
         if other_version:
             yield Finding("note", self.title, f"method version {self.old.version} → {self.new.version}")
-        # The same version means the same results, so a setting that differs is a mistake without one.
-        for text in dict.fromkeys(differences(self.old.options, own) for own in self.new.options.values()):
-            if text:
-                yield Finding("note" if other_version else "worse", self.title, f"options differ: {text}")
+        yield from self._of_options("note" if other_version else "worse")
         if self._pace:
             yield Finding("not measured", self.title, f"times: {self._pace}")
         for name, quantity in QUANTITIES.items():
@@ -220,6 +217,21 @@ class _Pair:
             text = f"{len(lacking)} of {len(self.old.views)} views were not measured ({lacking[0]}, ...)"
             yield Finding("worse", self.title, text)
         yield from self._of_equal()
+
+    def _of_options(self, kind: Kind) -> Iterator[Finding]:
+        """Options with other values; those of one side alone are new or gone, and results tell what they do.
+
+        Args:
+            kind: "worse" for the same version, which means the same results: such an option is a mistake.
+        """
+        found: list[tuple[Kind, str]] = []
+        for own in self.new.options.values():
+            old = self.old.options
+            shared, alone = old.keys() & own.keys(), old.keys() ^ own.keys()
+            found += [(kind, differences(old, own, shared)), ("note", differences(old, own, alone))]
+        for weight, text in dict.fromkeys(found):
+            if text:
+                yield Finding(weight, self.title, f"options differ: {text}")
 
     @property
     def elsewhere(self) -> str:

@@ -185,16 +185,19 @@ def test_times_count_on_the_same_quiet_processor_alone() -> None:
 
 
 def test_a_setting_that_differs_is_worse_unless_the_version_was_raised() -> None:
-    new = many(7, [7])
-    new[key()].options[7] = {"ssim_weight": 0.3, "iterations": 300, "rent": True}
+    """An option of one side alone is a note: what it does, results show."""
+    new = many(7, [7, 8])
+    for seed in (7, 8):
+        new[key()].options[seed] = {"ssim_weight": 0.3, "iterations": 300, "rent": True}
     verdict = judge(OLD, new)
-    (finding,) = verdict.findings
-    assert (finding.kind, finding.cell) == ("worse", key().title)
-    assert finding.text == "options differ: ssim_weight 0.2 → 0.3, rent absent → True"
+    assert [(f.kind, f.cell, f.text) for f in verdict.findings] == [
+        ("worse", key().title, "options differ: ssim_weight 0.2 → 0.3"),
+        ("note", key().title, "options differ: rent absent → True"),
+    ]
     new[key()].version = "2"
     verdict = judge(OLD, new)
     assert verdict.code == 0
-    assert [finding.kind for finding in verdict.findings] == ["note", "note"]
+    assert [finding.kind for finding in verdict.findings] == ["note"] * 3
 
 
 def test_a_baseline_has_one_setting() -> None:
