@@ -25,12 +25,13 @@ def summary(verdict: Verdict) -> str:
     ]
     parts = [f"{len(verdict.cells)} results", ", ".join(counts) or "nothing differs"]
     if verdict.same or verdict.differ:
-        parts.append(
-            f"{verdict.same} models equal the baseline's byte for byte, {verdict.differ} differ"
-            + (f" ({verdict.elsewhere})" if verdict.elsewhere else "")
-            if verdict.differ
-            else f"all {verdict.same} models equal the baseline's byte for byte"
-        )
+        whole = not verdict.differ and not verdict.unknown
+        text = f"{'all ' if whole else ''}{verdict.same} models equal the baseline's byte for byte"
+        if verdict.differ:
+            text += f", {verdict.differ} differ" + (f" ({verdict.elsewhere})" if verdict.elsewhere else "")
+        if verdict.unknown:
+            text += f", {verdict.unknown} have no files to compare"
+        parts.append(text)
     if verdict.tests:
         parts.append(f"{verdict.tests} comparisons, {100 * LEVEL:g} % chance of any false alarm")
     return "; ".join(parts)

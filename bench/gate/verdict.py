@@ -56,6 +56,7 @@ class Verdict:
         tests: number of comparisons.
         same: number of models whose files equal the baseline's.
         differ: number of models whose files do not.
+        unknown: number of models without files, or with none in the baseline.
         elsewhere: processors and threads of baseline and run where models differ on unlike ones; else "".
     """
 
@@ -64,6 +65,7 @@ class Verdict:
     tests: int = 0
     same: int = 0
     differ: int = 0
+    unknown: int = 0
     elsewhere: str = ""
 
     def add(self, findings: Iterable[Finding]) -> None:
@@ -163,6 +165,7 @@ def compare(baseline: Baseline, cells: Mapping[Key, Cell], *, times: bool = True
         verdict.add(pair.findings())
         verdict.same += len(pair.equal)
         verdict.differ += pair.differ
+        verdict.unknown += pair.unknown
         verdict.elsewhere = verdict.elsewhere or pair.elsewhere
     tests = [
         *_tests([sample for pair in pairs for sample in pair.samples()]),
@@ -187,7 +190,7 @@ class _Pair:
         digests = dict(zip(old.seeds, old.models, strict=True))
         known = {seed for seed in new.values if digests.get(seed) and new.models.get(seed)}
         self.equal = {seed for seed in known if new.models[seed] == digests[seed]}
-        self.differ = len(known - self.equal)
+        self.differ, self.unknown = len(known - self.equal), len(new.values) - len(known)
         self.free = set(new.values) - self.equal
         self._times = times and old.kernel is not None
         self._pace = _pace(old, new) if self._times and new.values else ""

@@ -154,7 +154,12 @@ def test_equal_files_of_a_model_must_measure_alike() -> None:
         key(), "1", PROCESSOR, {1: dict(old[key()].values[1])}, {1: dict(old[key()].views[1])}, {1: "two"}
     )
     verdict = judge(old, {key(): same})
-    assert (verdict.code, verdict.same, verdict.differ, verdict.tests) == (0, 1, 0, 0)
+    assert (verdict.code, verdict.same, verdict.differ, verdict.unknown, verdict.tests) == (0, 1, 0, 0, 0)
+    assert "all 1 models equal the baseline's byte for byte" in summary(verdict)
+    without = replace(same, values={**same.values, 2: old[key()].values[2]})
+    assert "; 1 models equal the baseline's byte for byte, 1 have no files to compare" in summary(
+        judge(old, {key(): without})
+    )
     for factor in (1.01, 0.99):  # far less than seeds explain; the same files cannot be better
         same.values[1]["flip"] = factor * old[key()].values[1]["flip"]
         (finding,) = judge(old, {key(): same}).of("worse")
