@@ -7,7 +7,8 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +104,17 @@ def mean_of(before: float | None, after: float | None) -> float | None:
     return None if before is None or after is None else 0.5 * (before + after)
 
 
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Collect garbage once, and not again before the end: a collection would lengthen some frame."""
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
 def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], device: str) -> FrameTimes:
     """Time ``render`` end to end over a whole path of cameras.
 
@@ -120,9 +132,7 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
         return time.perf_counter() - start
 
     before = reference_seconds()
-    gc.collect()
-    gc.disable()
-    try:
+    with _no_collection():
         warm: list[float] = []
         begin = time.perf_counter()
         stable = False
@@ -135,8 +145,6 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
         begin = time.perf_counter()
         while not times or (time.perf_counter() - begin < MEASURE_SECONDS and len(times) < MEASURE_FRAMES):
             times += [seconds_of(camera) for camera in cameras]
-    finally:
-        gc.enable()
     p05, median, p95 = np.percentile(times, [5, 50, 95]).tolist()
     return FrameTimes(
         frame_seconds=median,
@@ -163,16 +171,12 @@ def median_timings(
         frames: about as many cameras of it are timed.
     """
     chosen = cameras[:: max(1, len(cameras) // frames)]
-    gc.collect()
-    gc.disable()
-    try:
+    with _no_collection():
         timings(chosen[0])
         samples: list[dict[str, float]] = []
         begin = time.perf_counter()
         while not samples or time.perf_counter() - begin < PARTS_SECONDS:
             samples += [dict(timings(camera)) for camera in chosen]
-    finally:
-        gc.enable()
     return {part: float(np.median([s[part] for s in samples])) for part in samples[0]}
 
 

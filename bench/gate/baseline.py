@@ -139,11 +139,11 @@ def differences(
         after: as ``before``.
         names: those to compare; None: all.
     """
-    every = [n for n in {**before, **after} if names is None or n in names]
+    changed = [name for name in {**before, **after} if before.get(name) != after.get(name)]
     return ", ".join(
-        f"{n} {before.get(n, 'absent')} → {after.get(n, 'absent')}"
-        for n in every
-        if before.get(n) != after.get(n)
+        f"{name} {before.get(name, 'absent')} → {after.get(name, 'absent')}"
+        for name in changed
+        if names is None or name in names
     )
 
 

@@ -227,9 +227,9 @@ class _Pair:
         Args:
             kind: "worse" for the same version, which means the same results: such an option is a mistake.
         """
+        old = self.old.options
         found: list[tuple[Kind, str]] = []
         for own in self.new.options.values():
-            old = self.old.options
             shared, alone = old.keys() & own.keys(), old.keys() ^ own.keys()
             found += [(kind, differences(old, own, shared)), ("note", differences(old, own, alone))]
         for weight, text in dict.fromkeys(found):
