@@ -28,6 +28,8 @@ _LONGEST = 256 * 2**20
 """Bytes of a record that is read; whole ones have a few MiB at most."""
 _OUTPUTS = {"views": "views.json", "fit": "checkpoint", "encode": "model"}
 """Kind of a job -> what other jobs read of its folder; all else is in its record."""
+_HEX = "[0-9a-f]" * 32
+"""How the name of a temporary file of :func:`write_text` ends."""
 
 
 class Store:
@@ -146,6 +148,8 @@ class Store:
         if lease is not None:
             lease.renew()
         folder.mkdir(exist_ok=True)
+        for temporary in folder.rglob(f".*.{_HEX}"):  # of an attempt that was killed within write_text
+            temporary.unlink(missing_ok=True)
         write_text(folder / "record.json", sealed(record.model_dump_json(indent=1) + "\n"))
         self.put_in_place(folder, record.job.id, lease)
 

@@ -8,6 +8,7 @@ import os
 import shutil
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -52,6 +53,22 @@ def test_a_record_survives_its_file(store) -> None:
     store.finish(record)
     assert Store(store.root).record(record.job.id) == record
     assert not list(store.partial.iterdir())
+
+
+def test_a_record_that_was_cut_off_leaves_no_file_beside_the_next(store, monkeypatch) -> None:
+    record = _record()
+
+    def stop(*_: object) -> None:
+        raise InterruptedError
+
+    with monkeypatch.context() as killed:
+        killed.setattr(os, "replace", stop)
+        killed.setattr(Path, "unlink", lambda *_, **__: None)  # a killed process tidies nothing up
+        with pytest.raises(InterruptedError):
+            store.finish(record)
+    assert len(list((store.partial / record.job.id).iterdir())) == 1
+    store.finish(record)
+    assert [path.name for path in (store.jobs / record.job.id).iterdir()] == ["record.json"]
 
 
 def test_a_number_that_changed_in_a_record_is_damage_and_an_old_record_is_read(store) -> None:
