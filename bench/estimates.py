@@ -30,6 +30,10 @@ class Estimate:
     disk: int | None
     work: float
 
+    def seconds_for(self, job: Job) -> float:
+        """Wall time of a job whose work is another: in proportion."""
+        return self.seconds * work(job) / self.work
+
 
 class Past:
     """Finished jobs of run stores.

@@ -21,7 +21,7 @@ import psutil
 
 from bench.control_groups import memory_limit
 from bench.display import span
-from bench.estimates import Past, work
+from bench.estimates import Past
 from bench.records import Job, Record
 from bench.store import Store
 from methods.interface import MethodSpec
@@ -64,7 +64,7 @@ class Limits:
         # Views that the cache holds take no time: they say nothing about those that must be rendered.
         estimate = past.estimate(job, close=True) if job.kind != "views" else None
         if estimate is not None:
-            seconds = TIMES * estimate.seconds * max(1.0, work(job) / estimate.work)
+            seconds = TIMES * max(estimate.seconds, estimate.seconds_for(job))
             if seconds < LEAST_SECONDS:
                 return Limit(LEAST_SECONDS, "the least default; --time-limit none lifts it")
             origin = f"{TIMES:g} times what jobs like it took here; --time-limit none lifts it"

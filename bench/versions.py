@@ -12,6 +12,7 @@ from dataclasses import asdict
 from typing import Any
 
 from bench.lineage import Lineage
+from bench.provenance import source_hash
 from bench.records import Job, Record
 from datasets.errors import DataError
 from methods.interface import MethodSpec
@@ -55,6 +56,18 @@ def _changes(job: Job, spec: MethodSpec) -> list[str]:
         for name, value in today.items()
         if then[name] != value
     ]
+
+
+def of_other_source(records: Iterable[Record], methods: Mapping[str, MethodSpec]) -> list[str]:
+    """Methods of which some fit has today's version, but not the source that is installed; sorted."""
+    sources: dict[str, set[str]] = defaultdict(set)
+    for record in records:
+        name, made = record.job.method or "", record.provenance
+        if name not in methods or record.fit is None or made is None or made.source is None:
+            continue
+        if record.job.identity["method"][1] == methods[name].version:
+            sources[name].add(made.source)
+    return sorted(name for name, found in sources.items() if found != {source_hash(methods[name])})
 
 
 def elected(lineage: Lineage, methods: Mapping[str, MethodSpec], choices: Mapping[str, int]) -> list[Record]:

@@ -8,10 +8,11 @@ from collections.abc import Iterable
 from datasets.errors import UnknownName
 
 
-def unknown(kind: str, name: str, candidates: Iterable[str], *, of: str = "") -> UnknownName:
-    """Error for an unknown name; the remedy holds near matches, else all candidates."""
+def unknown(kind: str, name: str, candidates: Iterable[str], *, of: str = "", hint: str = "") -> UnknownName:
+    """Error for an unknown name; the remedy holds near matches, else all candidates and the hint."""
     names = sorted(candidates)
     near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     where = f" of {of}" if of else ""
-    remedy = f"Did you mean {', '.join(near)}?" if near else f"Known: {', '.join(names) or 'none'}"
+    known = "; ".join([f"Known: {', '.join(names) or 'none'}", *([hint] if hint else [])])
+    remedy = f"Did you mean {', '.join(near)}?" if near else known
     return UnknownName(f"{kind} {name!r}{where}", "unknown name", remedy)

@@ -129,7 +129,7 @@ class Registry:
             return self._specs[name]
         if reason := self.broken.get(name) or "; ".join(map(self.broken.__getitem__, self._lost)):
             raise DataError(f"method {name!r}", reason, "The other methods can be used")
-        raise unknown("method", name, self._specs)
+        raise unknown("method", name, self._specs, hint="--plugins FOLDER adds methods of your own")
 
     def origin(self, name: str) -> str:
         """Where a method comes from, for people."""

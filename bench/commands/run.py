@@ -16,6 +16,7 @@ from bench.records import Job, Record
 from bench.selection import Selection
 from bench.store import Store
 from bench.suites import load_suite
+from bench.versions import of_other_source
 
 if TYPE_CHECKING:
     from bench.executor import Outcome
@@ -61,6 +62,9 @@ def run(options: Namespace) -> int:
                 write_report(tables, store.root, page, report=contents)
                 print_answers(contents)
             print(f"report: {page}")
+    if names := of_other_source(outcome.records, methods):
+        text = f"fitted by other source than is installed: {', '.join(names)}"
+        print(f"bench: {text}; a higher version in its spec, or a new --out, fits anew", file=sys.stderr)
     return _verdict(outcome, store)
 
 
@@ -116,10 +120,11 @@ def plan(options: Namespace) -> int:
         print(f"{job.id:<{width}}  {state:<24}  {job.title}")
     print(f"{len(jobs)} jobs, {len(jobs) - len(estimates)} finished, {len(estimates)} to do", end="")
     usable = [estimate for estimate in estimates.values() if estimate is not None]
+    seconds = sum(one.seconds_for(job) for job in jobs if (one := estimates.get(job.id)) is not None)
     if usable:
         disk = [one.disk for one in usable if one.disk is not None]
         room = f"{_mib(sum(disk))} of disk" if disk else "unknown room on disk"
-        print(f", about {span(sum(one.seconds for one in usable))}, {room}", end="")
+        print(f", about {span(seconds)}, {room}", end="")
         if disk and len(disk) < len(usable):
             print(f" (without {len(usable) - len(disk)} jobs known from bundles alone)", end="")
         print(f", {_mib(max(one.memory for one in usable))} of memory", end="")
@@ -143,7 +148,7 @@ def _state(job: Job, record: Record | None, estimate: Estimate | None, store: St
     words = "to do"
     if store is not None and (store.partial / job.id).is_dir():
         words = "running" if store.lease(job.id).is_held else "interrupted"
-    return f"{words}, about {span(estimate.seconds)}" if estimate is not None else words
+    return f"{words}, about {span(estimate.seconds_for(job))}" if estimate is not None else words
 
 
 def _selection(options: Namespace) -> Selection:

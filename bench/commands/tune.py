@@ -82,6 +82,10 @@ def _run(options: Namespace) -> int:
     return 0 if study.chosen is not None else 1
 
 
+_STARTS = {"paper": "published settings", "fair": "its own defaults"}
+"""Names of the starting points."""
+
+
 def _print(study: Study, trial: Trial | None) -> None:
     """A study that begins, or one of its trials."""
     print("\n".join(_head(study)) if trial is None else _line(study, trial), flush=True)
@@ -154,14 +158,16 @@ def _summary(study: Study, store: Store) -> list[str]:
     for other in studies(store.root):
         if other.method != study.method and other.conditions == study.conditions:
             note = "" if other.budget == study.budget else " (another budget)"
-            lines.append(f"under the same conditions: {other.method}, {other.budget} trials{note}")
+            score = "nothing chosen" if other.chosen is None else f"score {other.chosen.score:.3f}"
+            lines.append(f"under the same conditions: {other.method}, {score} of {other.budget} trials{note}")
     if study.chosen is None:
         if failed == len(study.trials):
             return [*lines, "no trial succeeded, so nothing is chosen"]
         point = f"{study.objective.psnr:g} dB and {study.objective.mib:g} MiB"
         remedy = f"name another one: --objective {study.objective.kind}=DB,MIB"
         return [*lines, f"no model is within the reference point of {point}, so nothing is chosen; {remedy}"]
-    gains = ", ".join(f"{gain:+.3f} to {name}" for name, gain in study.chosen.gains.items())
+    each = (f"{gain:+.3f} over {_STARTS.get(name, name)}" for name, gain in study.chosen.gains.items())
+    gains = ", ".join(each)
     lines.append(f"chosen: trial {study.chosen.trial}, score {study.chosen.score:.3f} ({gains})")
     lines.append(command(study.method, study.chosen.overrides) or "the method's own defaults")
     return [*lines, *_as_good(study)]

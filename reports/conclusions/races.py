@@ -63,7 +63,7 @@ DISCIPLINES = (
         "train_seconds", "training time per scene [s]", "training time", 1.0, (10, 30, 120, 480, 1800)
     ),
     Discipline("size_bytes", "size per scene [MiB]", "size", MIB, (0.05, 0.1, 0.25, 0.5, 1.0, 4.0)),
-    Discipline("drawn", "Gaussians drawn in a view", "number of Gaussians", 1.0, (3e3, 1e4, 3e4, 1e5)),
+    Discipline("drawn", "Gaussians drawn in a view", "number of Gaussians", 1.0, (3e3, 1e4, 3e4, 5e4, 1e5)),
 )
 
 
@@ -255,6 +255,12 @@ def _race(
     return Race(dataset, discipline, fronts) if len(fronts) > 1 and several else None
 
 
+def _limit(race: Race, lead: Lead) -> str:
+    """A limit, and how many methods have a model within it where that is not all."""
+    some = f" [{lead.starters} of {len(race.fronts)} methods]" if lead.starters < len(race.fronts) else ""
+    return race.discipline.text(lead.limit) + some
+
+
 def conclusion(found: Sequence[Race]) -> list[str]:
     """Who surely leads where, a sentence per discipline."""
     sentences = []
@@ -267,7 +273,7 @@ def conclusion(found: Sequence[Race]) -> list[str]:
         for race, lead in leads:
             if lead.sure:
                 where = won.setdefault(lead.method, {}).setdefault(race.dataset, [])
-                where.append(discipline.text(lead.limit))
+                where.append(_limit(race, lead))
         parts: list[str] = []
         for name in sorted(won, key=lambda name: (-sum(map(len, won[name].values())), name)):
             places = (f"{dataset} ({', '.join(at)})" for dataset, at in won[name].items())

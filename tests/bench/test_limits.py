@@ -100,6 +100,14 @@ def test_a_limit_says_where_it_comes_from_and_how_to_lift_it(suite) -> None:
     assert "--memory-limit none" in Limits().bytes().origin
 
 
+def test_an_estimate_grows_with_the_iterations_of_a_fit(suite) -> None:
+    fit = next(job for job in plan(suite()) if job.kind == "fit")
+    past = Past([])
+    past.add(Shelf(), _record(fit, 10.0))
+    longer = fit.model_copy(update={"iterations": 16 * fit.iterations})
+    assert past.estimate(longer).seconds_for(longer) == 160.0
+
+
 def test_views_from_the_cache_say_nothing_of_views_that_must_be_rendered(suite) -> None:
     views = next(job for job in plan(suite()) if job.kind == "views")
     past = Past([])

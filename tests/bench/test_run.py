@@ -46,6 +46,7 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
 
     again = bench.run(scenes=("a", "b"), report=True)
     assert "nothing to run, all 8 jobs are finished" in again.stderr
+    assert "other source" not in again.stderr
     after = {job: (bench.store / "jobs" / job / "record.json").stat().st_mtime_ns for job in bench.records()}
     assert after == stamps
 
@@ -248,7 +249,9 @@ def test_rows_of_another_version_are_stale_and_changed_source_alone_is_not(finis
     (row,) = json.loads(bench(*common, "--plugins", plugins).stdout)
     assert (row["method_version"], row["stale"]) == ("1", False)
     bench.plugins = plugins
-    assert "nothing to run" in bench.run().stderr
+    again = bench.run().stderr
+    assert "nothing to run" in again
+    assert "fitted by other source than is installed: fake; a higher version" in again
     file.write_text(file.read_text().replace('version="1"', 'version="2"'))
     (row,) = json.loads(bench(*common, "--plugins", plugins).stdout)
     assert (row["stale"], row["changes"]) == (True, "version 1 (today 2)")

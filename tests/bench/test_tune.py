@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import time
 from dataclasses import field, make_dataclass, replace
@@ -393,11 +394,10 @@ def test_methods_have_equal_conditions_and_budgets(lab) -> None:
     assert (ours.conditions, ours.budget) == (theirs.conditions, theirs.budget)
     assert len(ours.trials) == len(theirs.trials) == 4
     assert (ours.starts, theirs.starts) == (2, 1)
-    assert "under the same conditions: fake, 4 trials" in command_line._summary(ours, lab.store)
+    assert "under the same conditions: fake, score " in "\n".join(command_line._summary(ours, lab.store))
     lab.run(6, method="fake", names=("behaviour",))
-    assert any(
-        line.endswith("fake, 6 trials (another budget)") for line in command_line._summary(ours, lab.store)
-    )
+    last = "\n".join(command_line._summary(ours, lab.store))
+    assert re.search(r"fake, (score \S+|nothing chosen) of 6 trials \(another budget\)", last)
 
 
 # --------------------------------------------------------------------------- test views
@@ -518,6 +518,8 @@ def refusal(dataset, tmp_path, monkeypatch, capsys):
     ("arguments", "words"),
     [
         (["fake-tund"], "method 'fake-tund': unknown name. Did you mean fake-tuned"),
+        (["nobody"], "method 'nobody': unknown name. Known: 3dgs, "),
+        (["nobody"], "zfp; --plugins FOLDER adds methods of your own"),
         (["fake-tuned", "quik"], "suite 'quik': unknown name. Did you mean quick?"),
         (["fake-tuned", "--option", "shft"], "option 'shft' of method fake-tuned: unknown name"),
         (["fake-tuned", "--option", "only"], "only: has no range: it is a text. Others: behaviour, "),

@@ -180,6 +180,14 @@ def test_a_sentence_names_the_sure_leads_of_a_discipline(short, long, sentence):
     assert found == f"At equal training time, {sentence}."
 
 
+def test_a_sentence_counts_the_methods_within_a_limit_that_not_all_hold():
+    rows = [fit("3dgs", seconds, 33.0 + 0.01 * n, f"s{n}") for seconds in (5.0, 20.0) for n in range(3)]
+    rows += [fit("hac", seconds, 30.0, f"s{n}") for seconds in (5.0, 20.0) for n in range(3)]
+    rows += [fit("econgs", 15.0, 30.0, f"s{n}") for n in range(3)]
+    (found,) = [one for one in conclusion(races(table(*rows))) if "training time" in one]
+    assert found == "At equal training time, 3DGS surely leads on d (10 s [2 of 3 methods])."
+
+
 def test_bands_reach_over_the_seeds_and_lines_over_all_costs():
     rows = [
         fit(method, seconds, 30.0 + seconds / 40 + seed, seed=seed)
