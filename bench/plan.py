@@ -123,7 +123,7 @@ class Planner:
         lengths = self._selection.suite.lengths
         if not lengths or ITERATIONS in overrides:
             return
-        usual = resolve(spec, self._like, overrides).iterations
+        usual = resolve(spec, self._like, overrides).budget(1, self._preset.budget)
         for share in lengths:
             count = round(share * usual)
             if usual > 1 and count not in (0, usual):

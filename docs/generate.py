@@ -601,26 +601,33 @@ def _place(answer: Answer, method: str) -> str:
 
 
 def _settings(method: str) -> str:
-    """Options of the preset "quick" that are not the published ones or were searched, and the search."""
+    """Options that are not published ones or were searched, in short and full schedules; the search."""
     spec = Registry().spec(method)
     every = _studies()
     study = next((one for one in every if one.method == method), None)
     space = study.space if study else {}
-    here, paper = (_resolved(spec, "quick", name) for name in ("fair", "paper"))
+    cases = (("quick", "fair"), ("paper", "fair"), ("paper", "paper"))
+    each = [_resolved(spec, *case) for case in cases]
     lines = []
-    for name, value in here.items():
-        if value != paper[name] or name in space:
-            searched = space[name].text if name in space else ""
-            lines.append([f"`{name}`", written(value), written(paper[name]), searched])
-    text = _markdown(["option", "here", "`paper`", "searched"], lines) if lines else ""
+    for name in each[0]:
+        values = [written(settings[name]) for settings in each]
+        if name == ITERATIONS or name in space or len(set(values)) > 1:
+            lines.append([f"`{name}`", *values, space[name].text if name in space else ""])
+    text = _markdown(["option", "`quick`", "full schedules", "published", "searched in `quick`"], lines)
     if study is None:
-        return f"{text}\n*Preset quick. Not searched.*\n"
+        return f"{text}\n*Not searched.*\n"
     under = study.conditions
     scenes = ", ".join(f"`{dataset}` {scene}" for dataset, scene, _ in under.scenes)
     least = min(len(one.trials) for one in every if one.conditions == under)
-    text += f"\n*Preset {under.preset}. Search: {counted(least, 'trial')} of version "
-    text += f"{study.version}, the first with published settings, the next with the defaults of then; "
+    text += f"\n*Search: {counted(least, 'trial')}, preset {under.preset}, of version "
+    text += f"{_version(study)}, the first with published settings, the next with the defaults of then; "
     return text + f"{scenes}; validation views, seed {', '.join(map(str, under.seeds))}.*\n"
+
+
+def _version(study: Study) -> str:
+    """The version that was searched, and today's where that is another."""
+    today = Registry().spec(study.method).version
+    return study.version if study.version == today else f"{study.version} (today {today})"
 
 
 def paper_of(description: str) -> str:
@@ -683,7 +690,9 @@ def tuned_of(description: str) -> str:
     conclusion += f"{LOSS:g} dB below it, {SCENE_LOSS:g} on a scene"
     conclusion += f" ({', '.join(better)}).**" if better else ".**"
     words = f"*PSNR [dB] / size [MiB] / score. {scenes}; preset {under.preset}, validation views, "
-    words += f"seed {', '.join(map(str, under.seeds))}; score: {found[0].objective.title}, mean over scenes.*"
+    words += f"seed {', '.join(map(str, under.seeds))}; score: {found[0].objective.title}, mean over scenes. "
+    ordered = sorted(found, key=lambda one: METHODS.index(one.method))
+    words += f"Versions: {', '.join(f'{TITLES[one.method]} {_version(one)}' for one in ordered)}.*"
     return f"{conclusion}\n\n{_markdown(heads, lines)}\n{words}\n"
 
 

@@ -60,11 +60,14 @@ def report(options: Namespace) -> int:
 
 
 def print_answers(contents: Report) -> None:
-    """Print which method is best at what; nothing where no two methods can be compared."""
+    """Print who is best at what, and who leads races; nothing where no two methods can be compared."""
+    from reports.conclusions import races
     from reports.conclusions.answers import to_text
 
     if contents.contests:
         print("\n".join(to_text(contents.contests[0], contents.answers)))
+    for sentence in races.conclusion(contents.races):
+        print(sentence)
 
 
 def report_damage(store: Store) -> None:

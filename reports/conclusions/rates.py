@@ -264,11 +264,13 @@ _PICTURE = _Question(
 def _verdict(pairs: list[Difference], gaps: list[_Gap], others: list[_Gap], question: _Question) -> str:
     """Who surely wins against all.
 
-    Where a gap has no number, the other one and :attr:`Difference.beaten` decide.
+    Where a gap has no number, the other one and :attr:`Difference.beaten` decide. A remark follows a lead
+    over a method with which little of the range is common.
     """
     if all(gap.number is None for gap in gaps):
         return f"no two curves can be compared {question.where}"
     against: dict[str, list[tuple[float | None, str, bool]]] = {}
+    remarks: dict[tuple[str, str], str] = {}
     for pair, gap, other in zip(pairs, gaps, others, strict=True):
         if pair.refused:
             continue
@@ -277,10 +279,12 @@ def _verdict(pairs: list[Difference], gaps: list[_Gap], others: list[_Gap], ques
             own = None if lead is None else sign * lead
             wins = other.sure and pair.beaten == rival if own is None else gap.sure and own > 0
             against.setdefault(name, []).append((own, rival, wins))
+            little = 0 < pair.overlap < LEAST_OVERLAP
+            remarks[name, rival] = f" [over {100 * pair.overlap:.0f} % of their range]" if little else ""
     for name, rivals in against.items():
         if len(rivals) == len(against) - 1 and all(wins for _, _, wins in rivals):
             leads = sorted(((lead, rival) for lead, rival, _ in rivals if lead is not None), reverse=True)
-            parts = [question.words(*each) for each in leads]
+            parts = [question.words(lead, rival) + remarks[name, rival] for lead, rival in leads]
             if beaten := sorted(rival for lead, rival, _ in rivals if lead is None):
                 parts.append(f"one model of it is smaller and better than all of {' and '.join(beaten)}")
             return f"{question.where}, {name} {question.feat}: {'; '.join(parts)}"

@@ -113,6 +113,11 @@ def test_lengths_are_further_fits_of_trained_methods_at_their_own_rate(dataset, 
     assert found["3dgs"] == [1_200, 300, 4_800]
     assert sorted(set(found["hac"])) == [400, 1_600, 6_400]
     assert found["hac"].count(1_600) > 1 == found["hac"].count(400) == found["hac"].count(6_400)
+    size = "train_views = 12\ntest_views = 4\nwidth = 8\nheight = 8\nprerendered_limit = 8"
+    short = f"[presets.quick]\nbudget = 0.1\n{size}"
+    suite = suite_file(tmp_path, f'"{dataset}" = ["a"]', f"lengths = [0.25]\n{short}")
+    fits = [job for job in plan(suite, methods=("3dgs",)) if job.kind == "fit"]
+    assert [fit.iterations for fit in fits] == [120, 30]
     volume = suite_file(tmp_path, '"argon_bubble_like@32" = []', "lengths = [4.0]")
     assert sum(job.kind == "partition" for job in plan(volume, methods=("sz3",))) == 1
     assert sum(job.kind == "partition" for job in plan(volume, methods=("econgs",))) == 2

@@ -273,6 +273,8 @@ def test_the_conclusion_names_who_surely_takes_the_fewest_bytes_and_has_the_best
         "On d, at equal PSNR, a takes the fewest bytes: 5.0 times fewer than c; 2.0 times fewer than b. "
         f"{bytes_alone}"
     )
+    few = [replace(sure[0], overlap=0.2), replace(sure[1], overlap=0.5), sure[2]]
+    assert "5.0 times fewer than c; 2.0 times fewer than b [over 20 % of their range]." in conclusion(few)
     # The reference may be the one that wins.
     assert "b takes the fewest bytes: 1.2 times fewer than a." in conclusion(
         [pair("b", "a", 25.0, (10.0, 40.0))]
