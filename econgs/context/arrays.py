@@ -70,7 +70,8 @@ def read_arrays(reader: Reader) -> Arrays:
                 raise ValueError("rows of a number")
             scales = np.frombuffer(reader.take(4 * shape[0]), "<f4")
             whole = np.frombuffer(reader.take(size), np.int8).reshape(shape[0], -1 if size else 0)
-            values = (whole.astype(np.float32) * scales[:, None].astype(np.float32)).reshape(shape)
+            with np.errstate(over="ignore"):  # of a damaged file; refused below
+                values = (whole.astype(np.float32) * scales[:, None].astype(np.float32)).reshape(shape)
         else:
             form, width = ("<f4", 4) if kind == _FLOAT32 else ("<f2", 2)
             values = np.frombuffer(reader.take(width * size), form).astype(np.float32).reshape(shape)

@@ -256,9 +256,13 @@ def _race(
 
 
 def _limit(race: Race, lead: Lead) -> str:
-    """A limit, and how many methods have a model within it where that is not all."""
-    some = f" [{lead.starters} of {len(race.fronts)} methods]" if lead.starters < len(race.fronts) else ""
-    return race.discipline.text(lead.limit) + some
+    """A limit, with how many methods have a model within it where not all have, and a single seed."""
+    remarks = []
+    if lead.starters < len(race.fronts):
+        remarks.append(f"{lead.starters} of {len(race.fronts)} methods")
+    if lead.ahead is not None and max(lead.ahead.seeds) == 1:
+        remarks.append("one seed")
+    return race.discipline.text(lead.limit) + (f" [{', '.join(remarks)}]" if remarks else "")
 
 
 def conclusion(found: Sequence[Race]) -> list[str]:

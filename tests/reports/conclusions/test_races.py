@@ -162,9 +162,9 @@ def test_one_model_each_is_no_race():
 @pytest.mark.parametrize(
     ("short", "long", "sentence"),
     [
-        (1.0, 1.0, "3DGS surely leads on d (10 s, 30 s)"),
-        (1.0, -1.0, "3DGS surely leads on d (10 s); HAC on d (30 s)"),
-        (1.0, 0.0, "3DGS surely leads on d (10 s); 1 of 2 limits on 1 dataset undecided"),
+        (1.0, 1.0, "3DGS surely leads on d (10 s [one seed], 30 s [one seed])"),
+        (1.0, -1.0, "3DGS surely leads on d (10 s [one seed]); HAC on d (30 s [one seed])"),
+        (1.0, 0.0, "3DGS surely leads on d (10 s [one seed]); 1 of 2 limits on 1 dataset undecided"),
         (0.0, 0.0, "nobody surely leads at any of 2 limits on 1 dataset"),
     ],
 )
@@ -185,7 +185,7 @@ def test_a_sentence_counts_the_methods_within_a_limit_that_not_all_hold():
     rows += [fit("hac", seconds, 30.0, f"s{n}") for seconds in (5.0, 20.0) for n in range(3)]
     rows += [fit("econgs", 15.0, 30.0, f"s{n}") for n in range(3)]
     (found,) = [one for one in conclusion(races(table(*rows))) if "training time" in one]
-    assert found == "At equal training time, 3DGS surely leads on d (10 s [2 of 3 methods])."
+    assert found == "At equal training time, 3DGS surely leads on d (10 s [2 of 3 methods, one seed])."
 
 
 def test_bands_reach_over_the_seeds_and_lines_over_all_costs():
