@@ -9,7 +9,8 @@ For each plant of plants.toml the script copies the checkout, replaces the plant
 module where C++ is touched, runs the named test, runs the suite `gate` with the named method, and compares it
 with the project's baseline, as .ci/run does. Where the gate passes, the method's fingerprint is asked. The
 control does all of that without a plant and must pass. ``--full`` asks the suite `gate-full` and its
-baseline, as .ci/nightly does, and neither tests nor fingerprints.
+baseline, as .ci/nightly does, and neither tests nor fingerprints. It needs a plain install of the project
+(``pip install '.[test]'``).
 
 Exit code 1: a plant's text is no longer in the source, nothing notices a plant, or the control does not pass.
 """
@@ -17,6 +18,7 @@ Exit code 1: a plant's text is no longer in the source, nothing notices a plant,
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import re
@@ -118,6 +120,8 @@ class Proof:
         name = plant.name if plant else CONTROL
         copy = self._copy(name)
         try:
+            if not self.used(copy):
+                raise RuntimeError("the installed package runs, not the copy: use a plain install, not -e")
             if plant:
                 self._apply(plant, copy)
             failed = self._pytest(copy, *tests) if tests else ""
@@ -141,7 +145,7 @@ class Proof:
     # ------------------------------------------------------------------ copies
 
     def _copy(self, name: str) -> Path:
-        """The checkout, with its native module, in a folder of its own."""
+        """The checkout, with the installed native module, in a folder of its own."""
         copy = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=self.work / "copies"))
         for part in _CHECKOUT:
             if (ROOT / part).is_dir():
@@ -149,7 +153,16 @@ class Proof:
                 shutil.copytree(ROOT / part, copy / part, ignore=ignored)
             else:
                 shutil.copy2(ROOT / part, copy / part)
+        module = importlib.util.find_spec("econgs._native")
+        assert module is not None
+        assert module.origin is not None
+        shutil.copy2(module.origin, copy / "econgs")
         return copy
+
+    def used(self, copy: Path) -> bool:
+        """Whether commands on a copy run its code: an editable install comes before PYTHONPATH."""
+        found = _check(self._in(copy, sys.executable, "-c", "import econgs._native as m; print(m.__file__)"))
+        return Path(found.stdout.strip()).is_relative_to(copy)
 
     def _apply(self, plant: Plant, copy: Path) -> None:
         path = copy / plant.file
