@@ -19,7 +19,7 @@ from reports.conclusions.clocks import CLOCKS, Clocks, place
 from reports.conclusions.contest import Cells
 from reports.conclusions.effects import Effect, effect
 from reports.fronts import interpolated, pareto
-from reports.style import MIB, absent, counted, label
+from reports.style import MIB, MISSING, absent, counted, label, mib, seconds
 from reports.tables.columns import records
 from reports.tables.protocols import comparable
 
@@ -31,6 +31,8 @@ _LENGTH = re.compile(r"(iterations=\d+)?")
 
 Spot = tuple[float, float]
 """Cost, and PSNR in dB."""
+Means = tuple[float | None, float | None]
+"""Training time per scene [s], as on a quiet machine, and peak host memory [bytes]; None: not known."""
 
 
 @dataclass(frozen=True)
@@ -97,11 +99,15 @@ class Lead:
         second: the best of those on which its lead is not sure, or the next best; "" where it runs alone.
         ahead: how far ahead of that one it is; None where it runs alone.
         starters: number of methods with a model within the limit.
+        seconds, memory: of the best one's largest models within the limit, geometric means over scenes and
+            seeds; None where a model has none.
     """
 
     limit: float
     method: str
     psnr: float
+    seconds: float | None
+    memory: float | None
     second: str
     ahead: Effect | None
     starters: int
@@ -120,11 +126,13 @@ class Race:
         dataset: with preset and split where there are several.
         discipline: what is equal.
         fronts: method -> its models; only methods that have all scenes.
+        means: method, scene, seed and model -> what else it took.
     """
 
     dataset: str
     discipline: Discipline
     fronts: dict[str, Fronts]
+    means: dict[tuple[str, str, Any, Spot], Means]
 
     def costs(self, method: str) -> list[float]:
         """Costs of a method's models, from the least at which it has one of every scene and seed."""
@@ -177,7 +185,19 @@ class Race:
         leads = [(name, effect(first, self._cells(name, limit), 1, ratio=False)) for name in order[1:]]
         near = [one for one in leads if one[1] is None or not one[1].sure]
         second, ahead = (near or leads or [("", None)])[0]
-        return Lead(limit, order[0], means[order[0]], second if ahead else "", ahead, len(order))
+        best = order[0]
+        took, memory = self._taken(best, limit, 0), self._taken(best, limit, 1)
+        return Lead(limit, best, means[best], took, memory, second if ahead else "", ahead, len(order))
+
+    def _taken(self, method: str, limit: float, which: int) -> float | None:
+        """Geometric mean of time (0) or memory (1) of a method's largest models within a limit."""
+        values = [
+            self.means[method, scene, seed, max(spot for spot in front.spots if spot[0] <= limit)][which]
+            for scene, seeds in self.fronts[method].items()
+            for seed, front in seeds.items()
+        ]
+        known = [value for value in values if value]
+        return float(np.exp(np.mean(np.log(known)))) if len(known) == len(values) else None
 
     def _cells(self, method: str, limit: float) -> Cells:
         reached = self.reached(method, limit)
@@ -233,11 +253,16 @@ def _race(
         usual = max(set(places), key=lambda one: (places.count(one), str(one)))
         here = [row for row, at in zip(here, places, strict=True) if at == usual]
     entered: dict[str, dict[str, _Models]] = {}
+    means: dict[tuple[str, str, Any, Spot], Means] = {}
     for row in here:
         cost = clocks.corrected(row, column) / discipline.unit
         own = entered.setdefault(str(row["method"]), {}).setdefault(str(row["scene"]), {})
         settings = (row["variant"], "" if absent(row["rate"]) else row["rate"])
-        own.setdefault(settings, {})[row["seed"]] = (cost, float(row["psnr"]))
+        spot = (cost, float(row["psnr"]))
+        own.setdefault(settings, {})[row["seed"]] = spot
+        time = None if absent(row["train_seconds"]) else clocks.corrected(row, "train_seconds")
+        memory = None if absent(row["peak_host_bytes"]) else float(row["peak_host_bytes"])
+        means[str(row["method"]), str(row["scene"]), row["seed"], spot] = (time, memory)
     spots = {
         name: {scene: _of_all_seeds(models) for scene, models in own.items()} for name, own in entered.items()
     }
@@ -252,7 +277,7 @@ def _race(
     several = any(
         len(every) > 1 for own in spots.values() for seeds in own.values() for every in seeds.values()
     )
-    return Race(dataset, discipline, fronts) if len(fronts) > 1 and several else None
+    return Race(dataset, discipline, fronts, means) if len(fronts) > 1 and several else None
 
 
 def _limit(race: Race, lead: Lead) -> str:
@@ -294,7 +319,8 @@ def conclusion(found: Sequence[Race]) -> list[str]:
 
 
 HEADS = (
-    "Equal", "Dataset", "Limit", "Leader", "PSNR [dB]", "Ahead of", "By [dB]", "95 %", "Seeds", "Methods",
+    "Equal", "Dataset", "Limit", "Leader", "PSNR [dB]", "Training", "Memory [MiB]", "Ahead of", "By [dB]",
+    "95 %", "Seeds", "Methods",
 )  # fmt: skip
 """Of :func:`row`."""
 
@@ -304,6 +330,8 @@ def row(race: Race, lead: Lead) -> list[str]:
     name = label(lead.method)
     cells = [race.discipline.noun, race.dataset, race.discipline.text(lead.limit)]
     cells += [name if lead.sure or not lead.second else f"undecided ({name})", f"{lead.psnr:.2f}"]
+    cells.append(MISSING if lead.seconds is None else seconds(lead.seconds))
+    cells.append(MISSING if lead.memory is None else mib(lead.memory))
     starters = f"{lead.starters} of {len(race.fronts)}"
     if lead.ahead is None:
         return [*cells, "alone", "", "", "", starters]

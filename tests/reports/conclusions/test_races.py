@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from reports.charts.races import race_chart, races_section
 from reports.conclusions.races import DISCIPLINES, Front, conclusion, races, row
-from reports.style import models
+from reports.style import MISSING, models
 from tests.reports.conclusions.test_answers import row as result
 from tests.reports.conclusions.test_answers import table
 
@@ -65,6 +65,7 @@ def test_the_leader_changes_with_the_limit_and_beginners_wait():
         (120, "hac", 2),
     ]
     assert race.leads[1].psnr == pytest.approx(30.0 + 4.0 * np.log(3) / np.log(4))
+    assert [lead.seconds for lead in race.leads] == pytest.approx([10.0, 10.0, 100.0])
     assert race.costs("hac") == [100.0, 400.0]
     assert race.mean("hac", 99.0) is None
 
@@ -100,7 +101,7 @@ def test_a_lead_is_sure_by_scenes_and_seeds_alone():
     assert all(lead.sure and lead.method == "3dgs" for lead in race(1.0, 0.01).leads)
     assert not any(lead.sure for lead in race(0.1, 1.0).leads)
     line = row(race(1.0, 0.01), race(1.0, 0.01).leads[0])
-    assert line[:5] == ["training time", "d", "10 s", "3DGS", f"{31.0 + 0.01 / 3:.2f}"]
+    assert line[:7] == ["training time", "d", "10 s", "3DGS", f"{31.0 + 0.01 / 3:.2f}", "10.0 s", "256"]
     assert line[-2:] == ["3", "2 of 2"]
     assert row(race(0.1, 1.0), race(0.1, 1.0).leads[0])[3].startswith("undecided (")
 
@@ -186,6 +187,25 @@ def test_a_sentence_counts_the_methods_within_a_limit_that_not_all_hold():
     rows += [fit("econgs", 15.0, 30.0, f"s{n}") for n in range(3)]
     (found,) = [one for one in conclusion(races(table(*rows))) if "training time" in one]
     assert found == "At equal training time, 3DGS surely leads on d (10 s [2 of 3 methods, one seed])."
+
+
+def test_a_lead_has_the_time_and_memory_of_the_leaders_largest_models_within_the_limit():
+    """Geometric means over scenes; none where a model has none."""
+    mib = 1 << 20
+    rows = [
+        fit(method, seconds, psnr, scene, size_bytes=int(size * mib), peak_host_bytes=memory * mib)
+        for scene, memory in (("a", 100), ("b", 400))
+        for method, seconds, psnr, size in (
+            ("3dgs", 10.0, 33.0, 0.3), ("3dgs", 40.0, 35.0, 0.8), ("hac", 10.0, 30.0, 0.4),
+        )
+    ]  # fmt: skip
+    leads = of(SIZE, *rows).leads
+    assert [(lead.limit, lead.seconds, lead.memory) for lead in leads] == [
+        (0.5, pytest.approx(10.0), pytest.approx(200 * mib))
+    ]
+    unknown = of(SIZE, *({**each, "peak_host_bytes": None} for each in rows))
+    assert unknown.leads[0].memory is None
+    assert row(unknown, unknown.leads[0])[6] == MISSING
 
 
 def test_bands_reach_over_the_seeds_and_lines_over_all_costs():
