@@ -25,8 +25,8 @@ _WORDS = (
     "and all rates, linear in the logarithm of the cost between two on the front, level beyond the largest. "
     "A method starts where it has a model of every scene. "
     "Lines are means over scenes and seeds, bands reach from the lowest seed to the highest. Training times "
-    "are of one processor, divided by how much slower than usual it was. Training and memory are of the leader's "
-    "largest models within the limit, geometric means per scene. A lead counts where its 95 % interval over "
+    "are of one processor, divided by how much slower than usual it was. Training and memory are of the "
+    "leader's largest models within the limit, geometric means per scene. A lead counts where its 95 % interval over "
     "scenes and seeds excludes zero."
 )
 
