@@ -26,8 +26,8 @@ _WORDS = (
     "A method starts where it has a model of every scene. "
     "Lines are means over scenes and seeds, bands reach from the lowest seed to the highest. Training times "
     "are of one processor, divided by how much slower than usual it was. Training and memory are of the "
-    "leader's largest models within the limit, geometric means per scene. A lead counts where its 95 % interval over "
-    "scenes and seeds excludes zero."
+    "leader's largest models within the limit, geometric means per scene. A lead counts where its 95 % "
+    "interval over scenes and seeds excludes zero."
 )
 
 
