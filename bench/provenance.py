@@ -41,23 +41,22 @@ def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance
         versions=_versions(),
         isa=native_isa(),
         commit=commit_here(),
-        source=_source(spec) if spec else None,
+        source=source_hash(spec) if spec else None,
     )
 
 
-def _source(spec: MethodSpec) -> str | None:
-    """Hash of a method's source; None where that is gone."""
+def source_hash(spec: MethodSpec) -> str | None:
+    """Hash of the Python source of the modules that ``spec.source`` names, found without running them.
+
+    Returns:
+        None where a source is gone.
+    """
+    digest = hashlib.sha256()
     try:
-        return source_hash(spec)
+        for module in sorted(spec.source):
+            digest.update(_module_hash(module).encode())
     except OSError:
         return None
-
-
-def source_hash(spec: MethodSpec) -> str:
-    """Hash of the Python source of the modules that ``spec.source`` names, found without running them."""
-    digest = hashlib.sha256()
-    for module in sorted(spec.source):
-        digest.update(_module_hash(module).encode())
     return digest.hexdigest()[:16]
 
 

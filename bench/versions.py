@@ -59,7 +59,10 @@ def _changes(job: Job, spec: MethodSpec) -> list[str]:
 
 
 def of_other_source(records: Iterable[Record], methods: Mapping[str, MethodSpec]) -> list[str]:
-    """Methods of which some fit has today's version, but not the source that is installed; sorted."""
+    """Methods of which some fit has today's version, but not the source that is installed; sorted.
+
+    Not compared is a source that is gone.
+    """
     sources: dict[str, set[str]] = defaultdict(set)
     for record in records:
         name, made = record.job.method or "", record.provenance
@@ -67,7 +70,8 @@ def of_other_source(records: Iterable[Record], methods: Mapping[str, MethodSpec]
             continue
         if record.job.identity["method"][1] == methods[name].version:
             sources[name].add(made.source)
-    return sorted(name for name, found in sources.items() if found != {source_hash(methods[name])})
+    here = {name: source_hash(methods[name]) for name in sources}
+    return sorted(name for name, found in sources.items() if here[name] is not None and found != {here[name]})
 
 
 def elected(lineage: Lineage, methods: Mapping[str, MethodSpec], choices: Mapping[str, int]) -> list[Record]:

@@ -13,6 +13,6 @@ def unknown(kind: str, name: str, candidates: Iterable[str], *, of: str = "", hi
     names = sorted(candidates)
     near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     where = f" of {of}" if of else ""
-    known = "; ".join([f"Known: {', '.join(names) or 'none'}", *([hint] if hint else [])])
+    known = f"Known: {', '.join(names) or 'none'}" + (f"; {hint}" if hint else "")
     remedy = f"Did you mean {', '.join(near)}?" if near else known
     return UnknownName(f"{kind} {name!r}{where}", "unknown name", remedy)

@@ -668,7 +668,8 @@ def tuned_of(description: str) -> str:
         "its options",
     ]
     lines, won, better = [], [], []
-    for study in sorted(found, key=lambda one: METHODS.index(one.method)):
+    ordered = sorted(found, key=lambda one: METHODS.index(one.method))
+    for study in ordered:
         trials = study.trials[:least]
         default = study.default
         best = max(trials, key=lambda one: (one.score or 0.0, -one.number))
@@ -691,7 +692,6 @@ def tuned_of(description: str) -> str:
     conclusion += f" ({', '.join(better)}).**" if better else ".**"
     words = f"*PSNR [dB] / size [MiB] / score. {scenes}; preset {under.preset}, validation views, "
     words += f"seed {', '.join(map(str, under.seeds))}; score: {found[0].objective.title}, mean over scenes. "
-    ordered = sorted(found, key=lambda one: METHODS.index(one.method))
     words += f"Versions: {', '.join(f'{TITLES[one.method]} {_version(one)}' for one in ordered)}.*"
     return f"{conclusion}\n\n{_markdown(heads, lines)}\n{words}\n"
 

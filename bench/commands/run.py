@@ -120,8 +120,8 @@ def plan(options: Namespace) -> int:
         print(f"{job.id:<{width}}  {state:<24}  {job.title}")
     print(f"{len(jobs)} jobs, {len(jobs) - len(estimates)} finished, {len(estimates)} to do", end="")
     usable = [estimate for estimate in estimates.values() if estimate is not None]
-    seconds = sum(one.seconds_for(job) for job in jobs if (one := estimates.get(job.id)) is not None)
     if usable:
+        seconds = sum(one.seconds_for(job) for job in jobs if (one := estimates.get(job.id)) is not None)
         disk = [one.disk for one in usable if one.disk is not None]
         room = f"{_mib(sum(disk))} of disk" if disk else "unknown room on disk"
         print(f", about {span(seconds)}, {room}", end="")

@@ -26,6 +26,9 @@ from bench.tune import (
 from datasets.errors import DataError
 from methods.options import label, written
 
+_STARTS = {"paper": "published settings", "fair": "its own defaults"}
+"""Starting points, as :attr:`bench.tune.Chosen.gains` names them -> for people."""
+
 
 def tune(options: Namespace) -> int:
     """Run the trials of a study that have not ended yet, or show the studies of a store."""
@@ -80,10 +83,6 @@ def _run(options: Namespace) -> int:
     print("\n".join(["", *_summary(study, done.store)]))
     _print_tables(study)
     return 0 if study.chosen is not None else 1
-
-
-_STARTS = {"paper": "published settings", "fair": "its own defaults"}
-"""Names of the starting points."""
 
 
 def _print(study: Study, trial: Trial | None) -> None:
@@ -166,7 +165,7 @@ def _summary(study: Study, store: Store) -> list[str]:
         point = f"{study.objective.psnr:g} dB and {study.objective.mib:g} MiB"
         remedy = f"name another one: --objective {study.objective.kind}=DB,MIB"
         return [*lines, f"no model is within the reference point of {point}, so nothing is chosen; {remedy}"]
-    each = (f"{gain:+.3f} over {_STARTS.get(name, name)}" for name, gain in study.chosen.gains.items())
+    each = (f"{gain:+.3f} over {_STARTS[name]}" for name, gain in study.chosen.gains.items())
     gains = ", ".join(each)
     lines.append(f"chosen: trial {study.chosen.trial}, score {study.chosen.score:.3f} ({gains})")
     lines.append(command(study.method, study.chosen.overrides) or "the method's own defaults")

@@ -11,7 +11,8 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from statistics import geometric_mean
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -31,8 +32,18 @@ _LENGTH = re.compile(r"(iterations=\d+)?")
 
 Spot = tuple[float, float]
 """Cost, and PSNR in dB."""
-Means = tuple[float | None, float | None]
-"""Training time per scene [s], as on a quiet machine, and peak host memory [bytes]; None: not known."""
+
+
+class Expense(NamedTuple):
+    """What a model took beside what is limited; None: not known.
+
+    Attributes:
+        seconds: training time per scene, as on a quiet machine.
+        memory: peak host memory, bytes.
+    """
+
+    seconds: float | None
+    memory: float | None
 
 
 @dataclass(frozen=True)
@@ -99,15 +110,14 @@ class Lead:
         second: the best of those on which its lead is not sure, or the next best; "" where it runs alone.
         ahead: how far ahead of that one it is; None where it runs alone.
         starters: number of methods with a model within the limit.
-        seconds, memory: of the best one's largest models within the limit, geometric means over scenes and
-            seeds; None where a model has none.
+        expense: of the best one's largest models within the limit, geometric means over scenes and seeds;
+            not known where that of a model is not.
     """
 
     limit: float
     method: str
     psnr: float
-    seconds: float | None
-    memory: float | None
+    expense: Expense
     second: str
     ahead: Effect | None
     starters: int
@@ -126,13 +136,13 @@ class Race:
         dataset: with preset and split where there are several.
         discipline: what is equal.
         fronts: method -> its models; only methods that have all scenes.
-        means: method, scene, seed and model -> what else it took.
+        expenses: method, scene, seed and model -> what else it took.
     """
 
     dataset: str
     discipline: Discipline
     fronts: dict[str, Fronts]
-    means: dict[tuple[str, str, Any, Spot], Means]
+    expenses: dict[tuple[str, str, Any, Spot], Expense]
 
     def costs(self, method: str) -> list[float]:
         """Costs of a method's models, from the least at which it has one of every scene and seed."""
@@ -186,18 +196,19 @@ class Race:
         near = [one for one in leads if one[1] is None or not one[1].sure]
         second, ahead = (near or leads or [("", None)])[0]
         best = order[0]
-        took, memory = self._taken(best, limit, 0), self._taken(best, limit, 1)
-        return Lead(limit, best, means[best], took, memory, second if ahead else "", ahead, len(order))
+        expense = self._expense(best, limit)
+        return Lead(limit, best, means[best], expense, second if ahead else "", ahead, len(order))
 
-    def _taken(self, method: str, limit: float, which: int) -> float | None:
-        """Geometric mean of time (0) or memory (1) of a method's largest models within a limit."""
-        values = [
-            self.means[method, scene, seed, max(spot for spot in front.spots if spot[0] <= limit)][which]
+    def _expense(self, method: str, limit: float) -> Expense:
+        """Geometric means over a method's largest models within a limit."""
+        each = [
+            self.expenses[method, scene, seed, max(spot for spot in front.spots if spot[0] <= limit)]
             for scene, seeds in self.fronts[method].items()
             for seed, front in seeds.items()
         ]
-        known = [value for value in values if value]
-        return float(np.exp(np.mean(np.log(known)))) if len(known) == len(values) else None
+        return Expense(
+            *(geometric_mean(values) if all(values) else None for values in zip(*each, strict=True))
+        )
 
     def _cells(self, method: str, limit: float) -> Cells:
         reached = self.reached(method, limit)
@@ -253,7 +264,7 @@ def _race(
         usual = max(set(places), key=lambda one: (places.count(one), str(one)))
         here = [row for row, at in zip(here, places, strict=True) if at == usual]
     entered: dict[str, dict[str, _Models]] = {}
-    means: dict[tuple[str, str, Any, Spot], Means] = {}
+    expenses: dict[tuple[str, str, Any, Spot], Expense] = {}
     for row in here:
         cost = clocks.corrected(row, column) / discipline.unit
         own = entered.setdefault(str(row["method"]), {}).setdefault(str(row["scene"]), {})
@@ -262,7 +273,7 @@ def _race(
         own.setdefault(settings, {})[row["seed"]] = spot
         time = None if absent(row["train_seconds"]) else clocks.corrected(row, "train_seconds")
         memory = None if absent(row["peak_host_bytes"]) else float(row["peak_host_bytes"])
-        means[str(row["method"]), str(row["scene"]), row["seed"], spot] = (time, memory)
+        expenses[str(row["method"]), str(row["scene"]), row["seed"], spot] = Expense(time, memory)
     spots = {
         name: {scene: _of_all_seeds(models) for scene, models in own.items()} for name, own in entered.items()
     }
@@ -277,7 +288,7 @@ def _race(
     several = any(
         len(every) > 1 for own in spots.values() for seeds in own.values() for every in seeds.values()
     )
-    return Race(dataset, discipline, fronts, means) if len(fronts) > 1 and several else None
+    return Race(dataset, discipline, fronts, expenses) if len(fronts) > 1 and several else None
 
 
 def _limit(race: Race, lead: Lead) -> str:
@@ -330,8 +341,8 @@ def row(race: Race, lead: Lead) -> list[str]:
     name = label(lead.method)
     cells = [race.discipline.noun, race.dataset, race.discipline.text(lead.limit)]
     cells += [name if lead.sure or not lead.second else f"undecided ({name})", f"{lead.psnr:.2f}"]
-    cells.append(MISSING if lead.seconds is None else seconds(lead.seconds))
-    cells.append(MISSING if lead.memory is None else mib(lead.memory))
+    time, memory = lead.expense
+    cells += [MISSING if time is None else seconds(time), MISSING if memory is None else mib(memory)]
     starters = f"{lead.starters} of {len(race.fronts)}"
     if lead.ahead is None:
         return [*cells, "alone", "", "", "", starters]

@@ -65,7 +65,7 @@ def test_the_leader_changes_with_the_limit_and_beginners_wait():
         (120, "hac", 2),
     ]
     assert race.leads[1].psnr == pytest.approx(30.0 + 4.0 * np.log(3) / np.log(4))
-    assert [lead.seconds for lead in race.leads] == pytest.approx([10.0, 10.0, 100.0])
+    assert [lead.expense.seconds for lead in race.leads] == pytest.approx([10.0, 10.0, 100.0])
     assert race.costs("hac") == [100.0, 400.0]
     assert race.mean("hac", 99.0) is None
 
@@ -200,11 +200,11 @@ def test_a_lead_has_the_time_and_memory_of_the_leaders_largest_models_within_the
         )
     ]  # fmt: skip
     leads = of(SIZE, *rows).leads
-    assert [(lead.limit, lead.seconds, lead.memory) for lead in leads] == [
+    assert [(lead.limit, *lead.expense) for lead in leads] == [
         (0.5, pytest.approx(10.0), pytest.approx(200 * mib))
     ]
     unknown = of(SIZE, *({**each, "peak_host_bytes": None} for each in rows))
-    assert unknown.leads[0].memory is None
+    assert unknown.leads[0].expense.memory is None
     assert row(unknown, unknown.leads[0])[6] == MISSING
 
 
