@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
@@ -20,6 +21,7 @@ FORMAT = 1
 LEAST_SEEDS = 3
 """Seeds from which a spread is known."""
 _DIGITS = 6
+_VIEW_DECIMALS = 4
 _REMEDY = "Write a new one with `bench baseline`"
 
 
@@ -157,14 +159,24 @@ def _views(cell: Cell, seeds: list[int]) -> tuple[dict[str, float], float]:
     rest = table - means - (table - means).mean(axis=1, keepdims=True)
     freedom = max((len(seeds) - 1) * (len(names) - 1), 1)
     spread = float(np.sqrt((rest**2).sum() / freedom))
-    return {name: round(float(mean), 4) for name, mean in zip(names, means, strict=True)}, _short(
-        spread
-    ) or 0.0
+    rounded = (round(float(mean), _VIEW_DECIMALS) for mean in means)
+    return dict(zip(names, rounded, strict=True)), _short(spread) or 0.0
 
 
 def _short(value: float | None) -> float | None:
     """Six digits; whole numbers as they are, as bytes must be equal."""
     return value if value is None or value.is_integer() else float(f"{value:.{_DIGITS}g}")
+
+
+def rounding(value: float) -> float:
+    """Largest difference between a value of the file and what was measured."""
+    if value.is_integer():
+        return 0.0
+    return 0.5 * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - _DIGITS)
+
+
+VIEW_ROUNDING = 0.5 * 10.0**-_VIEW_DECIMALS
+"""That of a view's PSNR in dB."""
 
 
 def write(path: Path, baseline: Baseline) -> None:

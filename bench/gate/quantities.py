@@ -36,6 +36,10 @@ class Quantity:
         sign = -1 if self.name == "ssim" else self.better
         return sign * math.log(max(amount, 0.0) + self.least)
 
+    def error(self, value: float, rounding: float) -> float:
+        """How far the score may be off, where the number is known to ``± rounding``."""
+        return 0.5 * abs(self.score(value + rounding) - self.score(value - rounding))
+
     def text(self, value: float) -> str:
         """The number for people."""
         if self.kind == "time":

@@ -32,6 +32,20 @@ class Prior:
         return (self.freedom * self.variance + freedom * variance) / whole, whole
 
 
+_EXACT = 1e-9
+"""Standard deviation / mean under which values differ by the rounding of their arithmetic alone."""
+
+
+def variance_of(values: Sequence[float]) -> float:
+    """Sample variance of repetitions; 0 where they are equal but for rounding, which is no spread."""
+    return without_rounding(float(np.var(values, ddof=1)), float(np.mean(values)))
+
+
+def without_rounding(variance: float, mean: float) -> float:
+    """A variance of values with this mean; 0 where the rounding of arithmetic makes it."""
+    return variance if variance > (_EXACT * abs(mean)) ** 2 else 0.0
+
+
 def prior(variances: Sequence[float], freedoms: Sequence[int]) -> Prior:
     """The scaled inverse chi-square prior that fits sample variances, by moments of their logarithms.
 

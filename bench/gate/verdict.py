@@ -16,16 +16,16 @@ from typing import Literal
 
 import numpy as np
 
-from bench.gate.baseline import Baseline, BaselineCell, differences
+from bench.gate.baseline import VIEW_ROUNDING, Baseline, BaselineCell, differences, rounding
 from bench.gate.cells import VIEW_METRIC, Cell, Key
 from bench.gate.quantities import QUANTITIES, Quantity
-from bench.gate.spread import Prior, prior, quantile, tail
+from bench.gate.spread import Prior, prior, quantile, tail, variance_of, without_rounding
 from reports.conclusions.clocks import BUSY
 
 LEVEL = 0.01
 """Probability of any false alarm in a comparison, in either direction."""
 _EQUAL = 1e-3
-"""Difference of scores within which equal files of a model measure alike: 0.001 dB, or 0.1 %."""
+"""Difference of scores that is never a finding: 0.001 dB, or 0.1 %."""
 _ALL = "all scenes"
 _LEAST_VIEWS = 3
 
@@ -94,6 +94,7 @@ class _Sample:
     Attributes:
         before, after: scores of each seed; ``after`` is empty if nothing is to be compared.
         values: the means before and after, for people.
+        rounding: how far the mean score before may be off, as the file has few digits.
     """
 
     cell: str
@@ -102,10 +103,11 @@ class _Sample:
     before: list[float]
     after: list[float]
     values: tuple[float, float]
+    rounding: float
 
     @property
     def variance(self) -> float:
-        return float(np.var(self.before, ddof=1))
+        return variance_of(self.before)
 
     @property
     def freedom(self) -> int:
@@ -115,12 +117,19 @@ class _Sample:
         variance, freedom = base.moderated(self.variance, self.freedom)
         error = math.sqrt(variance * (1.0 / len(self.before) + 1.0 / len(self.after)))
         difference = _mean(self.after) - _mean(self.before)
-        return _Test(self.cell, self.title, self.quantity, *self.values, difference, error, freedom)
+        return _Test(
+            self.cell, self.title, self.quantity, *self.values, difference, error, freedom, self.rounding
+        )
 
 
 @dataclass(frozen=True)
 class _Test:
-    """One comparison; a positive ``difference`` of scores is better."""
+    """One comparison; a positive ``difference`` of scores is better.
+
+    Attributes:
+        error: standard deviation of the difference by seeds.
+        rounding: how much of the difference the digits of the file may make.
+    """
 
     cell: str
     title: str
@@ -130,16 +139,23 @@ class _Test:
     difference: float
     error: float
     freedom: float
+    rounding: float
 
     @property
     def statistic(self) -> float:
-        if self.error > 0.0:
-            return self.difference / self.error
-        return math.copysign(math.inf, self.difference) if abs(self.difference) > _EQUAL else 0.0
+        """Student's t of what seeds have to explain; 0 within equality."""
+        excess = abs(self.difference) - self.rounding
+        if abs(self.difference) <= _EQUAL or excess <= 0.0:
+            return 0.0
+        return math.copysign(excess / self.error if self.error > 0.0 else math.inf, self.difference)
 
-    def finding(self, kind: Kind, critical: float) -> Finding:
+    def tolerance(self, level: float) -> float:
+        """The largest difference of scores that is no finding at a level of significance."""
+        return max(quantile(level, self.freedom) * self.error + self.rounding, _EQUAL)
+
+    def finding(self, kind: Kind, level: float) -> Finding:
         q = self.quantity
-        tolerance = q.change(critical * self.error).lstrip("+-") if self.error > 0.0 else "nothing"
+        tolerance = q.change(self.tolerance(level)).lstrip("+-") if self.error > 0.0 else "nothing"
         unit = " dB" if q.scale == "linear" else ""
         text = (
             f"{self.title} {q.text(self.before)} → {q.text(self.after)} ({q.change(self.difference)}{unit}; "
@@ -254,7 +270,7 @@ class _Pair:
                 if quantity.kind == "time" or before is None or after is None:
                     continue
                 difference = quantity.score(after) - quantity.score(before)
-                if abs(difference) > _EQUAL:
+                if abs(difference) > _EQUAL + quantity.error(before, rounding(before)):
                     text = (
                         f"{quantity.title} {quantity.text(before)} → {quantity.text(after)} from the same "
                         f"files of the model (seed {seed}): rendering or metric has changed"
@@ -282,7 +298,12 @@ class _Pair:
                     [quantity.score(value) for value in before],
                     [quantity.score(value) for value in after],
                 )
-                yield _Sample(self.title, quantity.title, quantity, *scores, (_mean(before), _mean(after)))
+                values = _mean(before), _mean(after)
+                yield _Sample(self.title, quantity.title, quantity, *scores, values, self.rounding(name))
+
+    def rounding(self, name: str) -> float:
+        """How far the mean score of the baseline may be off by its digits."""
+        return _mean(QUANTITIES[name].error(value, rounding(value)) for value in self.before(name).values())
 
 
 def _pace(old: BaselineCell, new: Cell) -> str:
@@ -317,7 +338,8 @@ def _of_methods(pairs: Sequence[_Pair]) -> Iterator[_Sample]:
             if len(group) > 1 and len(scores[0]) > 1 and quantity.kind != "time":
                 values = tuple(_mean(_mean(scene.values()) for scene in scenes) for scenes in (before, after))
                 title = f"{quantity.title} over {len(group)} scenes"
-                yield _Sample(key.title.lstrip("/"), title, quantity, *scores, values)  # type: ignore[arg-type]
+                digits = _mean(pair.rounding(name) for pair in group)
+                yield _Sample(key.title.lstrip("/"), title, quantity, *scores, values, digits)  # type: ignore[arg-type]
 
 
 def _over_scenes(quantity: Quantity, scenes: Sequence[Mapping[int, float]]) -> list[float]:
@@ -330,7 +352,7 @@ def _of_views(pairs: Sequence[_Pair]) -> Iterator[_Test]:
     """Views that lose or gain more than their scene does."""
     quantity = QUANTITIES[VIEW_METRIC]
     known = [pair.old for pair in pairs if pair.old.views]
-    base = prior([old.view_spread**2 for old in known], [_view_freedom(old) for old in known])
+    base = prior([_view_variance(old) for old in known], [_view_freedom(old) for old in known])
     for pair in pairs:
         old = pair.old
         paths = [pair.new.views[seed] for seed in sorted(pair.free) if pair.new.views.get(seed)]
@@ -342,13 +364,18 @@ def _of_views(pairs: Sequence[_Pair]) -> Iterator[_Test]:
             continue
         before = np.array(list(old.views.values()))
         after = np.mean([[path[view] for view in old.views] for path in paths], axis=0)
-        variance, freedom = base.moderated(old.view_spread**2, _view_freedom(old))
+        variance, freedom = base.moderated(_view_variance(old), _view_freedom(old))
         error = math.sqrt(variance * (1.0 / len(old.seeds) + 1.0 / len(paths)))
         excess = (after - before) - float(np.mean(after - before))
         before, after = before - before.mean(), after - after.mean()
         for view, one, other, more in zip(old.views, before, after, excess, strict=True):
             title = f"{quantity.title} of view {view} above the mean"
-            yield _Test(pair.title, title, quantity, one, other, float(more), error, freedom)
+            digits = 2.0 * VIEW_ROUNDING  # the view's and the mean's
+            yield _Test(pair.title, title, quantity, one, other, float(more), error, freedom, digits)
+
+
+def _view_variance(cell: BaselineCell) -> float:
+    return without_rounding(cell.view_spread**2, _mean(cell.views.values()))
 
 
 def _view_freedom(cell: BaselineCell) -> int:
@@ -373,4 +400,4 @@ def _significant(tests: Sequence[_Test]) -> Iterator[Finding]:
             if chances[place] > level:
                 break
             test = tests[place]
-            yield test.finding(kind, quantile(level, test.freedom))  # type: ignore[arg-type]
+            yield test.finding(kind, level)  # type: ignore[arg-type]

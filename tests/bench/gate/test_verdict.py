@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy import stats
 from bench.gate.baseline import FORMAT, Baseline, Change, cell_of
 from bench.gate.cells import Cell, Key
 from bench.gate.quantities import QUANTITIES
-from bench.gate.spread import prior, quantile, tail
+from bench.gate.spread import prior, quantile, tail, variance_of
 from bench.gate.text import summary
 from bench.gate.verdict import LEVEL, Verdict, compare
 from datasets.errors import DataError
@@ -170,6 +171,75 @@ def test_equal_files_of_a_model_must_measure_alike() -> None:
     same.processor = "a processor; 1 threads"
     verdict = judge(old, {key(): same})
     assert "are of a processor; 2 threads, these of a processor; 1 threads" in summary(verdict)
+
+
+def same_every_time(rng: np.random.Generator, seeds: list[int], which: Key) -> Cell:
+    """Results of a codec, which seeds do not change: many digits, and a view far below the mean."""
+    values = {name: float(LEVELS[name] * rng.uniform(0.9, 1.1)) for name in SPREAD}
+    values["size_bytes"], values["primitives"] = 50_331.0, 1000.0
+    path = {view: float(values["psnr"] + rng.normal(0.0, 1.0)) for view in VIEWS}
+    values["psnr"] = float(np.mean(list(path.values())))
+    return Cell(
+        which,
+        "1",
+        PROCESSOR,
+        {seed: dict(values) for seed in seeds},
+        {seed: dict(path) for seed in seeds},
+        {seed: f"model {seed}" for seed in seeds},
+        options={seed: {"iterations": 1} for seed in seeds},
+    )
+
+
+def test_equal_scores_have_no_variance_and_take_no_part_in_the_prior() -> None:
+    numbers = np.random.default_rng(0).uniform(-3.0, 60.0, 200)
+    assert any(np.var([number] * 5, ddof=1) > 0.0 for number in numbers)  # by rounding
+    assert {variance_of([number] * 5) for number in numbers} == {0.0}
+    assert variance_of([30.0, 30.001, 30.002]) == pytest.approx(1e-6)
+    spread = [variance_of(values) for values in np.random.default_rng(1).normal(30.0, 0.1, (20, 5))]
+    with_equal = [*spread, *(variance_of([number] * 5) for number in numbers[:4])]
+    assert prior(with_equal, [4] * 24) == prior(spread, [4] * 20)
+
+
+@pytest.mark.parametrize("models", ["equal", "one byte more", "none"])
+def test_results_that_seeds_never_change_repeat_without_a_finding(models: str) -> None:
+    """The file holds six digits of each, so that a repetition differs from it by their rounding."""
+    rng = np.random.default_rng(5)
+    keys = [key(scene, method) for method in ("sz3", "zfp") for scene in "abcd"]
+    old = {one: same_every_time(rng, [0, 1, 2], one) for one in keys}
+    digests = {"equal": lambda text: text, "one byte more": lambda text: text + "+", "none": lambda text: ""}
+    new = {
+        one: replace(made, models={seed: digests[models](text) for seed, text in made.models.items()})
+        for one, made in deepcopy(old).items()
+    }
+    verdict = judge(old, new)
+    assert [finding.text for finding in verdict.findings] == []
+    assert (verdict.same, verdict.differ, verdict.unknown) == {
+        "equal": (24, 0, 0), "one byte more": (0, 24, 0), "none": (0, 0, 24)
+    }[models]  # fmt: skip
+    for seed in (0, 1, 2):
+        new[key("a", "sz3")].values[seed]["flip"] *= 1.01
+    losses = {f.cell for f in judge(old, new).of("worse")}
+    means = set() if models == "equal" else {key("all scenes", "sz3")._replace(dataset="").title.lstrip("/")}
+    assert losses == {key("a", "sz3").title} | means
+
+
+def test_the_digits_of_the_file_are_no_loss_where_ssim_is_near_one() -> None:
+    """Of 0.9999963 the file has 0.999996: 0.3 % of its distance to 1, over the 0.0001 of the score."""
+    rng = np.random.default_rng(2)
+    made = same_every_time(rng, [0, 1, 2], key())
+    for row in made.values.values():
+        row["ssim"] = 0.9999963
+    for models in (made.models, {}):
+        assert judge({key(): made}, {key(): replace(made, models=models)}).findings == []
+
+
+def test_within_equality_tolerance_nothing_is_a_finding() -> None:
+    made = same_every_time(np.random.default_rng(2), [0, 1, 2], key())
+    for change, code in ((0.0009, 0), (0.0011, 1)):
+        path = {view: value - change for view, value in made.views[0].items()}
+        values = made.values[0] | {"psnr": made.values[0]["psnr"] - change}
+        new = Cell(key(), "1", PROCESSOR, {5: values}, {5: path}, options=made.options)
+        assert judge({key(): made}, {key(): new}).code == code
 
 
 def test_times_count_on_the_same_quiet_processor_alone() -> None:
