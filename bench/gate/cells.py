@@ -125,7 +125,7 @@ def _values(row: Mapping[Any, Any], clocks: Clocks, cell: Cell) -> Values:
         seconds, kernel = _seconds(row, name), row[CLOCKS[speed][1]]
         if absent(seconds) or absent(kernel):
             continue
-        if clocks.busy(row, speed):
+        if clocks.disturbed(row, speed):
             cell.busy += 1
         else:
             cell.kernels.append(float(kernel))

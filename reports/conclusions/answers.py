@@ -375,7 +375,12 @@ def _seeds(lead: Effect) -> str:
 
 def _caution(values: Values) -> str:
     """Rows that a speed does not count."""
-    return f"; without {counted(values.elsewhere, 'row')} from other processors" if values.elsewhere else ""
+    omitted = []
+    if values.elsewhere:
+        omitted.append(f"{counted(values.elsewhere, 'row')} from other processors")
+    if values.disturbed:
+        omitted.append(f"{counted(values.disturbed, 'row')} with a disturbed time")
+    return f"; without {enumeration(omitted)}" if omitted else ""
 
 
 def _listing(names: Iterable[str], every: bool = False) -> str:

@@ -1,23 +1,29 @@
-"""How fast the machine was beside a timing: a fixed kernel beside every job shows it."""
+"""Which times count: a fixed kernel beside every job shows how fast the machine was, frames how evenly."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from reports.schema import COLUMNS
 from reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd
 
 BUSY = 1.5
-"""Time of the reference kernel / its quiet time, from which a machine counts as busy."""
+"""Time of the reference kernel / its quiet time, above which a time is disturbed."""
+SPREAD = 2.0
+"""95th / 5th percentile of the frame times, above which FPS is disturbed.
+
+It is 1.05 to 1.6 on a quiet machine, where views differ in what they show, and 2 to 20 on a busy one.
+"""
 CLOCKS = {
     "train_seconds": ("fit_processor", "fit_reference_seconds"),
     "fps": ("processor", "reference_seconds"),
 }
 """Column of a speed -> columns of its processor and of the reference kernel's time beside it."""
+WORST = {"train_seconds": "fit_reference_worst", "fps": "reference_worst"}
+"""Column of a speed -> column of the longest time of the reference kernel before, amid and after it."""
 _QUIET = 0.05
 """Quantile of the reference kernel's times on one processor that is its quiet time."""
 _LEAST_TIMES = 5
@@ -44,22 +50,36 @@ class Clocks:
                     self._quiet[reference, place] = float(rows[reference].astype(float).quantile(_QUIET))
 
     def slowdown(self, row: Mapping[str, Any], column: str) -> float:
-        """Time of the reference kernel beside a row's job / its quiet time; 1 where either is not known."""
-        reference = CLOCKS[column][1]
-        quiet, time = self._quiet.get((reference, place(row, column))), row.get(reference)
-        return 1.0 if quiet is None or absent(time) else float(time or 0.0) / quiet
+        """Time of the reference kernel beside a row's job / its quiet time; 1 where either is not known.
 
-    def corrected(self, row: Mapping[str, Any], column: str) -> float:
-        """A row's value; a speed's as on a quiet machine: its time / the slowdown, where that is above 1."""
-        value = float(row[column])
+        The time is the longer one of the mean before and after the job, and of the longest amid it.
+        """
+        quiet = self._quiet.get((CLOCKS[column][1], place(row, column)))
+        times = [row.get(CLOCKS[column][1]), row.get(WORST[column])]
+        known = [float(time) for time in times if time is not None and not absent(time)]
+        return max(known) / quiet if quiet and known else 1.0
+
+    def disturbed(self, row: Mapping[str, Any], column: str) -> str:
+        """Why a row's time takes no part in conclusions on speed: in words, with figures.
+
+        "" for a time that counts, and for columns that are no times.
+        """
         if column not in CLOCKS:
-            return value
-        slowdown = max(1.0, self.slowdown(row, column))
-        return value * slowdown if COLUMNS[column].better > 0 else value / slowdown
+            return ""
+        reasons = []
+        if (slowdown := self.slowdown(row, column)) > BUSY:
+            reasons.append(f"the reference kernel took {slowdown:.1f} times its quiet time (limit {BUSY:g})")
+        if column == "fps" and (spread := _spread(row)) > SPREAD:
+            reasons.append(
+                f"the slowest 5 % of the frames took {spread:.1f} times the fastest 5 % (limit {SPREAD:g})"
+            )
+        return "; ".join(reasons)
 
-    def busy(self, row: Mapping[str, Any], column: str) -> bool:
-        """Whether the machine was busy when a speed of a row was measured; False for other columns."""
-        return column in CLOCKS and self.slowdown(row, column) > BUSY
+
+def _spread(row: Mapping[str, Any]) -> float:
+    """95th / 5th percentile of a row's frame times; 1 where they are not known."""
+    fast, slow = row.get("fps_p95"), row.get("fps_p05")
+    return 1.0 if absent(fast) or absent(slow) else float(fast or 0.0) / float(slow or 1.0)
 
 
 def place(row: Mapping[str, Any], column: str) -> tuple[Any, Any]:

@@ -27,13 +27,15 @@ class Values:
     """A column's values in a contest.
 
     Attributes:
-        cells: method -> its values; speeds as a quiet machine would show them.
+        cells: method -> its values.
         elsewhere: number of values from other processors, left out.
+        disturbed: number of disturbed times (:meth:`Clocks.disturbed`), left out.
         processor: that all values are from; "" where it does not matter.
     """
 
     cells: Mapping[str, Cells]
     elsewhere: int = 0
+    disturbed: int = 0
     processor: str = ""
 
 
@@ -46,7 +48,7 @@ class Contest:
         rows: finished and failed rows of basic scenes, one per dataset, scene, method and seed; a dataset's
             name includes its number of training views where there are several.
         main: datasets that count for all but robustness: of several numbers of training views the largest.
-        clocks: how fast the machine was beside each speed.
+        clocks: which speeds were disturbed.
     """
 
     preset: str
@@ -128,21 +130,23 @@ class Contest:
         ]
         if column not in CLOCKS:
             return Values(self._common(rows, column))
+        calm = [row for row in rows if not self.clocks.disturbed(row, column)]
+        disturbed = len(rows) - len(calm)
         places: dict[tuple[Any, Any], list[dict[str, Any]]] = {}
-        for row in rows:
+        for row in calm:
             places.setdefault(place(row, column), []).append(row)
         if not places:
-            return Values({})
+            return Values({}, disturbed=disturbed)
         common = {at: self._common(here, column) for at, here in places.items()}
         best = max(places, key=lambda at: (len(next(iter(common[at].values()))), len(places[at])))
         text = f"{best[0]}, {best[1]} thread{'s' if best[1] != 1 else ''}"
-        return Values(common[best], len(rows) - len(places[best]), text)
+        return Values(common[best], len(calm) - len(places[best]), disturbed, text)
 
     def _common(self, rows: Iterable[Mapping[str, Any]], column: str) -> dict[str, Cells]:
         cells: dict[str, Cells] = {name: {} for name in self.methods}
         for row in rows:
             scenes = cells[row["method"]].setdefault(row["dataset"], {})
-            scenes.setdefault(row["scene"], {})[row["seed"]] = self.clocks.corrected(row, column)
+            scenes.setdefault(row["scene"], {})[row["seed"]] = float(row[column])
         whole = [
             dataset
             for dataset, scenes in self.scenes.items()

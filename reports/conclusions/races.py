@@ -38,7 +38,7 @@ class Expense(NamedTuple):
     """What a model took beside what is limited; None: not known.
 
     Attributes:
-        seconds: training time per scene, as on a quiet machine.
+        seconds: training time per scene.
         memory: peak host memory, bytes.
     """
 
@@ -220,8 +220,7 @@ def races(results: pd.DataFrame) -> list[Race]:
     """A race per discipline and dataset on which a method has several models, disciplines first.
 
     Lengths and rates that were not measured with all seeds of a method take no part.
-    Training times are those of a quiet machine (:meth:`Clocks.corrected`), and count only on the processor
-    with the most rows.
+    Training times count only on the processor with the most rows, and where nothing disturbed them.
 
     Args:
         results: the table of that name.
@@ -260,18 +259,20 @@ def _race(
     column = discipline.column
     here = [row for row in rows if not absent(row.get(column)) and float(row[column]) > 0]
     if column in CLOCKS and here:
+        here = [row for row in here if not clocks.disturbed(row, column)]
         places = [place(row, column) for row in here]
-        usual = max(set(places), key=lambda one: (places.count(one), str(one)))
+        usual = max(set(places), key=lambda one: (places.count(one), str(one)), default=None)
         here = [row for row, at in zip(here, places, strict=True) if at == usual]
     entered: dict[str, dict[str, _Models]] = {}
     expenses: dict[tuple[str, str, Any, Spot], Expense] = {}
     for row in here:
-        cost = clocks.corrected(row, column) / discipline.unit
+        cost = float(row[column]) / discipline.unit
         own = entered.setdefault(str(row["method"]), {}).setdefault(str(row["scene"]), {})
         settings = (row["variant"], "" if absent(row["rate"]) else row["rate"])
         spot = (cost, float(row["psnr"]))
         own.setdefault(settings, {})[row["seed"]] = spot
-        time = None if absent(row["train_seconds"]) else clocks.corrected(row, "train_seconds")
+        timed = not absent(row["train_seconds"]) and not clocks.disturbed(row, "train_seconds")
+        time = float(row["train_seconds"]) if timed else None
         memory = None if absent(row["peak_host_bytes"]) else float(row["peak_host_bytes"])
         expenses[str(row["method"]), str(row["scene"]), row["seed"], spot] = Expense(time, memory)
     spots = {

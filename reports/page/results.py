@@ -69,8 +69,8 @@ def _records(table: pd.DataFrame) -> Iterable[tuple[Any, dict[str, Any]]]:
     return zip(table.index, records(table), strict=True)
 
 
-BUSY = "busy"
-"""Mark of a speed that was measured on a busy machine."""
+DISTURBED = "disturbed"
+"""Mark of a time that takes no part in conclusions on speed."""
 
 
 class _Rows:
@@ -82,7 +82,7 @@ class _Rows:
         self.scene_marks, self.mean_marks = report.ranks, ranks(report.means, report.views)
         self.details: list[list[str]] = []
         self.clocks = Clocks(report.results)
-        self.busy = False
+        self.disturbed = False
 
     @property
     def marks(self) -> set[int]:
@@ -142,9 +142,9 @@ class _Rows:
             mark = marks.get((index, name), 0)
             if mark == UNDECIDED:
                 text += f" {UNDECIDED_SIGN}"
-            if self.clocks.busy(row, name):
-                text += f" {markup.hint(BUSY, f'{self.clocks.slowdown(row, name):.1f} times')}"
-                self.busy = True
+            if reason := self.clocks.disturbed(row, name):
+                text += f" {markup.hint(DISTURBED, reason)}"
+                self.disturbed = True
             place = {1: " class=first", 2: " class=second"}.get(mark, "")
             cells.append(f"<td{place} data-v={float(row[name]):.7g}>{text}</td>")
         return "".join(cells)
@@ -197,10 +197,11 @@ def _notes(report: Report, names: list[str], writer: _Rows) -> str:
         note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
     if UNDECIDED in marks:
         note += f"{UNDECIDED_NOTE} "
-    if writer.busy:
+    if writer.disturbed:
         note += (
-            f"“{BUSY}” marks a speed of a busy machine: the reference kernel beside it took longer "
-            "than its quiet time, by the factor under the pointer. "
+            f"“{DISTURBED}” marks a time that something else on the machine lengthened; the reason is under "
+            "the pointer. It takes no part in conclusions on speed. `bench run --retry busy` measures it "
+            "again. "
         )
     for remark in (superseded_note(report.tables.get("superseded")), *notes(results)):
         note += f"<b>{escape(remark)}</b> " if remark else ""

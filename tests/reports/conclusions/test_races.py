@@ -139,14 +139,17 @@ def test_only_default_settings_race_at_any_length_and_rate_and_trained_methods()
     ]  # fmt: skip
 
 
-def test_times_of_a_hindered_machine_are_corrected_and_those_of_another_processor_left_out():
+def test_disturbed_times_and_those_of_another_processor_are_left_out():
     quiet = [fit("3dgs", 10.0, 30.0, scene=f"s{i}") for i in range(6)]
     longer = [fit("3dgs", 40.0, 31.0, scene=f"s{i}") for i in range(6)]
     hindered = [fit("hac", 60.0, 32.0, scene=f"s{i}", fit_reference_seconds=2.0) for i in range(6)]
     foreign = [fit("econgs", 1.0, 39.0, scene=f"s{i}", fit_processor="Q") for i in range(6)]
-    race = of(TIME, *quiet, *longer, *hindered, *foreign)
+    slower = [fit("hac", 70.0, 33.0, scene=f"s{i}", fit_reference_seconds=1.4) for i in range(6)]
+    race = of(TIME, *quiet, *longer, *hindered, *slower, *foreign)
     assert set(race.fronts) == {"3dgs", "hac"}
-    assert race.costs("hac") == [30.0]
+    assert race.costs("hac") == [70.0], "no time is corrected"
+    by_size = of(SIZE, *({**one, "size_bytes": 1 << 18} for one in quiet), *longer, *hindered)
+    assert by_size.leads[-1].expense.seconds is None, "bytes race on; their time is not known"
 
 
 def test_a_method_without_all_scenes_does_not_race():

@@ -37,12 +37,12 @@ def test_a_report_of_one_method_has_no_answers_and_nothing_folded(maker):
     assert '<details class="part">' not in page
 
 
-def test_speeds_of_a_busy_machine_are_marked(maker):
+def test_disturbed_times_are_marked(maker):
     for i in range(6):
         kernel = 0.02 if i == 5 else 0.01
         where = {"processor": "P", "fit_processor": "P", "fit_reference_seconds": 0.01}
         maker.run(scene=f"tf{i}", views=0, reference_seconds=kernel, **where)
     page = write_report(maker.tables(), maker.root, maker.root / "r.html").read_text(encoding="utf-8")
-    marks = re.findall(r'(\S+) <abbr title="2.0 times">busy</abbr>', page)
+    marks = re.findall(r'(\S+) <abbr title="[^"]* 2.0 times its quiet time[^"]*">disturbed</abbr>', page)
     assert marks == ["data-v=120>120"]
-    assert page.count("“busy” marks a speed of a busy machine") == 1
+    assert page.count("“disturbed” marks a time") == 1

@@ -1,0 +1,49 @@
+"""Which times count, on hand-made rows."""
+
+import pytest
+
+from reports.conclusions.clocks import BUSY, SPREAD, Clocks
+from tests.reports.conclusions.test_answers import row, table
+
+EVEN = {"fps_p05": 80.0, "fps_p95": 120.0}
+QUIET = [row("a", 30.0, scene=f"s{i}", **EVEN) for i in range(5)]
+
+
+def reasons(column, **more):
+    """Why a row's time beside five quiet ones is disturbed."""
+    return Clocks(table(*QUIET)).disturbed(row("b", 30.0, **EVEN | more), column)
+
+
+@pytest.mark.parametrize(
+    ("column", "reference", "worst"),
+    [
+        ("fps", "reference_seconds", "reference_worst"),
+        ("train_seconds", "fit_reference_seconds", "fit_reference_worst"),
+    ],
+)
+def test_the_kernel_beside_a_time_or_amid_it_shows_that_it_was_disturbed(column, reference, worst):
+    assert reasons(column) == ""
+    for name in (reference, worst):
+        assert reasons(column, **{name: BUSY - 0.01}) == ""
+        assert f"took {BUSY + 0.2:.1f} times" in reasons(column, **{name: BUSY + 0.2})
+    other = {"fps": "train_seconds", "train_seconds": "fps"}[column]
+    assert reasons(other, **{reference: 9.0, worst: 9.0}) == ""
+    assert reasons("psnr", **{reference: 9.0, worst: 9.0}) == ""
+
+
+def test_frames_that_differ_in_time_show_that_fps_is_disturbed():
+    assert reasons("fps", fps_p05=101.0, fps_p95=101.0 * SPREAD - 1.0) == ""
+    assert "took 2.9 times the fastest" in reasons("fps", fps_p05=42.0, fps_p95=120.0)
+    assert reasons("train_seconds", fps_p05=42.0, fps_p95=120.0) == ""
+    both = reasons("fps", fps_p05=20.0, fps_p95=120.0, reference_seconds=3.0)
+    assert "took 3.0 times its quiet time" in both
+    assert "took 6.0 times the fastest" in both
+
+
+def test_what_is_not_known_disturbs_nothing():
+    """Another processor without quiet times, and a store of older tables."""
+    assert reasons("fps", reference_worst=9.0, processor="Q") == ""
+    few = table(*QUIET[:4])
+    assert Clocks(few).disturbed(row("b", 30.0, reference_seconds=9.0), "fps") == ""
+    older = table(*QUIET).drop(columns=["reference_worst", "fps_p05"], errors="ignore")
+    assert Clocks(older).disturbed({"fps": 1.0, "processor": "P", "threads": 1}, "fps") == ""
