@@ -48,12 +48,10 @@ class Curve:
     Attributes:
         dataset: with preset and split where there are several.
         model: without the rate knob.
-        first: that of its first row, which decides its color.
     """
 
     dataset: str
     model: Model
-    first: Model
     points: tuple[Point, ...]
 
     @property
@@ -151,18 +149,16 @@ def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
     columns = results[["method", "variant", "base", "knob_value"]]
     knobs = {(method, variant): rest for method, variant, *rest in columns.itertuples(index=False)}
     for dataset, rows in comparable(summary(results)):
-        groups: dict[Model, list[tuple[Model, Point]]] = {}
+        groups: dict[Model, list[Point]] = {}
         whole = rows[rows["complete"] & rows["psnr"].notna() & (rows["size_bytes"] > 0)]
         for row in records(whole):
             base, knob = knobs[row["method"], row["variant"]]
             rate = knob if absent(row["rate"]) else row["rate"]
             size = float(row["size_bytes"]) / _scenes(row)
             point = Point("" if absent(rate) else f"{rate:g}", size, float(row["psnr"]), row)
-            first = model(row["method"], row["variant"])
-            groups.setdefault(model(row["method"], base), []).append((first, point))
+            groups.setdefault(model(row["method"], base), []).append(point)
         for each, group in groups.items():
-            points = _distinct([point for _, point in group])
-            panels.setdefault(dataset, []).append(Curve(dataset, each, group[0][0], points))
+            panels.setdefault(dataset, []).append(Curve(dataset, each, _distinct(group)))
     return panels
 
 

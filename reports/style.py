@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import zlib
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# Okabe & Ito (2008) without its yellow, which is too pale on white; then indigo and wine of P. Tol's "muted".
-PALETTE = (
-    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7F7F7F", "#000000",
-    "#332288", "#882255",
-)  # fmt: skip
+# Okabe & Ito (2008) without its yellow, which is too pale on white;
+# indigo and wine of P. Tol's "muted"; brown.
+BLUE, VERMILLION, GREEN, PINK, SKY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9"
+ORANGE, BROWN, INDIGO, WINE, BLACK = "#E69F00", "#6B4C1E", "#332288", "#882255", "#000000"
+PALETTE = (BLUE, VERMILLION, GREEN, PINK, SKY, ORANGE, BROWN, INDIGO, WINE, BLACK)
 DARK = {
-    "#000000": "#ffffff", "#0072B2": "#4ba3dc", "#D55E00": "#f2803a",
-    "#332288": "#9d90e8", "#882255": "#d8578f",
+    BLACK: "#ffffff", BLUE: "#4ba3dc", VERMILLION: "#f2803a", INDIGO: "#9d90e8", WINE: "#d8578f",
+    BROWN: "#b9914f",
 }  # fmt: skip
 """What would drown on dark -> what stands there instead."""
 MARKERS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "star", "x", "cross")
@@ -31,6 +34,34 @@ TITLES = {
     "mesh": "Triangle mesh", "sz3": "SZ3 volume", "zfp": "zfp volume", "3dgs-mcmc": "3DGS-MCMC",
     "hac-plus": "HAC++", "3dgs-coded": "3DGS, coded",
 }  # fmt: skip
+
+
+class Look(NamedTuple):
+    """How a model is drawn: color, and marker and line."""
+
+    color: str
+    marker: str
+    dash: str
+
+
+LOOKS = {
+    "3dgs": Look(BLUE, "circle", "solid"),
+    "econgs": Look(VERMILLION, "square", "solid"),
+    "scaffold-gs": Look(GREEN, "triangle-up", "solid"),
+    "hac": Look(SKY, "triangle-down", "solid"),
+    "hac-plus": Look(ORANGE, "star", "solid"),
+    "ivr-gs": Look(PINK, "diamond", "solid"),
+    "vq-3dgs": Look(WINE, "x", "solid"),
+    "3dgs-mcmc": Look(INDIGO, "diamond", "solid"),
+    "3dgs-coded": Look(BROWN, "triangle-up", "solid"),
+    "plenoxels": Look(BLACK, "cross", "solid"),
+    "ccnerf": Look(BLACK, "circle", "dash"),
+    "veg": Look(BROWN, "circle", "dash"),
+    "mesh": Look(INDIGO, "square", "dash"),
+    "sz3": Look(GREEN, "diamond", "dash"),
+    "zfp": Look(WINE, "triangle-up", "dash"),
+}
+"""Built-in method -> its look in every report."""
 RATES: dict[str, dict[float, str]] = {
     "3dgs-coded": {
         1: "ply-zstd", 2: "spz-8bit-sh", 3: "spz", 4: "sog",
@@ -95,18 +126,10 @@ def model(method: Any, variant: Any) -> Model:
     return Model(str(method), "" if absent(variant) else str(variant))
 
 
-def models(*tables: pd.DataFrame) -> list[Model]:
-    """The models of tables in order of appearance, which picks their looks."""
-    pairs = (zip(table["method"], table["variant"], strict=True) for table in tables)
+def models(*tables: pd.DataFrame, column: str = "variant") -> list[Model]:
+    """The models of tables in order of appearance; their options are in this column."""
+    pairs = (zip(table["method"], table[column], strict=True) for table in tables)
     return list(dict.fromkeys(model(*pair) for table in pairs for pair in table))
-
-
-class Look(NamedTuple):
-    """How a model is drawn: color, and marker and line."""
-
-    color: str
-    marker: str
-    dash: str
 
 
 OTHERS = Look("#A6A6A6", "circle", "solid")
@@ -115,19 +138,73 @@ OTHERS_NAME = "other variants"
 
 
 def look(model: Model, models: Sequence[Model]) -> Look:
-    """The color is the method's, the same in every chart of a report; variants differ in marker and line.
+    """What a model looks like: its method's color, the same in every report.
+
+    A built-in method has its look of :data:`LOOKS`. Any other has one that its name selects among those that
+    no built-in method has. Variants of options have their method's color, and the marker and line that the
+    options' text selects. Where two models of a report would look alike, the second in order of method and
+    options has the next free look.
 
     Args:
-        model: one of ``models``.
+        model: any.
         models: all of the report (:func:`models`).
     """
-    methods = list(dict.fromkeys(each.method for each in models))
-    place = {method: i % len(PALETTE) for i, method in enumerate(methods)}
-    hue = place[model.method]
-    alike = [each for each in models if place[each.method] == hue]
-    rank = sorted(alike, key=lambda each: each.options != "").index(model)
-    turn = rank + rank // len(MARKERS)  # so that marker and line repeat together late
-    return Look(PALETTE[hue], MARKERS[(hue + rank) % len(MARKERS)], DASHES[turn % len(DASHES)])
+    every = _looks(tuple(models))
+    return every[model] if model in every else _looks((*models, model))[model]
+
+
+@lru_cache(maxsize=64)
+def _looks(models: tuple[Model, ...]) -> dict[Model, Look]:
+    """The looks of a report's models."""
+    methods = sorted({each.method for each in models})
+    given = {method: LOOKS[method] for method in methods if method in LOOKS}
+    fixed = {(each.color, each.dash) for each in LOOKS.values()}
+    spare = [look for look in map(Look._make, product(PALETTE, MARKERS, DASHES)) if look[::2] not in fixed]
+    for method in methods:
+        if method not in given:
+            aspects = _color, _in_its_color, _whole
+            given[method] = _free(spare, method, given.values(), aspects)
+    looks = {Model(method): look for method, look in given.items()}
+    for each in sorted(set(models) - set(looks)):
+        color = given[each.method].color
+        alike = [look for look in looks.values() if look.color == color]
+        own = [Look(color, *line) for line in product(MARKERS, DASHES)]
+        looks[each] = _free(own, each.options, [*alike, *LOOKS.values()], (_marker, _whole))
+    return looks
+
+
+def _free(
+    candidates: list[Look], name: str, taken: Iterable[Look], aspects: Sequence[Callable[[Look], set[Any]]]
+) -> Look:
+    """The candidate that a name selects, or the next of which nobody has the first aspect, else the second.
+
+    Where all are taken, two look alike.
+    """
+    start = zlib.crc32(name.encode()) % len(candidates)
+    ring = candidates[start:] + candidates[:start]
+    for aspect in aspects:
+        used = set().union(*map(aspect, taken))
+        for one in ring:
+            if not aspect(one) & used:
+                return one
+    return ring[0]
+
+
+def _color(look: Look) -> set[Any]:
+    return {look.color}
+
+
+def _marker(look: Look) -> set[Any]:
+    """Its color and marker: charts of points show no line."""
+    return {(look.color, look.marker)}
+
+
+def _in_its_color(look: Look) -> set[Any]:
+    return {(look.color, look.marker), (look.color, look.dash)}
+
+
+def _whole(look: Look) -> set[Any]:
+    return {look}
 
 
 def named(models: Iterable[Model]) -> set[Model]:
@@ -144,26 +221,25 @@ def named(models: Iterable[Model]) -> set[Model]:
     return set(chosen.values())
 
 
-def looks(
-    panel: Mapping[Model, Model], models: Sequence[Model], apart: Iterable[Model] = ()
-) -> dict[Model, Look]:
+def looks(panel: Iterable[Model], models: Sequence[Model], apart: Iterable[Model] = ()) -> dict[Model, Look]:
     """Model of a panel -> its look; those that are not told apart come first, to be drawn below.
 
     Args:
-        panel: model -> the one of ``models`` that its look is of.
+        panel: models of a panel.
         models: all of the report.
         apart: of the panel, told apart in any case.
     """
-    own = named(panel) | set(apart)
-    ordered = sorted(panel, key=lambda each: each in own)
-    return {each: look(panel[each], models) if each in own else OTHERS for each in ordered}
+    every = list(dict.fromkeys(panel))
+    own = named(every) | set(apart)
+    ordered = sorted(every, key=lambda each: each in own)
+    return {each: look(each, models) if each in own else OTHERS for each in ordered}
 
 
 def legend_entries(panels: Iterable[Iterable[Model]], models: Sequence[Model]) -> dict[str, Look]:
     """What a legend of panels names: what they draw, in the order of the report; the gray ones together."""
     styles: dict[Model, Look] = {}
     for panel in panels:
-        for each, style in looks({each: each for each in panel}, models).items():
+        for each, style in looks(panel, models).items():
             if style is not OTHERS or each not in styles:
                 styles[each] = style
     entries = {each.title: styles[each] for each in models if styles.get(each, OTHERS) is not OTHERS}

@@ -63,13 +63,11 @@ class Line:
 
     Attributes:
         model: whose.
-        first: that of its first row, which decides its color.
         means: over scenes, at each rate, from the smallest model to the largest, whatever the axis.
         scenes: at all rates; none where means alone are shown.
     """
 
     model: Model
-    first: Model
     means: list[Spot] = field(default_factory=list)
     scenes: list[Spot] = field(default_factory=list)
 
@@ -126,7 +124,7 @@ class Panel:
         front = set(self.front)
         apart = [line.model for line in self.lines if any(spot[:2] in front for spot in line.means)]
         lines = {line.model: line for line in self.lines}
-        styles = looks({line.model: line.first for line in self.lines}, models, apart)
+        styles = looks(lines, models, apart)
         return [(lines[each], style) for each, style in styles.items()]
 
     def labels(self, models: list[Model]) -> list[tuple[float, float, str, str]]:
@@ -168,7 +166,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
         lines: dict[Model, Line] = {}
         for keys, group in good.groupby(["method", "variant", "rate"], dropna=False, sort=False):
             family = model(keys[0], group["base"].iloc[0])
-            line = lines.setdefault(family, Line(family, model(*keys[:2])))
+            line = lines.setdefault(family, Line(family))
             # By hand: pandas takes milliseconds per group, and a report has thousands.
             seeds: dict[str, list[tuple[float, float, str]]] = {}
             for scene, *seed in zip(

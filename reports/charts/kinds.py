@@ -62,10 +62,7 @@ def tradeoff(panels: Sequence[data.Panel], column: str, models: list[Model]) -> 
                 )
             if line.means:
                 size = 6.0 if look is OTHERS else 8.5
-                solid = look._replace(dash="solid")
-                series.append(
-                    _spots(line.means, Series(line.model.title, (), (), solid, line=1.6, mark=size))
-                )
+                series.append(_spots(line.means, Series(line.model.title, (), (), look, line=1.6, mark=size)))
         labels = [Text(*label) for label in panel.labels(models)]
         parts.append(Panel(panel.title, x, y, series, labels, panel.to_avoid))
     return Chart(parts, {OTHERS_NAME: OTHERS} if gray else {})
@@ -92,14 +89,13 @@ def rate_curves(panels: Mapping[str, list[Curve]], models: list[Model]) -> Chart
     for title, curves in panels.items():
         x = log_axis([x for curve in curves for x in curve.mebibytes], data.AXIS["size_bytes"].axis_title)
         y = linear_axis([point.psnr for curve in curves for point in curve.points], _QUALITY, least=2.0)
-        styles = looks({curve.model: curve.first for curve in curves}, models)
+        styles = looks([curve.model for curve in curves], models)
         series, labels = [], []
         for curve in sorted(curves, key=lambda curve: list(styles).index(curve.model)):
             look, size, heights = styles[curve.model], curve.mebibytes, [point.psnr for point in curve.points]
             texts = [f"rate {point.rate}" if point.rate else "default" for point in curve.points]
             keys = [[point.key] for point in curve.points]
-            solid = look._replace(dash="solid")
-            series.append(Series(curve.title, size, heights, solid, 1.6, 7.0, names=texts, keys=keys))
+            series.append(Series(curve.title, size, heights, look, 1.6, 7.0, names=texts, keys=keys))
             if look is not OTHERS:
                 labels.append(Text(size[-1], heights[-1], curve.title, look.color))
         parts.append(Panel(title, x, y, series, labels, along=True))
@@ -123,7 +119,7 @@ def lines(
     upright = partial(log_axis, title=y) if log_y else partial(linear_axis, title=y, least=2.0)
     parts = []
     for title, curves in panels.items():
-        styles = looks({curve.model: curve.model for curve in curves}, models)
+        styles = looks([curve.model for curve in curves], models)
         few = len(curves) <= _MOST_ENDS
         names = [curve.title for curve in curves] if few else []
         series = []
@@ -183,7 +179,7 @@ def _over_volume(
     if not known:
         return []
     known.sort(key=lambda spot: spot[1])
-    styles = looks({one.model: one.first for one, *_ in known}, models)
+    styles = looks([one.model for one, *_ in known], models)
     series = []
     for each, look in styles.items():
         every = [spot for spot in known if spot[0].model == each]
@@ -203,7 +199,7 @@ def _over_volume(
 
 def _legend_of_economies(rows: Sequence[economy.Economy], models: list[Model]) -> dict[str, Look]:
     """A name for each model."""
-    return {each.title: look for each, look in looks({one.model: one.first for one in rows}, models).items()}
+    return {each.title: look for each, look in looks([one.model for one in rows], models).items()}
 
 
 def legend_of(panels: Panels, models: list[Model]) -> dict[str, Look]:
@@ -287,7 +283,7 @@ def histograms(panels: list[features.Histogram], models: list[Model]) -> Chart:
         x = linear_axis(panel.edges, panel.attribute)
         y = linear_axis([0.0, *heights], "samples per bin [%]", start=0.0)
         corners = [edge for edge in panel.edges for _ in (0, 1)][1:-1]
-        styles = looks({each: each for each in panel.shares}, models)
+        styles = looks(panel.shares, models)
         series = [
             Series(
                 each.title, corners, [share for share in panel.shares[each] for _ in (0, 1)], look, line=1.5

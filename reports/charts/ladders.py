@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 from reports.charts.chart import Axis, Bar, Chart, Panel
 from reports.charts.elements import Section, card, legend
 from reports.conclusions.ladders import contrasts, title, words
-from reports.style import PALETTE, Look, label
+from reports.style import BLACK, BLUE, ORANGE, PINK, SKY, VERMILLION, Look, label
 from reports.tables.ladders import climbed, held
 
 if TYPE_CHECKING:
     from reports.charts.report import Report
 
 KINDS = {
-    "quality": PALETTE[4], "floaters": PALETTE[5], "vanishing parts": PALETTE[3], "explosion": PALETTE[0],
-    "collapse": PALETTE[1], "failed step": PALETTE[7],
+    "quality": SKY, "floaters": ORANGE, "vanishing parts": PINK, "explosion": BLUE,
+    "collapse": VERMILLION, "failed step": BLACK,
 }  # fmt: skip
 """Kind of break -> its color; all kinds of failed steps have one."""
 _COLORS = {"holds": "#A8D5C5", **KINDS, "not measured": "#dddddd"}

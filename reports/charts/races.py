@@ -43,7 +43,7 @@ def race_chart(found: Sequence[Race], models: list[Model]) -> Chart:
         last = max(cost for name in race.fronts for cost in race.costs(name))
         series, labels = [], []
         for name in race.fronts:
-            style = _look(name, models)
+            style = look(Model(name), models)
             own = _series(race, name, last, style)
             series += own
             labels.append(Text(own[-2].x[-1], own[-2].y[-1], label(name), style.color))
@@ -54,13 +54,7 @@ def race_chart(found: Sequence[Race], models: list[Model]) -> Chart:
         panels.append(Panel(race.dataset, x, y, series, labels if few else ()))
     names = dict.fromkeys(name for race in found for name in race.fronts)
     crowded = any(len(race.fronts) > _MOST_NAMES for race in found)
-    return Chart(panels, {label(name): _look(name, models) for name in names} if crowded else {})
-
-
-def _look(name: str, models: list[Model]) -> Look:
-    """That of a method's default, or of its first model; lines are solid."""
-    first = min((one for one in models if one.method == name), key=lambda one: one.options != "")
-    return look(first, models)._replace(dash="solid")
+    return Chart(panels, {label(name): look(Model(name), models) for name in names} if crowded else {})
 
 
 def _series(race: Race, name: str, last: float, style: Look) -> list[Series]:

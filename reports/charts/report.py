@@ -64,8 +64,9 @@ class Report:
 
     @cached_property
     def models(self) -> list[Model]:
-        """The models that have looks."""
-        return models(self.results, self.tables["curve"], self.tables["features"])
+        """The models that have looks; those of curves are without their rate knob."""
+        rows = models(self.results, self.tables["curve"], self.tables["features"])
+        return list(dict.fromkeys([*rows, *models(self.results, column="base")]))
 
     @cached_property
     def of_defaults(self) -> Report:

@@ -27,7 +27,7 @@ def unseen_chart(found: list[Target], models: list[Model]) -> Chart:
     for panel in dict.fromkeys(one.panel for one in found):
         own = [one for one in found if one.panel == panel]
         means = band_means(found, panel)
-        styles = looks({one.model: one.model for one in own}, models)
+        styles = looks([one.model for one in own], models)
         series = []
         for each, look in styles.items():
             spots = [one for one in own if one.model == each]
@@ -36,7 +36,7 @@ def unseen_chart(found: list[Target], models: list[Model]) -> Chart:
             series.append(Series(each.title, x, y, look, mark=4.5, opacity=0.45, names=names))
             if len(line := list(means.get(each, {}).values())) > 1:
                 across, up = zip(*line, strict=True)
-                series.append(Series(each.title, across, up, look._replace(dash="solid"), line=1.8, mark=8.0))
+                series.append(Series(each.title, across, up, look, line=1.8, mark=8.0))
         ticks = tuple((value, f"{value:g}") for value in (0.0, 0.25, 0.5, 0.75, 1.0))
         x_axis = Axis("distance from the trained transfer function", -0.04, 1.04, ticks=ticks)
         y_axis = linear_axis([one.psnr for one in own], "PSNR [dB]", least=2.0)

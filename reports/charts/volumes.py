@@ -32,7 +32,7 @@ def volumes_chart(curves: dict[str, list[Curve]], found: Sequence[Verdict], mode
     panels = []
     for dataset in dict.fromkeys(one.dataset for one in found):
         rows = curves[dataset]
-        styles = looks({curve.model: curve.first for curve in rows}, models)
+        styles = looks([curve.model for curve in rows], models)
         most = max(one.psnr for one in found if one.dataset == dataset) + _ABOVE
         lines = {curve.model: (curve, list(_below(curve.spots, most))) for curve in rows}
         series, labels = [], []
@@ -41,7 +41,7 @@ def volumes_chart(curves: dict[str, list[Curve]], found: Sequence[Verdict], mode
             if not spots:
                 continue
             across, up = [size / MIB for size, _ in spots], [psnr for _, psnr in spots]
-            series.append(Series(curve.title, across, up, look._replace(dash="solid"), 1.6, 7.0))
+            series.append(Series(curve.title, across, up, look, 1.6, 7.0))
             labels.append(Text(across[-1], up[-1], curve.title, look.color))
         crossings = [one for one in found if one.dataset == dataset and one.meeting is not None]
         for one in crossings:

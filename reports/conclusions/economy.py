@@ -53,7 +53,6 @@ class Economy:
     Attributes:
         scene: as "fuel/jet", with preset and split where there are several.
         model: without the rate knob.
-        first: that of its first row, which decides its color.
         volume: bytes of the scene's classified volume without loss; None where it has none.
         needs: level of :data:`LEVELS` -> what it takes; None where no model reaches it.
         gains: dB per added KiB between neighbours of the curve, from the smallest model on.
@@ -63,7 +62,6 @@ class Economy:
 
     scene: str
     model: Model
-    first: Model
     volume: float | None
     needs: dict[float, Need | None]
     gains: tuple[float, ...]
@@ -134,7 +132,6 @@ def economies(results: pd.DataFrame, complexity: pd.DataFrame) -> list[Economy]:
                 Economy(
                     scene=scene,
                     model=curve.model,
-                    first=curve.first,
                     volume=volumes.get(sources[row["dataset"]]),
                     needs={level: need(curve, level) for level in LEVELS},
                     gains=gains(curve),

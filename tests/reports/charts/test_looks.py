@@ -6,7 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.signal import find_peaks
+from scipy.spatial.distance import pdist
+from skimage.color import rgb2lab
 
+from methods.registry import Registry
 from reports import style
 from reports.charts import data, features, kinds, parts, svg, training
 from reports.charts.elements import legend
@@ -38,33 +41,97 @@ def many_variants(maker, **more):
     maker.run(method="hac", psnr=20.0, size=90 << 20, views=0, **more)
 
 
+def test_the_methods_of_this_project_have_looks_of_their_own():
+    assert set(Registry().built_in()) == set(style.LOOKS) == set(style.TITLES)
+    fixed = list(style.LOOKS.values())
+    assert len({(each.color, each.dash) for each in fixed}) == len(fixed)
+    assert len({(each.color, each.marker) for each in fixed}) == len(fixed)  # charts of points have no lines
+    often = ["3dgs", "vq-3dgs", "3dgs-mcmc", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs",
+             "plenoxels", "econgs"]  # fmt: skip
+    assert {style.LOOKS[name].dash for name in often} == {"solid"}
+    assert len({style.LOOKS[name].color for name in often}) == len(often) == len(style.PALETTE)
+
+
+def test_the_color_blind_can_tell_the_colors_apart():
+    """Distances in CIELAB as trichromats, and as simulated by Machado, Oliveira and Fernandes (2009)."""
+    protan = [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ]
+    deutan = [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ]
+    display = np.array([[int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)] for color in style.PALETTE])
+    linear = np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+    for vision in (np.eye(3), np.reshape(protan, (3, 3)), np.reshape(deutan, (3, 3))):
+        seen = np.clip(linear @ vision.T, 0.0, 1.0)
+        lab = rgb2lab(np.where(seen <= 0.0031308, 12.92 * seen, 1.055 * seen ** (1 / 2.4) - 0.055))
+        assert pdist(lab).min() > 15.0  # 2 or so are just noticeable
+
+
+@pytest.mark.parametrize("method", style.LOOKS)
+def test_a_method_looks_the_same_in_every_report(method):
+    mine, others = Model(method), [Model(name) for name in style.LOOKS if name != method]
+    variants = [Model(name, "x=1") for name in style.LOOKS]
+    reports = ([mine], [*others, mine], [mine, *others[::-1]], [*variants, Model("foreign"), mine])
+    assert {look(mine, report) for report in reports} == {style.LOOKS[method]}
+    for report in reports:
+        defaults = [look(each, report) for each in report if not each.options]
+        assert len({each[::2] for each in defaults}) == len(defaults)
+        assert len({look(each, report) for each in report}) == len(report)
+
+
+def test_a_foreign_method_keeps_its_look_until_another_takes_it():
+    names = [f"plugin {i}" for i in range(40)]
+    alone = {name: look(Model(name), [Model(name)]) for name in names}
+    builtin = {each[::2] for each in style.LOOKS.values()}
+    assert not builtin & {each[::2] for each in alone.values()}
+    for name in names:
+        free = [Model(other) for other, each in style.LOOKS.items() if each.color != alone[name].color]
+        assert look(Model(name), [*free, Model(name)]) == alone[name]
+        taken = [Model(other) for other, each in style.LOOKS.items() if each.color == alone[name].color]
+        assert look(Model(name), [Model(name), *taken]).color != alone[name].color
+    apart = [Model(name) for name in names[:7]]
+    report = [Model("3dgs"), Model("econgs"), Model("hac"), *apart]
+    assert len({look(each, report).color for each in report}) == len(report) == 10
+
+
 def test_a_method_has_one_color_and_its_variants_differ_in_marker_or_line():
-    assert {look(each, MODELS).color for each in MODELS[:21]} == {style.PALETTE[0]}
+    assert {look(each, MODELS).color for each in MODELS[:21]} == {style.LOOKS["econgs"].color}
     assert len({look(each, MODELS).color for each in (ECONGS, CLOUD, HAC)}) == 3
     assert len({look(each, MODELS) for each in MODELS}) == len(MODELS)
-    assert look(ECONGS, list(reversed(MODELS))).dash == "solid"  # the default, wherever it stands
+    assert len({look(each, MODELS[:8]).marker for each in MODELS[:8]}) == 8
+    assert [look(each, MODELS[::-1]) for each in MODELS] == [look(each, MODELS) for each in MODELS]
+    variant = MODELS[1]
+    assert look(variant, [variant]) == look(variant, [HAC, CLOUD, variant, ECONGS])
 
 
 def test_many_methods_stay_apart_where_the_colors_begin_again():
-    methods = [Model(f"method {i}") for i in range(20)]
-    assert len({look(each, methods) for each in methods}) == 20
+    methods = [Model(f"method {i}") for i in range(25)]
+    styles = [look(each, methods) for each in methods]
+    assert len({each[::2] for each in styles}) == 25
+    assert len({each[:2] for each in styles}) == 25
 
 
 def test_with_many_variants_only_the_defaults_are_told_apart():
     assert named(MODELS[:MOST_NAMED]) == set(MODELS[:MOST_NAMED])
     assert named(MODELS) == {ECONGS, CLOUD, HAC}
-    styles = list(looks(dict(zip(MODELS, MODELS, strict=True)), MODELS).values())
+    styles = list(looks(MODELS, MODELS).values())
     assert styles.count(OTHERS) == 20
     assert OTHERS not in styles[20:]  # and drawn below
     assert list(legend_entries([MODELS], MODELS)) == ["ECoNGS", "3DGS [start=cloud]", "HAC", OTHERS_NAME]
 
 
 def test_a_legend_shows_marker_and_dash(maker):
-    entries = legend_entries([MODELS[:2]], MODELS)
+    names = [ECONGS, MODELS[1], Model("sz3")]
+    entries = legend_entries([names], names)
     html = legend(entries)
-    assert html.count("<svg") == 2
-    assert html.count("stroke-dasharray") == sum(entry.dash != "solid" for entry in entries.values()) == 1
-    assert len(set(re.findall(r'd="(M[^"]+z)"', html))) == 2
+    assert html.count("<svg") == 3
+    assert html.count("stroke-dasharray") == sum(entry.dash != "solid" for entry in entries.values()) > 0
+    assert len(set(re.findall(r'd="(M[^"]+z)"', html))) == 3
     many_variants(maker)
     assert tradeoff(maker).legend == {OTHERS_NAME: OTHERS}
 

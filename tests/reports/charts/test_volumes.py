@@ -14,7 +14,7 @@ from reports.style import MIB, Model
 
 def curve(method, size, psnr):
     points = (Point("", b, q, {}) for b, q in zip(size, psnr, strict=True))
-    return Curve("d", Model(method), Model(method), tuple(points))
+    return Curve("d", Model(method), tuple(points))
 
 
 VOLUME = curve("sz3", [1e3, 1e4, 1e5], [20.0, 40.0, 90.0])

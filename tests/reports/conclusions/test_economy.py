@@ -13,7 +13,7 @@ from reports.style import MISSING, Model
 def curve(*points):
     """A curve of (bytes, PSNR, primitives)."""
     rows = tuple(Point("", size, psnr, {"primitives": count}) for size, psnr, count in points)
-    return Curve("d", Model("m"), Model("m"), rows)
+    return Curve("d", Model("m"), rows)
 
 
 SLOPE = curve((1000.0, 30.0, 100), (4000.0, 34.0, 400), (16000.0, 35.0, 400))
