@@ -18,11 +18,14 @@ from bench.checkpoints import Damaged, read_checkpoint, write_checkpoint
 from bench.losses import LossCurve
 from bench.metrics.image import Pair, psnr, to_8bit
 from bench.records import CurvePoint
+from bench.timing import amid_seconds, worst_of
 from datasets.views import ViewSet
 from methods.interface import Checkpoint, Diverged, EstimatesBytes, Model
 
 CHECKPOINT_SECONDS = 30.0
 CURVE_POINTS = 8
+LAP_SECONDS = 2.0
+"""Least time between two runs of the reference kernel amid a fit."""
 REPORT_SECONDS = 0.5
 
 
@@ -62,8 +65,8 @@ class FitMonitor:
     """Implements :class:`methods.interface.Monitor`.
 
     The clocks of training (wall and processor time) run from :meth:`start` to :meth:`stop`, except inside
-    :meth:`pause`. Moments of evaluation are even over the logarithm of the iteration; a checkpoint is written
-    every 30 s, at the last iteration and on the request to stop.
+    :meth:`pause`; there the reference kernel runs. Moments of evaluation are even over the logarithm of the
+    iteration; a checkpoint is written every 30 s, at the last iteration and on the request to stop.
 
     Args:
         folder: where checkpoints go.
@@ -72,11 +75,13 @@ class FitMonitor:
         report: takes progress.
         stop: the request to end early.
         every: seconds between checkpoints.
+        kernel: seconds of the reference kernel, which runs where the clock stands; None where there is none.
 
     Attributes:
         seconds: training time up to the last stop.
         cpu_seconds: processor time of all threads in the same time.
         losses: of all iterations so far.
+        reference_worst: the longest of the kernel's times so far; None without any.
         final: whether the last iteration is stored.
     """
 
@@ -88,6 +93,7 @@ class FitMonitor:
         report: Callable[..., None],
         stop: Stop,
         every: float = CHECKPOINT_SECONDS,
+        kernel: Callable[[], float | None] = amid_seconds,
     ) -> None:
         self._folder = folder
         self._iterations = iterations
@@ -99,6 +105,7 @@ class FitMonitor:
         self._report = report
         self._stop = stop
         self._every = every
+        self._kernel = kernel
         self._moments = _moments(iterations)
         self._since: tuple[float, float] | None = None
         self._loss: float | None = None
@@ -107,11 +114,12 @@ class FitMonitor:
         self._psnr: float | None = None
         self._stage = "fit"
         self._reported = 0.0
-        self._stored = time.monotonic()
+        self._stored = self._lapped = time.monotonic()
         self._speed: tuple[int, float] | None = None
         self.curve: list[CurvePoint] = []
         self.losses = LossCurve(iterations)
         self.seconds = self.cpu_seconds = 0.0
+        self.reference_worst: float | None = None
         self.resumed = 0
         self.iteration = 0
         self.final = False
@@ -133,6 +141,7 @@ class FitMonitor:
             return None
         checkpoint, harness = stored
         self.seconds, self.cpu_seconds = harness["seconds"], harness["cpu_seconds"]
+        self.reference_worst = harness.get("reference_worst")
         self.curve = [CurvePoint.model_validate(point) for point in harness["curve"]]
         self.losses.resume(harness["losses"])
         self.resumed = harness["resumed"] + 1
@@ -183,6 +192,7 @@ class FitMonitor:
         self.stop()
         try:
             self.iteration = iteration
+            self._lap()
             if self._moments and iteration >= self._moments[0]:
                 self._evaluate(iteration, model())
                 self._moments = [m for m in self._moments if m > iteration]
@@ -198,10 +208,17 @@ class FitMonitor:
 
     # ------------------------------------------------------------------ inside
 
+    def _lap(self) -> None:
+        """Run the reference kernel, if it did not run just now."""
+        if time.monotonic() - self._lapped >= LAP_SECONDS:
+            self.reference_worst = worst_of([self.reference_worst, self._kernel()])
+            self._lapped = time.monotonic()
+
     def _write(self, checkpoint: Checkpoint) -> None:
         harness = {
             "seconds": self.seconds,
             "cpu_seconds": self.cpu_seconds,
+            "reference_worst": self.reference_worst,
             "curve": [point.model_dump() for point in self.curve],
             "losses": self.losses.state(),
             "resumed": self.resumed,

@@ -21,6 +21,7 @@ from bench.selection import Selection, Subset, subset_of_scene, subsets, usual_s
 from bench.store import Store
 from bench.stress import part_of, stress_of
 from bench.suites import SAMPLED
+from bench.timing import RULERS
 from datasets.edits import changes_transfer
 from datasets.names import unknown
 from datasets.unseen import recipe
@@ -303,6 +304,7 @@ class Planner:
             "views": views.key,
             "split": self._selection.split,
             "metrics": self._metrics,
+            "rulers": RULERS,
         }
         if composition:
             identity |= {"encodes": [encode.key for encode in encodes], "scenes": list(scenes)}
@@ -353,6 +355,8 @@ class Planner:
             identity["stress"] = stress
         if kind == "views":
             identity["split"] = self._selection.split
+        if kind == "dvr":
+            identity["rulers"] = {"frame": RULERS["frame"]}
         return self._job(
             subset,
             identity,

@@ -227,6 +227,9 @@ class FrameTimes(_Model):
         warmup_frames: their number; None in older records of dvr.
         warmup_stable: whether frame times had settled when warm-up ended.
         reference_seconds: mean of the reference kernel's times before and after; None without native core.
+        reference_worst: the longest of its times before, amid and after the timed frames; None in older
+            records.
+        ruler: version of how frames are timed (:data:`bench.timing.RULERS`).
     """
 
     frame_seconds: float
@@ -236,6 +239,8 @@ class FrameTimes(_Model):
     warmup_frames: int | None = None
     warmup_stable: bool
     reference_seconds: float | None
+    reference_worst: float | None = None
+    ruler: int | None = None
 
 
 class DvrResult(FrameTimes):
@@ -288,6 +293,8 @@ class FitResult(_Model):
         primitives: scene -> its primitives.
         cloud_points: scene -> points of the initial cloud that the method was given; empty in older records.
         resumed: number of resumes.
+        reference_seconds: mean of the reference kernel's times before and after; None without native core.
+        reference_worst: the longest of its times before, amid and after the fit; None in older records.
     """
 
     seconds: float
@@ -300,6 +307,7 @@ class FitResult(_Model):
     losses: list[LossPoint] = Field(default_factory=list)
     resumed: int
     reference_seconds: float | None
+    reference_worst: float | None = None
 
 
 class EncodeResult(_Model):
@@ -345,6 +353,7 @@ class MeasureResult(FrameTimes):
         features: attribute -> rows of some primitives; empty if the method does not expose attributes.
         pruning: None where the job does not ask for it, or the model tells no Gaussians apart.
         drawn: Gaussians that are splatted in a test view, mean over a few; None of a model without Gaussians.
+        parts_ruler: version of how the parts of a frame are timed (:data:`bench.timing.RULERS`).
     """
 
     load_seconds: float
@@ -357,6 +366,7 @@ class MeasureResult(FrameTimes):
     features: dict[str, list[list[float]]] = Field(default_factory=dict)
     pruning: PruningResult | None = None
     drawn: float | None = None
+    parts_ruler: int | None = None
 
 
 class Record(_Model):

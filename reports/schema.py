@@ -259,6 +259,10 @@ COLUMNS: dict[str, Column] = _declare(
     Column("reference_seconds", _F, "time of a fixed kernel next to the timed part: how fast the machine was "
            "then", "Reference kernel", unit="s", write=seconds),
     Column("fit_reference_seconds", _F, "the same next to the fit, largest of its groups", unit="s"),
+    Column("reference_worst", _F, "the longest of the kernel's times before, amid and after the timed part",
+           unit="s"),
+    Column("fit_reference_worst", _F, "the longest of the kernel's times before, amid and after the fit, "
+           "largest of its groups", unit="s"),
     Column("peak_host_bytes", _W, "peak host memory of fit and measurement", "Host mem.", "bytes", -1, mib,
            "peak host memory"),
     Column("peak_device_bytes", _W, "peak device memory of fit and measurement", "Device mem.", "bytes", -1,
@@ -374,7 +378,8 @@ TABLES: dict[str, Table] = {
          *COVERAGE, "flicker", "identical_views", "size_bytes", "group_bytes", "standalone_bytes",
          "primitives", "drawn", "start_points", "train_seconds", "group_seconds", "partition_seconds",
          "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95", "reference_seconds",
-         "fit_reference_seconds", "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes",
+         "reference_worst", "fit_reference_seconds", "fit_reference_worst", "peak_host_bytes",
+         "peak_device_bytes", "group_peak_host_bytes",
          "render_host_bytes", "render_device_bytes", "gaussians", *PRUNED),
     ),
     "views": Table(

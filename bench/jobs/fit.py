@@ -10,7 +10,7 @@ from bench.jobs.scenes import scene_inputs
 from bench.monitor import FitMonitor
 from bench.records import FitResult, derived_seed
 from bench.stress import stress_of
-from bench.timing import mean_of, reference_seconds, synchronise
+from bench.timing import mean_of, reference_seconds, synchronise, worst_of
 from datasets.units import views_in_units
 from datasets.views import ViewSet, evenly_spaced
 from methods.interface import Budget, MethodSpec, Refused, SceneInput
@@ -61,6 +61,7 @@ def run(context: Context) -> FitResult:
         losses=monitor.losses.points,
         resumed=monitor.resumed,
         reference_seconds=mean_of(before, after),
+        reference_worst=worst_of([before, monitor.reference_worst, after]),
     )
 
 

@@ -15,7 +15,7 @@ from bench.jobs import answers
 from bench.jobs.context import Context
 from bench.records import MeasureResult, PruningResult, ViewResult
 from bench.stress import stress_of
-from bench.timing import median_timings, peak_device_bytes, synchronise, time_frames
+from bench.timing import RULERS, median_timings, peak_device_bytes, synchronise, time_frames
 from datasets.memory import peak_host_bytes
 from datasets.units import camera_in_units
 from datasets.views import evenly_spaced
@@ -111,6 +111,7 @@ def run(context: Context) -> MeasureResult:
         load_seconds=load_seconds,
         **frames.model_dump(),
         timing={"frame": frames.frame_seconds, **parts},
+        parts_ruler=RULERS["parts"],
         primitives=sum(answers.primitives(model.primitives(scene)) for scene in scenes),
         metrics={name: _mean([row.metrics[name] for row in rows]) for name in metrics},
         missing=missing,

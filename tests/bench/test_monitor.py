@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 
@@ -10,7 +11,9 @@ import pytest
 
 from bench.checkpoints import VERSION, Damaged, read_checkpoint, write_checkpoint
 from bench.monitor import FitMonitor, Stop, Stopped
-from bench.timing import median_timings, time_frames
+from bench.timing import AMID_SECONDS, RULERS, median_timings, time_frames
+from datasets.camera import Camera
+from datasets.camera_paths import look_at_origin
 from datasets.errors import DataError
 from methods.interface import Checkpoint, Diverged
 
@@ -20,9 +23,9 @@ class _Model:
         return 5
 
 
-def _monitor(tmp_path, iterations=100) -> FitMonitor:
+def _monitor(tmp_path, iterations=100, every=1e9, **more) -> FitMonitor:
     tmp_path.mkdir(exist_ok=True)
-    return FitMonitor(tmp_path / "checkpoint", iterations, {}, lambda **state: None, Stop(), every=1e9)
+    return FitMonitor(tmp_path / "checkpoint", iterations, {}, lambda **state: None, Stop(), every, **more)
 
 
 def _drive(monitor: FitMonitor, first: int, last: int, slow_evaluation: float = 0.0) -> None:
@@ -212,22 +215,114 @@ def test_a_checkpoint_of_an_earlier_version_is_refused(tmp_path, version) -> Non
         _monitor(tmp_path).resume()
 
 
+PATH = [
+    Camera.with_fov(look_at_origin(np.array(place)), 0.6, 4, 4, f"r_{number}")
+    for number, place in enumerate(((3.0, 0.0, 0.5), (0.0, 2.5, -1.0), (-1.0, -2.0, 2.0), (0.1, 0.1, 4.0)))
+]
+
+
+def _of_path(camera: Camera) -> int:
+    """The camera of the path that was turned by at most two degrees, its distance from the origin kept."""
+    angles = []
+    for one in PATH:
+        a, b = camera.position, one.position
+        angles.append(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+    nearest = int(np.argmin(angles))
+    one = PATH[nearest]
+    assert angles[nearest] <= 2.0
+    assert np.linalg.norm(camera.position) == pytest.approx(np.linalg.norm(one.position), rel=1e-12)
+    rotation = camera.camera_to_world[:3, :3]
+    assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-12)
+    # The origin, and whatever lies on the axis, is seen where it was.
+    for point in (np.zeros(3), 0.3 * one.camera_to_world[:3, 1]):
+        seen, before = (c.world_to_camera @ [*point, 1.0] for c in (camera, one))
+        assert seen == pytest.approx(before, abs=1e-12)
+    assert (camera.fx, camera.cx, camera.width, camera.near) == (one.fx, one.cx, one.width, one.near)
+    return nearest
+
+
+class _Clock:
+    """A clock that stands, and a reference kernel whose laps take what they are given."""
+
+    def __init__(self, monkeypatch, laps=(1.0,)) -> None:
+        self.time, self.laps = 0.0, itertools.chain(laps, itertools.repeat(laps[-1]))
+        self.at: list[float] = []
+        monkeypatch.setattr("bench.timing.time.perf_counter", lambda: self.time)
+        monkeypatch.setattr("bench.timing.lap_seconds", self.lap)
+
+    def lap(self) -> float:
+        self.at.append(self.time)
+        seconds = next(self.laps)
+        self.time += seconds
+        return seconds
+
+
 def test_frame_times_cover_the_whole_path_alike(monkeypatch) -> None:
-    calls: list[int] = []
-    kernel = iter([7.0, 9.0])
-    monkeypatch.setattr("bench.timing.reference_seconds", lambda: next(kernel))
+    clock = _Clock(monkeypatch)
+    calls: list[Camera] = []
 
-    def render(camera: int) -> None:
+    def render(camera: Camera) -> None:
         calls.append(camera)
-        time.sleep(0.004 if camera == 2 else 0.001)
+        clock.time += 0.004 if _of_path(camera) == 2 else 0.001
 
-    times = time_frames(render, [0, 1, 2], "cpu")
-    timed = calls[times.warmup_frames :]
-    assert len(timed) == times.frames
-    assert [timed.count(c) for c in (0, 1, 2)] == [times.frames // 3] * 3
-    assert 0.001 <= times.frame_seconds < times.frame_seconds_p95
-    assert times.frame_seconds_p95 >= 0.004
-    assert times.reference_seconds == 8.0
+    times = time_frames(render, PATH, "cpu")
+    assert times.frames % len(PATH) == 0
+    timed = [_of_path(camera) for camera in calls[times.warmup_frames :]]
+    counts = [timed.count(index) for index in range(len(PATH))]
+    assert all(count >= times.frames // len(PATH) for count in counts)
+    untimed = len(timed) - times.frames  # one after each run of the kernel
+    assert 0 < untimed == (len(clock.at) - 6) / 2 <= 1.0 / AMID_SECONDS
+    assert times.frame_seconds == pytest.approx(0.001)
+    assert times.frame_seconds_p95 == pytest.approx(0.004)
+    assert times.ruler == RULERS["frame"]
+
+
+def test_the_kernel_runs_amid_the_frames_and_its_longest_time_is_kept(monkeypatch) -> None:
+    """Frames of 30 ms; amid them the machine is busy for one run of the kernel, and one lap of another."""
+    clock = _Clock(monkeypatch, [*[1.0, 1.1, 1.0], *[1.0, 5.0], *[2.0, 2.2], 1.0])
+    times = time_frames(lambda camera: setattr(clock, "time", clock.time + 0.03), PATH, "cpu")
+    assert times.reference_seconds == pytest.approx(1.0)
+    assert times.reference_worst == pytest.approx(2.0)
+    assert times.frame_seconds_p95 == pytest.approx(0.03), "laps are no part of frames"
+    assert times.frames * 0.03 >= 1.0
+    amid = clock.at[3:-3:2]
+    assert len(amid) >= 3
+    # Between two runs of two laps: the untimed frame, and a quarter of a second of timed ones.
+    assert np.diff(amid)[2:] == pytest.approx(2.0 + 0.03 + 0.27, abs=1e-6)
+
+
+def test_no_native_core_no_reference(monkeypatch) -> None:
+    clock = _Clock(monkeypatch)
+    monkeypatch.setattr("bench.timing.lap_seconds", lambda: None)
+    times = time_frames(lambda camera: setattr(clock, "time", clock.time + 0.03), PATH, "cpu")
+    assert times.reference_seconds is times.reference_worst is None
+
+
+@pytest.mark.parametrize("decimals", [16, 6])
+def test_a_cache_of_finished_pictures_gains_nothing(monkeypatch, decimals) -> None:
+    """Warm-up, timed frames and parts show no camera twice, whatever a model keys its pictures by."""
+    clock = _Clock(monkeypatch)
+    pictures: set[bytes | str] = set()
+    drawn, kept = [0], [0]
+
+    def draw(camera: Camera) -> dict[str, float]:
+        key = np.round(camera.camera_to_world, decimals).tobytes()
+        if key in pictures or camera.name in pictures:
+            kept[0] += 1
+            return {"rasterise": 0.0}
+        pictures.update((key, camera.name))
+        drawn[0] += 1
+        clock.time += 0.002
+        return {"rasterise": 0.002}
+
+    twice = [*PATH, PATH[0]]  # a path that shows a view twice
+    times = time_frames(draw, twice, "cpu")
+    assert kept == [0]
+    assert drawn[0] >= times.frames + times.warmup_frames >= 500
+    assert times.frame_seconds == pytest.approx(0.002)
+    pictures.clear()
+    assert median_timings(draw, twice) == {"rasterise": 0.002}
+    assert kept == [0]
 
 
 def test_an_interruption_is_no_part_of_a_frame(monkeypatch) -> None:
@@ -235,13 +330,43 @@ def test_an_interruption_is_no_part_of_a_frame(monkeypatch) -> None:
     clock, frames = [0.0], [0]
     monkeypatch.setattr("bench.timing.time.perf_counter", lambda: clock[0])
 
-    def timings(camera: int) -> dict[str, float]:
+    def timings(camera: Camera) -> dict[str, float]:
         frames[0] += 1
         seconds = 0.004 if 2 <= frames[0] < 12 else 0.002
         clock[0] += seconds
         return {"shade": 0.25 * seconds, "rasterise": 0.75 * seconds}
 
-    assert median_timings(timings, range(45)) == {"shade": 0.0005, "rasterise": 0.0015}
+    assert median_timings(timings, PATH * 11) == {"shade": 0.0005, "rasterise": 0.0015}
+
+
+def test_the_kernel_runs_while_the_clock_of_a_fit_stands(tmp_path, monkeypatch) -> None:
+    """At stops at least two seconds apart; the longest time outlives an interruption."""
+    now = [0.0]
+    monkeypatch.setattr("bench.monitor.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("bench.monitor.time.perf_counter", lambda: now[0])
+    laps = iter([0.1, 0.3, 0.2])
+
+    def kernel() -> float:
+        now[0] += 50.0
+        return next(laps)
+
+    def drive(monitor: FitMonitor, moments: list[int]) -> None:
+        monitor.start()
+        for iteration in moments:
+            now[0] += 1.0
+            monitor.pause(iteration, _Model, lambda iteration=iteration: Checkpoint(iteration, {}, {}))
+        monitor.stop()
+
+    monitor = _monitor(tmp_path, kernel=kernel, every=0.0)
+    drive(monitor, [1, 2, 3, 4])
+    assert monitor.seconds == pytest.approx(4.0)
+    assert monitor.reference_worst == 0.3
+    again = _monitor(tmp_path, kernel=kernel)
+    assert again.resume().iteration == 4
+    assert again.reference_worst == 0.3
+    drive(again, [5, 6])
+    assert again.reference_worst == 0.3
+    assert next(laps, None) is None
 
 
 class _Picture(_Model):
@@ -254,7 +379,6 @@ class _Picture(_Model):
 
 @pytest.mark.parametrize(("shift", "psnr"), [(0.0, 100.0), (0.1, 20 * np.log10(255 / 25)), (np.nan, None)])
 def test_the_curve_holds_the_psnr_of_held_out_views(tmp_path, shift: float, psnr: float | None) -> None:
-    from datasets.camera import Camera
     from datasets.views import ViewSet
 
     camera = Camera.with_fov(np.eye(4), 0.6, 4, 4, "v")
