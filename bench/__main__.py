@@ -257,6 +257,9 @@ def parser() -> _Parser:
     gate.add_argument(
         "--without-times", action="store_true", help="ask for no times: quality and sizes alone"
     )
+    gate.add_argument(
+        "--power", action="store_true", help="print the smallest losses that the baseline shows, without a run"
+    )
     gate.add_argument("--markdown", metavar="FILE", help="write a summary for a comment on a change")
     gate.add_argument("--junit", metavar="FILE", help="write the summary as JUnit's XML")
     bundle = command("bundle", "pack a run store's records, tables and environments to hand in", runs)

@@ -64,9 +64,14 @@ def baseline(options: Namespace) -> int:
 def gate(options: Namespace) -> int:
     """Compare a store with a baseline; the exit code says pass, worse, not measured or error."""
     from bench.gate import text
+    from bench.gate.baseline import read
     from bench.gate.judgement import judged
+    from bench.gate.power import markdown
 
     try:
+        if options.power:
+            print(markdown(read(Path(options.baseline)), times=not options.without_times))
+            return 0
         verdict, content = judged(
             Path(options.baseline), Path(options.store), times=not options.without_times
         )

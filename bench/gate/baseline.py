@@ -12,7 +12,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bench.gate.cells import Cell, Key, Options
+from bench.gate.cells import AND, Cell, Key, Options
+from bench.gate.identity import Identity
+from bench.gate.identity import differences as reasons
 from bench.gate.quantities import QUANTITIES
 from bench.store import write_text
 from datasets.errors import DataError
@@ -42,6 +44,7 @@ class BaselineCell(_Model):
         view_spread: standard deviation of a view's PSNR over seeds, beyond what all views of a seed share.
         models: SHA-256 of the model's files of each seed, "" where they were not there.
         kernel: median seconds of the reference kernel; null if no time was measured.
+        identity: what all seeds were measured on and by; empty in older files.
     """
 
     dataset: str
@@ -61,6 +64,7 @@ class BaselineCell(_Model):
     view_spread: float
     models: list[str]
     kernel: float | None
+    identity: Identity = Identity()
 
     @property
     def key(self) -> Key:
@@ -95,7 +99,7 @@ def cell_of(cell: Cell) -> BaselineCell:
     """A cell for the file.
 
     Raises:
-        DataError: it has failures, too few seeds, or seeds that differ in options.
+        DataError: it has failures, too few seeds, or seeds that differ in version, options or identity.
     """
     seeds = sorted(cell.values)
     if cell.failures:
@@ -108,10 +112,17 @@ def cell_of(cell: Cell) -> BaselineCell:
             f"{len(seeds)} seeds show no spread",
             f"Run at least {LEAST_SEEDS}: --seed 0 --seed 1 --seed 2",
         )
+    remedy = "Repeat the run in a new store"
+    if AND in cell.version:
+        raise DataError(cell.key.title, f"its seeds are of versions {cell.version} of the method", remedy)
+    first = cell.identities.get(seeds[0], Identity())
     for seed in seeds[1:]:
         if changes := differences(cell.options[seeds[0]], cell.options[seed]):
             text = f"seeds {seeds[0]} and {seed} differ in options: {changes}"
-            raise DataError(cell.key.title, text, "Repeat the run in a new store")
+            raise DataError(cell.key.title, text, remedy)
+        if several := reasons(first, cell.identities.get(seed, Identity())):
+            text = f"seeds {seeds[0]} and {seed} do not compare: {'; '.join(several.values())}"
+            raise DataError(cell.key.title, text, remedy)
     views, spread = _views(cell, seeds)
     return BaselineCell(
         **cell.key._asdict(),
@@ -128,6 +139,7 @@ def cell_of(cell: Cell) -> BaselineCell:
         view_spread=spread,
         models=[cell.models.get(seed, "") for seed in seeds],
         kernel=_short(float(np.median(cell.kernels))) if cell.kernels else None,
+        identity=first,
     )
 
 
@@ -185,7 +197,7 @@ def write(path: Path, baseline: Baseline) -> None:
     lists = re.compile(r"\[\s+([^\[\]{}]*?)\s+\]")
     text = lists.sub(lambda m: "[" + re.sub(r"\s*\n\s*", " ", m[1]) + "]", text)
     text = re.sub(r"(?<=\d)\.0(?=[,\]])", "", text)
-    tables = re.compile(r'("(?:options|views)": )\{\s+([^{}]*?)\s+\}')
+    tables = re.compile(r'("(?:options|views|contents|metric_versions)": )\{\s+([^{}]*?)\s+\}')
     text = tables.sub(lambda m: m[1] + "{" + re.sub(r"\s*\n\s*", " ", m[2]) + "}", text)
     write_text(path, text + "\n")
 

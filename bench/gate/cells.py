@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from bench.gate.identity import Identity
 from bench.gate.quantities import QUANTITIES
 from bench.store import Store
 from reports.conclusions.clocks import CLOCKS, Clocks
@@ -23,6 +24,10 @@ Values = dict[str, float]
 """Quantity -> value."""
 VIEW_METRIC = "psnr"
 """The metric that is compared view by view."""
+
+
+AND = " and "
+"""Between versions or processors of several seeds."""
 
 
 class Key(NamedTuple):
@@ -57,8 +62,8 @@ class Cell:
     """Results by seed.
 
     Attributes:
-        version: of the method.
-        processor: hardware and threads of the fits; times of others do not compare.
+        version: of the method; those of all seeds, joined by "and".
+        processor: hardware and threads of the fits, as ``version``; times of others do not compare.
         values: seed -> quantity -> value; what could not be measured is missing.
         views: seed -> view -> :data:`VIEW_METRIC`, in the order of the path.
         models: seed -> SHA-256 of the model's files, where the store has them.
@@ -66,6 +71,7 @@ class Cell:
         busy: number of times that were measured on a busy machine, which count nothing.
         failures: seed -> status and reason.
         options: seed -> the method's options as they were resolved, and the iterations.
+        identities: seed -> what it was measured on and by.
     """
 
     key: Key
@@ -78,6 +84,7 @@ class Cell:
     busy: int = 0
     failures: dict[int, str] = field(default_factory=dict)
     options: dict[int, Options] = field(default_factory=dict)
+    identities: dict[int, Identity] = field(default_factory=dict)
 
 
 def cells_of(store: Store, tables: Mapping[str, pd.DataFrame]) -> dict[Key, Cell]:
@@ -95,17 +102,25 @@ def cells_of(store: Store, tables: Mapping[str, pd.DataFrame]) -> dict[Key, Cell
     for row in results.to_dict("records"):
         key = Key.of(row)
         processor = f"{_plain(row['fit_processor'])}; {_plain(row['threads'])} threads"
-        cell = cells.setdefault(key, Cell(key, str(_plain(row["method_version"])), processor))
+        version = str(_plain(row["method_version"]))
+        cell = cells.setdefault(key, Cell(key, version, processor))
         seed = int(row["seed"])
         if row["status"] != "ok":
             cell.failures[seed] = f"{row['status']}: {_plain(row['reason'])}"
             continue
         cell.options[seed] = _options(store, row["job"])
+        cell.version = _joined(cell.version, version) if cell.values else version
+        cell.processor = _joined(cell.processor, processor) if cell.values else processor
+        cell.identities[seed] = Identity.of(row)
         cell.values[seed] = _values(row, clocks, cell)
         cell.views[seed] = paths.get(row["job"], {})
         if digest := models.digest(row["job"]):
             cell.models[seed] = digest
     return cells
+
+
+def _joined(known: str, more: str) -> str:
+    return known if more in known.split(AND) else f"{known}{AND}{more}"
 
 
 def _plain(value: Any) -> Any:

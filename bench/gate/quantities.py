@@ -50,7 +50,8 @@ class Quantity:
         """A difference of scores for people: in units, or as a factor."""
         if self.scale == "linear":
             return f"{self.better * difference:+.2f}"
-        return f"{100.0 * math.expm1(abs(difference)):.3g} %"
+        factor = math.exp(abs(difference))
+        return f"{factor:,.0f} times" if factor >= 10.0 else f"{100.0 * (factor - 1.0):.3g} %"
 
 
 def _column(name: str, kind: str, scale: str = "log", least: float = 0.0) -> Quantity:

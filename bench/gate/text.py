@@ -32,6 +32,8 @@ def summary(verdict: Verdict) -> str:
         if verdict.unknown:
             text += f", {verdict.unknown} have no files to compare"
         parts.append(text)
+    if verdict.unidentified:
+        parts.append(f"{verdict.unidentified} without the identity of their truth")
     if verdict.tests:
         parts.append(f"{verdict.tests} comparisons, {100 * LEVEL:g} % chance of any false alarm")
     return "; ".join(parts)

@@ -17,7 +17,9 @@ from typing import Literal
 import numpy as np
 
 from bench.gate.baseline import VIEW_ROUNDING, Baseline, BaselineCell, differences, rounding
-from bench.gate.cells import VIEW_METRIC, Cell, Key
+from bench.gate.cells import VIEW_METRIC, Cell, Key, Values
+from bench.gate.identity import CONTENTS, RENDERER, RULER, TRUTH, Identity
+from bench.gate.identity import differences as reasons
 from bench.gate.quantities import QUANTITIES, Quantity
 from bench.gate.spread import Prior, prior, quantile, tail, variance_of, without_rounding
 from reports.conclusions.clocks import BUSY
@@ -29,6 +31,7 @@ _EQUAL = 1e-3
 _ALL = "all scenes"
 _LEAST_VIEWS = 3
 
+Scope = Literal["a scene", "a method's mean", "a view"]
 Kind = Literal["worse", "better", "not measured", "note"]
 
 
@@ -57,6 +60,7 @@ class Verdict:
         same: number of models whose files equal the baseline's.
         differ: number of models whose files do not.
         unknown: number of models without files, or with none in the baseline.
+        unidentified: number of cells whose truth is not named on both sides.
         elsewhere: processors and threads of baseline and run where models differ on unlike ones; else "".
     """
 
@@ -66,6 +70,7 @@ class Verdict:
     same: int = 0
     differ: int = 0
     unknown: int = 0
+    unidentified: int = 0
     elsewhere: str = ""
 
     def add(self, findings: Iterable[Finding]) -> None:
@@ -95,8 +100,10 @@ class _Sample:
         before, after: scores of each seed; ``after`` is empty if nothing is to be compared.
         values: the means before and after, for people.
         rounding: how far the mean score before may be off, as the file has few digits.
+        cause: what explains a difference, beside the code; else "".
     """
 
+    scope: Scope
     cell: str
     title: str
     quantity: Quantity
@@ -104,6 +111,7 @@ class _Sample:
     after: list[float]
     values: tuple[float, float]
     rounding: float
+    cause: str
 
     @property
     def variance(self) -> float:
@@ -118,7 +126,16 @@ class _Sample:
         error = math.sqrt(variance * (1.0 / len(self.before) + 1.0 / len(self.after)))
         difference = _mean(self.after) - _mean(self.before)
         return _Test(
-            self.cell, self.title, self.quantity, *self.values, difference, error, freedom, self.rounding
+            self.scope,
+            self.cell,
+            self.title,
+            self.quantity,
+            *self.values,
+            difference,
+            error,
+            freedom,
+            self.rounding,
+            self.cause,
         )
 
 
@@ -129,8 +146,10 @@ class _Test:
     Attributes:
         error: standard deviation of the difference by seeds.
         rounding: how much of the difference the digits of the file may make.
+        cause: as in :class:`_Sample`; a difference with a cause is no loss and no gain.
     """
 
+    scope: Scope
     cell: str
     title: str
     quantity: Quantity
@@ -140,6 +159,7 @@ class _Test:
     error: float
     freedom: float
     rounding: float
+    cause: str
 
     @property
     def statistic(self) -> float:
@@ -161,6 +181,8 @@ class _Test:
             f"{self.title} {q.text(self.before)} → {q.text(self.after)} ({q.change(self.difference)}{unit}; "
             f"seeds explain {tolerance}{unit})"
         )
+        if self.cause:
+            return Finding("not measured", self.cell, f"{text}: {self.cause}")
         return Finding(kind, self.cell, text)
 
 
@@ -182,42 +204,93 @@ def compare(baseline: Baseline, cells: Mapping[Key, Cell], *, times: bool = True
         verdict.same += len(pair.equal)
         verdict.differ += pair.differ
         verdict.unknown += pair.unknown
+        verdict.unidentified += pair.unidentified
         verdict.elsewhere = verdict.elsewhere or pair.elsewhere
-    tests = [
+    tests = _all_tests(pairs)
+    verdict.tests = len(tests)
+    verdict.add(_significant(tests))
+    return verdict
+
+
+def tolerances(
+    baseline: Baseline, seeds: int, *, times: bool = True
+) -> Iterator[tuple[Scope, Quantity, float]]:
+    """The largest loss of each comparison that a run may have without a finding.
+
+    The run has all results of the baseline, from other files of models and on the same quiet processor; one
+    comparison alone differs.
+
+    Args:
+        baseline: the file.
+        seeds: number of seeds of the run.
+        times: whether times are asked for.
+
+    Yields:
+        What is compared, the quantity, and the loss as a difference of scores.
+    """
+    tests = _all_tests([_Pair(old, _repeated(old, seeds), times) for old in baseline.cells])
+    for test in tests:
+        yield test.scope, test.quantity, test.tolerance(LEVEL / len(tests))
+
+
+def _repeated(old: BaselineCell, seeds: int) -> Cell:
+    """Each seed has the means of the baseline."""
+    means = {name: _mean(v for v in values if v is not None) for name, values in old.values.items()}
+    values = {name: mean for name, mean in means.items() if not math.isnan(mean)}
+    every = range(seeds)
+    return Cell(
+        old.key, old.version, old.processor, dict.fromkeys(every, values), dict.fromkeys(every, old.views)
+    )
+
+
+def _all_tests(pairs: Sequence[_Pair]) -> list[_Test]:
+    return [
         *_tests([sample for pair in pairs for sample in pair.samples()]),
         *_tests(list(_of_methods(pairs))),
         *_of_views(pairs),
     ]
-    verdict.tests = len(tests)
-    verdict.add(_significant(tests))
-    return verdict
 
 
 class _Pair:
     """A cell before and after.
 
     Attributes:
+        reasons: kind -> why something does not compare (:func:`bench.gate.identity.differences`).
+        values: seed -> values of the run that are of the baseline's truth.
         equal: seeds whose models have the files of the baseline.
         free: seeds of the run whose results have a chance to differ.
+        cause: what explains differences beside the code; else "".
     """
 
     def __init__(self, old: BaselineCell, new: Cell, times: bool) -> None:
         self.old, self.new, self.title = old, new, old.key.title
+        by_seed = {seed: reasons(old.identity, new.identities.get(seed, Identity())) for seed in new.values}
+        self.reasons = {kind: text for found in by_seed.values() for kind, text in found.items()}
+        self.values: dict[int, Values] = {
+            seed: row for seed, row in new.values.items() if not {CONTENTS, TRUTH} & by_seed[seed].keys()
+        }
+        self.cause = self.reasons.get(RENDERER, "")
+        truths = [old.identity.truth, *(new.identities.get(seed, Identity()).truth for seed in self.values)]
+        self.unidentified = bool(self.values) and None in truths
         digests = dict(zip(old.seeds, old.models, strict=True))
-        known = {seed for seed in new.values if digests.get(seed) and new.models.get(seed)}
+        known = {seed for seed in self.values if digests.get(seed) and new.models.get(seed)}
         self.equal = {seed for seed in known if new.models[seed] == digests[seed]}
-        self.differ, self.unknown = len(known - self.equal), len(new.values) - len(known)
-        self.free = set(new.values) - self.equal
+        self.differ, self.unknown = len(known - self.equal), len(self.values) - len(known)
+        self.free = set(self.values) - self.equal
         self._times = times and old.kernel is not None
-        self._pace = _pace(old, new) if self._times and new.values else ""
+        self._pace = self.reasons.get(RULER, "") or _pace(old, new) if self._times and self.values else ""
 
     def findings(self) -> Iterator[Finding]:
         """What needs no statistics."""
         for seed, reason in self.new.failures.items():
             yield Finding("worse", self.title, f"seed {seed} {reason}")
-        if not self.new.values:
-            if not self.new.failures:
-                yield Finding("not measured", self.title, "the run has no such result")
+        for kind in (CONTENTS, TRUTH):
+            if kind in self.reasons:
+                yield Finding("not measured", self.title, self.reasons[kind])
+        if not self.new.values and not self.new.failures:
+            yield Finding("not measured", self.title, "the run has no such result")
+        yield from self._of_lacking_views()
+        if not self.values:
             return
         other_version = self.new.version != self.old.version
         if other_version:
@@ -226,16 +299,20 @@ class _Pair:
         if self._pace:
             yield Finding("not measured", self.title, f"times: {self._pace}")
         for name, quantity in QUANTITIES.items():
-            rows = self.new.values if self._compares(quantity) else {}
+            if name in self.reasons:
+                yield Finding("not measured", self.title, f"{quantity.title}: {self.reasons[name]}")
+            rows = self.values if self._compares(quantity) else {}
             if rows and self.old.values.get(name) and not any(name in row for row in rows.values()):
                 yield Finding("not measured", self.title, f"{quantity.title}: no value in the run")
-        lacking = [
-            view for view in self.old.views if any(view not in path for path in self.new.views.values())
-        ]
+        yield from self._of_equal()
+
+    def _of_lacking_views(self) -> Iterator[Finding]:
+        """Views of the same content that the run does not have: fewer views are a truth of their own."""
+        paths = [] if CONTENTS in self.reasons else list(self.new.views.values())
+        lacking = [view for view in self.old.views if any(view not in path for path in paths)]
         if lacking:
             text = f"{len(lacking)} of {len(self.old.views)} views were not measured ({lacking[0]}, ...)"
             yield Finding("worse", self.title, text)
-        yield from self._of_equal()
 
     def _of_options(self, kind: Kind) -> Iterator[Finding]:
         """Options with other values; those of one side alone are new or gone, and results tell what they do.
@@ -260,22 +337,24 @@ class _Pair:
         return f"the baseline's are of {self.old.processor}, these of {self.new.processor}"
 
     def _compares(self, quantity: Quantity) -> bool:
-        return quantity.kind != "time" or (self._times and not self._pace)
+        if quantity.kind == "time":
+            return self._times and not self._pace
+        return quantity.name not in self.reasons
 
     def _of_equal(self) -> Iterator[Finding]:
         """Equal files must measure alike: a gain, too, is one of measurement."""
         for seed in sorted(self.equal):
             for name, quantity in QUANTITIES.items():
-                before, after = self.before(name).get(seed), self.new.values[seed].get(name)
-                if quantity.kind == "time" or before is None or after is None:
+                before, after = self.before(name).get(seed), self.values[seed].get(name)
+                if quantity.kind == "time" or before is None or after is None or not self._compares(quantity):
                     continue
                 difference = quantity.score(after) - quantity.score(before)
                 if abs(difference) > _EQUAL + quantity.error(before, rounding(before)):
                     text = (
                         f"{quantity.title} {quantity.text(before)} → {quantity.text(after)} from the same "
-                        f"files of the model (seed {seed}): rendering or metric has changed"
+                        f"files of the model (seed {seed}): {self.cause or 'rendering or metric has changed'}"
                     )
-                    yield Finding("worse", self.title, text)
+                    yield Finding("not measured" if self.cause else "worse", self.title, text)
 
     def before(self, name: str) -> dict[int, float]:
         """Seed -> value of the baseline."""
@@ -285,8 +364,8 @@ class _Pair:
     def after(self, name: str) -> dict[int, float]:
         """Seed -> value of the run, where chance has a part in it."""
         quantity = QUANTITIES[name]
-        seeds = self.new.values if quantity.kind == "time" else self.free
-        rows = {seed: self.new.values[seed] for seed in seeds} if self._compares(quantity) else {}
+        seeds = self.values if quantity.kind == "time" else self.free
+        rows = {seed: self.values[seed] for seed in seeds} if self._compares(quantity) else {}
         return {seed: row[name] for seed, row in rows.items() if name in row}
 
     def samples(self) -> Iterator[_Sample]:
@@ -299,7 +378,17 @@ class _Pair:
                     [quantity.score(value) for value in after],
                 )
                 values = _mean(before), _mean(after)
-                yield _Sample(self.title, quantity.title, quantity, *scores, values, self.rounding(name))
+                cause = "" if quantity.kind == "time" else self.cause
+                yield _Sample(
+                    "a scene",
+                    self.title,
+                    quantity.title,
+                    quantity,
+                    *scores,
+                    values,
+                    self.rounding(name),
+                    cause,
+                )
 
     def rounding(self, name: str) -> float:
         """How far the mean score of the baseline may be off by its digits."""
@@ -338,8 +427,10 @@ def _of_methods(pairs: Sequence[_Pair]) -> Iterator[_Sample]:
             if len(group) > 1 and len(scores[0]) > 1 and quantity.kind != "time":
                 values = tuple(_mean(_mean(scene.values()) for scene in scenes) for scenes in (before, after))
                 title = f"{quantity.title} over {len(group)} scenes"
+                cause = next((pair.cause for pair in group if pair.cause), "")
                 digits = _mean(pair.rounding(name) for pair in group)
-                yield _Sample(key.title.lstrip("/"), title, quantity, *scores, values, digits)  # type: ignore[arg-type]
+                name = key.title.lstrip("/")
+                yield _Sample("a method's mean", name, title, quantity, *scores, values, digits, cause)  # type: ignore[arg-type]
 
 
 def _over_scenes(quantity: Quantity, scenes: Sequence[Mapping[int, float]]) -> list[float]:
@@ -358,6 +449,7 @@ def _of_views(pairs: Sequence[_Pair]) -> Iterator[_Test]:
         paths = [pair.new.views[seed] for seed in sorted(pair.free) if pair.new.views.get(seed)]
         if (
             len(old.views) < _LEAST_VIEWS
+            or VIEW_METRIC in pair.reasons
             or not paths
             or any(not set(old.views) <= set(path) for path in paths)
         ):
@@ -371,7 +463,19 @@ def _of_views(pairs: Sequence[_Pair]) -> Iterator[_Test]:
         for view, one, other, more in zip(old.views, before, after, excess, strict=True):
             title = f"{quantity.title} of view {view} above the mean"
             digits = 2.0 * VIEW_ROUNDING  # the view's and the mean's
-            yield _Test(pair.title, title, quantity, one, other, float(more), error, freedom, digits)
+            yield _Test(
+                "a view",
+                pair.title,
+                title,
+                quantity,
+                one,
+                other,
+                float(more),
+                error,
+                freedom,
+                digits,
+                pair.cause,
+            )
 
 
 def _view_variance(cell: BaselineCell) -> float:

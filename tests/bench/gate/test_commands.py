@@ -108,6 +108,26 @@ def test_a_default_that_changed_is_found_by_its_name(gate: Bench, tmp_path: Path
     assert all("options differ: iterations" in line for line in losses)
 
 
+def test_a_baseline_has_one_version_of_a_method(gate: Bench, tmp_path: Path) -> None:
+    def older(record) -> None:
+        if record["job"]["seed"] == 2:
+            record["job"]["identity"]["method"][1] += "-older"
+
+    change(tmp_path / "runs", "fit", older)
+    done = gate("baseline", "runs", "--out", "new.json", "--reason", "r", code=2)
+    assert "-older of the method" in done.stderr
+    assert "note" in gate("gate", "--baseline", "base.json", "--without-times", code=0).stdout
+
+
+def test_the_power_of_a_baseline_needs_no_run(gate: Bench) -> None:
+    lines = gate("gate", "nowhere", "--baseline", "base.json", "--power").stdout.splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    assert {len(row) for row in cells} == {7}
+    assert {row[1] for row in cells[2:]} == {"a scene", "a method's mean", "a view"}
+    assert {row[2] for row in cells[2:] if row[1] == "a scene"} == {"2"}
+    gate("gate", "--baseline", "nothing.json", "--power", code=3)
+
+
 def test_what_cannot_be_compared_has_codes_of_its_own(gate: Bench, tmp_path: Path) -> None:
     assert "no run store" in gate("gate", "empty", "--baseline", "base.json", code=3).stderr
     gate("gate", "runs", "--baseline", "nothing.json", code=3)

@@ -11,6 +11,8 @@ from scipy import stats
 
 from bench.gate.baseline import FORMAT, Baseline, Change, cell_of
 from bench.gate.cells import Cell, Key
+from bench.gate.identity import Identity, differences
+from bench.gate.power import power
 from bench.gate.quantities import QUANTITIES
 from bench.gate.spread import prior, quantile, tail, variance_of
 from bench.gate.text import summary
@@ -280,6 +282,164 @@ def test_a_baseline_has_one_setting() -> None:
     one.options[2]["iterations"] = 100
     with pytest.raises(DataError, match="seeds 0 and 2 differ in options: iterations 300 → 100"):
         cell_of(one)
+
+
+IDENTITY = Identity(
+    contents={"a": "one", "b": "two"}, truth="pictures", renderer="mitsuba 3", ruler="2",
+    metric_versions={"psnr": "1", "ssim": "1"},
+)  # fmt: skip
+
+
+def identified(made: Cell, **changes) -> Cell:
+    """A cell with an identity."""
+    identity = IDENTITY.model_copy(update=changes)
+    return replace(made, identities=dict.fromkeys(made.values, identity))
+
+
+@pytest.mark.parametrize(
+    ("change", "kinds"),
+    [
+        ({}, set()),
+        ({"contents": {"a": "edited", "b": "two"}, "truth": "others"}, {"contents"}),
+        ({"contents": {"b": "two", "c": "three"}}, set()),
+        ({"contents": {}, "truth": None, "renderer": None, "ruler": None, "metric_versions": {}}, set()),
+        ({"truth": "others"}, {"truth"}),
+        ({"renderer": "reference"}, {"renderer"}),
+        ({"ruler": "3"}, {"ruler"}),
+        ({"metric_versions": {"psnr": "2", "flip": "1"}}, {"psnr"}),
+    ],
+)
+def test_identities_differ_in_what_both_sides_know(change: dict[str, object], kinds: set[str]) -> None:
+    other = IDENTITY.model_copy(update=change)
+    assert set(differences(IDENTITY, other)) == set(differences(other, IDENTITY)) == kinds
+
+
+def test_a_row_that_lacks_columns_has_an_unknown_identity() -> None:
+    row = {"contents": '{"a": "one"}', "truth": "t", "ruler": 2, "renderer": np.nan, "metric_versions": None}
+    assert Identity.of(row) == Identity(contents={"a": "one"}, truth="t", ruler="2")
+    assert Identity.of({}) == Identity()
+
+
+@pytest.mark.parametrize("change", [{"contents": {"a": "edited"}}, {"truth": "others"}])
+@pytest.mark.parametrize("loss", [0.0, -20.0])
+def test_results_of_another_truth_are_never_compared(change: dict[str, object], loss: float) -> None:
+    rng = np.random.default_rng(0)
+    old, new = cell(rng, [0, 1, 2]), cell(rng, [7], psnr=loss)
+    verdict = judge({key(): identified(old)}, {key(): identified(new, **change)})
+    assert (verdict.code, verdict.tests, verdict.unknown) == (2, 0, 0)
+    (finding,) = verdict.findings
+    assert finding.text.startswith("truth differs: ")
+    del new.views[7]["v3"]
+    kinds = {f.kind for f in judge({key(): identified(old)}, {key(): identified(new, **change)}).findings}
+    # One view less is another truth of the same content, and a loss.
+    assert kinds == ({"not measured", "worse"} if "truth" in change else {"not measured"})
+
+
+def test_a_seed_of_another_truth_stays_out() -> None:
+    rng = np.random.default_rng(0)
+    new = identified(cell(rng, [7]))
+    bad = identified(cell(rng, [8], psnr=-9.0), truth="others")
+    both = replace(
+        new, values=new.values | bad.values, views=new.views | bad.views,
+        identities=new.identities | bad.identities,
+    )  # fmt: skip
+    old = identified(cell(rng, [0, 1, 2]))
+    assert [f.kind for f in judge({key(): old}, {key(): both}).findings] == ["not measured"]
+    both.identities[8] = both.identities[7]
+    assert judge({key(): old}, {key(): both}).word == "worse"
+
+
+def test_another_renderer_is_the_cause_of_what_differs() -> None:
+    rng = np.random.default_rng(0)
+    old = identified(cell(rng, [0, 1, 2]))
+    old.models = {0: "one", 1: "two", 2: "three"}
+    other = {"renderer": "reference"}
+    assert judge({key(): old}, {key(): identified(deepcopy(old), **other)}).code == 0
+    same = identified(deepcopy(old), **other)
+    same.values[1]["psnr"] -= 0.01
+    free = identified(cell(rng, [7], psnr=-9.0), **other)
+    for new in (same, free):
+        verdict = judge({key(): old}, {key(): new})
+        assert verdict.code == 2
+        assert verdict.findings
+        cause = "the truth was rendered by reference, the baseline's by mitsuba 3"
+        assert all(finding.text.endswith(f": {cause}") for finding in verdict.findings)
+        known = judge({key(): old}, {key(): identified(new)})
+        assert known.code == 1
+        assert len(known.findings) == len(verdict.findings)
+
+
+def test_another_version_of_a_metric_leaves_that_metric_out() -> None:
+    old = {one: identified(made) for one, made in OLD.items()}
+    versions = {"metric_versions": {"psnr": "2", "ssim": "1"}}
+    new = many(7, [7])
+    new[key("b", "y")] = cell(np.random.default_rng(3), [7], key("b", "y"), psnr=-9.0)
+    verdict = judge(old, {one: identified(made, **versions) for one, made in new.items()})
+    assert verdict.code == 2
+    assert {(f.kind, f.text.split()[0]) for f in verdict.findings} == {("not measured", "PSNR")}
+    new[key("b", "y")].values[7]["ssim"] = 0.5
+    verdict = judge(old, {one: identified(made, **versions) for one, made in new.items()})
+    assert {f.text.split()[0] for f in verdict.of("worse")} == {"SSIM"}
+
+
+def test_times_of_another_ruler_are_not_compared() -> None:
+    rng = np.random.default_rng(0)
+    old = identified(cell(rng, [0, 1, 2], train_ratio=30.0))
+    old.kernels = [0.05]
+    slow = cell(rng, [7], train_ratio=90.0)
+    assert judge({key(): old}, {key(): identified(slow)}).word == "worse"
+    verdict = judge({key(): old}, {key(): identified(slow, ruler="3")})
+    assert [f.kind for f in verdict.findings] == ["not measured"]
+    assert judge({key(): old}, {key(): identified(slow, ruler="3")}, times=False).code == 0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"contents": {"a": "edited"}}, {"truth": "others"}, {"renderer": "reference"}, {"ruler": "3"},
+     {"metric_versions": {"ssim": "2"}}],
+)  # fmt: skip
+def test_a_cell_of_a_baseline_has_one_identity(change: dict[str, object]) -> None:
+    one = identified(cell(np.random.default_rng(0), [0, 1, 2]))
+    assert cell_of(one).identity == IDENTITY
+    one.identities[2] = IDENTITY.model_copy(update=change)
+    with pytest.raises(DataError, match="seeds 0 and 2 do not compare"):
+        cell_of(one)
+
+
+def test_a_cell_of_a_baseline_has_one_version() -> None:
+    with pytest.raises(DataError, match="versions 1 and 2"):
+        cell_of(replace(cell(np.random.default_rng(0), [0, 1, 2]), version="1 and 2"))
+
+
+@pytest.mark.parametrize("seeds", [1, 3])
+def test_the_power_is_where_findings_begin(seeds: int) -> None:
+    """A loss of one quantity that is just larger than its power is a finding; one just smaller is none."""
+    content = baseline(*OLD.values())
+    losses = power(content, [seeds])
+    assert set(losses) == {
+        ("psnr", "a view"), *((name, scope) for name in SPREAD for scope in ("a scene", "a method's mean"))
+    }  # fmt: skip
+    places = [old.key for old in content.cells]
+    for name in ("psnr", "flip", "ssim", "size_bytes"):
+        (place, loss), quantity = (
+            max(zip(places, losses[name, "a scene"][seeds], strict=True), key=lambda pair: pair[1]),
+            QUANTITIES[name],
+        )
+        for factor, worse in ((0.99, False), (1.01, True)):
+            new = {}
+            for old in content.cells:
+                means = {one: float(np.mean(values)) for one, values in old.values.items()}
+                new[old.key] = Cell(old.key, "1", PROCESSOR)
+                for seed in range(50, 50 + seeds):
+                    new[old.key].values[seed] = dict(means)
+                    new[old.key].views[seed] = dict(old.views)
+            (before,) = (old.values[name] for old in content.cells if old.key == place)
+            score = np.mean([quantity.score(value) for value in before]) - factor * loss
+            value = quantity.better * score if name == "psnr" else np.exp(-score) - quantity.least
+            for row in new[place].values.values():
+                row[name] = 1.0 - value if name == "ssim" else float(value)
+            found = [f for f in compare(content, new).of("worse") if f.cell == place.title]
+            assert bool(found) == worse, (name, factor)
 
 
 def test_a_number_that_seeds_never_change_must_not_change() -> None:
