@@ -530,10 +530,10 @@ def verdict_of(description: str) -> str:
         targets = unseen.targets(report.results)
         sentence, heads, lines = unseen.conclusion(targets), unseen.HEADS, unseen.rows(targets)
     elif block["section"] == "races":
-        sentence, heads = " ".join(races.conclusion(report.races)), races.HEADS
-        lines = [races.row(race, lead) for race in report.races for lead in race.leads]
+        sentence, heads = " ".join(races.conclusion(report.races, report.family)), races.HEADS
+        lines = [races.row(race, lead, report.family) for race in report.races for lead in race.leads]
     elif block["section"] == "rates":
-        sentence, heads = rates.conclusion(report.differences), rates.HEADS
+        sentence, heads = rates.conclusion(report.differences, report.family), rates.HEADS
         lines = [rates.row(one) for one in report.differences]
     elif block["section"] == "answers":
         sentence, heads = scope(report.contests[0]), ("", "")

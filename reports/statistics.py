@@ -29,18 +29,28 @@ _SEED = 20240607
 
 
 class Interval(NamedTuple):
-    """A mean over views and seeds with its 95 % confidence interval; the ends are None with too few views."""
+    """A mean over views and seeds with its 95 % confidence interval; the ends are None with too few views.
+
+    ``freedom`` are the degrees of freedom of Student's t behind it.
+    """
 
     mean: float
     low: float | None
     high: float | None
     views: int
     seeds: int = 1
+    freedom: float | None = None
 
     @property
     def half(self) -> float | None:
         """Half of its width."""
         return None if self.low is None or self.high is None else (self.high - self.low) / 2
+
+    def p_value(self, distance: float) -> float | None:
+        """Two-sided p-value of a mean that lies this far from the true one; None without an interval."""
+        if self.half is None or self.freedom is None:
+            return None
+        return Error(self.half / t_quantile(self.freedom), self.freedom).p_value(distance)
 
     def contains(self, value: float) -> bool:
         """Whether the interval exists and ``value`` is between its ends."""
@@ -103,17 +113,33 @@ class Variance(NamedTuple):
     freedom: float
 
 
-def half_width(terms: Iterable[Variance]) -> float:
-    """Half of the 95 % interval of a mean whose variance is a sum.
+class Error(NamedTuple):
+    """The standard error of a mean, and the degrees of freedom of Student's t."""
 
-    Student's t with the degrees of freedom of Welch and Satterthwaite (1946).
-    """
-    kept = [term for term in terms if term.value > 0.0]
-    total = sum(term.value for term in kept)
-    if not kept:
-        return 0.0
-    freedom = total**2 / sum(one.value**2 / one.freedom for one in kept)
-    return t_quantile(freedom) * math.sqrt(total)
+    value: float
+    freedom: float
+
+    @classmethod
+    def of(cls, terms: Iterable[Variance]) -> Error:
+        """Of a mean whose variance is a sum: degrees of freedom of Welch and Satterthwaite (1946)."""
+        kept = [term for term in terms if term.value > 0.0]
+        total = sum(term.value for term in kept)
+        if not kept:
+            return cls(0.0, math.inf)
+        return cls(math.sqrt(total), total**2 / sum(one.value**2 / one.freedom for one in kept))
+
+    @property
+    def half(self) -> float:
+        """Half of the 95 % interval."""
+        return t_quantile(self.freedom) * self.value
+
+    def p_value(self, distance: float) -> float:
+        """Two-sided p-value of a mean that lies this far from the true one."""
+        from scipy.special import stdtr
+
+        if distance == 0.0 or self.value == 0.0:
+            return 1.0 if distance == 0.0 else 0.0
+        return 2.0 * float(stdtr(self.freedom, -abs(distance) / self.value))
 
 
 def interval(
@@ -145,8 +171,8 @@ def interval(
     terms = [Variance(max(variance, 0.0) / len(strata) ** 2, float(fewest) - 1.0)]
     repeated = [one for one in seeds if len(one) > 1]
     terms += [Variance(float(np.var(one, ddof=1)) / len(one), len(one) - 1.0) for one in repeated]
-    half = half_width(terms)
-    return Interval(mean, mean - half, mean + half, count, fewest_seeds)
+    error = Error.of(terms)
+    return Interval(mean, mean - error.half, mean + error.half, count, fewest_seeds, error.freedom)
 
 
 @cache

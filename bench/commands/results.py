@@ -66,7 +66,7 @@ def print_answers(contents: Report) -> None:
 
     if contents.contests:
         print("\n".join(to_text(contents.contests[0], contents.answers)))
-    for sentence in races.conclusion(contents.races):
+    for sentence in races.conclusion(contents.races, contents.family):
         print(sentence)
 
 

@@ -26,8 +26,10 @@ _WORDS = (
     "A method starts where it has a model of every scene. "
     "Lines are means over scenes and seeds, bands reach from the lowest seed to the highest. Training times "
     "are of one processor, divided by how much slower than usual it was. Training and memory are of the "
-    "leader's largest models within the limit, geometric means per scene. A lead counts where its 95 % "
-    "interval over scenes and seeds excludes zero."
+    "leader's largest models within the limit, geometric means per scene. A lead counts where it is "
+    "significant on every other method: Student's t over scenes and seeds, with Holm's correction over all "
+    "leads of this page; the table has the largest p-value of a lead. An interval is of one lead alone, "
+    "without the correction."
 )
 
 
@@ -95,9 +97,9 @@ def races_section(report: Report) -> Section | None:
         chart = race_chart(own, report.models)
         charts[f"race-{discipline.column.partition('_')[0]}"] = chart
         parts.append(f"<h3>Equal {escape(discipline.noun)}</h3>{legend(chart.legend)}{cards(chart.panels)}")
-    lines = [row(race, lead) for race in found for lead in race.leads]
+    lines = [row(race, lead, report.family) for race in found for lead in race.leads]
     html = (
-        f"<p><b>{escape(' '.join(conclusion(found)))}</b></p><p>{_WORDS}</p>{''.join(parts)}"
+        f"<p><b>{escape(' '.join(conclusion(found, report.family)))}</b></p><p>{_WORDS}</p>{''.join(parts)}"
         f"{table('Who leads at which limit', HEADS, lines)}"
     )
     return Section("races", "Races: quality at equal cost", html, charts)

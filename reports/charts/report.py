@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reports.conclusions.answers import answers
+from reports.conclusions.answers import CRITERIA, answers, compare
 from reports.conclusions.contest import contests
 from reports.conclusions.economy import economies
+from reports.conclusions.family import Family
 from reports.conclusions.races import races
-from reports.conclusions.rates import differences
+from reports.conclusions.rates import differences, p_values
 from reports.curves import curves, with_shared_seeds
 from reports.schema import frame
 from reports.statistics import Views
@@ -61,6 +62,7 @@ class Report:
         self.tables = by_protocol(tables)
         self.results = self.tables["results"]
         self.views = Views(tables["views"])
+        self._whole = self
 
     @cached_property
     def models(self) -> list[Model]:
@@ -93,6 +95,7 @@ class Report:
         }
         part = Report(tables)
         part.models = self.models  # a model has one look in all parts of the page
+        part._whole = self._whole
         return part
 
     @cached_property
@@ -130,7 +133,21 @@ class Report:
     @cached_property
     def answers(self) -> list[Answer]:
         """Of the first contest; empty without one."""
-        return answers(self.contests[0], self.results, self.ladders) if self.contests else []
+        if not self.contests:
+            return []
+        return answers(self.contests[0], self.results, self.ladders, self.family)
+
+    @property
+    def family(self) -> Family:
+        """All leads of the page, whichever part of it asks."""
+        return self._whole._family
+
+    @cached_property
+    def _family(self) -> Family:
+        compared = [compare(each, contest) for contest in self.contests[:1] for each in CRITERIA]
+        of_answers = [one.p for one in compared if one is not None]
+        of_races = [lead.p for race in self.races for lead in race.leads]
+        return Family.of([*of_answers, *of_races, *p_values(self.of_defaults.differences)])
 
     @cached_property
     def races(self) -> list[Race]:

@@ -158,7 +158,7 @@ def _rate_distortion(report: Report) -> Section | None:
     words += _seeds_left_out(report)
     parts = [f"<p>{words}</p>{cards(chart.panels)}"]
     if report.differences:
-        parts.insert(0, f"<p><b>{escape(rates.conclusion(report.differences))}</b></p>")
+        parts.insert(0, f"<p><b>{escape(rates.conclusion(report.differences, report.family))}</b></p>")
         rows = [rates.row(each) for each in report.differences]
         parts.append(table("Average differences", list(rates.HEADS), rows))
         parts.append(
@@ -166,7 +166,8 @@ def _rate_distortion(report: Report) -> Section | None:
             f"BD-PSNR: dB at equal bytes. Interpolated with {rates.INTERPOLATION} splines over the "
             "logarithm of the size, averaged over the range that both curves cover: BD-rate over the PSNR "
             "they share, BD-PSNR over the sizes. Intervals are over test views and, with several seeds, over "
-            "seeds. Models that another of the same method beats in both are left out. Refused with fewer "
+            "seeds, of one pair each; a lead is significant by Holm's correction over all leads of this "
+            "page. Models that another of the same method beats in both are left out. Refused with fewer "
             f"than {LEAST_POINTS} others, and without overlap.</p>"
         )
     return Section("rate-distortion", "Rate and distortion", "".join(parts), {"rate-distortion": chart})

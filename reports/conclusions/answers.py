@@ -11,6 +11,7 @@ import numpy as np
 
 from reports.conclusions.contest import Cells, Contest, Values
 from reports.conclusions.effects import LEAST_DATASETS, Effect, effect
+from reports.conclusions.family import Family, largest
 from reports.conclusions.ladders import Tally, tally
 from reports.schema import COLUMNS
 from reports.style import absent, counted, enumeration, label
@@ -65,10 +66,14 @@ class Criterion:
         return f"{difference.mean:.2f}{self.unit} {self.comparative}"
 
     def interval(self, difference: Effect) -> str:
-        """The 95 % interval of the same."""
+        """The 95 % interval of the same; without one, what would give one."""
         if difference.ends is None:
-            return "no interval: nothing is repeated"
-        if not difference.sure and (difference.half or 0.0) > (_WIDE_RATIO if self.ratio else _WIDE):
+            return (
+                "no interval, as nothing is repeated: further seeds "
+                "(`bench run \N{HORIZONTAL ELLIPSIS} --seed 0 1 2`) or scenes would give one"
+            )
+        wide = _WIDE_RATIO if self.ratio else _WIDE
+        if (difference.half or 0.0) > max(wide, abs(difference.mean)):
             few = difference.datasets < LEAST_DATASETS
             return f"{counted(difference.scenes, 'scene')} decide nothing" if few else "the datasets disagree"
         return "95 %: " + " to ".join(
@@ -109,11 +114,11 @@ class Answer:
     Attributes:
         title: the criterion.
         places: the ranked methods, best first; empty without an answer.
-        winner: the best method, if its lead is sure; "" otherwise.
+        winner: the best method, if its lead is significant; "" otherwise. A count has no test: its first one.
         sentence: the answer for people, with its uncertainty.
         scenes: number of scenes of which ``firsts`` of the places are counted; 0 where they are not.
         level: the methods that share the first place, best first, where the best one's lead on them is not
-            sure; empty if there is a winner.
+            significant; empty if there is a winner.
     """
 
     title: str
@@ -133,7 +138,7 @@ class Answer:
         return None if own is None else (own, [place.value for place in self.places].index(own.value))
 
 
-def answers(contest: Contest, results: pd.DataFrame, ladders: pd.DataFrame) -> list[Answer]:
+def answers(contest: Contest, results: pd.DataFrame, ladders: pd.DataFrame, family: Family) -> list[Answer]:
     """One answer per criterion.
 
     Args:
@@ -141,10 +146,11 @@ def answers(contest: Contest, results: pd.DataFrame, ladders: pd.DataFrame) -> l
         results: the table that the contest is from; its edited scenes decide about editing.
         ladders: as of :func:`reports.tables.ladders.ladders`. Those that two methods climbed decide about
             robustness; without any, worst cases do.
+        family: all leads of the page.
     """
     climbed = tally(ladders, contest.methods, contest.preset)
     robust = robustness(contest) if climbed is None else stamina(climbed)
-    return [*(measured(each, contest) for each in CRITERIA), robust, editing(contest, results)]
+    return [*(measured(each, contest, family) for each in CRITERIA), robust, editing(contest, results)]
 
 
 def scope(contest: Contest) -> str:
@@ -154,8 +160,10 @@ def scope(contest: Contest) -> str:
     of = counted(whole, "dataset") if datasets == whole else f"{datasets} of {counted(whole, 'dataset')}"
     text = (
         f"{len(contest.methods)} methods with their default options on {of}, preset {contest.preset}. "
-        "A method wins if the 95 % interval of its lead on every other, over datasets (scenes of fewer than "
-        "three) and seeds, excludes zero; robustness and edits are counts without an interval."
+        "A method wins if its lead on every other is significant: Student's t over datasets (scenes of fewer "
+        "than three) and seeds, with Holm's correction over all leads of this page (answers, races, rates). "
+        "An interval is of one lead alone, without the correction. Robustness and edits are counts without a "
+        "test."
     )
     if datasets < whole:
         text += " A dataset counts if all methods finished it."
@@ -172,19 +180,54 @@ def to_text(contest: Contest, answers: Iterable[Answer]) -> list[str]:
     return [scope(contest), *(f"{answer.title:<{width}}  {answer.sentence}" for answer in answers)]
 
 
-def measured(criterion: Criterion, contest: Contest) -> Answer:
-    """The answer to one criterion of :data:`CRITERIA`.
+@dataclass(frozen=True)
+class Comparison:
+    """The methods under a criterion.
 
-    The best mean wins if the interval of its difference to every other one excludes zero. Means are over
-    datasets, of means over scenes, of means over seeds; those of ratios are geometric.
+    Attributes:
+        values: of the criterion's column.
+        cells: method -> its values.
+        means: method -> its mean over datasets, of means over scenes, of means over seeds; best first. Those
+            of ratios are geometric.
+        leads: of the first on each other one, in their order.
     """
-    column = COLUMNS[criterion.column]
+
+    values: Values
+    cells: Mapping[str, Cells]
+    means: Mapping[str, float]
+    leads: tuple[Effect, ...]
+
+    @property
+    def p(self) -> float | None:
+        """Of the first one's lead on all others."""
+        return largest([lead.p for lead in self.leads])
+
+
+def compare(criterion: Criterion, contest: Contest) -> Comparison | None:
+    """The methods under one criterion of :data:`CRITERIA`; None where fewer than two are measured."""
     values = contest.values(criterion.column)
     cells = {name: own for name, own in values.cells.items() if own}
     if len(cells) < 2:
-        return Answer(criterion.title, (), "", "Not decided: not measured of two methods on one dataset.")
+        return None
     means = {name: _mean(own, criterion.ratio) for name, own in cells.items()}
     order = sorted(means, key=lambda name: -criterion.better * means[name])
+    leads = [criterion.effect(cells[order[0]], cells[name]) for name in order[1:]]
+    assert None not in leads  # all methods have the same datasets
+    known = tuple(lead for lead in leads if lead is not None)
+    return Comparison(values, cells, {name: means[name] for name in order}, known)
+
+
+def measured(criterion: Criterion, contest: Contest, family: Family) -> Answer:
+    """The answer to one criterion of :data:`CRITERIA`: the best mean wins if its lead is significant."""
+    compared = compare(criterion, contest)
+    if compared is None:
+        remark = _caution(contest.values(criterion.column))
+        text = f"Not decided: not measured of two methods on one dataset{remark}."
+        return Answer(criterion.title, (), "", text)
+    column, values, cells, means = (
+        COLUMNS[criterion.column], compared.values, compared.cells, compared.means
+    )  # fmt: skip
+    order = list(means)
     scenes = _by_scene(cells)
     firsts = dict.fromkeys(order, 0)
     for scene in scenes:
@@ -194,24 +237,25 @@ def measured(criterion: Criterion, contest: Contest) -> Answer:
     places = tuple(
         Place(name, means[name], column.text(means[name]) + criterion.unit, firsts[name]) for name in order
     )
-    differences = [criterion.effect(cells[order[0]], cells[name]) for name in order[1:]]
-    compared = list(zip(places[1:], differences, strict=True))
-    near = [(place, one) for place, one in compared if one is None or not one.sure]
-    rival, lead = (near or compared)[0]
-    assert lead is not None  # all methods have the same datasets
+    leads = list(zip(places[1:], compared.leads, strict=True))
+    near = [(place, one) for place, one in leads if not family.significant(one.p)]
+    rival, lead = (near or leads)[0]
     first, level = places[0], (order[0], *(place.method for place, _ in near)) if near else ()
     if near:
         text = f"No winner among {_listing(level)}: {label(first.method)}, {first.text}, is "
         text += f"{criterion.amount(lead)} than {label(rival.method)} ({rival.text}; "
     else:
         text = f"{label(first.method)}, {first.text}: {criterion.amount(lead)} than {label(rival.method)} ("
-    text += f"{criterion.interval(lead)}), better on {lead.wins} of {counted(lead.datasets, 'dataset')}; "
+    remarks = [criterion.interval(lead), family.verdict(lead.p)]
+    text += (
+        f"{'; '.join(filter(None, remarks))}), better on {lead.wins} of {counted(lead.datasets, 'dataset')}; "
+    )
     text += f"{_seeds(lead)}{_caution(values)}."
     return Answer(criterion.title, places, "" if near else order[0], text, len(scenes), level)
 
 
 def standing(data: Mapping[str, Iterable[Answer]], method: str) -> str:
-    """What one method wins, and where it is not surely behind the first, for people.
+    """What one method wins, and where it is not significantly behind the first, for people.
 
     Args:
         data: title of some data -> the answers there (:func:`answers`).
@@ -232,16 +276,16 @@ def standing(data: Mapping[str, Iterable[Answer]], method: str) -> str:
     parts = []
     for words, found in (
         ("Wins", won),
-        ("Is first, without an interval", first),
-        ("Is first, but not surely", ahead),
-        ("Is not surely behind the first", level),
+        ("Is first, without a test", first),
+        ("Is first, not significantly", ahead),
+        ("Is not significantly behind the first", level),
     ):
         names = ", ".join(f"{title} ({', '.join(where)})" for title, where in found.items())
         parts += [f"{words}: {names}."] if names else []
     return " ".join(parts) or "Is first nowhere."
 
 
-def _by_scene(cells: dict[str, Cells]) -> list[dict[str, float]]:
+def _by_scene(cells: Mapping[str, Cells]) -> list[dict[str, float]]:
     """Per scene the methods' means over seeds; all methods have the same scenes."""
     some = next(iter(cells.values()))
     return [

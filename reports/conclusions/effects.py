@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from reports.conclusions.contest import Cells
-from reports.statistics import Variance, half_width
+from reports.statistics import Error, Variance
 
 LEAST_DATASETS = 3
 """Datasets from which their differences are the sample; with fewer it is the scenes."""
@@ -23,6 +23,7 @@ class Effect:
     Attributes:
         mean: mean over datasets of the mean over their scenes and seeds; of ratios the natural logarithm.
         half: half width of the 95 % interval; None where neither datasets, scenes nor seeds repeat.
+        p: two-sided p-value of Student's t with the same standard error; None as ``half``.
         wins: number of datasets on which the first is better.
         datasets, scenes: that were compared.
         seeds: least and largest number of common seeds of a scene.
@@ -31,16 +32,12 @@ class Effect:
 
     mean: float
     half: float | None
+    p: float | None
     wins: int
     datasets: int
     scenes: int
     seeds: tuple[int, int]
     ratio: bool
-
-    @property
-    def sure(self) -> bool:
-        """Whether the interval excludes zero; without an interval nothing is sure."""
-        return self.half is not None and abs(self.mean) > self.half
 
     @property
     def ends(self) -> tuple[float, float] | None:
@@ -79,9 +76,12 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | No
         _sampling([_of_seeds(differences)]),
     ]
     counts = [len(seeds) for scenes in differences.values() for seeds in scenes.values()]
+    known = [term for term in terms if term is not None]
+    error = Error.of(known) if known else None
     return Effect(
         mean,
-        half_width(known) if (known := [term for term in terms if term is not None]) else None,
+        error.half if error is not None else None,
+        error.p_value(mean) if error is not None else None,
         sum(value > 0 for value in of_datasets),
         len(of_datasets),
         sum(map(len, of_scenes)),

@@ -19,6 +19,7 @@ import numpy as np
 from reports.conclusions.clocks import CLOCKS, Clocks, place
 from reports.conclusions.contest import Cells
 from reports.conclusions.effects import Effect, effect
+from reports.conclusions.family import Family, largest
 from reports.fronts import interpolated, pareto
 from reports.style import MIB, MISSING, absent, counted, label, mib, seconds
 from reports.tables.columns import records
@@ -107,9 +108,8 @@ class Lead:
     Attributes:
         limit: as shown.
         method, psnr: of the best, dB.
-        second: the best of those on which its lead is not sure, or the next best; "" where it runs alone.
-        ahead: how far ahead of that one it is; None where it runs alone.
-        starters: number of methods with a model within the limit.
+        rivals: each other method with a model within the limit, best first, and how far ahead of it the best
+            one is; empty where it runs alone.
         expense: of the best one's largest models within the limit, geometric means over scenes and seeds;
             not known where that of a model is not.
     """
@@ -118,14 +118,22 @@ class Lead:
     method: str
     psnr: float
     expense: Expense
-    second: str
-    ahead: Effect | None
-    starters: int
+    rivals: tuple[tuple[str, Effect], ...]
 
     @property
-    def sure(self) -> bool:
-        """Whether the interval of the lead on every other method excludes zero."""
-        return self.ahead is not None and self.ahead.sure
+    def starters(self) -> int:
+        """Number of methods with a model within the limit."""
+        return 1 + len(self.rivals)
+
+    @property
+    def p(self) -> float | None:
+        """Of the lead on all rivals; None where it is not tested."""
+        return largest([effect.p for _, effect in self.rivals])
+
+    def nearest(self, family: Family) -> tuple[str, Effect] | None:
+        """The best of the rivals on which the lead is not significant, or the next best."""
+        near = [one for one in self.rivals if not family.significant(one[1].p)]
+        return next(iter(near or self.rivals), None)
 
 
 @dataclass(frozen=True)
@@ -192,12 +200,11 @@ class Race:
             return None
         order = sorted(means, key=lambda name: -means[name])
         first = self._cells(order[0], limit)
-        leads = [(name, effect(first, self._cells(name, limit), 1, ratio=False)) for name in order[1:]]
-        near = [one for one in leads if one[1] is None or not one[1].sure]
-        second, ahead = (near or leads or [("", None)])[0]
+        rivals = [(name, effect(first, self._cells(name, limit), 1, ratio=False)) for name in order[1:]]
+        known = tuple((name, ahead) for name, ahead in rivals if ahead is not None)
+        assert len(known) == len(rivals)  # all have this dataset's scenes
         best = order[0]
-        expense = self._expense(best, limit)
-        return Lead(limit, best, means[best], expense, second if ahead else "", ahead, len(order))
+        return Lead(limit, best, means[best], self._expense(best, limit), known)
 
     def _expense(self, method: str, limit: float) -> Expense:
         """Geometric means over a method's largest models within a limit."""
@@ -297,13 +304,18 @@ def _limit(race: Race, lead: Lead) -> str:
     remarks = []
     if lead.starters < len(race.fronts):
         remarks.append(f"{lead.starters} of {len(race.fronts)} methods")
-    if lead.ahead is not None and max(lead.ahead.seeds) == 1:
+    if lead.rivals and max(ahead.seeds[1] for _, ahead in lead.rivals) == 1:
         remarks.append("one seed")
     return race.discipline.text(lead.limit) + (f" [{', '.join(remarks)}]" if remarks else "")
 
 
-def conclusion(found: Sequence[Race]) -> list[str]:
-    """Who surely leads where, a sentence per discipline."""
+def conclusion(found: Sequence[Race], family: Family) -> list[str]:
+    """Who significantly leads where, a sentence per discipline.
+
+    Args:
+        found: the races.
+        family: all leads of the page.
+    """
     sentences = []
     for discipline in DISCIPLINES:
         own = [race for race in found if race.discipline == discipline]
@@ -312,47 +324,56 @@ def conclusion(found: Sequence[Race]) -> list[str]:
             continue
         won: dict[str, dict[str, list[str]]] = {}
         for race, lead in leads:
-            if lead.sure:
+            if family.significant(lead.p):
                 where = won.setdefault(lead.method, {}).setdefault(race.dataset, [])
                 where.append(_limit(race, lead))
         parts: list[str] = []
         for name in sorted(won, key=lambda name: (-sum(map(len, won[name].values())), name)):
             places = (f"{dataset} ({', '.join(at)})" for dataset, at in won[name].items())
-            parts.append(f"{label(name)}{'' if parts else ' surely leads'} on {', '.join(places)}")
-        undecided = sum(not lead.sure for _, lead in leads)
+            parts.append(f"{label(name)}{'' if parts else ' significantly leads'} on {', '.join(places)}")
+        undecided = sum(not family.significant(lead.p) for _, lead in leads)
         limits = counted(len(leads), "limit")
         datasets = counted(len({race.dataset for race, _ in leads}), "dataset")
         if not parts:
-            parts.append(f"nobody surely leads at any of {limits} on {datasets}")
+            parts.append(f"nobody significantly leads at any of {limits} on {datasets}")
         elif undecided:
             parts.append(f"{undecided} of {limits} on {datasets} undecided")
-        sentences.append(f"At equal {discipline.noun}, {'; '.join(parts)}.")
+        sentences.append(f"At equal {discipline.noun}, {'; '.join(parts)} ({family.size}).")
     return sentences
 
 
 HEADS = (
     "Equal", "Dataset", "Limit", "Leader", "PSNR [dB]", "Training", "Memory [MiB]", "Ahead of", "By [dB]",
-    "95 %", "Seeds", "Methods",
+    "95 %", "p (corrected)", "Seeds", "Methods",
 )  # fmt: skip
 """Of :func:`row`."""
 
 
-def row(race: Race, lead: Lead) -> list[str]:
-    """A line of the table of leads."""
+def row(race: Race, lead: Lead, family: Family) -> list[str]:
+    """A line of the table of leads.
+
+    Args:
+        race: of the lead.
+        lead: at a limit.
+        family: all leads of the page.
+    """
     name = label(lead.method)
     cells = [race.discipline.noun, race.dataset, race.discipline.text(lead.limit)]
-    cells += [name if lead.sure or not lead.second else f"undecided ({name})", f"{lead.psnr:.2f}"]
+    nearest = lead.nearest(family)
+    decided = nearest is None or family.significant(lead.p)
+    cells += [name if decided else f"undecided ({name})", f"{lead.psnr:.2f}"]
     time, memory = lead.expense
     cells += [MISSING if time is None else seconds(time), MISSING if memory is None else mib(memory)]
     starters = f"{lead.starters} of {len(race.fronts)}"
-    if lead.ahead is None:
-        return [*cells, "alone", "", "", "", starters]
-    low_high = lead.ahead.ends
+    if nearest is None:
+        return [*cells, "alone", "", "", "", "", starters]
+    rival, ahead = nearest
+    low_high = ahead.ends
     ends = (
         ""
         if low_high is None
         else " to ".join(f"{end:+.2f}" for end in low_high).replace("-", "\N{MINUS SIGN}")
     )
-    least, most = lead.ahead.seeds
+    least, most = ahead.seeds
     seeds = str(least) if least == most else f"{least} to {most}"
-    return [*cells, label(lead.second), f"{lead.ahead.mean:.2f}", ends, seeds, starters]
+    return [*cells, label(rival), f"{ahead.mean:.2f}", ends, family.text(lead.p), seeds, starters]

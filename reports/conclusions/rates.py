@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from reports import rate_intervals
+from reports.conclusions.family import Family, largest
 from reports.style import MISSING, mib
 from reports.tables import confidence
 
@@ -38,6 +40,9 @@ class Difference:
         bytes_range: the bytes per scene over which ``psnr`` is an average.
         rate_interval: 95 % interval of ``rate``, in percent; None without values of test views.
         psnr_interval: 95 % interval of ``psnr``, in dB.
+        rate_p: two-sided p-value of ``rate`` by Student's t with the standard error of the block bootstrap of
+            views and of seeds, as its interval has it; None without an interval.
+        psnr_p: the same of ``psnr``.
         seeds: the fewer of both curves; with 1 the intervals hold the spread of views alone.
         overlap: share of the two curves' PSNR and of their log bytes that is common; the smaller of both, of
             those that are.
@@ -55,6 +60,8 @@ class Difference:
     bytes_range: tuple[float, float] | None = None
     rate_interval: tuple[float, float] | None = None
     psnr_interval: tuple[float, float] | None = None
+    rate_p: float | None = None
+    psnr_p: float | None = None
     seeds: int = 0
     overlap: float = 0.0
     beaten: str = ""
@@ -111,15 +118,31 @@ def difference(
             around_rate = rate_intervals.interval(first, second, _log_bytes, views, results)
         if psnr is not None:
             around_psnr = rate_intervals.interval(first, second, _decibels, views, results)
-    of_rate = of_psnr = None
+    of_rate = of_psnr = p_rate = p_psnr = None
     if rate is not None and around_rate is not None and around_rate.half is not None:
         middle, half = np.log10(1 + rate / 100), around_rate.half
         of_rate = (_percent(middle - half), _percent(middle + half))
+        p_rate = around_rate.p_value(middle)
     if psnr is not None and around_psnr is not None and around_psnr.half is not None:
         of_psnr = (psnr - around_psnr.half, psnr + around_psnr.half)
+        p_psnr = around_psnr.p_value(psnr)
     seeds = max((one.seeds for one in (around_rate, around_psnr) if one and one.half is not None), default=0)
     beaten = reference.title if _beats(test, reference) else test.title if _beats(reference, test) else ""
-    return Difference(*who, rate, psnr, common, ends, of_rate, of_psnr, seeds, overlap, beaten, tuple(doubts))
+    return Difference(
+        *who,
+        rate,
+        psnr,
+        common,
+        ends,
+        of_rate,
+        of_psnr,
+        p_rate,
+        p_psnr,
+        seeds,
+        overlap,
+        beaten,
+        tuple(doubts),
+    )
 
 
 def _beats(curve: Curve, other: Curve) -> bool:
@@ -204,32 +227,52 @@ def row(pair: Difference) -> list[str]:
     return [*who, *numbers, f"{100 * pair.overlap:.0f} %", "; ".join(pair.warnings)]
 
 
-def conclusion(differences: Iterable[Difference]) -> str:
-    """Which method surely takes the fewest bytes at equal PSNR, and has the best picture at equal bytes.
+def conclusion(differences: Iterable[Difference], family: Family) -> str:
+    """Which method significantly takes the fewest bytes at equal PSNR, and has the best at equal bytes.
 
     A method also wins against one that has no PSNR, or no size, in common with it, if it has a model that is
-    smaller and better than all of that one's, and surely wins where the two can be compared.
+    smaller and better than all of that one's, and its lead where the two can be compared is significant.
+
+    Args:
+        differences: of all pairs of curves.
+        family: all leads of the page.
     """
     sentences = []
     for dataset, pairs in _by_dataset(differences).items():
-        rates = [_Gap(each.rate, each.rate_interval) for each in pairs]
-        gains = [_Gap(each.psnr, each.psnr_interval) for each in pairs]
-        fewest = _verdict(pairs, rates, gains, _BYTES)
-        best = _verdict(pairs, gains, rates, _PICTURE)
+        fewest, best = (_verdict(pairs, question, family) for question in _QUESTIONS)
         sentences += [f"On {dataset}, {fewest}.", f"{best[:1].upper()}{best[1:]}."]
     return " ".join(sentences)
 
 
+def p_values(differences: Iterable[Difference]) -> list[float | None]:
+    """Of the leads that :func:`conclusion` is about: by dataset and question, that of the first method."""
+    firsts = [
+        _first(pairs, question) for pairs in _by_dataset(differences).values() for question in _QUESTIONS
+    ]
+    return [largest([gap.p for gap in first.gaps]) for first in firsts if first is not None]
+
+
 class _Gap(NamedTuple):
-    """A number of a difference and its interval; None where the two curves have nothing in common."""
+    """How far a method is ahead of a rival.
 
-    number: float | None
-    ends: tuple[float, float] | None
+    Attributes:
+        rival: its title.
+        lead: None where the two curves have nothing in common, but one model beats all of the rival's.
+        p: of the lead; without one, of the lead in what the two curves share.
+        remark: on a lead over a small part of the range.
+    """
 
-    @property
-    def sure(self) -> bool:
-        """Whether the interval excludes zero; without an interval nothing is sure."""
-        return self.ends is not None and (self.ends[0] > 0 or self.ends[1] < 0)
+    rival: str
+    lead: float | None
+    p: float | None
+    remark: str
+
+
+class _First(NamedTuple):
+    """The method that is ahead of all others."""
+
+    name: str
+    gaps: list[_Gap]
 
 
 class _Question(NamedTuple):
@@ -237,12 +280,16 @@ class _Question(NamedTuple):
 
     Attributes:
         where, feat: what is equal, and what the winner does.
+        number, p, other_p: of a difference: the number that answers, its p-value, that of the other number.
         lead: how far the curve is ahead of the reference, from the number; the opposite the other way round.
         words: on a lead over a method.
     """
 
     where: str
     feat: str
+    number: Callable[[Difference], float | None]
+    p: Callable[[Difference], float | None]
+    other_p: Callable[[Difference], float | None]
     lead: Callable[[float], float]
     words: Callable[[float, str], str]
 
@@ -250,45 +297,64 @@ class _Question(NamedTuple):
 _BYTES = _Question(
     "at equal PSNR",
     "takes the fewest bytes",
+    attrgetter("rate"),
+    attrgetter("rate_p"),
+    attrgetter("psnr_p"),
     lambda rate: -math.log10(1 + rate / 100),
     lambda lead, other: f"{10**lead:.1f} times fewer than {other}",
 )
 _PICTURE = _Question(
     "at equal bytes",
     "has the highest PSNR",
+    attrgetter("psnr"),
+    attrgetter("psnr_p"),
+    attrgetter("rate_p"),
     lambda gain: gain,
     lambda lead, other: f"{lead:.1f} dB above {other}",
 )
+_QUESTIONS = (_BYTES, _PICTURE)
 
 
-def _verdict(pairs: list[Difference], gaps: list[_Gap], others: list[_Gap], question: _Question) -> str:
-    """Who surely wins against all.
+def _first(pairs: Sequence[Difference], question: _Question) -> _First | None:
+    """Who is ahead of all others of a dataset; None where nobody is, or nothing can be compared.
 
-    Where a gap has no number, the other one and :attr:`Difference.beaten` decide. A remark follows a lead
-    over a method with which little of the range is common.
+    Where two curves share nothing for this question, the other one and :attr:`Difference.beaten` decide.
     """
-    if all(gap.number is None for gap in gaps):
-        return f"no two curves can be compared {question.where}"
-    against: dict[str, list[tuple[float | None, str, bool]]] = {}
-    remarks: dict[tuple[str, str], str] = {}
-    for pair, gap, other in zip(pairs, gaps, others, strict=True):
-        if pair.refused:
-            continue
-        lead = None if gap.number is None else question.lead(gap.number)
+    gaps: dict[str, list[_Gap]] = {}
+    names: dict[str, None] = {}
+    for pair in (one for one in pairs if not one.refused):
+        number, p = question.number(pair), question.p(pair)
+        lead = None if number is None else question.lead(number)
+        little = 0 < pair.overlap < LEAST_OVERLAP
+        remark = f" [over {100 * pair.overlap:.0f} % of their range]" if little else ""
         for sign, name, rival in ((1, pair.test, pair.reference), (-1, pair.reference, pair.test)):
+            names[name] = None
             own = None if lead is None else sign * lead
-            wins = other.sure and pair.beaten == rival if own is None else gap.sure and own > 0
-            against.setdefault(name, []).append((own, rival, wins))
-            little = 0 < pair.overlap < LEAST_OVERLAP
-            remarks[name, rival] = f" [over {100 * pair.overlap:.0f} % of their range]" if little else ""
-    for name, rivals in against.items():
-        if len(rivals) == len(against) - 1 and all(wins for _, _, wins in rivals):
-            leads = sorted(((lead, rival) for lead, rival, _ in rivals if lead is not None), reverse=True)
-            parts = [question.words(lead, rival) + remarks[name, rival] for lead, rival in leads]
-            if beaten := sorted(rival for lead, rival, _ in rivals if lead is None):
-                parts.append(f"one model of it is smaller and better than all of {' and '.join(beaten)}")
-            return f"{question.where}, {name} {question.feat}: {'; '.join(parts)}"
-    return f"{question.where}, no method surely {question.feat}"
+            if own is None and pair.beaten == rival:
+                gaps.setdefault(name, []).append(_Gap(rival, None, question.other_p(pair), remark))
+            elif own is not None and own > 0:
+                gaps.setdefault(name, []).append(_Gap(rival, own, p, remark))
+    ahead = (_First(name, gaps[name]) for name in names if len(gaps.get(name, ())) == len(names) - 1)
+    return next(ahead, None)
+
+
+def _verdict(pairs: Sequence[Difference], question: _Question, family: Family) -> str:
+    """Who is significantly ahead of all.
+
+    A remark follows a lead over a method with which little of the range is common.
+    """
+    if all(question.number(pair) is None for pair in pairs):
+        return f"no two curves can be compared {question.where}"
+    first = _first(pairs, question)
+    if first is None or not family.significant(largest([gap.p for gap in first.gaps])):
+        return f"{question.where}, no method significantly {question.feat}"
+    leads = sorted(
+        ((gap.lead, gap.rival, gap.remark) for gap in first.gaps if gap.lead is not None), reverse=True
+    )
+    parts = [question.words(lead, rival) + remark for lead, rival, remark in leads]
+    if beaten := sorted(gap.rival for gap in first.gaps if gap.lead is None):
+        parts.append(f"one model of it is smaller and better than all of {' and '.join(beaten)}")
+    return f"{question.where}, {first.name} significantly {question.feat}: {'; '.join(parts)}"
 
 
 def _by_dataset(differences: Iterable[Difference]) -> dict[str, list[Difference]]:

@@ -6,11 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reports.charts.races import race_chart, races_section
+from reports.conclusions.family import Family
 from reports.conclusions.races import DISCIPLINES, Front, conclusion, races, row
 from reports.style import MISSING, models
 from tests.reports.conclusions.test_answers import row as result
 from tests.reports.conclusions.test_answers import table
 
+ALONE = Family()
+"""Of a page that reports no other lead."""
 TIME, SIZE, GAUSSIANS = DISCIPLINES
 spots = st.lists(
     st.tuples(st.floats(0.01, 1e4), st.floats(10.0, 60.0)), min_size=1, max_size=8, unique_by=lambda s: s[0]
@@ -87,7 +90,7 @@ def test_a_model_that_a_seed_lacks_takes_no_part():
     assert of(TIME, *apart).seeds("3dgs") == [0, 1]
 
 
-def test_a_lead_is_sure_by_scenes_and_seeds_alone():
+def test_a_lead_is_significant_by_scenes_and_seeds_alone():
     def race(lead, spread):
         rows = [
             fit(method, seconds, psnr + spread * ((-1) ** seed) * (method == "3dgs"), f"s{scene}", seed)
@@ -98,15 +101,15 @@ def test_a_lead_is_sure_by_scenes_and_seeds_alone():
         ]
         return of(TIME, *rows)
 
-    assert all(lead.sure and lead.method == "3dgs" for lead in race(1.0, 0.01).leads)
-    assert not any(lead.sure for lead in race(0.1, 1.0).leads)
-    line = row(race(1.0, 0.01), race(1.0, 0.01).leads[0])
+    assert all(ALONE.significant(lead.p) and lead.method == "3dgs" for lead in race(1.0, 0.01).leads)
+    assert not any(ALONE.significant(lead.p) for lead in race(0.1, 1.0).leads)
+    line = row(race(1.0, 0.01), race(1.0, 0.01).leads[0], ALONE)
     assert line[:7] == ["training time", "d", "10 s", "3DGS", f"{31.0 + 0.01 / 3:.2f}", "10.0 s", "256"]
     assert line[-2:] == ["3", "2 of 2"]
-    assert row(race(0.1, 1.0), race(0.1, 1.0).leads[0])[3].startswith("undecided (")
+    assert row(race(0.1, 1.0), race(0.1, 1.0).leads[0], ALONE)[3].startswith("undecided (")
 
 
-def test_a_lead_is_sure_if_it_is_on_every_other_method():
+def test_a_lead_is_significant_if_it_is_on_every_other_method():
     """VQ-3DGS has a lower mean than HAC, and is first on a scene."""
     psnr = {"3dgs": (31.0, 31.0, 31.0), "hac": (30.0, 30.1, 29.9), "vq-3dgs": (33.0, 27.0, 27.0)}
     race = of(
@@ -118,8 +121,10 @@ def test_a_lead_is_sure_if_it_is_on_every_other_method():
             for seconds in (10.0, 40.0)
         ),
     )
-    assert [(lead.method, lead.second, lead.sure) for lead in race.leads] == [("3dgs", "vq-3dgs", False)]
-    assert row(race, race.leads[0])[3] == "undecided (3DGS)"
+    (lead,) = race.leads
+    assert (lead.method, lead.nearest(ALONE)[0], ALONE.significant(lead.p)) == ("3dgs", "vq-3dgs", False)
+    assert lead.p == max(effect.p for _, effect in lead.rivals)
+    assert row(race, lead, ALONE)[3] == "undecided (3DGS)"
 
 
 def test_only_default_settings_race_at_any_length_and_rate_and_trained_methods():
@@ -166,13 +171,13 @@ def test_one_model_each_is_no_race():
 @pytest.mark.parametrize(
     ("short", "long", "sentence"),
     [
-        (1.0, 1.0, "3DGS surely leads on d (10 s [one seed], 30 s [one seed])"),
-        (1.0, -1.0, "3DGS surely leads on d (10 s [one seed]); HAC on d (30 s [one seed])"),
-        (1.0, 0.0, "3DGS surely leads on d (10 s [one seed]); 1 of 2 limits on 1 dataset undecided"),
-        (0.0, 0.0, "nobody surely leads at any of 2 limits on 1 dataset"),
+        (1.0, 1.0, "3DGS significantly leads on d (10 s [one seed], 30 s [one seed])"),
+        (1.0, -1.0, "3DGS significantly leads on d (10 s [one seed]); HAC on d (30 s [one seed])"),
+        (1.0, 0.0, "3DGS significantly leads on d (10 s [one seed]); 1 of 2 limits on 1 dataset undecided"),
+        (0.0, 0.0, "nobody significantly leads at any of 2 limits on 1 dataset"),
     ],
 )
-def test_a_sentence_names_the_sure_leads_of_a_discipline(short, long, sentence):
+def test_a_sentence_names_the_significant_leads_of_a_discipline(short, long, sentence):
     """Leads of 3DGS at 10 and at 30 s; none is one that differs from scene to scene."""
     rows = []
     for scene, spread in enumerate((0.5, -0.4, -0.1)):
@@ -180,16 +185,20 @@ def test_a_sentence_names_the_sure_leads_of_a_discipline(short, long, sentence):
             rows.append(fit("hac", seconds, 30.0 + seconds / 10, f"s{scene}"))
             ahead = lead + 0.01 * scene if lead else spread
             rows.append(fit("3dgs", seconds, 30.0 + seconds / 10 + ahead, f"s{scene}"))
-    (found,) = [one for one in conclusion(races(table(*rows))) if "training time" in one]
-    assert found == f"At equal training time, {sentence}."
+    (found,) = [one for one in conclusion(races(table(*rows)), ALONE) if "training time" in one]
+    assert found == f"At equal training time, {sentence} ({ALONE.size})."
+    # Among many leads that say nothing, none is significant.
+    many = Family.of([lead.p for race in races(table(*rows)) for lead in race.leads] + [0.9] * 10_000)
+    (none,) = [one for one in conclusion(races(table(*rows)), many) if "training time" in one]
+    assert "nobody significantly leads at any of 2 limits" in none
 
 
 def test_a_sentence_counts_the_methods_within_a_limit_that_not_all_hold():
     rows = [fit("3dgs", seconds, 33.0 + 0.01 * n, f"s{n}") for seconds in (5.0, 20.0) for n in range(3)]
     rows += [fit("hac", seconds, 30.0, f"s{n}") for seconds in (5.0, 20.0) for n in range(3)]
     rows += [fit("econgs", 15.0, 30.0, f"s{n}") for n in range(3)]
-    (found,) = [one for one in conclusion(races(table(*rows))) if "training time" in one]
-    assert found == "At equal training time, 3DGS surely leads on d (10 s [2 of 3 methods, one seed])."
+    (found,) = [one for one in conclusion(races(table(*rows)), ALONE) if "training time" in one]
+    assert "3DGS significantly leads on d (10 s [2 of 3 methods, one seed])" in found
 
 
 def test_a_lead_has_the_time_and_memory_of_the_leaders_largest_models_within_the_limit():
@@ -208,7 +217,7 @@ def test_a_lead_has_the_time_and_memory_of_the_leaders_largest_models_within_the
     ]
     unknown = of(SIZE, *({**each, "peak_host_bytes": None} for each in rows))
     assert unknown.leads[0].expense.memory is None
-    assert row(unknown, unknown.leads[0])[6] == MISSING
+    assert row(unknown, unknown.leads[0], ALONE)[6] == MISSING
 
 
 def test_bands_reach_over_the_seeds_and_lines_over_all_costs():

@@ -5,7 +5,9 @@ import pandas as pd
 import pytest
 import scipy.stats
 
-from reports.conclusions.rates import Difference, conclusion, difference, differences
+from reports.conclusions import rates
+from reports.conclusions.family import Family
+from reports.conclusions.rates import Difference, difference, differences, p_values
 from reports.curves import Curve, Point
 from reports.statistics import Views
 from reports.style import Model
@@ -240,6 +242,26 @@ def test_intervals_of_three_seeds_hold_the_truth():
     assert min(held.values()) >= 53  # 95 % of 60 is 57; below 53 once in 40 such tests at 93 %
 
 
+def test_the_p_value_of_a_number_is_that_of_its_interval():
+    """Zero lies on the end of the interval of the level 1 - p, by Student's t with its degrees of freedom."""
+    curves, views, fits = measured(np.random.default_rng(4), (ANCHOR, TEST), seeds=3, seed_noise=0.3)
+    pair = difference(*curves, views, fits)
+    for middle, ends, p in (
+        (pair.psnr, pair.psnr_interval, pair.psnr_p),
+        (np.log10(1 + pair.rate / 100), np.log10(1 + np.array(pair.rate_interval) / 100), pair.rate_p),
+    ):
+        half = (ends[1] - ends[0]) / 2
+
+        def inside(freedom, middle=middle, half=half):
+            error = half / scipy.stats.t.ppf(0.975, freedom)
+            return 2 * scipy.stats.t.sf(abs(middle) / error, freedom)
+
+        # The freedom lies between that of the seeds alone and that of blocks and seeds together.
+        assert min(inside(2), inside(7)) <= p <= max(inside(2), inside(7))
+    assert (p > 0.05) == (pair.rate_interval[0] < 0 < pair.rate_interval[1])
+    assert difference(*curves, Views(), fits).psnr_p is None
+
+
 def test_a_seed_narrows_no_interval_and_missing_views_make_none():
     curves, views, fits = measured(np.random.default_rng(1), (ANCHOR, TEST), seeds=3, seed_noise=0.3)
     several = difference(*curves, views, fits)
@@ -257,34 +279,46 @@ def test_a_seed_narrows_no_interval_and_missing_views_make_none():
     assert difference(*curves, Views(), fits).rate == several.rate
 
 
-def test_the_conclusion_names_who_surely_takes_the_fewest_bytes_and_has_the_best_picture():
-    def pair(reference, test, rate, ends, psnr=None, around=None, dataset="d"):
-        return Difference(
-            dataset, reference, test, rate=rate, rate_interval=ends, psnr=psnr, psnr_interval=around
-        )
+ALONE = Family()
+"""Of a page that has no other lead."""
 
-    sure = [
+
+def conclusion(pairs, family=ALONE):
+    return rates.conclusion(pairs, family)
+
+
+def test_the_conclusion_names_who_significantly_takes_the_fewest_bytes_and_has_the_best_picture():
+    def pair(reference, test, rate, ends, psnr=None, around=None, dataset="d"):
+        def p(ends):
+            return None if ends is None else 0.01 if ends[0] > 0 or ends[1] < 0 else 0.2
+
+        return Difference(
+            dataset, reference, test, rate=rate, rate_interval=ends, psnr=psnr, psnr_interval=around,
+            rate_p=p(ends), psnr_p=p(around),
+        )  # fmt: skip
+
+    leads = [
         pair("b", "a", -50.0, (-60.0, -40.0)),
         pair("c", "a", -80.0, (-85.0, -70.0)),
         pair("c", "b", 5.0, None),
     ]
     bytes_alone = "No two curves can be compared at equal bytes."
-    assert conclusion(sure) == (
-        "On d, at equal PSNR, a takes the fewest bytes: 5.0 times fewer than c; 2.0 times fewer than b. "
-        f"{bytes_alone}"
+    assert conclusion(leads) == (
+        "On d, at equal PSNR, a significantly takes the fewest bytes: 5.0 times fewer than c; "
+        f"2.0 times fewer than b. {bytes_alone}"
     )
-    few = [replace(sure[0], overlap=0.2), replace(sure[1], overlap=0.5), sure[2]]
+    few = [replace(leads[0], overlap=0.2), replace(leads[1], overlap=0.5), leads[2]]
     assert "5.0 times fewer than c; 2.0 times fewer than b [over 20 % of their range]." in conclusion(few)
     # The reference may be the one that wins.
-    assert "b takes the fewest bytes: 1.2 times fewer than a." in conclusion(
+    assert "b significantly takes the fewest bytes: 1.2 times fewer than a." in conclusion(
         [pair("b", "a", 25.0, (10.0, 40.0))]
     )
     assert conclusion([pair("b", "a", -50.0, (-80.0, 10.0))]).startswith(
-        "On d, at equal PSNR, no method surely"
+        "On d, at equal PSNR, no method significantly"
     )
     # A curve that another one has no PSNR in common with wins nothing at equal PSNR.
-    assert "no method surely takes the fewest bytes" in conclusion(sure[1:])
-    assert conclusion([*sure, Difference("e", "a", "b", refused="x")]).endswith(
+    assert "no method significantly takes the fewest bytes" in conclusion(leads[1:])
+    assert conclusion([*leads, Difference("e", "a", "b", refused="x")]).endswith(
         f"On e, no two curves can be compared at equal PSNR. {bytes_alone}"
     )
     better = [
@@ -294,10 +328,10 @@ def test_the_conclusion_names_who_surely_takes_the_fewest_bytes_and_has_the_best
     ]
     assert conclusion(better) == (
         "On d, no two curves can be compared at equal PSNR. "
-        "At equal bytes, a has the highest PSNR: 3.2 dB above c; 2.0 dB above b."
+        "At equal bytes, a significantly has the highest PSNR: 3.2 dB above c; 2.0 dB above b."
     )
     assert conclusion([*better[1:], pair("b", "a", None, None, 2.0, (-1.0, 5.0))]).endswith(
-        "At equal bytes, no method surely has the highest PSNR."
+        "At equal bytes, no method significantly has the highest PSNR."
     )
 
 
@@ -312,16 +346,19 @@ def test_a_method_wins_against_one_that_a_model_of_it_beats_throughout():
     assert difference(best, curve(size * 100, psnr + 1.0, "x")).beaten == ""
 
     pairs = [
-        replace(difference(best, worse), psnr_interval=(-9.0, -8.0)),
-        replace(difference(best, large), rate_interval=(9e3, 2e4)),
+        replace(difference(best, worse), psnr_interval=(-9.0, -8.0), psnr_p=0.001),
+        replace(difference(best, large), rate_interval=(9e3, 2e4), rate_p=0.002),
         difference(worse, large),
     ]
     factor, gain = 1 + pairs[1].rate / 100, -pairs[0].psnr
     dominant = "one model of it is smaller and better than all of"
     assert conclusion(pairs) == (
-        f"On d, at equal PSNR, best takes the fewest bytes: {factor:.1f} times fewer than large; "
-        f"{dominant} worse. "
-        f"At equal bytes, best has the highest PSNR: {gain:.1f} dB above worse; {dominant} large."
+        f"On d, at equal PSNR, best significantly takes the fewest bytes: {factor:.1f} times fewer than "
+        f"large; {dominant} worse. "
+        f"At equal bytes, best significantly has the highest PSNR: {gain:.1f} dB above worse; "
+        f"{dominant} large."
     )
-    # Where they can be compared, the lead has to be sure.
-    assert "no method surely takes" in conclusion([difference(best, worse), *pairs[1:]])
+    assert p_values(pairs) == [0.002, 0.002], "the larger one of those on its rivals"
+    assert conclusion(pairs, Family.of([0.002, 0.002, *[0.9] * 30])).count("no method significantly") == 2
+    # Where they can be compared, the lead has to be significant.
+    assert "no method significantly takes" in conclusion([difference(best, worse), *pairs[1:]])
