@@ -16,16 +16,20 @@ import tempfile
 import uuid
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench.records import SCHEMA, Record, hash_of
+from bench.ladders import Ladder
+from bench.records import SCHEMA, Provenance, Record, hash_of
 from bench.rungs import FILE, ladders_of
 from bench.store import Store, read_record
 from bench.tables import stored_tables
+from bench.verification import Evidence, absences, contradictions
 from datasets.errors import DataError
+from datasets.seals import SEALED_SINCE, is_sealed
 from reports.schema import joined
 from reports.tables.documents import to_csv
 
@@ -35,6 +39,8 @@ _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, struct.error, ValueError, R
 """What reading a damaged zip raises (encrypted: RuntimeError, of which NotImplementedError is one)."""
 _LONG = {"features", "losses", "scenes", "rung_views"}
 """Tables that take more room than all others and that nobody reads as CSV; records hold them too."""
+_LONGEST = 32 * 2**20
+"""Bytes of a record or of the list of files: a hundred times those of any committed bundle."""
 _LIMIT = 16 * 2**30
 """Bytes that the files of a bundle may have together: no bomb is unpacked."""
 
@@ -96,41 +102,53 @@ def _contents(store: Store, records: list[Record], models: bool) -> Iterator[tup
 
 def _environments(records: list[Record]) -> list[dict[str, Any]]:
     """The distinct environments (machine and versions) of the records."""
-    environments: dict[str, dict[str, Any]] = {}
-    for record in records:
-        if record.provenance is not None:
-            environment = record.provenance.model_dump(exclude={"source", "threads"})
-            environments[json.dumps(environment, sort_keys=True)] = environment
-    return list(environments.values())
+    return [json.loads(text) for text in sorted(_distinct(record.provenance for record in records))]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of the checks of a bundle.
+
+    Attributes:
+        problems: one line for each thing that does not hold; empty for a valid bundle.
+        notes: what could not be checked.
+    """
+
+    problems: list[str]
+    notes: list[str] = field(default_factory=list)
 
 
 def verify_bundle(path: Path) -> list[str]:
+    """What does not hold in a bundle; empty for a valid one. Raises as :func:`verdict`."""
+    return verdict(path).problems
+
+
+def verdict(path: Path) -> Verdict:
     """Verify a bundle.
 
     Every file is there with its hash and none besides; records are whole and their jobs' names follow from
-    what they say they ran; tables follow from the records; models have the bytes that were measured.
-
-    Returns:
-        One line per problem; empty for a valid bundle.
+    what they say they ran; records contradict neither themselves nor each other
+    (:mod:`bench.verification`); environments and tables follow from the records; models have the bytes that
+    were measured.
 
     Raises:
         DataError: the file is no bundle of this format.
     """
     with tempfile.TemporaryDirectory() as folder:
-        return _unpack(path, Path(folder))
+        return unpack(path, Path(folder))
 
 
-def _unpack(path: Path, folder: Path) -> list[str]:
-    """Into a folder, unless the files themselves do not hold; returns and raises as :func:`verify_bundle`."""
+def unpack(path: Path, folder: Path) -> Verdict:
+    """Into a folder, unless the files themselves do not hold; returns and raises as :func:`verdict`."""
     try:
         with zipfile.ZipFile(path) as archive:
             manifest = _manifest(archive, path)
             problems = _check_files(archive, manifest["files"])
             if problems:
-                return problems
+                return Verdict(problems)
             for name in manifest["files"]:
                 archive.extract(name, folder)
-            return _check_store(folder, set(manifest["files"]), manifest["schema_version"])
+            return _check_store(folder, manifest)
     except FileNotFoundError:
         raise DataError(path, "no such file", "Name a file that `bench bundle` wrote") from None
     except _DAMAGE as error:
@@ -145,7 +163,7 @@ def unpacked(path: Path) -> Iterator[Store]:
         DataError: the file is no bundle, or not all of it holds.
     """
     with tempfile.TemporaryDirectory() as folder:
-        if problems := _unpack(path, Path(folder)):
+        if problems := unpack(path, Path(folder)).problems:
             more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
             raise DataError(path, f"does not hold: {problems[0]}{more}", "`bench verify` lists what is wrong")
         yield Store(Path(folder))
@@ -153,10 +171,16 @@ def unpacked(path: Path) -> Iterator[Store]:
 
 def _manifest(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
     try:
+        if (size := archive.getinfo(MANIFEST).file_size) > _LONGEST:
+            raise ValueError(f"{size} bytes, more than any has")
         manifest: dict[str, Any] = json.loads(archive.read(MANIFEST))
         form, files = manifest["format"], manifest["files"]
         lengths = [int(entry["bytes"]) for entry in files.values()]
         names = [str(entry["sha256"]) for entry in files.values()]
+        manifest["environments"] = [
+            Provenance.model_validate({**one, "source": None, "threads": 1})
+            for one in manifest["environments"]
+        ]
         manifest["schema_version"] = int(manifest["schema_version"])
     except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise DataError(path, f"is no bundle ({MANIFEST}: {error})", "Make it with `bench bundle`") from error
@@ -175,8 +199,12 @@ def _check_files(archive: zipfile.ZipFile, files: dict[str, Any]) -> list[str]:
     if problems:
         return problems
     for name, entry in files.items():
-        if there[name].file_size != entry["bytes"]:
-            problems.append(f"{name}: {there[name].file_size} bytes instead of {entry['bytes']}")
+        size = there[name].file_size
+        if size != entry["bytes"]:
+            problems.append(f"{name}: {size} bytes instead of {entry['bytes']}")
+            continue
+        if name.endswith(".json") and "/model/" not in name and size > _LONGEST:
+            problems.append(f"{name}: {size} bytes, more than any has")
             continue
         with archive.open(name) as file:  # in pieces: a bomb does not fill memory
             digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
@@ -189,44 +217,74 @@ def _leads_out(name: str) -> bool:
     return name.startswith(("/", "\\")) or ".." in Path(name).parts or ":" in name
 
 
-def _check_store(root: Path, files: set[str], schema: int) -> list[str]:
+def _check_store(root: Path, manifest: dict[str, Any]) -> Verdict:
     try:
         Store(root)
+        ladders = ladders_of(root)
     except DataError as error:
-        return [f"store.json: {error.reason}"]
-    problems, records = [], []
+        return Verdict([f"{Path(str(error.what)).name}: {error.reason}"])
+    csv = {Path(name).stem: root / name for name in manifest["files"] if name.startswith("tables/")}
+    problems: list[str] = []
+    evidence = Evidence(_records(root, csv.keys(), problems))
+    if problems:
+        return Verdict(problems)
+    for record in evidence:
+        problems += contradictions(record, evidence)
+    if _distinct(manifest["environments"]) != _distinct(record.provenance for record in evidence):
+        problems.append(f"{MANIFEST}: its environments are not those of the records")
+    notes = absences(evidence)
+    problems += _check_tables(evidence, ladders, csv, manifest["schema_version"])
+    return Verdict(problems, notes)
+
+
+def _records(root: Path, tables: Collection[str], problems: list[str]) -> Iterator[Record]:
+    """The records without what only tables hold that the bundle lacks; what is wrong with them is added.
+
+    Those parts are most of what a record takes in memory.
+    """
     for path in sorted((root / "jobs").glob("*/record.json")):
         try:
             record = read_record(path)
         except DataError as error:
             problems.append(f"jobs/{path.parent.name}: {error.reason}")
             continue
-        records.append(record)
         if path.parent.name != record.job.id:
             problems.append(f"jobs/{path.parent.name}: holds the record of {record.job.id}")
         if hash_of(record.job.identity) != record.job.key:
             problems.append(f"{record.job.id}: its name does not follow from what it ran")
+        if record.started >= SEALED_SINCE and not is_sealed(path):
+            problems.append(f"{record.job.id}: has no checksum, and ran when all records had one")
         problems += _check_model(root, record)
-    if problems:
-        return problems
+        if record.fit is not None and "losses" not in tables:
+            record.fit.losses.clear()
+        if record.measure is not None and "features" not in tables:
+            record.measure.features.clear()
+        if record.views is not None and "scenes" not in tables:
+            record.views.transfer.clear()
+        yield record
+
+
+def _distinct(machines: Iterable[Provenance | None]) -> set[str]:
+    """Machines and versions without what differs from job to job."""
+    return {one.model_dump_json(exclude={"source", "threads"}) for one in machines if one is not None}
+
+
+def _check_tables(
+    evidence: Evidence, ladders: list[Ladder], csv: dict[str, Path], schema: int
+) -> Iterator[str]:
+    stored = stored_tables(evidence, ladders=ladders)
+    jobs = stored["jobs"]
+    tables = {name for name, table in stored.items() if len(table)}
     # Bundles of schema 2 repeat the axes in every table instead of a table of jobs.
-    try:
-        ladders = ladders_of(root)
-    except DataError as error:
-        return [f"{FILE}: {error.reason}"]
-    every = joined(stored_tables(records, ladders=ladders))
-    tables = {name: table for name, table in every.items() if len(table)}
     if schema < SCHEMA:
-        tables.pop("jobs", None)
-    csv = {Path(name).stem: root / name for name in files if name.startswith("tables/")}
-    for name in sorted((tables.keys() - _LONG) | csv.keys()):
+        tables.discard("jobs")
+    for name in sorted((tables - _LONG) | csv.keys()):
         text = csv[name].read_text(encoding="utf-8") if name in csv else ""
         # A bundle may be older than a column of its tables.
         columns = text.partition("\n")[0].split(",")
-        table = tables.get(name)
+        table = joined({"jobs": jobs, name: stored.pop(name)})[name] if name in tables else None
         if table is None or not set(columns) <= set(table.columns) or text != to_csv(table[columns]):
-            problems.append(f"tables/{name}.csv: does not follow from the records")
-    return problems
+            yield f"tables/{name}.csv: does not follow from the records"
 
 
 def _check_model(root: Path, record: Record) -> list[str]:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 _HEAD = re.compile(r'\{"crc32": "([0-9a-f]{8})",')
 _PIECE = 2**20
+SEALED_SINCE = "2026-11-26"
+"""Day since which every record has a checksum."""
 
 
 def sealed(text: str) -> str:
@@ -27,6 +29,12 @@ def unsealed(text: str) -> str:
     if f"{zlib.crc32(text[head.end() :].encode()):08x}" != head[1]:
         raise ValueError("its checksum differs")
     return "{" + text[head.end() :]
+
+
+def is_sealed(file: Path) -> bool:
+    """Whether a text begins with a checksum."""
+    with file.open("rb") as stream:
+        return _HEAD.match(stream.read(64).decode("ascii", "replace")) is not None
 
 
 def checksum(file: Path) -> str:

@@ -16,7 +16,7 @@ from bench.rungs import ladders_of
 from bench.rungs import remember as remember_ladders
 from bench.store import Store
 from bench.tables import build_tables
-from datasets.errors import DataError
+from datasets.errors import DataError, printable
 
 
 def merge(options: Namespace) -> int:
@@ -121,10 +121,11 @@ def repair(options: Namespace) -> int:
 
 def verify(options: Namespace) -> int:
     """Check a bundle; 1 if anything in it does not hold."""
-    from bench.bundle import verify_bundle
+    from bench.bundle import verdict
 
-    problems = verify_bundle(Path(options.bundle))
-    for problem in problems:
-        print(f"bench: {problem}", file=sys.stderr)
-    print(f"{options.bundle}: {f'{len(problems)} problems' if problems else 'all of it holds'}")
+    found = verdict(Path(options.bundle))
+    for line in (*found.problems, *(f"note: {note}" for note in found.notes)):
+        print(f"bench: {printable(line)}", file=sys.stderr)
+    problems = len(found.problems)
+    print(f"{options.bundle}: {f'{problems} problems' if problems else 'all of it holds'}")
     return 1 if problems else 0

@@ -13,7 +13,7 @@ from datasets.views import over
 IDENTICAL_DB = 100.0
 """PSNR of identical images, and its cap: one 8-bit step in one pixel of a large image would exceed it."""
 _FOREGROUND = 1.0 / 255.0
-_SSIM_WINDOW = 11
+SSIM_WINDOW = 11
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +104,8 @@ def psnr_fg(pair: Pair) -> float | str:
 
 def ssim(pair: Pair) -> float | str:
     """Mean SSIM of the interior and the channels."""
-    if min(pair.truth.shape[:2]) < _SSIM_WINDOW:
-        return f"the images are smaller than the {_SSIM_WINDOW}x{_SSIM_WINDOW} window"
+    if min(pair.truth.shape[:2]) < SSIM_WINDOW:
+        return f"the images are smaller than the {SSIM_WINDOW}x{SSIM_WINDOW} window"
     from skimage.metrics import structural_similarity
 
     truth, render = pair.floats()
