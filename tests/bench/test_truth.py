@@ -72,6 +72,30 @@ def test_a_fit_reads_what_was_rendered_bit_for_bit_and_opens_no_dataset(
         scene.volume()  # what a method asks for that reads the volume itself
 
 
+def test_each_seed_of_a_fit_has_an_initial_cloud_of_its_own(suite, tmp_path, monkeypatch) -> None:
+    """Without it, repetitions would differ by less than the choice of the cloud makes of a result."""
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
+    jobs = plan(suite(), scenes=("shock",), seeds=(0, 1))
+    (views,) = (job for job in jobs if job.kind == "views")
+    dataset, store = open_dataset(views.dataset), Store(tmp_path / "runs", create=True)
+    folder = store.partial / views.id
+    folder.mkdir()
+    sets = {name: views_of(dataset, "shock", ViewRequest(name, **REQUEST)) for name in ("trainval", "test")}
+    write_truth(folder, sets, dataset.scene("shock"), cloud_source(dataset, dataset.scene("shock")))
+    store.finish(Record(job=views, status="ok", started="2026", finished="2026", wall_seconds=0.0), folder)
+
+    clouds = {}
+    for fit in (job for job in jobs if job.kind == "fit"):
+        few = fit.model_copy(update={"cloud_points": 200})  # of some thousand candidates
+        context = Context(few, tmp_path, store, None, 1, Stop(), lambda **state: None)
+        first, again = (scenes.scene_inputs(context)[0].cloud.points for _ in range(2))
+        np.testing.assert_array_equal(first, again)
+        clouds[fit.seed] = {tuple(point) for point in first.tolist()}
+    assert set(clouds) == {0, 1}
+    assert [len(cloud) for cloud in clouds.values()] == [200, 200]
+    assert len(clouds[0] & clouds[1]) < 100
+
+
 def test_pictures_that_16_bits_do_not_hold_survive_and_some_can_be_read_alone(tmp_path) -> None:
     images = _stored(tmp_path).images
     back = Truth(tmp_path).views("test")
