@@ -59,6 +59,23 @@ def fingerprint(dataset: Dataset, scene_name: str) -> str:
     return hash_of(identity)
 
 
+def content_of(source: str, name: str) -> str | None:
+    """Content hash of a scene or composition of a dataset; None where it cannot be read here.
+
+    Args:
+        source: name of the catalogue, or path.
+        name: of a basic scene or a composition.
+    """
+    from datasets.catalogue import open_dataset
+
+    try:
+        dataset = open_dataset(source)
+        parts = [fingerprint(dataset, part.name) for part in dataset.parts(name)]
+    except (DataError, KeyError, OSError):
+        return None
+    return hash_of({"composition": parts}) if name in dataset.compositions else parts[0]
+
+
 def request(dataset: Dataset, scene_name: str, preset: ViewPreset) -> Request:
     """The views of a dataset that a preset asks for.
 

@@ -44,10 +44,10 @@ class Lineage:
         """The fits of these models."""
         return [model.fit for model in self.models(record) if model.fit is not None]
 
-    def scenes_together(self, record: Record) -> int:
-        """Scenes among which a joint method found its groups; 0 for jobs of no joint method."""
-        partitions = (model.partition for model in self.models(record))
-        return max((len(partition.job.scenes) for partition in partitions if partition), default=0)
+    def scenes_together(self, record: Record) -> tuple[str, ...]:
+        """Scenes among which a joint method found its groups; none for jobs of no joint method."""
+        partitions = [model.partition for model in self.models(record) if model.partition]
+        return max((one.job.scenes for one in partitions), key=len, default=())
 
     @cached_property
     def _models(self) -> Mapping[str, list[Model]]:

@@ -52,7 +52,8 @@ class Planner:
         suite = selection.suite
         self._selection = selection
         if metrics is None:
-            metrics = {name: METRICS[name].version for name in schema.METRICS}
+            measured = (*schema.METRICS, *schema.COVERAGE)
+            metrics = {name: METRICS[name].version for name in measured}
         self._metrics = dict(metrics)
         self.registry = Registry(selection.plugins)
         preset = selection.preset or suite.preset

@@ -353,6 +353,8 @@ class MeasureResult(FrameTimes):
         features: attribute -> rows of some primitives; empty if the method does not expose attributes.
         pruning: None where the job does not ask for it, or the model tells no Gaussians apart.
         drawn: Gaussians that are splatted in a test view, mean over a few; None of a model without Gaussians.
+        renderer: what rendered the truth; "" in older records.
+        sketch: of the truth's pictures (:func:`bench.identity.sketch`); "" in older records.
         parts_ruler: version of how the parts of a frame are timed (:data:`bench.timing.RULERS`).
     """
 
@@ -366,6 +368,8 @@ class MeasureResult(FrameTimes):
     features: dict[str, list[list[float]]] = Field(default_factory=dict)
     pruning: PruningResult | None = None
     drawn: float | None = None
+    renderer: str = ""
+    sketch: str = ""
     parts_ruler: int | None = None
 
 

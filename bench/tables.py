@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from bench import identity
 from bench.ladders import Ladder
 from bench.lineage import Lineage, Model
 from bench.records import EncodeResult, FitResult, Job, MeasureResult, Record
@@ -18,6 +19,7 @@ from bench.store import Store
 from bench.versions import changes, elected, scene_choices
 from datasets.catalogue.entries import is_procedural
 from methods.options import label
+from reports import comparability
 from reports.schema import COVERAGE, METRICS, TABLES, frame, joined
 
 if TYPE_CHECKING:
@@ -48,10 +50,8 @@ def build_tables(
         The tables as readers get them (:func:`reports.schema.joined`).
     """
     lineage = Lineage(store.records())
-    choices = scene_choices(lineage)
-    newest = elected(lineage, methods or {}, choices)
-    names = {record.job.id for record in newest}
-    tables = _stored(lineage, methods or {}, choices, names, ladders_of(store.root))
+    names = {record.job.id for record in elected(lineage, methods or {})}
+    tables = _stored(lineage, methods or {}, names, ladders_of(store.root))
     if write and os.access(store.tables, os.W_OK):
         with store.lease("tables"):
             for leftover in store.tables.glob(".*"):  # of a process that was killed
@@ -64,7 +64,19 @@ def build_tables(
                     os.replace(aside, target)
                 finally:
                     aside.unlink(missing_ok=True)
-    return joined(tables)
+    tables["jobs"] = comparability.set_apart(tables["jobs"], partial(contents_today, lineage))
+    full = joined(tables)
+    full["results"] = comparability.judged(full["results"])
+    full["differences"] = comparability.listing(full["results"], full["superseded"])
+    return full
+
+
+def contents_today(lineage: Lineage, dataset: str, scene: str) -> list[str]:
+    """Content hashes that a scene has today, in the catalogue or on disk; none where that is not known."""
+    from bench.inputs import content_of
+
+    sources = dict.fromkeys(one.job.dataset for one in lineage if one.job.dataset_name == dataset)
+    return [content for source in sources if (content := content_of(source, scene)) is not None]
 
 
 def stored_tables(
@@ -80,7 +92,7 @@ def stored_tables(
         ladders: of the suites that were run.
     """
     lineage = Lineage(records)
-    return _stored(lineage, methods or {}, scene_choices(lineage), lineage.by_id.keys(), list(ladders))
+    return _stored(lineage, methods or {}, lineage.by_id.keys(), list(ladders))
 
 
 def rungs_table(records: Iterable[Record], ladders: Iterable[Ladder]) -> pd.DataFrame:
@@ -96,15 +108,15 @@ def rungs_table(records: Iterable[Record], ladders: Iterable[Ladder]) -> pd.Data
 def _stored(
     lineage: Lineage,
     methods: Mapping[str, MethodSpec],
-    choices: Mapping[str, int],
     newest: Collection[str],
     ladders: Collection[Ladder],
 ) -> dict[str, pd.DataFrame]:
     tables: dict[str, list[Row]] = {name: [] for name in TABLES}
     axes = {}
+    choices, marks = scene_choices(lineage), identity.disagreeing(lineage)
     mended = _mended(lineage) - set(newest) | _mended(lineage.by_id[name] for name in newest)
     for name, record in lineage.by_id.items():
-        axes[name] = _axes(record, lineage, choices)
+        axes[name] = _axes(record, lineage, choices) | identity.axes(record, lineage, marks)
         tables["jobs"].append({"job": name, **axes[name]})
         if name in mended:
             continue
@@ -139,7 +151,7 @@ def share(total: int, names: Iterable[str], name: str) -> int:
 
 def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
     job, fits = record.job, lineage.fits(record)
-    identity = next((fit.job.identity for fit in fits), job.identity)
+    made = next((fit.job.identity for fit in fits), job.identity)
     fit = next((fit.fit for fit in fits if fit.fit is not None), None)
     where = record.provenance or next((fit.provenance for fit in fits), None)
     fitted = [scene for fit in fits for scene in fit.job.scenes]
@@ -156,7 +168,7 @@ def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
         "fitted_scenes": json.dumps(fitted) if fitted else None,
         "scenes_together": choices.get(job.id),
         "method": job.method,
-        "method_version": identity["method"][1] if "method" in identity else None,
+        "method_version": made["method"][1] if "method" in made else None,
         "variant": job.variant,
         "base": label({name: value for name, value in job.overrides.items() if name != job.knob}),
         "options": json.dumps(job.overrides) if job.method else None,
@@ -176,6 +188,7 @@ def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
         "processor": _processors([record]) if record.ok else None,
         "fit_processor": _processors(fits),
         "threads": where.threads if where else None,
+        "finished": record.finished,
         "commit": where.commit if where else None,
         "source": next((fit.provenance.source for fit in fits if fit.provenance), None),
     }

@@ -6,11 +6,12 @@ joint method fitted together share bytes and time, so a fit is taken as a whole 
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from bench.identity import contents
 from bench.lineage import Lineage
 from bench.provenance import source_hash
 from bench.records import Job, Record
@@ -74,76 +75,89 @@ def of_other_source(records: Iterable[Record], methods: Mapping[str, MethodSpec]
     return sorted(name for name, found in sources.items() if here[name] is not None and found != {here[name]})
 
 
-def elected(lineage: Lineage, methods: Mapping[str, MethodSpec], choices: Mapping[str, int]) -> list[Record]:
+def elected(lineage: Lineage, methods: Mapping[str, MethodSpec]) -> list[Record]:
     """The records of one fit per scene and cell, and of one measurement per row.
 
-    Fits without :func:`changes` come first, then those of more scenes learned together, then newer ones; what
-    is not measured yet takes no place.
+    Only the same question asked again takes a place: other contents, sizes of views, devices and scenes that
+    were learned together are cells of their own. Fits without :func:`changes` come first, then newer ones;
+    what is not measured yet takes no place.
 
     Args:
         lineage: the records of a store.
         methods: name -> spec of today.
-        choices: job -> scenes learned together (:func:`scene_choices`).
     """
     finished: dict[str, str] = defaultdict(str)
     for record in lineage:
         for fit in lineage.fits(record) if record.job.kind == "measure" else ():
             finished[fit.job.id] = max(finished[fit.job.id], record.finished)
 
-    def rank(record: Record) -> tuple[bool, bool, int, str]:
+    def rank(record: Record) -> tuple[bool, bool, str]:
         newest = finished[record.job.id]
-        return bool(newest), not changes([record], methods), lineage.scenes_together(record), newest
+        return bool(newest), not changes([record], methods), newest
 
     models = [record for record in lineage if record.job.kind == "fit"]
-    scenes: dict[tuple[Any, ...], set[str]] = defaultdict(set)
+    scenes: dict[tuple[Any, ...], set[tuple[str, str | None]]] = defaultdict(set)
     dropped = set()
     for record in sorted(models, key=rank, reverse=True):
-        covered = scenes[(*_cell(record.job), choices.get(record.job.id, 0))]
-        if covered.isdisjoint(record.job.scenes):
-            covered.update(record.job.scenes)
+        known, covered = contents(record, lineage) or {}, scenes[_cell(record, lineage)]
+        own = {(scene, known.get(scene)) for scene in record.job.scenes}
+        if covered.isdisjoint(own):
+            covered |= own
         else:
             dropped.add(record.job.id)
     current = [record for record in lineage if dropped.isdisjoint(fit.job.id for fit in lineage.fits(record))]
-    return _newest_rows(current, choices)
+    return _newest_rows(current, lineage)
 
 
 def scene_choices(lineage: Lineage) -> dict[str, int]:
     """Job -> number of scenes that its joint method learned together, where others of the dataset are more.
 
-    A choice of fewer scenes is a row of its own in tables. A scene that was learned alone is one only if no
-    model of the same cell learned more: else it is another version of that.
+    Of several sets of as many scenes, that of the most jobs is the usual one.
     """
-    counts = {record.job.id: lineage.scenes_together(record) for record in lineage}
-    most: dict[tuple[Any, ...], int] = defaultdict(int)
+    sets: dict[tuple[Any, ...], Counter[tuple[str, ...]]] = defaultdict(Counter)
     for record in lineage:
-        for key in (_protocol(record.job), _cell(record.job)):
-            most[key] = max(most[key], counts[record.job.id])
-    choices = {}
-    for record in lineage:
-        count = counts[record.job.id]
-        alone = count == 1 == most[_cell(record.job)]
-        if (count > 1 or alone) and count < most[_protocol(record.job)]:
-            choices[record.job.id] = count
-    return choices
+        if together := lineage.scenes_together(record):
+            sets[_protocol(record.job)][together] += 1
+    usual = {key: max(own, key=lambda one: (len(one), own[one])) for key, own in sets.items()}
+    return {
+        record.job.id: len(together)
+        for record in lineage
+        if (together := lineage.scenes_together(record))
+        and set(together) != set(usual[_protocol(record.job)])
+    }
 
 
 def _protocol(job: Job) -> tuple[Any, ...]:
     return job.dataset_name, job.preset, job.split, job.request.train_views
 
 
-def _cell(job: Job) -> tuple[Any, ...]:
+def _cell(record: Record, lineage: Lineage) -> tuple[Any, ...]:
     """What the rows of all scenes of a method on a dataset have in common."""
-    return (*_protocol(job), job.method, job.variant, job.seed, job.stress)
+    job, size = record.job, (record.job.request.width, record.job.request.height)
+    together = lineage.scenes_together(record)
+    learned = frozenset((contents(record, lineage) or {}).items()) if together else frozenset()
+    return (
+        *_protocol(job), *size, job.method, job.variant, job.seed, job.stress, job.device.split(":")[0],
+        together, learned,
+    )  # fmt: skip
 
 
-def _newest_rows(records: list[Record], choices: Mapping[str, int]) -> list[Record]:
-    """One row per cell, also where a model was measured, or a volume rendered, more than once."""
+def _newest_rows(records: list[Record], lineage: Lineage) -> list[Record]:
+    """One row per cell and truth, also where a model was measured, or a volume rendered, more than once."""
     best: dict[tuple[Any, ...], Record] = {}
     for record in records:
         job = record.job
         if job.kind in _ROWS:
-            choice = choices.get(job.id, 0)
-            row = (job.kind, *_cell(job), choice, job.subject, bool(job.composition), job.edit, job.rate)
+            on = job.identity.get("views" if job.kind == "measure" else "scene")
+            row = (
+                job.kind,
+                on,
+                *_cell(record, lineage),
+                job.subject,
+                bool(job.composition),
+                job.edit,
+                job.rate,
+            )
             rival = best.get(row)
             if rival is None or (record.ok, record.finished) > (rival.ok, rival.finished):
                 best[row] = record

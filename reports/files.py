@@ -9,10 +9,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from reports.comparability import listing, replaced
 from reports.paper import datasets
 from reports.paper import documents as paper_documents
 from reports.tables.documents import to_csv, to_latex, to_markdown
-from reports.tables.results import superseded_note
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,8 +26,8 @@ def write_files(report: Report, folder: Path, paper: Sequence[PaperTable]) -> No
 
     Always: ``results.*`` (CSV, Parquet, Markdown, LaTeX), ``paper/`` (the paper's
     tables), ``curves/`` (JSON, one file per method and dataset). ``intervals.csv`` and ``comparisons.csv``
-    need views, ``bd-rate.csv`` needs several rates, ``ladders.csv`` needs ladders, and
-    ``datasets.*`` needs costs of rendering.
+    need views, ``bd-rate.csv`` needs several rates, ``ladders.csv`` needs ladders,
+    ``datasets.*`` needs costs of rendering, and ``differences.csv`` values that are not compared.
 
     Args:
         report: the tables.
@@ -42,9 +42,10 @@ def write_files(report: Report, folder: Path, paper: Sequence[PaperTable]) -> No
             write_text(folder / "paper" / f"{table.name}.tex", paper_documents.to_latex(table))
         write_text(folder / "results.csv", to_csv(results))
         _replace(folder / "results.parquet", results.to_parquet(None, index=False))
-        remark = superseded_note(report.stored.get("superseded"))
-        write_text(folder / "results.md", to_markdown(report.results, report.ranks, remark))
-        write_text(folder / "results.tex", to_latex(report.results, report.ranks, remark))
+        remark = replaced(report.stored.get("superseded"))
+        write_text(folder / "results.md", to_markdown(report.measured, report.ranks, remark))
+        write_text(folder / "results.tex", to_latex(report.measured, report.ranks, remark))
+        _write_differences(report, folder)
         for name, statistics in (("intervals", report.intervals), ("comparisons", report.comparisons)):
             if not statistics.empty:
                 write_text(folder / f"{name}.csv", to_csv(statistics))
@@ -56,6 +57,15 @@ def write_files(report: Report, folder: Path, paper: Sequence[PaperTable]) -> No
         write_text(folder / "datasets.csv", to_csv(dvr))
         write_text(folder / "datasets.md", to_markdown(costs))
         write_text(folder / "datasets.tex", to_latex(costs))
+
+
+def _write_differences(report: Report, folder: Path) -> None:
+    """What is not compared, a line each; no file where everything is."""
+    table = listing(report.stored["results"], report.stored.get("superseded"))
+    if table.empty:
+        (folder / "differences.csv").unlink(missing_ok=True)
+    else:
+        write_text(folder / "differences.csv", to_csv(table))
 
 
 def _write_rates(report: Report, folder: Path) -> None:

@@ -22,8 +22,7 @@ DType = Literal["string", "Int64", "Float64", "boolean", "object"]
 METRICS = ("psnr", "psnr_fg", "ssim", "lpips_vgg", "flip", "delta_e_uv")
 """Metrics of color that a run measures by default; every one is a column of `results` and of `views`."""
 COVERAGE = ("missing", "excess")
-"""Metrics of alpha alone. Every measurement takes them, but a measure job's key does not name them: they came
-later, and records without them are worth the same."""
+"""Metrics of alpha alone, which every measurement takes; older records name no version of them."""
 
 PRUNED = {"prunable_005": 0.05, "prunable_010": 0.1, "prunable_050": 0.5}
 """Column of `results` -> the loss of PSNR in dB that it allows."""
@@ -175,6 +174,13 @@ COLUMNS: dict[str, Column] = _declare(
     Column("requested_views", _W, "requested training views; of these, split `val` holds out a tenth"),
     Column("train_views", _W, "training views of the fit", "Training views"),
     Column("iterations", _W, "training iterations of the group", write="{:,}".format),
+    Column("contents", _T, "JSON: scene -> hash of its definition and data, of all scenes that decide the "
+           "row; null where not known"),
+    Column("truth", _T, "identity of the pictures that the row is measured on: content, edit, split, views, "
+           "their size, and the renderer where it differs; null where not known. Rows of one scene are "
+           "compared if their truths are equal"),
+    Column("test_views", _W, "measured views"),
+    Column("metric_versions", _T, "JSON: metric -> its version"),
     Column("width", _W, "width of a view in pixels; in `features`, numbers in a row"),
     Column("height", _W, "height of a view in pixels"),
     Column("device", _T, "device of the fit: `cpu`, `cuda`"),
@@ -182,6 +188,7 @@ COLUMNS: dict[str, Column] = _declare(
     Column("processor", _T, "processor, cores and instruction set; `1 of 2 cores`: a share of the machine"),
     Column("fit_processor", _T, "the same of the fits behind the job, joined by `; `", "Trained on"),
     Column("threads", _W, "threads of the job"),
+    Column("finished", _T, "when the job ended, UTC"),
     Column("commit", _T, "commit of this program; `+` means that files were changed"),
     Column("source", _T, "hash of the method's source code at the fit"),
     # A job's outcome.
@@ -189,11 +196,17 @@ COLUMNS: dict[str, Column] = _declare(
     Column("step", _T, "`views`, `dvr`, `complexity`, `partition`, `fit`, `encode` or `measure`"),
     Column("status", _T, "`ok`, `failed`, `oom`, `timeout`, `diverged` or `refused`", "Status", write=str,
            default="ok"),
-    Column("reason", _T, "why the job has no result, or why metrics are missing", "Reason", write=str),
+    Column("reason", _T, "why the job has no result, why metrics are missing, or why a value is not compared",
+           "Reason", write=str),
     Column("omissions", _T, "JSON: metric -> why a finished job lacks it"),
     Column("stage", _T, "stage in which the job failed"),
     Column("stale", _B, "method or settings are others today", default=False),
     Column("changes", _T, "what of them: `version 3 (today 6)`, `rent 0.02 (today 0.01)`"),
+    Column("differences", _T, "JSON: column -> why its value is not compared with those of other rows; the "
+           "key `row` holds for all columns, `dataset` for a row that has a dataset of its own; else empty",
+           default=""),
+    Column("quantity", _T, "column that is not compared; `row`: all of them; `dataset`: the row is in a "
+           "dataset of its own", "Not compared", write=str),
     # Quality.
     Column("psnr", _F, "10 log10(1 / MSE) per image, over all pixels and channels of the 8-bit composited "
            "picture; mean over views. Identical images count 100 dB, which is also the cap", "PSNR", "dB", 1,
@@ -313,7 +326,8 @@ COLUMNS: dict[str, Column] = _declare(
     Column("ms_p05", _F, "5th percentile of the same", "5 %", write=_three),
     Column("ms_p95", _F, "95th percentile of the same", "95 %", write=_three),
     Column("setup_seconds", _F, "from the volume in memory to the first picture", "Set-up", "s", 0, seconds),
-    Column("renderer", _T, "renderer of the volume", "Renderer", write=str),
+    Column("renderer", _T, "renderer of the volume, or of the pictures that a row is measured on; `files`: "
+           "they were rendered elsewhere", "Renderer", write=str),
     Column("version", _T, "version of the renderer"),
     Column("backend", _T, "backend of the renderer"),
     # Ladders.
@@ -356,11 +370,11 @@ _SETTINGS = (
 )  # fmt: skip
 _FIT = (*_SETTINGS, "seed")
 _SAVED = (*_FIT, "rate")
-_MEASURED = (*_SAVED, "scene", "split")
+_MEASURED = (*_SAVED, "scene", "split", "truth", "metric_versions")
 _RESULT = (
     *_MEASURED, "kind", "edit", "group", "fitted_scenes", "method_version", "options", "knob", "iterations",
-    "train_views", "width", "height", "device", "machine", "threads", "commit", "source", "processor",
-    "fit_processor", "procedural",
+    "train_views", "contents", "renderer", "test_views", "width", "height", "device", "machine", "threads",
+    "finished", "commit", "source", "processor", "fit_processor", "procedural", "differences",
 )  # fmt: skip
 TABLES: dict[str, Table] = {
     "jobs": Table(
@@ -445,9 +459,15 @@ TABLES: dict[str, Table] = {
         ("job", "view", "psnr", "missing", "excess", "truth_file", "render_file", "background"),
     ),
     "superseded": Table(
-        "A result that the other tables leave out, because a newer one takes its place.",
+        "A result that the other tables leave out, because a newer one of the same model takes its place.",
         (*_MEASURED, "kind", "commit"),
         ("job", "status", "psnr", "size_bytes"),
+    ),
+    "differences": Table(
+        "A value that conclusions, means and charts leave out, or a row that has a dataset of its own; with "
+        "the reason.",
+        ("dataset", "scene", "method", "variant", "seed", "rate", "preset", "split"),
+        ("job", "quantity", "reason"),
     ),
 }  # fmt: skip
 

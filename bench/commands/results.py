@@ -13,6 +13,8 @@ from bench.store import Store
 from bench.tables import build_tables
 from datasets.errors import DataError
 
+_MOST_NOTES = 12
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -29,8 +31,8 @@ def results(options: Namespace) -> int:
         print_results(tables["results"], jobs=True)
     else:
         print_as(tables[options.table], options.format or "csv")
-    if options.table != "superseded":
-        _print_superseded(tables, sys.stderr)
+    if options.table not in ("differences", "superseded"):
+        _print_differences(tables, sys.stderr)
     return 0
 
 
@@ -52,7 +54,6 @@ def report(options: Namespace) -> int:
         print(documents.to_text(table))
     if options.check_claims:
         print(verdicts.to_text(claims.check([*paper, *of_report(contents)], contents.views)))
-    _print_superseded(tables, sys.stdout)
     write_report(tables, store.root, page, paper, contents)
     print_answers(contents)
     print(page)
@@ -60,7 +61,7 @@ def report(options: Namespace) -> int:
 
 
 def print_answers(contents: Report) -> None:
-    """Print who is best at what, and who leads races; nothing where no two methods can be compared."""
+    """Print who is best at what, who leads races, and what is not compared."""
     from reports.conclusions import races
     from reports.conclusions.answers import to_text
 
@@ -68,6 +69,7 @@ def print_answers(contents: Report) -> None:
         print("\n".join(to_text(contents.contests[0], contents.answers)))
     for sentence in races.conclusion(contents.races, contents.family):
         print(sentence)
+    _print_differences(contents.stored, sys.stdout)
 
 
 def report_damage(store: Store) -> None:
@@ -79,12 +81,17 @@ def report_damage(store: Store) -> None:
         print(f"bench: damaged record left out: {text}", file=sys.stderr)
 
 
-def _print_superseded(tables: dict[str, pd.DataFrame], out: TextIO) -> None:
-    from reports.tables.results import superseded_note
+def _print_differences(tables: dict[str, pd.DataFrame], out: TextIO) -> None:
+    """Print what is not compared, and the command that lists it; nothing where everything is."""
+    from reports.comparability import notes
 
-    note = superseded_note(tables["superseded"])
-    if note:
-        print(f"{note} `bench results --table superseded` lists them.", file=out)
+    found = notes(tables["results"], tables["superseded"])
+    for note in found[:_MOST_NOTES]:
+        print(note, file=out)
+    if len(found) > _MOST_NOTES:
+        print(f"... and {len(found) - _MOST_NOTES} more remarks.", file=out)
+    if not tables["differences"].empty:
+        print("`bench results --table differences` lists what is not compared.", file=out)
 
 
 def _page(out: Path) -> Path:

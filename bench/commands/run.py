@@ -38,8 +38,11 @@ def run(options: Namespace) -> int:
     store, planner, outcome = done.store, done.planner, done.outcome
     methods = planner.registry.specs
     tables = build_tables(store, methods)
-    # The rows of this run alone; the store's tables may hold another version of a model.
+    # The rows of this run alone, as the store's tables have them beside all others.
     frames = joined(stored_tables(outcome.records, methods, planner.ladders))
+    own = tables["results"][tables["results"]["job"].isin(frames["results"]["job"])]
+    if len(own) == len(frames["results"]):  # else a newer measurement has taken the place of one
+        frames["results"] = own
     if len(frames["results"]) or len(frames["rungs"]) or len(frames["dvr"]):
         from bench.commands.results import print_answers, print_results, print_table
         from reports.conclusions.ladders import summary

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.edits import edit_of, edits_of
+from bench.identity import renderer_of, sketch
 from bench.jobs import answers
 from bench.jobs.context import Context
 from bench.records import MeasureResult, PruningResult, ViewResult
@@ -85,7 +86,7 @@ def run(context: Context) -> MeasureResult:
     out.mkdir(exist_ok=True)
     rows: list[ViewResult] = []
     missing: dict[str, str] = {}
-    metrics = [*job.metrics, *COVERAGE]
+    metrics = list(dict.fromkeys([*job.metrics, *COVERAGE]))
     flicker = Flicker() if is_dense(cameras) else None
     for index, camera in enumerate(cameras):
         answer = model.render(camera, scenes=scenes, edit=edit, background=background)
@@ -120,6 +121,8 @@ def run(context: Context) -> MeasureResult:
         features=_attributes(model, scenes, job.sampled),
         pruning=_pruning(context, model, cameras, views) if job.prunable else None,
         drawn=None if job.edit else mean_drawn(model, scenes, cameras),
+        renderer=renderer_of(views_job.views.cost.get(job.split)),
+        sketch=sketch(views),
     )
 
 

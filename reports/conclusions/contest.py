@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from reports.conclusions.clocks import CLOCKS, Clocks, place
-from reports.style import absent
+from reports.comparability import (
+    DATASET,
+    DISTURBED,
+    UNKNOWN,
+    Place,
+    kind_of,
+    usual_place,
+)
+from reports.conclusions.clocks import CLOCKS
+from reports.style import absent, label
 from reports.tables.columns import records
-from reports.tables.protocols import ORIGIN
+from reports.tables.protocols import GROUPING, ORIGIN
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,8 +37,8 @@ class Values:
 
     Attributes:
         cells: method -> its values.
-        elsewhere: number of values from other processors, left out.
-        disturbed: number of disturbed times (:meth:`Clocks.disturbed`), left out.
+        elsewhere: number of values from other places, by other rulers or of other versions, left out.
+        disturbed: number of disturbed times, left out.
         processor: that all values are from; "" where it does not matter.
     """
 
@@ -45,6 +54,7 @@ class Contest:
 
     Attributes:
         preset: the preset.
+        split: the measured views.
         rows: finished and failed rows of basic scenes, one per dataset, scene, method and seed; a dataset's
             name includes its number of training views where there are several.
         main: datasets that count for all but robustness: of several numbers of training views the largest.
@@ -52,9 +62,14 @@ class Contest:
     """
 
     preset: str
+    split: str
     rows: list[dict[str, Any]]
     main: frozenset[str]
-    clocks: Clocks
+
+    @property
+    def protocol(self) -> str:
+        """Preset, and the split where it is not that of the test views, for people."""
+        return f"preset {self.preset}" + (f", split {self.split}" if self.split == "val" else "")
 
     @cached_property
     def scenes(self) -> dict[str, set[str]]:
@@ -130,17 +145,20 @@ class Contest:
         ]
         if column not in CLOCKS:
             return Values(self._common(rows, column))
-        calm = [row for row in rows if not self.clocks.disturbed(row, column)]
-        disturbed = len(rows) - len(calm)
-        places: dict[tuple[Any, Any], list[dict[str, Any]]] = {}
-        for row in calm:
-            places.setdefault(place(row, column), []).append(row)
-        if not places:
-            return Values({}, disturbed=disturbed)
-        common = {at: self._common(here, column) for at, here in places.items()}
-        best = max(places, key=lambda at: (len(next(iter(common[at].values()))), len(places[at])))
-        text = f"{best[0]}, {best[1]} thread{'s' if best[1] != 1 else ''}"
-        return Values(common[best], len(calm) - len(places[best]), disturbed, text)
+        kinds = Counter(kind for row in self.rows if (kind := kind_of(row, column)))
+        disturbed, elsewhere = kinds.pop(DISTURBED, 0), kinds.total()
+        placed = [(row, Place.of(row, column)) for row in rows]
+        common = {
+            at: (self._common([row for row, place in placed if place.agrees(at)], column), at)
+            for at in {place for _, place in placed}
+        }
+        if not common:
+            return Values({}, elsewhere, disturbed)
+        datasets = {at: len(next(iter(cells.values()))) for at, (cells, _) in common.items()}
+        usual = usual_place(placed)
+        best = max(common, key=lambda at: (datasets[at], at == usual, str(at)))
+        others = sum(not place.agrees(best) for _, place in placed)
+        return Values(common[best][0], elsewhere + others, disturbed, best.text)
 
     def _common(self, rows: Iterable[Mapping[str, Any]], column: str) -> dict[str, Cells]:
         cells: dict[str, Cells] = {name: {} for name in self.methods}
@@ -162,29 +180,36 @@ class Contest:
 
 
 def contests(results: pd.DataFrame) -> list[Contest]:
-    """A contest per preset with at least two methods, the one with the most comparisons first.
+    """A contest per preset and split with at least two methods, the one with the most comparisons first.
 
     Args:
         results: the table `results` of :func:`reports.tables.protocols.by_protocol`.
     """
-    default = (results["kind"] == "basic") & (results["variant"].fillna("") == "") & results["rate"].isna()
-    if "scenes_together" in results:
-        default &= results["scenes_together"].isna()
-    rows = results[default]
-    clocks = Clocks(results)
+    grouping = results.get(GROUPING, "")
+    default = (results["kind"] == "basic") & (results["variant"].fillna("") == grouping)
+    rows = results[default & results["rate"].isna() & ~results["dataset"].str.endswith(UNKNOWN)]
+    if GROUPING in rows:  # what was learned from other scenes competes beside the usual model
+        names = [
+            method if not words else label(method, words)
+            for method, words in zip(rows["method"], rows[GROUPING], strict=True)
+        ]
+        rows = rows.assign(method=names).astype({"method": rows["method"].dtype})
     contests = []
-    for preset, every in rows.groupby("preset", dropna=False, sort=False):
+    for (preset, split), every in rows.groupby(["preset", "split"], dropna=False, sort=False):
         # Datasets with one method compare nothing.
         several = every.groupby("dataset")["method"].transform("nunique") > 1
         compared = every[several]
-        contest = Contest(str(preset), records(compared), _main(compared), clocks)
+        contest = Contest(str(preset), str(split), records(compared), _main(compared))
         if len(contest.methods) > 1:
             contests.append(contest)
     return sorted(contests, key=lambda each: -sum(len(each.attempts[name]) for name in each.methods))
 
 
 def _main(rows: pd.DataFrame) -> frozenset[str]:
-    """The datasets with the most training views of their kind."""
+    """The datasets with the most training views of their kind; those set apart where there are no others."""
+    apart = [kind_of(row, DATASET) != "" for row in records(rows)]
+    if not all(apart):
+        rows = rows[[not one for one in apart]]
     whole = rows[ORIGIN].fillna(rows["dataset"]) if ORIGIN in rows else rows["dataset"]
     views = rows["requested_views"].fillna(0)
     most = views.groupby(whole).transform("max")

@@ -9,6 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from reports import comparability
 from reports.charts import files as chart_files
 from reports.charts import svg
 from reports.charts.elements import Section
@@ -20,7 +21,7 @@ from reports.page import results as results_table
 from reports.paper import verdicts
 from reports.paper.evidence import of_report
 from reports.paper.tables import paper_tables
-from reports.style import absent, label
+from reports.style import absent, counted, label
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from reports.paper.values import PaperTable
 
 _WEB = Path(__file__).parent / "web"
+_FEW_REMARKS = 4
 _LONG = 50  # characters from which a fact has a wide box
 
 
@@ -84,7 +86,8 @@ def write_report(
             sections.append(Section("provenance", "Provenance", provenance.section(report)))
         write_files(report, out.parent, paper)
         name = _name(dvr if results.empty else results)
-        write_text(out, _document(name, _head(name, results, sections), sections))
+        head = _head(name, report.measured, sections, comparability.sentences(report.remarks))
+        write_text(out, _document(name, head, sections))
     return out
 
 
@@ -165,8 +168,8 @@ def _methods(results: pd.DataFrame) -> str:
     )
 
 
-def _head(name: str, results: pd.DataFrame, sections: list[Section]) -> str:
-    """Heading, counts of statuses, links to the sections, and facts about the runs."""
+def _head(name: str, results: pd.DataFrame, sections: list[Section], remarks: Sequence[str]) -> str:
+    """Heading, counts of statuses, what is not compared, links to the sections, and facts about the runs."""
     title = f'<h1>{escape(name)}</h1><button type="button" id="theme" hidden></button>'
     links = "".join(f'<li><a href="#{part.anchor}">{escape(part.title)}</a></li>' for part in sections)
     nav = f'<nav aria-label="Sections"><ul>{links}</ul></nav>' if links else ""
@@ -204,4 +207,14 @@ def _head(name: str, results: pd.DataFrame, sections: list[Section]) -> str:
     if stale:
         tags += f' <span class="tag stale">{stale} stale: method or settings are others today</span>'
     facts_of_runs = f'<details><summary>About these runs</summary><dl class="facts">{cards}</dl></details>'
-    return f"{title}<p>{tags}</p>{facts_of_runs}{nav}"
+    return f"{title}<p>{tags}</p>{_remarks(remarks)}{facts_of_runs}{nav}"
+
+
+def _remarks(texts: Sequence[str]) -> str:
+    """What is not compared; many remarks are folded."""
+    if not texts:
+        return ""
+    lines = "".join(f"<li>{escape(text)}</li>" for text in texts)
+    unfolded = " open" if len(texts) <= _FEW_REMARKS else ""
+    title = f"Not compared: {counted(len(texts), 'remark')}"
+    return f'<details id="differences"{unfolded}><summary>{title}</summary><ul>{lines}</ul></details>'

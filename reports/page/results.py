@@ -8,13 +8,13 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from reports import markup
-from reports.conclusions.clocks import Clocks
+from reports.comparability import kind_of, reason, replaced
 from reports.page.provenance import DETAILS, details
 from reports.schema import COLUMNS, by_name
 from reports.style import MISSING, absent, label, mean_key, models
 from reports.tables.columns import axes, cell, numbers, records
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
-from reports.tables.results import notes, omissions, superseded_note
+from reports.tables.results import notes, omissions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 def section(report: Report) -> str:
     """The table with its controls, the meaning of its columns, and the unfinished runs."""
-    results, means = report.results, report.means
+    results, means = report.measured, report.means
     names = [n for n in numbers(results) if n in ("psnr", "size_bytes") or results[n].notna().any()]
     writer = _Rows(report, names)
     columns = [by_name(name) for name in ("scene", "method", *names)]
@@ -69,20 +69,15 @@ def _records(table: pd.DataFrame) -> Iterable[tuple[Any, dict[str, Any]]]:
     return zip(table.index, records(table), strict=True)
 
 
-DISTURBED = "disturbed"
-"""Mark of a time that takes no part in conclusions on speed."""
-
-
 class _Rows:
     """Writer of the rows; it collects their details in the same order."""
 
     def __init__(self, report: Report, numbers: list[str]) -> None:
         self.models = report.models
-        self.numbers, self.axes = numbers, axes(report.results)
+        self.numbers, self.axes = numbers, axes(report.measured)
         self.scene_marks, self.mean_marks = report.ranks, ranks(report.means, report.views)
         self.details: list[list[str]] = []
-        self.clocks = Clocks(report.results)
-        self.disturbed = False
+        self.left_out = False
 
     @property
     def marks(self) -> set[int]:
@@ -142,9 +137,9 @@ class _Rows:
             mark = marks.get((index, name), 0)
             if mark == UNDECIDED:
                 text += f" {UNDECIDED_SIGN}"
-            if reason := self.clocks.disturbed(row, name):
-                text += f" {markup.hint(DISTURBED, reason)}"
-                self.disturbed = True
+            if kind := kind_of(row, name):
+                text = f"({text}) {markup.hint(kind, reason(row, name))}"
+                self.left_out = True
             place = {1: " class=first", 2: " class=second"}.get(mark, "")
             cells.append(f"<td{place} data-v={float(row[name]):.7g}>{text}</td>")
         return "".join(cells)
@@ -179,7 +174,7 @@ def _controls(results: pd.DataFrame) -> str:
 
 
 def _notes(report: Report, names: list[str], writer: _Rows) -> str:
-    results, marks = report.results, writer.marks
+    results, marks = report.measured, writer.marks
     note = (
         "Rows “all”: quality and FPS are means over scenes, size and time are sums, memory is the maximum. "
         "Sizes are in MiB (2<sup>20</sup> bytes). "
@@ -197,13 +192,12 @@ def _notes(report: Report, names: list[str], writer: _Rows) -> str:
         note += "Among several methods the <b>best</b> is bold, the <u>second best</u> underlined. "
     if UNDECIDED in marks:
         note += f"{UNDECIDED_NOTE} "
-    if writer.disturbed:
+    if writer.left_out:
         note += (
-            f"“{DISTURBED}” marks a time that something else on the machine lengthened; the reason is under "
-            "the pointer. It takes no part in conclusions on speed. `bench run --retry busy` measures it "
-            "again. "
+            "A value in brackets takes no part in means, conclusions and charts; the reason is under the "
+            "pointer. <code>bench run --retry busy</code> measures disturbed times again. "
         )
-    for remark in (superseded_note(report.tables.get("superseded")), *notes(results)):
+    for remark in (replaced(report.stored.get("superseded")), *notes(results)):
         note += f"<b>{escape(remark)}</b> " if remark else ""
     note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '
     note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
@@ -219,7 +213,7 @@ def _notes(report: Report, names: list[str], writer: _Rows) -> str:
 
 
 def _failures(report: Report) -> str:
-    unfinished = report.results[report.results["status"] != "ok"]
+    unfinished = report.measured[report.measured["status"] != "ok"]
     if unfinished.empty:
         return ""
     lines = [

@@ -7,14 +7,26 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from reports.paper.layouts import layouts, published_as, reference, sole_dataset, takes
+from reports.comparability import compared, judged, remarks, replaced
+from reports.conclusions.clocks import Clocks
+from reports.paper.layouts import layouts, published_as, reference, rivals, sole_dataset, takes
 from reports.paper.marks import marks
-from reports.paper.values import NOT_MEASURED, QUANTITIES, Block, PaperTable, Quantity, Row, Value
+from reports.paper.values import (
+    NOT_MEASURED,
+    QUANTITIES,
+    Block,
+    PaperTable,
+    Quantity,
+    Row,
+    Value,
+    counted_once,
+    parts,
+)
 from reports.schema import METRICS
 from reports.statistics import Views
 from reports.style import absent
 from reports.tables.protocols import shared_by_all
-from reports.tables.results import omissions, superseded_note
+from reports.tables.results import omissions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,6 +46,7 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
         views: the table `views`, which decides whether quality can be ranked.
     """
     results = tables["results"]
+    clocks, gone = Clocks(results), tables.get("superseded")
     results = results[results["kind"].isin(("basic", "composed")) & results["rate"].isna()]
     if results.empty:
         return []
@@ -42,11 +55,9 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
     for name, layout in layouts()["tables"].items():
         blocks = [
             block
-            for dataset, every in _protocols(results, layout)
-            for published, description, rows in _parts(name, dataset, every)
-            for block in _block(
-                name, layout, dataset, rows, published, description, views, tables.get("superseded")
-            )
+            for dataset, own in _protocols(results, layout)
+            for published, description, rows in _parts(name, dataset, own)
+            for block in _block(name, layout, dataset, rows, published, description, views, clocks, gone)
         ]
         if blocks:
             papers.append(PaperTable(name, layout["title"], layout["head"], layout["columns"], blocks))
@@ -139,10 +150,12 @@ def _block(
     published: str,
     description: dict[str, Any],
     views: Views,
+    clocks: Clocks,
     superseded: pd.DataFrame | None,
 ) -> Iterator[Block]:
-    """A block, if it has something to compare."""
+    """A block, if it has something to compare; its rows are judged by themselves."""
     columns = layout["columns"]
+    results, notes = _compared(layout, results, clocks)
     rows, seed_remarks = _rows(name, layout, results, published)
     measured = [
         line
@@ -171,10 +184,27 @@ def _block(
     if "rasterise_ms" in columns:
         remarks.append("Each part of a frame is timed alone, so that their sum can differ from the frame.")
     remarks += [*seed_remarks, *_missing_remarks(rows, columns), *_version_remarks(rows, methods)]
+    remarks += notes
     if superseded is not None:
         same_set = (superseded["dataset"] == dataset) & (superseded["preset"] == first["preset"])
-        remarks += filter(None, [superseded_note(superseded[same_set])])
+        remarks += filter(None, [replaced(superseded[same_set])])
     yield Block(dataset, published, same, scenes, rows, places, remarks, ", ".join(protocol), count)
+
+
+def _compared(
+    layout: dict[str, Any], results: pd.DataFrame, clocks: Clocks
+) -> tuple[pd.DataFrame, list[str]]:
+    """Results with what is compared among the rows of a layout's lines, and remarks on what is not."""
+    import pandas as pd
+
+    lines = {(line["method"], line.get("variant", "")) for line in layout["rows"]}
+    pairs = zip(results["method"], results["variant"].fillna(""), strict=True)
+    own = pd.Series([pair in lines for pair in pairs], results.index, dtype=bool)
+    rows = judged(results[own], clocks, ("dataset",))
+    if rows.empty:
+        return results, []
+    every = pd.concat([compared({"results": rows})["results"], results[~own]]).sort_index()
+    return every, [text for texts in remarks(rows).values() for text in texts]
 
 
 def _version_remarks(rows: list[Row], methods: Mapping[str, str]) -> list[str]:
@@ -212,8 +242,7 @@ def _rows(
     """The rows, and remarks on seeds.
 
     If all rows are of one method, they are means over the seeds that all of them have, because seeds of one
-    setting can differ by more than settings do. Rows of several methods keep all seeds, and a remark names
-    the seeds where rows of one method differ.
+    setting can differ by more than settings do. Rows of several methods keep all seeds.
     """
     lines = layout["rows"]
     models = set(zip(results["method"], results["variant"], strict=True))
@@ -230,8 +259,6 @@ def _rows(
         if all(shared == set(seeds) for _, seeds in measured):
             continue
         if len(methods) > 1 or any(shared - set(seeds) for _, seeds in measured):
-            listing = "; ".join(f"{label}: {_numbers(seeds)}" for label, seeds in measured)
-            remarks.append(f"Seeds differ: {listing}.")
             continue
         labels = ", ".join(label for label, _ in measured)
         plural = "s" if len(shared) > 1 else ""
@@ -243,7 +270,24 @@ def _rows(
         _row(line, layout["columns"], seeds, notes, reference(name, line.get("match"), published))
         for line, (seeds, notes) in zip(lines, fits, strict=True)
     ]
-    return rows, remarks
+    every = [(line["label"], seeds) for line, (seeds, _) in zip(lines, fits, strict=True)]
+    return rows, [*remarks, *_fewer_seeds(every, layout["columns"])]
+
+
+def _fewer_seeds(
+    rows: Iterable[tuple[str, Mapping[Any, pd.DataFrame]]], columns: Iterable[str]
+) -> Iterator[str]:
+    """Remarks on columns that are means over fewer seeds than their row has."""
+    rows = list(rows)
+    for column in columns:
+        labels: dict[str, list[str]] = {}
+        for name, seeds in rows:
+            lacking = [seed for seed, part in seeds.items() if _of_dataset(part, column) is None]
+            if 0 < len(lacking) < len(seeds):
+                plural = "s" if len(lacking) > 1 else ""
+                labels.setdefault(f"without seed{plural} {_numbers(lacking)}", []).append(name)
+        for text, names in labels.items():
+            yield f"{QUANTITIES[column].title} {text}: {', '.join(names)}."
 
 
 def _numbers(seeds: Iterable[Any]) -> str:
@@ -282,7 +326,8 @@ def _by_seed(
         if lacking:
             notes.append(f"seed {seed}: {', '.join(lacking)}")
         else:
-            complete[seed] = part
+            own = (results["kind"] == "basic") & model & results["seed"].eq(seed).fillna(False)
+            complete[seed] = counted_once(part, results[own]) if line.get("composed") else part
     return complete, notes
 
 
@@ -313,6 +358,8 @@ def _row(
             for text in part["omissions"]
             for metric, why in omissions(text).items()
         },
+        parts(seeds, columns),
+        rivals(line),
     )
 
 
@@ -331,6 +378,6 @@ def _value(seeds: list[float | None], published_row: Mapping[str, str], quantity
     text = published_row.get(quantity.published, "")
     published = float(text) if text.replace(".", "", 1).isdigit() else None
     measured = [value for value in seeds if value is not None]
-    if not measured or len(measured) < len(seeds):
+    if not measured:
         return Value(None, published)
     return Value(sum(measured) / len(measured), published, tuple(measured))

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from reports.comparability import left_out
 from reports.schema import by_name
 from reports.style import MISSING, absent, row_label
 from reports.tables.columns import cell, is_results
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
-from reports.tables.results import with_notes
+from reports.tables.results import marked, with_notes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,13 +49,14 @@ def to_markdown(table: pd.DataFrame, marks: Marks | None = None, remark: str = "
         remark: a note below the table, after those that follow from its rows.
     """
     marks = ranks(table) if marks is None else marks
+    out = left_out(table)
     table, notes = with_notes(table)
     columns = [by_name(name) for name in table.columns]
     lines = [
         "| " + " | ".join(_md(column.header) for column in columns) + " |",
         "|" + "|".join("---:" if column.numeric else "---" for column in columns) + "|",
     ]
-    for row in _rows(table, marks):
+    for row in _rows(table, marks, out):
         texts = (MARKDOWN_MARKS.get(mark, "{}").format(_md(text)) for text, mark in row)
         lines.append("| " + " | ".join(texts) + " |")
     notes += [remark] if remark else []
@@ -72,6 +74,7 @@ def to_latex(table: pd.DataFrame, marks: Marks | None = None, remark: str = "") 
     results = is_results(table)
     notes = [UNDECIDED_NOTE] if UNDECIDED in marks.values() else []
     notes += _unfinished(table) if results else []
+    out = left_out(table)
     table, more = with_notes(table)
     notes += [*more, *([remark] if remark else [])]
     if results:
@@ -84,17 +87,22 @@ def to_latex(table: pd.DataFrame, marks: Marks | None = None, remark: str = "") 
         lines += [rf"\begin{{longtable}}{{{spec}}}", *head, r"\endhead", r"\bottomrule", r"\endfoot"]
     else:
         lines = [r"% needs \usepackage{booktabs}", rf"\begin{{tabular}}{{{spec}}}", *head]
-    for row in _rows(table, marks):
+    for row in _rows(table, marks, out):
         lines.append(" & ".join(TEX_MARKS.get(mark, "{}").format(tex(text)) for text, mark in row) + r" \\")
     lines += [r"\end{longtable}"] if results else [r"\bottomrule", r"\end{tabular}"]
     return "\n".join([*lines, *tex_notes(notes)]) + "\n"
 
 
-def _rows(table: pd.DataFrame, marks: Marks) -> Iterator[list[tuple[str, int]]]:
-    """Text and mark of each cell, row by row."""
+def _rows(
+    table: pd.DataFrame, marks: Marks, out: Collection[tuple[Any, str]]
+) -> Iterator[list[tuple[str, int]]]:
+    """Text and mark of each cell, row by row; what is left out of comparisons is in brackets."""
     columns = [[cell(name, value) for value in table[name].tolist()] for name in table.columns]
     for index, *texts in zip(table.index, *columns, strict=True):
-        yield [(text, marks.get((index, name), 0)) for name, text in zip(table.columns, texts, strict=True)]
+        yield [
+            (marked(text, (index, name) in out), marks.get((index, name), 0))
+            for name, text in zip(table.columns, texts, strict=True)
+        ]
 
 
 def _unfinished(results: pd.DataFrame) -> list[str]:

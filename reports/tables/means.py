@@ -25,10 +25,10 @@ def summary(results: pd.DataFrame) -> pd.DataFrame:
     """One row per dataset, method, variant, rate, preset and split.
 
     Quality and FPS are means over basic scenes, size and time are sums, memory is the maximum. These numbers
-    are then averaged over seeds; ``psnr_std`` is the standard deviation of PSNR over seeds. ``jobs`` are the
-    jobs of the rows. ``scenes`` is as "3 of 4". A set is ``complete`` if every seed has a row "ok" of every
-    scene that `results` has of this dataset, preset and split. An incomplete set has no numbers, and ``note``
-    gives the reason.
+    are then averaged over the seeds that have them in all scenes; ``psnr_std`` is the standard deviation of
+    PSNR over seeds. ``jobs`` are the jobs of the rows. ``scenes`` is as "3 of 4". A set is ``complete`` if
+    every seed has a row "ok" of every scene that `results` has of this dataset, preset and split. An
+    incomplete set has no numbers, and ``note`` gives the reason.
     """
     import pandas as pd
 
@@ -63,8 +63,8 @@ def _set(group: list[dict[str, Any]], scenes: set[str]) -> dict[str, Any]:
     complete = not lacking
     per_seed = [_reduce(np.array([row["numbers"] for row in seeds[seed]])) for seed in sorted(seeds)]
     missing = np.full(len(_NUMBERS), np.nan)
-    means = np.asarray(sum(per_seed)) / len(per_seed) if complete and per_seed else missing
-    psnr = [values[0] for values in per_seed] if complete else []
+    means = _over_seeds(np.array(per_seed)) if complete and per_seed else missing
+    psnr = [values[0] for values in per_seed if not np.isnan(values[0])] if complete else []
     return {
         "scenes": f"{len(scenes) - len(lacking)} of {len(scenes)}",
         "seeds": len(seeds),
@@ -75,6 +75,14 @@ def _set(group: list[dict[str, Any]], scenes: set[str]) -> dict[str, Any]:
         "jobs": tuple(str(row["job"]) for row in group if row["status"] == "ok") if complete else (),
         **dict(zip(_NUMBERS, means, strict=True)),
     }
+
+
+def _over_seeds(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(columns,) means of (seeds, columns) over the seeds that have a number; NaN where none has."""
+    known = ~np.isnan(values)
+    sums = np.array([column[has].sum() for column, has in zip(values.T, known.T, strict=True)])
+    counts = known.sum(axis=0)
+    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
 
 def _reduce(numbers: NDArray[np.float64]) -> NDArray[np.float64]:

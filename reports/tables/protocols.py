@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
+
+from reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd
 
 ORIGIN = "whole_dataset"
+GROUPING = "grouping"
+"""Column of tables by protocol: words on the scenes that were learned together, where others are usual."""
 _CONDITIONS = ("preset", "split")
 
 
@@ -35,7 +40,7 @@ def shared_by_all(seeds: Iterable[Iterable[Any]]) -> set[Any]:
 
 
 def by_protocol(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
-    """Tables with a dataset for each choice of scenes and number of training views, for charts and people.
+    """Tables with a model for each choice of scenes and a dataset for each number of training views.
 
     Volumes that were measured or simulated precede those made by a formula.
     """
@@ -57,19 +62,39 @@ def _procedural_last(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]
 
 
 def by_scene_choice(table: pd.DataFrame) -> pd.DataFrame:
-    """Rename rows with ``scenes_together``, as "vortices, 3 scenes together" or "vortices, scenes alone".
+    """Name models with ``scenes_together`` by it, as "ECoNGS [3 scenes together]" or "ECoNGS [scenes alone]".
 
-    They are a dataset of their own, after the original one.
+    What a joint method learned from fewer scenes is another model of the same truth, beside the usual one: as
+    though it were an option. The column :data:`GROUPING` has the words.
     """
-    if "scenes_together" not in table or table["scenes_together"].isna().all():
+    if "scenes_together" not in table:
         return table
-    counts = table["scenes_together"].fillna(0).astype(int)
-    names = [
-        name + {0: "", 1: ", scenes alone"}.get(count, f", {count} scenes together")
-        for name, count in zip(table["dataset"], counts, strict=True)
+    counts = table["scenes_together"].fillna(0).astype(int).tolist()
+    words = [{0: "", 1: "scenes alone"}.get(count, f"{count} scenes together") for count in counts]
+    if "contents" in table:
+        words = _with_names(table, words)
+    named = {GROUPING: words}
+    for column in {"variant", "base"} & set(table.columns):
+        texts = ["" if absent(text) else str(text) for text in table[column]]
+        named[column] = [",".join(filter(None, pair)) for pair in zip(texts, words, strict=True)]
+    import pandas as pd
+
+    types = {name: table[name].dtype if name in table else "string[python]" for name in named}
+    return table.assign(
+        **{name: pd.Series(values, table.index, dtype=types[name]) for name, values in named.items()}
+    )
+
+
+def _with_names(table: pd.DataFrame, words: list[str]) -> list[str]:
+    """Words on scenes that were learned together, with their names where several sets have as many scenes."""
+    fitted = ["" if absent(text) else ", ".join(sorted(json.loads(text))) for text in table["contents"]]
+    several: dict[tuple[str, str], set[str]] = {}
+    for dataset, word, names in zip(table["dataset"], words, fitted, strict=True):
+        several.setdefault((str(dataset), word), set()).add(names)
+    return [
+        f"{word}: {names}" if "together" in word and len(several[str(dataset), word]) > 1 else word
+        for dataset, word, names in zip(table["dataset"], words, fitted, strict=True)
     ]
-    named = table.assign(dataset=names).astype({"dataset": table["dataset"].dtype})
-    return named.loc[_order(table["dataset"], counts)].reset_index(drop=True)
 
 
 def by_training_views(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:

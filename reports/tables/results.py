@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
+from reports import comparability
 from reports.schema import COLUMNS, by_name
 from reports.style import absent, label
 from reports.tables.columns import axes, cell, is_results, numbers
@@ -31,39 +32,14 @@ def display(results: pd.DataFrame) -> pd.DataFrame:
 
 
 def notes(results: pd.DataFrame) -> list[str]:
-    """Reasons why finished rows lack a metric, each once, and :func:`processor_note`."""
+    """Reasons why finished rows lack a metric, each once, and what is not compared and why."""
     reasons = results.loc[results["status"] == "ok", "reason"].dropna().astype(str)
-    return [note for note in dict.fromkeys([*reasons, processor_note(results)]) if note]
-
-
-def processor_note(results: pd.DataFrame) -> str:
-    """A warning if speeds and times are from several processors; "" otherwise."""
-    parts = []
-    for column, work in (("processor", "rendering was timed"), ("fit_processor", "models were trained")):
-        names = distinct_processors(results, column)
-        if len(names) > 1:
-            parts.append(f"{work} on {' and on '.join(names)}")
-    return f"Several processors: {'; '.join(parts)}. Compare times of one processor." if parts else ""
-
-
-def distinct_processors(results: pd.DataFrame, column: str) -> list[str]:
-    """Processors in a column. A method without native kernels lacks the instruction set in its name."""
-    names = [str(name) for name in results[column].dropna().unique()] if column in results else []
-    return [name for name in names if not any(other.startswith(f"{name},") for other in names)]
+    return [note for note in dict.fromkeys([*reasons, *comparability.notes(results)]) if note]
 
 
 def omissions(text: Any) -> dict[str, str]:
     """Metric -> reason why it is missing, from the column `omissions`."""
     return {} if absent(text) else dict(json.loads(text))
-
-
-def superseded_note(superseded: pd.DataFrame | None) -> str:
-    """Number of rows that tables omit because a newer row of the same model replaces them; "" if none."""
-    count = 0 if superseded is None else len(superseded)
-    if not count:
-        return ""
-    rows, verb = ("1 row", "is") if count == 1 else (f"{count} rows", "are")
-    return f"{rows} of other versions of the same models {verb} omitted."
 
 
 def with_notes(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
@@ -85,6 +61,11 @@ def _status(row: Any) -> str:
     return f"{status} (stale)" if not absent(stale) and stale else str(status)
 
 
+def marked(text: str, left_out: bool) -> str:
+    """A cell; a value that is not compared is in brackets."""
+    return f"({text})" if left_out else text
+
+
 _OPTIONAL = (
     "reason", "load_seconds", "peak_device_bytes", "peak_host_bytes", "primitives", "delta_e_uv", "psnr_fg",
 )  # fmt: skip
@@ -99,8 +80,12 @@ def terminal_rows(results: pd.DataFrame, width: int) -> list[list[str]]:
     number may be cut. (The run prints the reasons below the table in any case.)
     """
     table = display(results)
+    out = comparability.left_out(results)
     texts = {
-        name: ["" if name == "reason" and absent(value) else cell(name, value) for value in table[name]]
+        name: [
+            "" if name == "reason" and absent(value) else marked(cell(name, value), (index, name) in out)
+            for index, value in table[name].items()
+        ]
         for name in table.columns
     }
     for name in _OPTIONAL:

@@ -25,7 +25,7 @@ from bench.store import Store
 from datasets.errors import DataError
 from datasets.ground_truth import probe
 from datasets.png import read_png
-from reports.tables.results import superseded_note
+from reports.comparability import replaced
 from tests.datasets.views_folder import random_views
 
 LISTS = ("methods", "datasets", "suites", "metrics")
@@ -273,7 +273,7 @@ def test_superseded_rows_are_counted_and_can_be_listed(finished, capsys) -> None
     Store(finished.store).finish(again)
     report = _report(finished)
     assert main(report) == 0
-    note = superseded_note(pd.DataFrame(index=[0]))
+    note = replaced(pd.DataFrame(index=[0]))
     assert note in capsys.readouterr().out
     for file in ("report.html", "results.md", "results.tex"):
         assert note in (finished.store / file).read_text(encoding="utf-8")

@@ -20,9 +20,10 @@ from bench.records import (
 from bench.store import Store
 from bench.tables import build_tables, stored_tables
 from methods.interface import MethodSpec, option
+from reports.comparability import notes
+from reports.style import label
 from reports.tables.means import summary
 from reports.tables.protocols import by_protocol
-from reports.tables.results import superseded_note
 from tests.bench.conftest import measured
 
 REQUEST = Request(train_views=12, test_views=4, width=8, height=8)
@@ -92,7 +93,8 @@ def version(number, day, made_by="1", groups=GROUPS, joint=True, shared=10, fail
             status = "failed" if scene in failed else "ok"
             made.append(
                 record(
-                    "measure", {"encode": encode.job.key, "scene": scene}, day, made_by, status,
+                    "measure", {"encode": encode.job.key, "scene": scene, "views": f"of {scene}"}, day,
+                    made_by, status,
                     scenes=(scene,), group=name, rate=rate, needs=(encode.job.id,),
                     measure=measured(30.0 + number, 5),
                 )
@@ -125,7 +127,8 @@ def test_a_cell_of_two_versions_is_counted_once(tables_of):
     assert len(tables["timing"]) == 3
     assert list(tables["superseded"]["scene"]) == ["a", "b", "c"]
     assert list(tables["superseded"]["psnr"]) == [31.0] * 3
-    assert superseded_note(tables["superseded"]).startswith("3 rows ")
+    assert any("3 rows" in note for note in notes(tables["results"], tables["superseded"]))
+    assert list(tables["differences"]["quantity"]) == ["row"] * 3
 
 
 def test_records_as_such_are_all_there():
@@ -207,17 +210,32 @@ def test_presets_that_a_suite_names_itself_are_compared_by_version_alone(tables_
     assert not tables_of(records, size=2.0)["results"]["stale"].any()
 
 
-def test_what_was_fitted_together_is_taken_whole_or_not_at_all(tables_of):
-    """A scene fitted alone must not stand beside two thirds of what three scenes shared."""
+def models(tables):
+    """Method with options and grouping -> scene -> bytes."""
+    found = {}
+    for row in by_protocol(tables)["results"].to_dict("records"):
+        found.setdefault(label(row["method"], row["variant"]), {})[row["scene"]] = row["size_bytes"]
+    return found
+
+
+def test_a_scene_fitted_alone_is_a_model_beside_those_fitted_together(tables_of):
     alone = version(2, 2, "2", groups=(("a",),))
     tables = tables_of(version(1, 1), alone, current="2")
-    assert sizes(tables) == {"a": 110, "c": 110}, "b shares with the older a"
-    assert sorted(tables["superseded"]["scene"]) == ["a", "b"]
+    assert models(tables) == {"m": {"a": 105, "b": 105, "c": 110}, "m [scenes alone]": {"a": 110}}
+    assert tables["superseded"].empty
 
 
-def test_of_one_version_the_fit_of_all_scenes_stands(tables_of):
+def test_what_was_fitted_together_is_taken_whole_or_not_at_all(tables_of):
+    """Of other groups of the same scenes, a scene must not stand beside two thirds of what three shared."""
+    tables = tables_of(version(1, 1), version(2, 2, "2", groups=(("a",), ("b", "c"))), current="2")
+    assert sizes(tables) == {"a": 110, "b": 105, "c": 105}
+    assert sorted(tables["superseded"]["scene"]) == ["a", "b", "c"]
+
+
+def test_a_newer_fit_of_fewer_scenes_hides_nothing(tables_of):
     tables = tables_of(version(1, 1), version(2, 2, groups=(("a",),)))
-    assert sizes(tables) == {"a": 105, "b": 105, "c": 110}
+    assert models(tables)["m"] == {"a": 105, "b": 105, "c": 110}
+    assert len(tables["results"]) == 4
 
 
 def test_scenes_fitted_alone_are_filled_up(tables_of):
@@ -257,7 +275,7 @@ def test_a_model_measured_twice_has_its_newest_row(tables_of):
     assert set(tables["results"]["job"]) == {one.job.id for one in again}
 
 
-def test_fewer_scenes_learned_together_are_a_dataset_of_their_own(tables_of):
+def test_fewer_scenes_learned_together_are_a_model_of_their_own(tables_of):
     """Joint learning of two scenes and of three are no versions of each other."""
     part = version(1, 1, groups=(("a", "b"),))
     alone = version(3, 3, groups=(("a",), ("b",), ("c",)), joint=False)
@@ -265,19 +283,20 @@ def test_fewer_scenes_learned_together_are_a_dataset_of_their_own(tables_of):
         one.job.method = "other"
     tables = tables_of(part, version(2, 2, shared=30, groups=(("a", "b", "c"),)), alone)
     assert tables["superseded"].empty
-    assert set(tables["results"]["dataset"]) == set(tables["ledger"]["dataset"]) == {"d"}
-    means = summary(by_protocol(tables)["results"]).set_index(["dataset", "method"])["size_bytes"].to_dict()
-    assert means == {("d", "m"): 330, ("d", "other"): 330, ("d, 2 scenes together", "m"): 210}
-    assert set(by_protocol(tables)["ledger"]["dataset"]) == {"d", "d, 2 scenes together"}
+    means = summary(by_protocol(tables)["results"]).set_index(["method", "variant"])["size_bytes"].to_dict()
+    assert means == {("m", ""): 330, ("other", ""): 330, ("m", "2 scenes together"): None}
+    assert set(by_protocol(tables)["ledger"]["variant"]) == {"", "2 scenes together"}
 
 
-def test_a_scene_learned_alone_with_another_seed_is_not_averaged_with_joint_models(tables_of):
+def test_a_scene_learned_alone_is_not_averaged_with_joint_models(tables_of):
     joint = version(1, 1, groups=(("a", "b", "c"),))
     same, other = version(2, 2, groups=(("a",),)), version(3, 3, groups=(("a",),))
     for one in other:
         one.job.seed = 1
     tables = tables_of(joint, same, other)
-    assert list(tables["superseded"]["psnr"]) == [32.0]
+    assert tables["superseded"].empty
     found = by_protocol(tables)["results"]
-    assert set(zip(found["dataset"], found["psnr"], strict=True)) == {("d", 31.0), ("d, scenes alone", 33.0)}
-    assert list(tables["results"]["scenes_together"].fillna(0)) == [0, 1, 0, 0]
+    assert set(zip(found["variant"], found["psnr"], strict=True)) == {
+        ("", 31.0), ("scenes alone", 32.0), ("scenes alone", 33.0),
+    }  # fmt: skip
+    assert sorted(tables["results"]["scenes_together"].fillna(0)) == [0, 0, 0, 1, 1]

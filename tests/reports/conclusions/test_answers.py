@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from reports.comparability import compared, judged
 from reports.conclusions import answers as conclusions
 from reports.conclusions.answers import CRITERIA, EDITABLE, ROBUST, compare, scope, standing
 from reports.conclusions.contest import contests
@@ -38,7 +39,7 @@ def contest(*rows):
 
 
 def table(*rows):
-    return by_protocol({"results": frame("results", rows)})["results"]
+    return compared(by_protocol({"results": judged(frame("results", rows))}))["results"]
 
 
 ALONE = Family()
