@@ -258,15 +258,23 @@ def parser() -> _Parser:
         "--without-times", action="store_true", help="ask for no times: quality and sizes alone"
     )
     gate.add_argument(
-        "--power", action="store_true", help="print the smallest losses that the baseline shows, without a run"
+        "--power",
+        action="store_true",
+        help="print the smallest losses that the baseline shows, without a run",
     )
     gate.add_argument("--markdown", metavar="FILE", help="write a summary for a comment on a change")
     gate.add_argument("--junit", metavar="FILE", help="write the summary as JUnit's XML")
     bundle = command("bundle", "pack a run store's records, tables and environments to hand in", runs)
     bundle.add_argument("--out", required=True, metavar="FILE", help="the zip file")
     bundle.add_argument("--models", action="store_true", help="with the encoded models")
-    verify = command("verify", "check a bundle: hashes, names of jobs, tables, bytes of models")
+    verify = command("verify", "check that a bundle contradicts itself nowhere: 0 it holds, 1 not", plugins)
     verify.add_argument("bundle", metavar="FILE")
+    verify.add_argument(
+        "--redo", type=_count, default=0, metavar="N",
+        help="decode N models and measure them in views that the bundle's hash chooses; 2: not possible here",
+    )  # fmt: skip
+    _repeatable(verify, "--dataset", metavar="PATH", help="data that the catalogue lacks, for --redo")
+    _add_limits(verify)
     command("repair", "set damaged records of a run store aside, so that their jobs run again", runs)
     cache = command("cache", "ground-truth cache: what it takes, or make it smaller")
     cache.add_argument("action", choices=("info", "prune"))
@@ -306,15 +314,7 @@ def _add_settings(parser: argparse.ArgumentParser, overrides: str) -> None:
 
 def _add_execution(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--retry", action="store_true", help="run failed jobs again")
-    parser.add_argument(
-        "--time-limit", type=_time_limit, metavar="TIME",
-        help="per job: 90, 90s, 30m, 2h or none; default: 60 times what jobs like it took here, half an hour "
-        "at least; of the first ones 8 hours (quick), 2 days (standard) or 8 days (paper)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--memory-limit", type=_memory_limit, metavar="SIZE",
-        help="per job: 8G, 500M, or none; default: 95 %% of the machine's memory",
-    )  # fmt: skip
+    _add_limits(parser)
     parser.add_argument(
         "--executor", choices=("local", "dask"), default="local",
         help="one job after the other on this machine, or jobs beside each other on workers of Dask "
@@ -359,6 +359,18 @@ def _seed(text: str) -> int:
 
 def _seconds(text: str) -> float:
     return _positive(text, {"": 1.0, "S": 1.0, "M": 60.0, "H": 3600.0}, "a time such as 90, 30m or 2h")
+
+
+def _add_limits(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--time-limit", type=_time_limit, metavar="TIME",
+        help="per job: 90, 90s, 30m, 2h or none; default: 60 times what jobs like it took here, half an hour "
+        "at least; of the first ones 8 hours (quick), 2 days (standard) or 8 days (paper)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--memory-limit", type=_memory_limit, metavar="SIZE",
+        help="per job: 8G, 500M, or none; default: 95 %% of the machine's memory",
+    )  # fmt: skip
 
 
 def _time_limit(text: str) -> float:

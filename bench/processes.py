@@ -93,9 +93,9 @@ class Processes:
         self._connection: socket.socket | None = None
         self._before: set[int] = set()
 
-    def start(self, folder: Path, log: IO[bytes]) -> Process:
+    def start(self, folder: Path, log: IO[bytes], module: str = "bench.worker") -> subprocess.Popen[bytes]:
         """A worker in an interpreter of its own, which writes to ``log``."""
-        return self._launch("bench.worker", str(folder), output=log)
+        return self._launch(module, str(folder), output=log)
 
     def fork(self, folder: Path, log: IO[bytes]) -> Process:
         """A worker forked from the server, which is started (again) if it does not run."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import shutil
 import sys
+import tempfile
 import uuid
 from argparse import Namespace
+from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -63,10 +65,13 @@ def compare(options: Namespace) -> int:
     """Pair two stores view by view: mean of each metric in both, and how the views differ."""
     first, second = (build_tables(Store(Path(root)), write=False)["views"] for root in options.stores)
     table = compared(first, second)
+    for line in table.attrs["differences"]:
+        print(f"bench: {line}", file=sys.stderr)
     if table.empty:
         raise DataError(
             f"{options.stores[0]} and {options.stores[1]}",
-            "have no view in common (same dataset, scene, method, variant, rate, preset, split and seed)",
+            "have no view in common (same dataset, scene, method, variant, rate, preset, split and seed, and "
+            "the same truth)",
             "Compare runs of the same selection",
         )
     if options.format:
@@ -120,12 +125,38 @@ def repair(options: Namespace) -> int:
 
 
 def verify(options: Namespace) -> int:
-    """Check a bundle; 1 if anything in it does not hold."""
-    from bench.bundle import verdict
+    """Check a bundle: 0 all of it holds, 1 something does not, 2 models could not be measured here."""
+    from bench.bundle import unpack
 
-    found = verdict(Path(options.bundle))
-    for line in (*found.problems, *(f"note: {note}" for note in found.notes)):
+    path = Path(options.bundle)
+    with tempfile.TemporaryDirectory() as folder:
+        verdict = unpack(path, Path(folder))
+        _print_lines(verdict.problems)
+        _print_lines([f"note: {note}" for note in verdict.notes])
+        if verdict.problems or not options.redo:
+            return _conclude(path, len(verdict.problems), "all of it holds")
+        from bench.limits import Limits
+        from bench.redo import redo
+
+        redone = redo(
+            Store(Path(folder)), path, options.redo, datasets=options.dataset, plugins=options.plugins,
+            limits=Limits(options.time_limit, options.memory_limit),
+        )  # fmt: skip
+    for job, views in redone.views.items():
+        print(f"{job}: measured again in the views {', '.join(views)}")
+    _print_lines(redone.problems)
+    _print_lines([f"not verified: {line}" for line in redone.unverified])
+    if redone.unverified and not redone.problems:
+        print(f"{path}: the records hold, but not all that was asked for could be measured again")
+        return 2
+    return _conclude(path, len(redone.problems), "all of it holds, the models that were drawn too")
+
+
+def _print_lines(lines: Iterable[str]) -> None:
+    for line in lines:
         print(f"bench: {printable(line)}", file=sys.stderr)
-    problems = len(found.problems)
-    print(f"{options.bundle}: {f'{problems} problems' if problems else 'all of it holds'}")
+
+
+def _conclude(path: Path, problems: int, whole: str) -> int:
+    print(f"{path}: {f'{problems} problems' if problems else whole}")
     return 1 if problems else 0
