@@ -68,6 +68,11 @@ changes. Keys:
     bundles     as above; none: no place
     data        titles of what the bundles hold, one each
 
+``power``    the smallest losses that a baseline of the gate shows, as ``bench gate --power --without-times``
+prints them. Keys:
+
+    baseline    its path, from the root of the checkout
+
 ``index``    what each bundle holds; ``commands``: every command of ``bench`` with its options.
 """
 
@@ -86,6 +91,8 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from bench.__main__ import parser
+from bench.gate.baseline import read as read_baseline
+from bench.gate.power import markdown as power
 from bench.store import Store
 from bench.suites import load_suite
 from bench.tables import build_tables
@@ -114,8 +121,8 @@ ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
 STUDIES = MEASURED / "studies"
 BLOCK = re.compile(
-    r"(<!-- (table|chart|ladders|departures|economy|verdict|paper|tuned|method|index|commands)\b(.*?)-->\n)"
-    r".*?(<!-- end -->)",
+    r"(<!-- (table|chart|ladders|departures|economy|verdict|paper|tuned|method|power|index|commands)\b"
+    r"(.*?)-->\n).*?(<!-- end -->)",
     re.S,
 )
 METHODS = (
@@ -735,6 +742,12 @@ def commands(_: str) -> str:
     return text
 
 
+def power_of(description: str) -> str:
+    """The smallest losses that a baseline shows, without times, as Markdown."""
+    block = tomllib.loads(description)
+    return power(read_baseline(ROOT / block["baseline"]), times=False) + "\n"
+
+
 def _argument(action: argparse.Action) -> str:
     what = action.metavar or ("|".join(map(str, action.choices)) if action.choices else action.dest.upper())
     if not action.option_strings:
@@ -757,6 +770,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "tuned": tuned_of,
     "method": method_of,
     "paper": paper_of,
+    "power": power_of,
     "index": index,
     "commands": commands,
 }
