@@ -104,6 +104,14 @@ def test_psnr_is_of_8_bit_pictures_and_identical_ones_count_100_db():
     assert got["flip"] == got["delta_e_uv"] == 0.0
 
 
+def test_pictures_are_rounded_to_the_nearest_of_256_levels():
+    levels = np.arange(256)
+    shifts = np.array([-0.49, 0.0, 0.49], np.float32)
+    got = to_8bit((levels[:, None] + shifts).astype(np.float32) / np.float32(255))
+    np.testing.assert_array_equal(got, np.broadcast_to(levels[:, None], got.shape))
+    np.testing.assert_array_equal(to_8bit(np.array([-1.0, 2.0])), [0, 255])
+
+
 def test_one_step_in_a_large_image_does_not_beat_identical_ones():
     truth = np.ones((400, 400, 4), np.float32)
     rgb = truth[..., :3].copy()

@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.gate.baseline import BaselineCell, read
 from bench.gate.quantities import QUANTITIES, Quantity
-from bench.gate.spread import prior, quantile, tail
+from bench.gate.spread import prior, quantile, tail, variance_of
 from bench.gate.verdict import LEVEL
 from tests.proofs.planted import ROOT
 
@@ -27,16 +27,18 @@ QUALITY = [quantity for quantity in QUANTITIES.values() if quantity.kind != "tim
 
 
 def tests(cells: list[BaselineCell], quantity: Quantity, left: int) -> list[tuple[str, float, float]]:
-    """Method, p-value and tolerance of each cell for one seed, with one prior for these cells."""
-    scores = [
-        np.array([quantity.score(v) for v in cell.values[quantity.name] if v is not None]) for cell in cells
+    """Method, p-value and tolerance of each cell that seeds change, for one seed, with one prior for all."""
+    changed = [
+        (cell, scores)
+        for cell in cells
+        if variance_of(scores := [quantity.score(v) for v in cell.values[quantity.name] if v is not None])
     ]
-    others = [np.delete(values, left) for values in scores]
-    freedom = len(others[0]) - 1
-    shared = prior([float(np.var(values, ddof=1)) for values in others], [freedom] * len(cells))
+    others = [np.delete(scores, left) for _, scores in changed]
+    freedoms = [len(rest) - 1 for rest in others]
+    shared = prior([variance_of(rest.tolist()) for rest in others], freedoms)
     out = []
-    for cell, values, rest in zip(cells, scores, others, strict=True):
-        variance, whole = shared.moderated(float(np.var(rest, ddof=1)), freedom)
+    for (cell, values), rest, freedom in zip(changed, others, freedoms, strict=True):
+        variance, whole = shared.moderated(variance_of(rest.tolist()), freedom)
         error = float(np.sqrt(variance * (1.0 + 1.0 / len(rest))))
         chance = 2.0 * tail(abs(values[left] - rest.mean()) / error, whole)
         out.append((cell.method, chance, quantile(LEVEL / _TESTS, whole) * error))
@@ -64,7 +66,7 @@ def main() -> None:
             ]
             chances = np.array([chance for _, chance, _ in done])
             rates = " | ".join(f"{(chances < level).mean():.2%}" for level in LEVELS)
-            print(f"| {name} | {rates} |")
+            print(f"| {name} ({len(done)} comparisons) | {rates} |")
             tolerances[name] = defaultdict(list)
             for method, _, tolerance in done:
                 tolerances[name][method].append(np.log(tolerance))

@@ -16,7 +16,7 @@ import argparse
 import csv
 import subprocess
 import sys
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,9 @@ import numpy as np
 from bench.gate.baseline import FORMAT, Baseline, Change, cell_of, sorted_cells
 from bench.gate.baseline import read as read_baseline
 from bench.gate.cells import VIEW_METRIC, Cell, Key, cells_of
+from bench.gate.power import power
 from bench.gate.quantities import QUANTITIES
-from bench.gate.spread import prior, quantile
-from bench.gate.verdict import LEVEL, Finding, Verdict, compare
+from bench.gate.verdict import Finding, Verdict, compare
 from bench.store import Store
 from bench.suites import load_suite
 from bench.tables import build_tables
@@ -202,24 +202,11 @@ def print_smallest(cells: Cells, base: int) -> None:
     print(f"\nsmallest loss that is found, {methods}\n")
     print("| baseline | run | " + " | ".join(QUANTITIES[name].title for name in names) + " |")
     print("|---|---|---|---|---|")
-    seeds = seeds_of(cells)
-    before = baseline_of(cells, seeds[:base])
-    tests = compare(before, part(cells, seeds[-1:]), times=False).tests
-    for runs in (runs for count, runs in SEED_COUNTS if count == base):
-        ranges = [_range(smallest(cells, name, seeds[:base], runs, tests), name) for name in names]
+    counts = [runs for count, runs in SEED_COUNTS if count == base]
+    losses = power(baseline_of(cells, seeds_of(cells)[:base]), counts, times=False)
+    for runs in counts:
+        ranges = [_range(losses[name, "a scene"][runs], name) for name in names]
         print(f"| {base} | {runs} | " + " | ".join(ranges) + " |", flush=True)
-
-
-def smallest(cells: Cells, name: str, base: Sequence[int], runs: int, tests: int) -> list[float]:
-    """For each result the least loss of score that is found, where ``tests`` are made in all."""
-    score: Callable[[float], float] = QUANTITIES[name].score
-    variances = [
-        float(np.var([score(cell.values[seed][name]) for seed in base], ddof=1)) for cell in cells.values()
-    ]
-    shared = prior(variances, [len(base) - 1] * len(variances))
-    moderated = [shared.moderated(variance, len(base) - 1) for variance in variances]
-    error = 1.0 / len(base) + 1.0 / runs
-    return [quantile(LEVEL / tests, freedom) * float(np.sqrt(v * error)) for v, freedom in moderated]
 
 
 def _range(losses: list[float], name: str) -> str:
