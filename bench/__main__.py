@@ -44,13 +44,17 @@ COMMANDS = {
 }
 
 
+RETRIES = ("failed", "busy")
+"""Finished jobs that run again."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments:
         parser().print_help()
         return 2
-    options = parser().parse_args(arguments)
+    options = parser().parse_args(_with_values(arguments))
     from datasets.errors import DataError
 
     module, _, function = COMMANDS[options.command].partition(":")
@@ -74,6 +78,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         remedy = "Check that it exists, that you may use it and that the disk has room"
         print(f"bench: {what}: {error.strerror or error}. {remedy}", file=sys.stderr)
         return 2
+
+
+def _with_values(arguments: Sequence[str]) -> list[str]:
+    """Arguments in which a bare ``--retry`` has its value: else it would take the word after it for one."""
+    words = list(arguments)
+    for place, word in enumerate(words):
+        if word == "--retry" and words[place + 1 : place + 2] not in ([value] for value in RETRIES):
+            words[place] = f"--retry={RETRIES[0]}"
+    return words
 
 
 class _Parser(argparse.ArgumentParser):
@@ -313,7 +326,12 @@ def _add_settings(parser: argparse.ArgumentParser, overrides: str) -> None:
 
 
 def _add_execution(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--retry", action="store_true", help="run failed jobs again")
+    parser.add_argument(
+        "--retry", nargs="?", const=RETRIES[0], choices=RETRIES, metavar="failed|busy",
+        help="run failed jobs again (without a value), or those whose time was disturbed (busy): a model is "
+        "measured again for its FPS, fitted and measured again for its training time; results stay until new "
+        "ones are finished",
+    )  # fmt: skip
     _add_limits(parser)
     parser.add_argument(
         "--executor", choices=("local", "dask"), default="local",

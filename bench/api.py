@@ -115,7 +115,7 @@ def run(
     options: Mapping[str, Mapping[str, Any]] | None = None,
     device: str = "cpu",
     plugins: Sequence[_Path] = (),
-    retry: bool = False,
+    retry: bool | Literal["failed", "busy"] = False,
     executor: Literal["local", "dask"] = "local",
     scheduler: str = "",
     workers: int | None = None,
@@ -138,7 +138,8 @@ def run(
         options: method -> option -> value, differing from the preset.
         device: "cpu", "cuda" or "cuda:N".
         plugins: folders with methods of your own; default: those of earlier runs of this store.
-        retry: run failed jobs again.
+        retry: run failed jobs again; "busy": those whose FPS or training time was disturbed, fits with all
+            that follows from them.
         executor: "dask" runs jobs beside each other on workers of Dask.
         scheduler: address of Dask's scheduler; default: one on this machine.
         workers: how many are started on this machine; default: 1.

@@ -24,7 +24,7 @@ from distributed import Client, Future, KilledWorker, LocalCluster
 
 from bench.display import Display
 from bench.estimates import Past
-from bench.executor import Ending, Executor
+from bench.executor import Ending, Executor, Retry
 from bench.leases import Held
 from bench.limits import Limits, available_memory
 from bench.node import SLOT, Node, Order, Reply, run_order, stop_run, visible_record
@@ -93,7 +93,7 @@ class DaskExecutor(Executor):
         display: Display,
         cluster: Cluster,
         *,
-        retry: bool = False,
+        retry: Retry = False,
         limits: Limits | None = None,
         plugins: tuple[str, ...] = (),
         threads: int | None = None,
@@ -200,8 +200,9 @@ class DaskExecutor(Executor):
     def _submit(self, flight: _Flight) -> None:
         job = flight.job
         order = Order(
-            job, self._name, self._store.root, self._plugins, self._threads, self._limit(job), self._limits
-        )
+            job, self._name, self._store.root, self._plugins, self._threads, self._limit(job), self._limits,
+            self._again.get(job.id, ""),
+        )  # fmt: skip
         flight.future = self._client.submit(
             run_order,
             order,

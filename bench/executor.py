@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from bench.display import Display
 from bench.estimates import Past
@@ -43,6 +43,10 @@ class Outcome:
         return [record for record in self.records if not record.ok]
 
 
+Retry = bool | Literal["failed", "busy"]
+"""Finished jobs that run again: failed ones (or True), or those with a disturbed time."""
+
+
 class Ending(NamedTuple):
     """How a job ended: with a record, or with a note that says why there is none."""
 
@@ -62,7 +66,7 @@ class Executor(ABC):
         planner: makes the plan; again after a partition, and for repeats of broken rungs.
         display: shows progress.
         past: finished jobs, from which limits of time follow.
-        retry: run failed jobs again.
+        retry: finished jobs that run again.
         limits: of each job; default: those of :mod:`bench.limits`.
     """
 
@@ -73,7 +77,7 @@ class Executor(ABC):
         display: Display,
         past: Past,
         *,
-        retry: bool = False,
+        retry: Retry = False,
         limits: Limits | None = None,
     ) -> None:
         self._store = store
@@ -88,6 +92,7 @@ class Executor(ABC):
         self._running: dict[str, Job] = {}
         self._attempted: set[str] = set()
         self._restored: set[str] = set()
+        self._again: dict[str, str] = {}
 
     @abstractmethod
     def _workers(self) -> AbstractContextManager[Any]:
@@ -111,6 +116,10 @@ class Executor(ABC):
         before = {s: signal.signal(s, self._on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
         try:
             self._store.sweep()
+            if self._retry == "busy":
+                from bench.disturbed import to_measure_again
+
+                self._again = to_measure_again(self._store.records())
             with self._workers():
                 self._walk(outcome)
         finally:
@@ -220,12 +229,12 @@ class Executor(ABC):
             return True
         record = self._store.record(job.id)
         if record is None or record.ok:
-            return record is not None
+            return record is not None and record.finished != self._again.get(job.id)
         if record.cause is not None:  # the job never ran, and the cause may be mended
             cause = self._store.record(record.cause)
             if cause is None or cause.ok or cause.finished > record.finished:
                 return False
-        return not self._retry
+        return self._retry not in (True, "failed")
 
     def _give_up(self, job: Job, cause: Record) -> Record | None:
         """A record for a job that cannot run because a job that it needs failed."""
@@ -270,7 +279,7 @@ class LocalExecutor(Executor):
         planner: Planner,
         display: Display,
         *,
-        retry: bool = False,
+        retry: Retry = False,
         limits: Limits | None = None,
         plugins: tuple[str, ...] = (),
         threads: int | None = None,
@@ -298,14 +307,16 @@ class LocalExecutor(Executor):
 
     def _endings(self) -> Iterable[Ending]:
         (job,) = self._running.values()
+        replaces = self._again.get(job.id, "")
         while True:
             try:
-                return [Ending(job, *self._runner.run(job, self._limit(job)))]
+                return [Ending(job, *self._runner.run(job, self._limit(job), replaces))]
             except Held:
                 self._display.state(job, {"stage": "another run works on it"})
             while not self._signals and self._store.lease(job.id).is_held:
                 time.sleep(POLL_SECONDS)
-            if (record := self._store.record(job.id)) is not None:
+            record = self._store.record(job.id)
+            if record is not None and record.finished != replaces:
                 return [Ending(job, record, "by another run")]
             if self._signals:
                 return [Ending(job, None, "stopped; resumes from its last checkpoint")]

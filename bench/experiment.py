@@ -19,7 +19,7 @@ from datasets.errors import DataError
 
 if TYPE_CHECKING:
     from bench.display import Display
-    from bench.executor import Executor, Outcome
+    from bench.executor import Executor, Outcome, Retry
     from bench.limits import Limits
     from bench.selection import Selection
 
@@ -47,7 +47,7 @@ def execute(
     plugins: Iterable[str | os.PathLike[str]],
     display: Display,
     *,
-    retry: bool = False,
+    retry: Retry = False,
     limits: Limits | None = None,
     executor: str = "local",
     scheduler: str = "",
@@ -61,7 +61,7 @@ def execute(
         out: folder of the store.
         plugins: folders with methods; default: those that the store remembers.
         display: shows progress and notices.
-        retry: run failed jobs again.
+        retry: finished jobs that run again.
         limits: of each job.
         executor: "local", or "dask" for workers beside each other.
         scheduler: address of Dask's scheduler; default: one on this machine.

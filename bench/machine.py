@@ -63,7 +63,7 @@ class Load:
 
     @property
     def busy(self) -> bool:
-        """Whether speeds measured now would count as from a busy machine."""
+        """Whether times measured now would be disturbed (:mod:`reports.conclusions.clocks`)."""
         return self.locked or self.slowdown > BUSY
 
 

@@ -46,6 +46,7 @@ class Order:
         threads: most threads.
         limit: of its time.
         limits: of the run.
+        replaces: when the record ended that the job is to replace; "" for none.
     """
 
     job: Job
@@ -55,6 +56,7 @@ class Order:
     threads: int | None
     limit: Limit
     limits: Limits
+    replaces: str
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ class _State:
             if self.cores is not None:
                 os.sched_setaffinity(0, self.cores)  # of this thread, and of what it starts
             try:
-                record, note = self._runner_of(order, store).run(order.job, order.limit)
+                record, note = self._runner_of(order, store).run(order.job, order.limit, order.replaces)
             except Held:
                 return Reply(False, "another run works on it")
             return Reply(record is not None, note)

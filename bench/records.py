@@ -127,12 +127,14 @@ class Task(_Model):
 
     Attributes:
         alone: it has the machine to itself while it is timed; else its cores, beside jobs on other cores.
+        replaces: when the record ended that this run of the job is to replace; "" for none.
     """
 
     job: Job
     plugins: tuple[str, ...] = ()
     threads: int
     alone: bool = True
+    replaces: str = ""
 
 
 class Provenance(_Model):
@@ -355,6 +357,9 @@ class MeasureResult(FrameTimes):
         drawn: Gaussians that are splatted in a test view, mean over a few; None of a model without Gaussians.
         renderer: what rendered the truth; "" in older records.
         sketch: of the truth's pictures (:func:`bench.identity.sketch`); "" in older records.
+        decoding: when the model's networks make what is drawn: "once", as it is loaded, or "per frame"; ""
+            without such networks; None in older records.
+        frame_seconds_decoding: median over frames in which a model that is decoded once is decoded again.
         parts_ruler: version of how the parts of a frame are timed (:data:`bench.timing.RULERS`).
     """
 
@@ -370,6 +375,8 @@ class MeasureResult(FrameTimes):
     drawn: float | None = None
     renderer: str = ""
     sketch: str = ""
+    decoding: Literal["", "once", "per frame"] | None = None
+    frame_seconds_decoding: float | None = None
     parts_ruler: int | None = None
 
 

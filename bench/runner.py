@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import site
 import subprocess
@@ -19,7 +20,7 @@ from bench.processes import Process, Processes, end_session
 from bench.provenance import imports_torch
 from bench.records import Job, Record, Status, Task
 from bench.store import Store, write_text
-from bench.worker import BUSY, GRACE_SECONDS, STOPPED, now, read_progress, traces
+from bench.worker import BUSY, GRACE_SECONDS, STOPPED, log_tail, now, read_progress, traces
 from methods.registry import Registry
 
 POLL_SECONDS = 0.1
@@ -78,34 +79,37 @@ class Runner:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def run(self, job: Job, limit: Limit) -> tuple[Record | None, str]:
+    def run(self, job: Job, limit: Limit, replaces: str = "") -> tuple[Record | None, str]:
         """Run one job to its record; without one, the note says why.
 
         Args:
             job: whose needs have records.
             limit: of its time.
+            replaces: when the record ended that this run is to replace, by success alone; "" for none.
 
         Raises:
             Held: another process works on it.
             DataError: the run store was removed meanwhile.
         """
         try:
-            return self._run(job, limit)
+            return self._run(job, limit, replaces)
         except FileNotFoundError:
             self._store.check()
             raise
 
-    def _run(self, job: Job, limit: Limit) -> tuple[Record | None, str]:
-        code, verdict = self._attempt(job, limit)
+    def _run(self, job: Job, limit: Limit, replaces: str) -> tuple[Record | None, str]:
+        code, verdict = self._attempt(job, limit, replaces)
         if code == BUSY and not self._stops() and not self._died(job):
             raise Held(job.id)
         record = self._store.record(job.id)
-        if record is not None:
+        if record is not None and record.finished != replaces:
             return record, ""
         if code == STOPPED or self._stops():
             return None, "stopped; resumes from its last checkpoint"
         try:
             with self._store.lease(job.id).acquire(timeout=5) as lease:
+                if record is not None:
+                    return record, self._in_vain(job, code, verdict)
                 return self._post_mortem(job, code, verdict, lease), ""
         except Held:
             return None, "another run took it over"
@@ -127,7 +131,14 @@ class Runner:
             return False
         return imports_torch(*self._registry.spec(job.method).source)
 
-    def _attempt(self, job: Job, limit: Limit) -> tuple[int, tuple[Status, str] | None]:
+    def _in_vain(self, job: Job, code: int, verdict: tuple[Status, str] | None) -> str:
+        """Note on a finished job that failed when it ran again; what it left is removed."""
+        folder = self._store.partial / job.id
+        tail = (log_tail(folder) or f"exit code {code}").splitlines()[-1]
+        shutil.rmtree(folder, ignore_errors=True)
+        return f"failed when it ran again ({verdict[1] if verdict else tail}); its earlier record stays"
+
+    def _attempt(self, job: Job, limit: Limit, replaces: str) -> tuple[int, tuple[Status, str] | None]:
         """Start a worker and watch it: its exit code, and status and reason if this program ended it."""
         folder = self._store.partial / job.id
         if self._store.record(job.id) is not None:
@@ -135,7 +146,9 @@ class Runner:
                 previous = self._store.record(job.id)
                 if previous is not None and not previous.ok:
                     self._store.reopen(previous)
-        task = Task(job=job, plugins=self._plugins, threads=self._threads, alone=self._alone)
+        task = Task(
+            job=job, plugins=self._plugins, threads=self._threads, alone=self._alone, replaces=replaces
+        )
         self._started = time.time()
         try:
             folder.mkdir(exist_ok=True)

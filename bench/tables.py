@@ -322,6 +322,8 @@ def _measured(measured: MeasureResult) -> Row:
         "fps": 1.0 / measured.frame_seconds,
         "fps_p05": 1.0 / measured.frame_seconds_p95,
         "fps_p95": 1.0 / measured.frame_seconds_p05,
+        "decoding": measured.decoding,
+        "fps_decoding": measured.frame_seconds_decoding and 1.0 / measured.frame_seconds_decoding,
         "reference_seconds": measured.reference_seconds,
         "reference_worst": measured.reference_worst,
         "identical_views": sum(view.identical for view in measured.views),

@@ -169,13 +169,18 @@ def _no_collection() -> Iterator[None]:
         gc.enable()
 
 
-def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], device: str) -> FrameTimes:
+def time_frames(
+    render: Callable[[Camera], Any],
+    cameras: Sequence[Camera],
+    device: str,
+    seconds: float = MEASURE_SECONDS,
+) -> FrameTimes:
     """Time ``render`` end to end over a whole path of cameras.
 
     Warm-up follows the path until the medians of two successive windows of five frames differ by less than
     5 %, for at most three seconds (but at least two windows). Then whole passes over the path are timed,
-    frame by frame, for one second or 500 frames. No camera comes twice (:func:`fresh_cameras`). The garbage
-    collector is off meanwhile.
+    frame by frame, for some ``seconds`` or 500 frames. No camera comes twice (:func:`fresh_cameras`). The
+    garbage collector is off meanwhile.
 
     The reference kernel runs before, after, and amid the timed frames: after each quarter of a second of
     them, and an untimed frame follows, which finds the memory as other frames do.
@@ -203,7 +208,7 @@ def time_frames(render: Callable[[Camera], Any], cameras: Sequence[Camera], devi
         times: list[float] = []
         amid: list[float | None] = []
         stretch: list[float] = []
-        while not times or (sum(times) < MEASURE_SECONDS and len(times) < MEASURE_FRAMES):
+        while not times or (sum(times) < seconds and len(times) < MEASURE_FRAMES):
             for _ in cameras:
                 if sum(stretch) >= AMID_SECONDS and len(stretch) >= _AMID_FRAMES:
                     amid.append(amid_seconds())

@@ -1,8 +1,8 @@
 """Runs one job in this process: ``python -m bench.worker FOLDER``.
 
 FOLDER is ``RUNS/partial/<kind>-<key>`` with a ``job.json``. Exit codes: 0, the job has a record (of success
-or failure); 75, stopped and resumable; 76, another process works on it; 1, a defect, or the views of a record
-from a bundle could not be rendered again.
+or failure); 75, stopped and resumable; 76, another process works on it; 1, a defect, or a job that has a
+record of success failed when it ran again.
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ def main(folder: Path) -> int:
             return 0
         before = store.record(task.job.id)
         # From another run meanwhile.
-        if before is not None and (store.holds_files_of(before) or not before.ok):
+        whole = before is not None and (store.holds_files_of(before) or not before.ok)
+        if whole and before is not None and before.finished != task.replaces:
             shutil.rmtree(folder, ignore_errors=True)
             return 0
         stop.install()
@@ -72,7 +73,7 @@ def main(folder: Path) -> int:
             record = run(task, folder, store, stop, report)
         except Stopped:
             return STOPPED
-        if before is not None and before.ok and not record.ok:  # the record from the bundle stays
+        if before is not None and before.ok and not record.ok:  # what is finished stays
             print(record.reason)
             return 1
         try:

@@ -335,6 +335,24 @@ class HasGaussians(Protocol):
         """What is splatted of a scene in a view, and (M,) the number of each, the same in every view."""
 
 
+Decoding = Literal["once", "per frame"]
+"""When networks make what is drawn: as the model is loaded, or again for each frame."""
+
+
+@runtime_checkable
+class HasDecoders(Protocol):
+    """A model whose networks make what is drawn, as those that decode anchors to Gaussians."""
+
+    def decoding(self, scenes: Sequence[str]) -> Decoding:
+        """When the networks of scenes run; "per frame" if those of any of them do."""
+
+    def decode(self, scenes: Sequence[str]) -> None:
+        """Run again the networks of scenes that are decoded once: a frame after it has the same picture.
+
+        It times what such a model saves in each frame.
+        """
+
+
 class Method(Protocol):
     """The implementation behind a spec."""
 

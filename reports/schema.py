@@ -269,6 +269,10 @@ COLUMNS: dict[str, Column] = _declare(
            _fps, "frames per second"),
     Column("fps_p05", _F, "1 / 95th percentile of time", "Slowest 5 %", unit="FPS", write="{:.4g}".format),
     Column("fps_p95", _F, "1 / 5th percentile of time", "Fastest 5 %", unit="FPS", write="{:.4g}".format),
+    Column("decoding", _T, "when the model's networks make what is drawn: `once`, as it is loaded, or "
+           "`per frame`, as a part of it; empty without such networks; null where not known"),
+    Column("fps_decoding", _F, "1 / median time of a frame in which a model that is decoded once is decoded "
+           "again; null for others", unit="FPS", write=_fps),
     Column("reference_seconds", _F, "time of a fixed kernel next to the timed part: how fast the machine was "
            "then", "Reference kernel", unit="s", write=seconds),
     Column("fit_reference_seconds", _F, "the same next to the fit, largest of its groups", unit="s"),
@@ -391,9 +395,9 @@ TABLES: dict[str, Table] = {
         ("job", "status", "reason", "omissions", "stage", "stale", "changes", "recipe", "distance", *METRICS,
          *COVERAGE, "flicker", "identical_views", "size_bytes", "group_bytes", "standalone_bytes",
          "primitives", "drawn", "start_points", "train_seconds", "group_seconds", "partition_seconds",
-         "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95", "reference_seconds",
-         "reference_worst", "fit_reference_seconds", "fit_reference_worst", "peak_host_bytes",
-         "peak_device_bytes", "group_peak_host_bytes",
+         "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95", "decoding",
+         "fps_decoding", "reference_seconds", "reference_worst", "fit_reference_seconds",
+         "fit_reference_worst", "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes",
          "render_host_bytes", "render_device_bytes", "gaussians", *PRUNED),
     ),
     "views": Table(

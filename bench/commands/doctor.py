@@ -17,7 +17,7 @@ class Finding:
     """One line of the report.
 
     Attributes:
-        verdict: "ok"; "lacks" (something optional is missing); "busy" (speeds would not count); "broken"
+        verdict: "ok"; "lacks" (something optional is missing); "busy" (times would be disturbed); "broken"
             (runs will fail).
     """
 
@@ -118,8 +118,8 @@ def _machine() -> Finding:
         "machine",
         "busy",
         f"busy, up to {load.slowdown:.1f} times slower than quiet (limit {BUSY}): {detail}",
-        "Training times and FPS measured now would be marked and take no part in the report's answers; "
-        "sizes and quality do. End what else runs",
+        "Training times and FPS measured now would be marked as disturbed and take no part in conclusions on "
+        "speed; sizes and quality do. End what else runs; `bench run --retry busy` measures them again",
     )
 
 

@@ -17,8 +17,11 @@ from bench.selection import Selection
 from bench.store import Store
 from bench.suites import load_suite
 from bench.versions import of_other_source
+from reports.style import counted
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from bench.executor import Outcome
 
 
@@ -65,10 +68,22 @@ def run(options: Namespace) -> int:
                 write_report(tables, store.root, page, report=contents)
                 print_answers(contents)
             print(f"report: {page}")
+    if count := _disturbed(tables["results"], frames["results"]):
+        text = f"{counted(count, 'time')} disturbed by other work on the machine"
+        print(f"bench: {text}; --retry busy measures again", file=sys.stderr)
     if names := of_other_source(outcome.records, methods):
         text = f"fitted by other source than is installed: {', '.join(names)}"
         print(f"bench: {text}; a higher version in its spec, or a new --out, fits anew", file=sys.stderr)
     return _verdict(outcome, store)
+
+
+def _disturbed(every: pd.DataFrame, own: pd.DataFrame) -> int:
+    """Number of the run's times that take no part in conclusions, by what the store's tables show."""
+    from reports.conclusions.clocks import CLOCKS, Clocks
+    from reports.tables.columns import records
+
+    clocks = Clocks(every)
+    return sum(bool(clocks.disturbed(row, name)) for row in records(own) for name in CLOCKS)
 
 
 def execution(options: Namespace) -> dict[str, Any]:
@@ -76,7 +91,7 @@ def execution(options: Namespace) -> dict[str, Any]:
     from bench.limits import Limits
 
     return {
-        "retry": options.retry,
+        "retry": options.retry or False,
         "limits": Limits(options.time_limit, options.memory_limit),
         "executor": options.executor,
         "scheduler": options.scheduler,

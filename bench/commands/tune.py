@@ -67,7 +67,7 @@ def _run(options: Namespace) -> int:
             names=tuple(options.option),
             budget=options.trials,
             show=_print,
-            retry=options.retry,
+            retry=options.retry == "failed",
         ),
     )
     assert isinstance(done.planner, Trials)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.monitor import as_numpy
 from datasets.camera import Camera
+from methods.interface import Decoding
 
 
 def picture(answer: Any, camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -58,6 +59,19 @@ def timings(value: Any) -> dict[str, float]:
     ):
         raise RuntimeError(f"the timings of a frame are {value!r}, not seconds by part")
     return {part: float(seconds) for part, seconds in value.items()}
+
+
+def decoding(value: Any) -> Decoding:
+    """When the networks of a model run.
+
+    Raises:
+        RuntimeError: it is no such answer.
+    """
+    if value not in get_args(Decoding):
+        raise RuntimeError(
+            f"the decoding of the model is {value!r}, not one of {', '.join(get_args(Decoding))}"
+        )
+    return cast("Decoding", value)
 
 
 def attributes(value: Any) -> dict[str, NDArray[Any]]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -20,9 +20,11 @@ from bench.timing import RULERS, median_timings, peak_device_bytes, synchronise,
 from datasets.memory import peak_host_bytes
 from datasets.units import camera_in_units
 from datasets.views import evenly_spaced
-from methods.interface import HasAttributes, HasGaussians, Method, Model, Refused
+from methods.interface import HasAttributes, HasDecoders, HasGaussians, Method, Model, Refused
 from reports.schema import COVERAGE
 
+DECODING_SECONDS = 0.5
+"""Time for which frames are timed in which a model is decoded that usually is so once."""
 COUNTED = 8
 """Most views in which the drawn Gaussians are counted."""
 
@@ -67,13 +69,14 @@ def run(context: Context) -> MeasureResult:
         raise RuntimeError(f"the loaded model holds {list(model.scenes)}, not {', '.join(absent)}")
 
     context.report(stage="timing")
-    frames = time_frames(
-        lambda camera: model.render(camera, scenes=scenes, edit=edit, background=background),
-        cameras,
-        job.device,
-    )
+
+    def render(camera: Camera) -> object:
+        return model.render(camera, scenes=scenes, edit=edit, background=background)
+
+    frames = time_frames(render, cameras, job.device)
     parts = median_timings(lambda camera: answers.timings(model.timings(camera, scenes=scenes)), cameras)
     context.peak_host_bytes, context.peak_device_bytes = peak_host_bytes(), peak_device_bytes(job.device)
+    decoding, decoded_frames = _decoding(model, scenes, render, cameras, job.device)
 
     context.report(stage="metrics")
     from bench.metrics import evaluate
@@ -112,6 +115,8 @@ def run(context: Context) -> MeasureResult:
         load_seconds=load_seconds,
         **frames.model_dump(),
         timing={"frame": frames.frame_seconds, **parts},
+        decoding=decoding,
+        frame_seconds_decoding=decoded_frames,
         parts_ruler=RULERS["parts"],
         primitives=sum(answers.primitives(model.primitives(scene)) for scene in scenes),
         metrics={name: _mean([row.metrics[name] for row in rows]) for name in metrics},
@@ -124,6 +129,27 @@ def run(context: Context) -> MeasureResult:
         renderer=renderer_of(views_job.views.cost.get(job.split)),
         sketch=sketch(views),
     )
+
+
+def _decoding(
+    model: Model,
+    scenes: Sequence[str],
+    render: Callable[[Camera], object],
+    cameras: Sequence[Camera],
+    device: str,
+) -> tuple[Literal["", "once", "per frame"], float | None]:
+    """When the networks of a model run; if once, the median seconds of frames in which they run too."""
+    if not isinstance(model, HasDecoders):
+        return "", None
+    decoding = answers.decoding(model.decoding(scenes))
+    if decoding == "per frame":
+        return decoding, None
+
+    def decoded(camera: Camera) -> None:
+        model.decode(scenes)
+        render(camera)
+
+    return decoding, time_frames(decoded, cameras, device, DECODING_SECONDS).frame_seconds
 
 
 def _pruning(

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from traceback import format_exc
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -35,7 +35,9 @@ from methods.interface import (
     PRESETS,
     Budget,
     Checkpoint,
+    Decoding,
     Edit,
+    HasDecoders,
     HasGaussians,
     Method,
     MethodSpec,
@@ -367,6 +369,19 @@ def numbering(subject: Subject) -> str:
     return f"{len(every)} Gaussians, {len(some)} in a corner"
 
 
+def decoders(subject: Subject) -> str:
+    """A model that is decoded again gives the same pictures."""
+    model, _ = subject.first()
+    if not isinstance(model, HasDecoders):
+        return "no networks"
+    decoding = model.decoding(model.scenes)
+    expect(decoding in get_args(Decoding), f"decoding is {decoding!r}")
+    before = _picture(model, subject.camera)
+    model.decode(model.scenes)
+    _same(_picture(model, subject.camera), before, "decoded again")
+    return f"decoded {decoding}"
+
+
 def edits(subject: Subject) -> str:
     """Declared edits change the picture, the others are refused, and so are bad values and names."""
     model, _ = subject.first()
@@ -612,6 +627,7 @@ CHECKS: tuple[Callable[[Subject], str], ...] = (
     fit,
     saved_and_loaded,
     numbering,
+    decoders,
     edits,
     nothing_visible,
     deterministic,

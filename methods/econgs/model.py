@@ -23,7 +23,7 @@ from econgs.context.container import Kind, overhead, read_container
 from econgs.context.model import Attributes
 from econgs.context.stream import GroupAttributes, SceneAttributes, encode_group
 from econgs.splat.composite import scale_depth
-from methods.interface import Edit
+from methods.interface import Decoding, Edit
 from methods.shared.coding import placed, placed_anchors, stored_networks
 from methods.shared.edits import Direction, shading_edit, triple
 from methods.shared.files import read_streams
@@ -138,6 +138,18 @@ class EcongsModel(SceneModel[SceneAnchors]):
         if not any(scene.decoders.view_direction for scene in self._scenes.values()):
             self.preparation = "shade"
 
+    def decoding(self, scenes: Sequence[str]) -> Decoding:
+        """Once, unless decoders see the direction; see :class:`methods.interface.HasDecoders`."""
+        directed = any(scene.decoders.view_direction for scene in self.chosen(scenes))
+        return "per frame" if directed else "once"
+
+    def decode(self, scenes: Sequence[str]) -> None:
+        """Decode again the scenes whose decoders do not see the direction."""
+        for scene in self.chosen(scenes):
+            if not scene.decoders.view_direction:
+                vars(scene).pop("unshaded", None)
+                _ = scene.unshaded
+
     def bytes_estimate(self) -> int:
         """Bytes that :meth:`save` would write."""
         return sum(len(_encode(group)) for group in self.groups)
@@ -188,9 +200,7 @@ class EcongsModel(SceneModel[SceneAnchors]):
     @classmethod
     def load(cls, folder: Path, device: str) -> EcongsModel:
         model = cls([Group(coded, device, file) for file, coded in read_streams(folder, SUFFIX, "econgs")])
-        for scene in model._scenes.values():
-            if not scene.decoders.view_direction:
-                _ = scene.unshaded  # decoding once is a part of loading, not of the first frame
+        model.decode(model.scenes)  # decoding once is a part of loading, not of the first frame
         return model
 
     @classmethod

@@ -22,7 +22,7 @@ from econgs.anchors.direct import ColorDecoders, decode_colors
 from econgs.anchors.gaussians import Gaussians, apply_masks
 from econgs.context.model import Attributes
 from methods.gaussian_splatting.ply import Parts, properties, read_ply, write_ply
-from methods.interface import Edit
+from methods.interface import Decoding, Edit
 from methods.shared.coding import LARGEST
 from methods.shared.edits import opacity_factor, triple
 from methods.shared.files import saved_files
@@ -62,6 +62,13 @@ class SceneAnchors:
 
 class AnchorModel(SceneModel[SceneAnchors]):
     """Scenes of anchors, decoded for each view."""
+
+    def decoding(self, scenes: Sequence[str]) -> Decoding:
+        """For each frame; see :class:`methods.interface.HasDecoders`."""
+        return "per frame"
+
+    def decode(self, scenes: Sequence[str]) -> None:
+        """Nothing: no scene is decoded once."""
 
     def gaussians(self, scene: SceneAnchors, camera: Camera, edit: Edit) -> Gaussians:
         """The Gaussians of the anchors in view."""

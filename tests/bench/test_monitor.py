@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bench.checkpoints import VERSION, Damaged, read_checkpoint, write_checkpoint
+from bench.jobs.measure import _decoding
 from bench.monitor import FitMonitor, Stop, Stopped
 from bench.timing import AMID_SECONDS, RULERS, median_timings, time_frames
 from datasets.camera import Camera
@@ -337,6 +338,40 @@ def test_an_interruption_is_no_part_of_a_frame(monkeypatch) -> None:
         return {"shade": 0.25 * seconds, "rasterise": 0.75 * seconds}
 
     assert median_timings(timings, PATH * 11) == {"shade": 0.0005, "rasterise": 0.0015}
+
+
+class _Decoded:
+    """A model whose networks take 3 ms and whose frames take 1 ms."""
+
+    def __init__(self, clock: _Clock, answer: str = "once") -> None:
+        self.clock, self.answer = clock, answer
+        self.decoded, self.rendered = 0, 0
+
+    def decoding(self, scenes) -> str:
+        assert scenes == ["a"]
+        return self.answer
+
+    def decode(self, scenes) -> None:
+        assert scenes == ["a"]
+        self.decoded += 1
+        self.clock.time += 0.003
+
+    def render(self, camera) -> None:
+        self.rendered += 1
+        self.clock.time += 0.001
+
+
+def test_a_model_that_is_decoded_once_is_timed_with_decoding_in_each_frame_too(monkeypatch) -> None:
+    clock = _Clock(monkeypatch)
+    model = _Decoded(clock)
+    assert _decoding(model, ["a"], model.render, PATH, "cpu") == ("once", pytest.approx(0.004))
+    assert model.decoded == model.rendered > 100
+    other = _Decoded(clock, "per frame")
+    assert _decoding(other, ["a"], other.render, PATH, "cpu") == ("per frame", None)
+    assert other.rendered == 0
+    assert _decoding(_Model(), ["a"], other.render, PATH, "cpu") == ("", None)
+    with pytest.raises(RuntimeError, match="'twice', not one of once, per frame"):
+        _decoding(_Decoded(clock, "twice"), ["a"], other.render, PATH, "cpu")
 
 
 def test_the_kernel_runs_while_the_clock_of_a_fit_stands(tmp_path, monkeypatch) -> None:

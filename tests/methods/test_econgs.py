@@ -15,7 +15,7 @@ from methods.econgs.memory import group_bytes
 from methods.econgs.model import Group
 from methods.econgs.spec import EcongsOptions
 from methods.econgs.training import Trainer
-from methods.interface import Edit, HasAttributes, Refused, SceneInput
+from methods.interface import Edit, HasAttributes, HasDecoders, Refused, SceneInput
 from tests.methods.conftest import Fits
 
 fit = Fits("econgs", features=16, hidden=24, embedding=8, offsets=4, voxel=0.01, rate_weight=1e-3)
@@ -358,3 +358,24 @@ def test_an_edited_palette_looks_like_the_edited_scene(tiny):
     edited = tiny.psnr(model, blue, edit=edit_of("middle", "palette=#2060e0"))
     assert plain > 30.0
     assert edited > plain - 3.0
+
+
+@pytest.mark.parametrize("directed", [False, True])
+def test_decoding_again_gives_the_same_pictures(tiny, scene, tmp_path, directed):
+    """Networks that see no direction run once, at load, and again for each frame where that is asked for."""
+    fit(scene, tiny.Recorder(), 30, view_direction=directed).save(tmp_path)
+    model = fit.method.load(tmp_path, "cpu")
+    assert isinstance(model, HasDecoders)
+    assert model.decoding(["tiny"]) == ("per frame" if directed else "once")
+    anchors, before = model.scene("tiny"), pictures(model, scene)
+    ready = vars(anchors).get("unshaded")
+    assert (ready is None) == directed
+    model.decode(["tiny"])
+    assert (vars(anchors).get("unshaded") is ready) == directed, "it was decoded again"
+    assert float((pictures(model, scene) - before).abs().max()) <= 1e-5
+    # What was decoded is what is drawn.
+    if not directed:
+        vars(anchors)["unshaded"] = replace(anchors.unshaded, opacities=0.0 * anchors.unshaded.opacities)
+        assert float((pictures(model, scene) - before).abs().max()) > 0.1
+        model.decode(["tiny"])
+        assert float((pictures(model, scene) - before).abs().max()) <= 1e-5
