@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from reports.charts.chart import GRAY, Chart, Panel, Series, Text, linear_axis, log_axis
+from reports.charts.chart import GRAY, Chart, Panel, Series, Text, broken_axis, log_axis
 from reports.conclusions.contest import Contest
 from reports.conclusions.relative import Mark, marks, reference
 from reports.fronts import pareto
@@ -46,7 +46,11 @@ def decision(contest: Contest, column: str, models: list[Model]) -> Chart | None
     crosses = {mark.method: _cross(mark) for mark in relatives}
     every = [*spots.values(), *(spot for cross in crosses.values() for line in cross for spot in line)]
     x = log_axis([spot[0] for spot in every], f"{COSTS[column]} relative to {label(base)}")
-    y = linear_axis([spot[1] for spot in every], f"PSNR relative to {label(base)} [dB]", least=1.0)
+    heights = [
+        [spot[1], *(end for line in crosses.get(method, ()) for _, end in line)]
+        for method, spot in spots.items()
+    ]
+    y = broken_axis(heights, f"PSNR relative to {label(base)} [dB]", least=1.0)
     series = [_line([(x.low, 0.0), (x.high, 0.0)], GRAY), _line([(1.0, y.low), (1.0, y.high)], GRAY)]
     front = pareto(list(spots.values()), COLUMNS[column].better)
     if len(front) > 1:

@@ -16,8 +16,10 @@ if TYPE_CHECKING:
 
 _WORDS = (
     "What a scene holds is measured by the bytes of its volume as the transfer function shows it, coded "
-    "without loss. A method that spends no more than a scene needs has a low line that rises with it. "
-    "Faint marks: the smallest model is above that quality already, and less may do."
+    "without loss; on the dashed gray line a model takes as many. A mark is a scene. A method that spends no "
+    "more than a scene needs has low marks that rise with it. A line has the growth by least squares of "
+    "logarithms, of three scenes and a decade at least. Faint marks: the smallest model is above that "
+    "quality already, and less may do; they do not count for the line."
 )
 _NOTE = (
     "Bytes in KiB, in brackets against those of the volume. They are those of the first model of a method's "

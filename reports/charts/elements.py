@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 
 from reports import markup
@@ -31,6 +31,13 @@ class Section:
     title: str
     html: str
     charts: dict[str, Chart] = field(default_factory=dict)
+
+
+def annotated(section: Section) -> Section:
+    """The section with the remarks of its charts at its end."""
+    notes = dict.fromkeys(chart.note for chart in section.charts.values() if chart.note)
+    html = "".join(f'<p class="note">{escape(note)}</p>' for note in notes)
+    return replace(section, html=section.html + html)
 
 
 def cards(panels: Iterable[Panel]) -> str:

@@ -17,11 +17,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from reports.charts.chart import Chart
 
-_MOST_PANELS = 12
-"""Panels of one file: three in a row, in the proportions of a page."""
-_WIDE = 600.0
-"""Width from which a panel has a file to itself, in points."""
-
 
 @contextmanager
 def output(folder: Path) -> Iterator[Callable[[Mapping[str, Chart]], None]]:
@@ -69,17 +64,18 @@ def output(folder: Path) -> Iterator[Callable[[Mapping[str, Chart]], None]]:
 
 
 def _pages(charts: Mapping[str, Chart], folder: Path) -> Iterator[tuple[str, Chart]]:
-    """The charts in parts of at most :data:`_MOST_PANELS`, or one wide panel; earlier files are removed."""
+    """The charts in parts that a page holds (:func:`reports.charts.svg.pages`); earlier files are removed."""
+    from reports.charts import svg
+
     for name, chart in charts.items():
         earlier = re.compile(rf"{re.escape(name)}(-\d+)?\.(svg|pdf)")
         for path in folder.glob(f"{name}*"):
             if earlier.fullmatch(path.name):
                 path.unlink()
-        most = 1 if any(panel.width > _WIDE for panel in chart.panels) else _MOST_PANELS
-        starts = range(0, max(1, len(chart.panels)), most)
-        for number, start in enumerate(starts, 1):
-            part = dataclasses.replace(chart, panels=chart.panels[start : start + most])
-            yield (name if len(starts) == 1 else f"{name}-{number}"), part
+        pages = svg.pages(chart.panels)
+        for number, panels in enumerate(pages, 1):
+            part = dataclasses.replace(chart, panels=panels)
+            yield (name if len(pages) == 1 else f"{name}-{number}"), part
 
 
 def pdf(document: str) -> bytes:

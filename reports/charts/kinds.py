@@ -16,6 +16,7 @@ from reports.charts.chart import (
     Panel,
     Series,
     Text,
+    broken_axis,
     linear_axis,
     log_axis,
     room_for,
@@ -51,7 +52,8 @@ def tradeoff(panels: Sequence[data.Panel], column: str, models: list[Model]) -> 
     for panel in panels:
         title = data.AXIS[column].axis_title + (", several processors" if panel.mixed else "")
         x = log_axis([x for x, _ in panel.spots], title)
-        y = linear_axis([y for _, y in panel.spots], _QUALITY, least=2.0)
+        heights = [[spot.y for spot in (*line.means, *line.scenes)] for line in panel.lines]
+        y = broken_axis(heights, _QUALITY, least=2.0)
         series = _dominated(panel.dominated(x.low if panel.better > 0 else x.high, y.low))
         for line, look in panel.looks(models):
             gray |= look is OTHERS
@@ -88,7 +90,7 @@ def rate_curves(panels: Mapping[str, list[Curve]], models: list[Model]) -> Chart
     parts = []
     for title, curves in panels.items():
         x = log_axis([x for curve in curves for x in curve.mebibytes], data.AXIS["size_bytes"].axis_title)
-        y = linear_axis([point.psnr for curve in curves for point in curve.points], _QUALITY, least=2.0)
+        y = broken_axis([[point.psnr for point in curve.points] for curve in curves], _QUALITY, least=2.0)
         styles = looks([curve.model for curve in curves], models)
         series, labels = [], []
         for curve in sorted(curves, key=lambda curve: list(styles).index(curve.model)):
@@ -116,7 +118,6 @@ def lines(
         log_y: whether y is logarithmic.
     """
     across = partial(log_axis, title=x) if log_x else partial(linear_axis, title=x, start=0.0)
-    upright = partial(log_axis, title=y) if log_y else partial(linear_axis, title=y, least=2.0)
     parts = []
     for title, curves in panels.items():
         styles = looks([curve.model for curve in curves], models)
@@ -131,7 +132,9 @@ def lines(
             Panel(
                 title,
                 across([v for curve in curves for v in curve.x], room=room_for(names)),
-                upright([v for curve in curves for v in curve.y]),
+                log_axis([v for curve in curves for v in curve.y], y)
+                if log_y
+                else broken_axis([curve.y for curve in curves], y, least=2.0),
                 series,
                 [Text(c.x[-1], c.y[-1], c.title, styles[c.model].color) for c in curves] if few else [],
                 [spot for c in curves for spot in zip(c.x, c.y, strict=True)] if few else [],
@@ -144,7 +147,8 @@ def lines(
 def needs(rows: Sequence[economy.Economy], models: list[Model]) -> Chart:
     """Bytes of a model for a quality over those of the volume without loss (log), a panel per quality.
 
-    A line joins the scenes of a model; marks are faint where its smallest size is above the quality.
+    A mark is a scene, and faint where the smallest size is above the quality. A line is the growth of bytes
+    (:func:`reports.conclusions.economy.growth`); on the gray one a model takes as many as the volume.
     """
     panels = []
     for level in economy.LEVELS:
@@ -154,7 +158,11 @@ def needs(rows: Sequence[economy.Economy], models: list[Model]) -> Chart:
             for one in rows
             if (need := one.needs[level]) is not None
         ]
-        panels += _over_volume(own, title, f"model for {title} [KiB]", models, log_y=True)
+        lines = {
+            each: [(across / economy.KIB, up / economy.KIB) for across, up in ends]
+            for each, (_, ends) in economy.growth(rows, level).items()
+        }
+        panels += _over_volume(own, title, f"model for {title} [KiB]", models, lines=lines, log_y=True)
     return Chart(panels, _legend_of_economies(rows, models))
 
 
@@ -172,9 +180,13 @@ def _over_volume(
     y: str,
     models: list[Model],
     *,
+    lines: Mapping[Model, list[tuple[float, float]]] | None = None,
     log_y: bool = False,
 ) -> list[Panel]:
-    """A panel of values, which may be bounds, over the bytes of volumes; none without any."""
+    """A panel of values, which may be bounds, over the bytes of volumes; none without any.
+
+    Scenes are different things, so no line joins them.
+    """
     known = [(one, one.volume / economy.KIB, value, bound) for one, value, bound in spots if one.volume]
     if not known:
         return []
@@ -183,8 +195,9 @@ def _over_volume(
     series = []
     for each, look in styles.items():
         every = [spot for spot in known if spot[0].model == each]
-        _, across, up, _ = zip(*every, strict=True)
-        series.append(Series("", across, up, look._replace(dash="solid"), line=1.6))
+        if lines and each in lines:
+            across, up = zip(*lines[each], strict=True)
+            series.append(Series("", across, up, look, line=1.6))
         for bound in (False, True):
             if own := [spot for spot in every if spot[3] == bound]:
                 scenes, across, up, _ = zip(*own, strict=True)
@@ -194,12 +207,23 @@ def _over_volume(
     values = [value for _, _, value, _ in known]
     upright = log_axis(values, y) if log_y else linear_axis(values, y, start=0.0)
     x = log_axis([volume for _, volume, *_ in known], "classified volume without loss [KiB]")
-    return [Panel(title, x, upright, series)]
+    equal = _equal(x, upright)
+    labels = [Text(line.x[-1], line.y[-1], "as many as the volume", GRAY) for line in equal]
+    return [Panel(title, x, upright, [*equal, *series], labels, [spot[1:3] for spot in known])]
+
+
+def _equal(x: Axis, y: Axis) -> list[Series]:
+    """The line on which two axes of one unit have the same values, where both hold some."""
+    low, high = max(x.low, y.low), min(x.high, y.high)
+    if x.unit != y.unit or x.log != y.log or low >= high:
+        return []
+    return [Series("", [low, high], [low, high], Look(GRAY, "", "dash"), line=1.0)]
 
 
 def _legend_of_economies(rows: Sequence[economy.Economy], models: list[Model]) -> dict[str, Look]:
-    """A name for each model."""
-    return {each.title: look for each, look in looks([one.model for one in rows], models).items()}
+    """A name for each model, in the order of the report."""
+    styles = looks([one.model for one in rows], models)
+    return {each.title: styles[each] for each in dict.fromkeys([*models, *styles]) if each in styles}
 
 
 def legend_of(panels: Panels, models: list[Model]) -> dict[str, Look]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from reports.charts.chart import Axis, Bar, Chart, Panel
 from reports.charts.elements import Section, card, legend
+from reports.charts.labels import text_width
 from reports.conclusions.ladders import contrasts, title, words
 from reports.style import BLACK, BLUE, ORANGE, PINK, SKY, VERMILLION, Look, label
 from reports.tables.ladders import climbed, held
@@ -27,6 +28,8 @@ _SPAN = 0.92
 _GAP = 0.012
 """Half of the gap between two rungs, in columns."""
 _COLUMN, _ROW = 104.0, 25.0
+_WIDEST = 880.0
+"""Width of a panel's columns in pixels."""
 
 
 def kind_of(failure: str) -> str:
@@ -42,21 +45,47 @@ def anchor(prefix: str, name: str) -> str:
 def ladder_chart(climbs: Sequence[dict[str, Any]]) -> Chart:
     """A row per ladder and a column per method: a field for each rung above the usual run.
 
+    Panels hold as many methods as can be read side by side, and the ladders that these were asked to climb.
+
     Args:
         climbs: as of :func:`reports.tables.ladders.climbed`.
     """
-    rows = list(dict.fromkeys(title(row, climbs) for row in climbs))
-    columns = [label(*name) for name in sorted({(row["method"], row["variant"]) for row in climbs})]
+    columns: list[list[str]] = [[]]
+    for pair in sorted({(row["method"], row["variant"]) for row in climbs}):
+        name = label(*pair)
+        if columns[-1] and (len(columns[-1]) + 1) * _width([*columns[-1], name]) > _WIDEST:
+            columns.append([])
+        columns[-1].append(name)
+    titles = [title(row, climbs) for row in climbs]
+    panels = [
+        _panel(names, [pair for pair in zip(climbs, titles, strict=True) if _method(pair[0]) in names])
+        for names in columns
+    ]
+    used = {bar.color for panel in panels for bar in panel.bars}
+    looks = {kind: Look(color, "square", "") for kind, color in _COLORS.items() if color in used}
+    return Chart(panels, looks)
+
+
+def _width(columns: Sequence[str]) -> float:
+    """Pixels of a column."""
+    return max(_COLUMN, *(text_width(name) + 14.0 for name in columns))
+
+
+def _method(row: dict[str, Any]) -> str:
+    return label(row["method"], row["variant"])
+
+
+def _panel(columns: Sequence[str], climbs: Sequence[tuple[dict[str, Any], str]]) -> Panel:
+    """The climbs of some methods, with the titles of their ladders."""
+    rows = list(dict.fromkeys(name for _, name in climbs))
     bars = []
-    used = set()
-    for row in climbs:
-        method, ladder = label(row["method"], row["variant"]), title(row, climbs)
+    for row, ladder in climbs:
+        method = _method(row)
         about = "\n".join([f"{method}, {ladder}: {row['purpose']}", _outcome(row)])
         left, width = columns.index(method) - 0.5 * _SPAN, _SPAN / (row["rungs"] - 1)
         for place in range(1, row["rungs"]):
             failure = row["outcomes"].get(place)
             kind = kind_of(failure) if failure else "holds" if place in row["outcomes"] else "not measured"
-            used.add(kind)
             start = left + width * (place - 1)
             bars.append(Bar(rows.index(ladder), start + _GAP, start + width - _GAP, _COLORS[kind], about))
     x = Axis(
@@ -65,11 +94,11 @@ def ladder_chart(climbs: Sequence[dict[str, Any]]) -> Chart:
     )  # fmt: skip
     y = Axis(
         "", len(rows) - 0.5, -0.5, ticks=tuple(enumerate(rows)), grid=False,
-        links={title(row, climbs): anchor("ladder", row["ladder"]) for row in climbs},
+        links={name: anchor("ladder", row["ladder"]) for row, name in climbs},
     )  # fmt: skip
-    width, height = 130.0 + _COLUMN * len(columns), 32.0 + _ROW * len(rows)
-    looks = {kind: Look(color, "square", "") for kind, color in _COLORS.items() if kind in used}
-    return Chart([Panel("", x, y, bars=bars, width=width, height=height)], looks)
+    heads = 20.0 + max(map(text_width, rows))
+    width, height = heads + _width(columns) * len(columns), 32.0 + _ROW * len(rows)
+    return Panel("", x, y, bars=bars, width=width, height=height)
 
 
 def _outcome(row: dict[str, Any]) -> str:
@@ -97,5 +126,6 @@ def ladders_section(report: Report) -> Section | None:
         'All rungs: <a href="ladders.csv">ladders</a>.'
     )
     sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in contrasts(climbs))
-    html = f"<ul>{sentences}</ul><p>{text}</p>{legend(chart.legend)}{card(chart.panels[0], '')}"
+    maps = "".join(card(panel, "") for panel in chart.panels)
+    html = f"<ul>{sentences}</ul><p>{text}</p>{legend(chart.legend)}{maps}"
     return Section("ladders", "Where methods break", html, {"ladders": chart})

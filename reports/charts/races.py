@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reports.charts.chart import Chart, Panel, Series, Text, linear_axis, log_axis, room_for
+from reports.charts.chart import Chart, Panel, Series, Text, broken_axis, log_axis, room_for
 from reports.charts.elements import Section, cards, legend, table
 from reports.conclusions.races import DISCIPLINES, HEADS, Race, conclusion, row
 from reports.style import Look, Model, label, look
@@ -43,16 +43,17 @@ def race_chart(found: Sequence[Race], models: list[Model]) -> Chart:
     panels = []
     for race in found:
         last = max(cost for name in race.fronts for cost in race.costs(name))
-        series, labels = [], []
+        series, labels, heights = [], [], []
         for name in race.fronts:
             style = look(Model(name), models)
             own = _series(race, name, last, style)
             series += own
+            heights.append([value for one in own for value in one.y])
             labels.append(Text(own[-2].x[-1], own[-2].y[-1], label(name), style.color))
         few = len(labels) <= _MOST_NAMES
         room = room_for([one.text for one in labels]) if few else 0.0
         x = log_axis([value for one in series for value in one.x], race.discipline.title, room=room)
-        y = linear_axis([value for one in series for value in one.y], "PSNR [dB]", least=2.0)
+        y = broken_axis(heights, "PSNR [dB]", least=2.0)
         panels.append(Panel(race.dataset, x, y, series, labels if few else ()))
     names = dict.fromkeys(name for race in found for name in race.fronts)
     crowded = any(len(race.fronts) > _MOST_NAMES for race in found)

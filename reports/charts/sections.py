@@ -11,7 +11,7 @@ from reports.charts import data, features, kinds, stability_sections, training
 from reports.charts.chart import Chart, Panel
 from reports.charts.decision import decisions
 from reports.charts.economy import economy_section
-from reports.charts.elements import Section, card, cards, legend, rest, table
+from reports.charts.elements import Section, annotated, card, cards, legend, rest, table
 from reports.charts.ladders import ladders_section
 from reports.charts.races import races_section
 from reports.charts.unseen import unseen_section
@@ -91,7 +91,7 @@ def chart_sections(report: Report) -> Iterator[Section]:
     for make in makers:
         section = make(report)
         if section is not None:
-            yield section
+            yield annotated(section)
 
 
 def _confidence(report: Report) -> Section | None:
@@ -218,9 +218,8 @@ def variant_sections(report: Report) -> Iterator[Section]:
         "The paper's tables and the table of results list them."
     )
     if panels:
-        yield Section(
-            "variants", "Variants of options", f"<p>{words}</p>{cards(chart.panels)}", {"variants": chart}
-        )
+        html = f"<p>{words}</p>{cards(chart.panels)}"
+        yield annotated(Section("variants", "Variants of options", html, {"variants": chart}))
 
 
 def _by_dataset(

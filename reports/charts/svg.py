@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from html import escape
 from typing import Any
 
 from reports import markup
-from reports.charts.chart import INK, Axis, Chart, Panel
+from reports.charts.chart import INK, WIDTH, Axis, Chart, Panel
 from reports.charts.labels import LINE, SIZE, text_width
 from reports.style import DARK, Look
 
@@ -36,9 +36,11 @@ _CORNERS = {
 }  # fmt: skip
 """Markers around the origin, of radius 1; a circle is drawn as such."""
 _COLUMNS = 3
-"""Panels of a chart's file in a row."""
+"""Panels of usual width in a row of a chart's file."""
 _GAP, _TITLE = 14.0, 15.0
 """Pixels between panels, and of a line of a panel's title."""
+_PAGE = _COLUMNS * WIDTH + (_COLUMNS - 1) * _GAP
+"""Width of a page of paper in pixels; its height is √2 times as much."""
 _TITLE_SIZE = 12.0
 _LEAST, _MOST = 300.0, 1.5
 """Least width of a panel on the page in pixels, and by how much it may be enlarged."""
@@ -63,13 +65,11 @@ def theme() -> str:
 
 def file(chart: Chart) -> str:
     """A chart with the titles of its panels and its legend as an SVG document."""
-    columns = min(_COLUMNS, max(1, len(chart.panels)))
     parts = []
     right = top = 0.0
-    for start in range(0, len(chart.panels), columns):
-        row = chart.panels[start : start + columns]
+    for row in _rows(chart.panels):
         titles = [_lines(panel.title, panel.width) for panel in row]
-        head = max(map(len, titles)) * _TITLE + 4.0
+        head = _head(row)
         left = 0.0
         for panel, title in zip(row, titles, strict=True):
             for i, line in enumerate(title):
@@ -80,7 +80,45 @@ def file(chart: Chart) -> str:
         top += head + max(panel.height for panel in row) + _GAP
     entries, height = _legend(chart.legend, right)
     parts.append(f'<g transform="translate(0 {_n(top)})">{entries}</g>')
-    return _document(right, top + height, "".join(parts), f' style="background:{_PAPER}"')
+    top += height
+    for line in _lines(chart.note, right, SIZE):
+        parts.append(_text(8, top + LINE - 3, line, color=_SOFT))
+        top += LINE
+    top += 4.0 if chart.note else 0.0
+    return _document(right, top, "".join(parts), f' style="background:{_PAPER}"')
+
+
+def pages(panels: Sequence[Panel]) -> list[list[Panel]]:
+    """The panels of each file of a chart: as many rows as a page of paper holds, at least one."""
+    every: list[list[Panel]] = [[]]
+    most = 2**0.5 * _PAGE
+    left = most
+    for row in _rows(panels):
+        tall = _head(row) + max(panel.height for panel in row) + _GAP
+        if every[-1] and tall > left:
+            every.append([])
+            left = most
+        every[-1] += row
+        left -= tall
+    return every
+
+
+def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
+    """Panels side by side where a page has room."""
+    rows: list[list[Panel]] = []
+    left = 0.0
+    for panel in panels:
+        if not rows or panel.width > left:
+            rows.append([])
+            left = _PAGE
+        rows[-1].append(panel)
+        left -= panel.width + _GAP
+    return rows
+
+
+def _head(row: Sequence[Panel]) -> float:
+    """Height of the titles of a row."""
+    return max(len(_lines(panel.title, panel.width)) for panel in row) * _TITLE + 4.0
 
 
 def _document(width: float, height: float, content: str, attributes: str) -> str:
@@ -94,7 +132,8 @@ def _document(width: float, height: float, content: str, attributes: str) -> str
 def drawing(panel: Panel, *, links: bool = False) -> str:
     """The markup of a panel, its upper left corner at the origin; with the links of its axes if asked for."""
     series = f'<g class="series">{"".join(_series(panel))}</g>'
-    return "".join((*_axes(panel, links), *_bars(panel), *_stages(panel), series, *_labels(panel)))
+    parts = (*_axes(panel, links), *_bars(panel), *_stages(panel), *_bends(panel), series, *_labels(panel))
+    return "".join(parts)
 
 
 def _axes(panel: Panel, links: bool) -> Iterator[str]:
@@ -139,11 +178,22 @@ def _stages(panel: Panel) -> Iterator[str]:
         yield f'<path d="M{_n(across)} {_n(top)}v{_n(height)}" stroke="{_SOFT}" {dash} fill="none"/>'
 
 
+def _bends(panel: Panel) -> Iterator[str]:
+    """A zigzag across the panel where the scale of its vertical axis changes, and by how much."""
+    left, _, width, _ = panel.box
+    for start, middle, bend, text in panel.remarks:
+        zigzag = f"M{_n(left)} {_n(bend)}l2 -2" + "l4 4l4 -4" * int(width // 8 - 1) + "l4 4l2 -2"
+        yield f'<path d="{zigzag}" stroke="{_SOFT}" stroke-width="0.8" fill="none"/>'
+        yield _text(start, middle + 4, text, color=_SOFT, halo=True)
+
+
 def _series(panel: Panel) -> Iterator[str]:
     for series in panel.series:
         spots = [panel.place(x, y) for x, y in zip(series.x, series.y, strict=True)]
         color = series.look.color
-        line = "M" + "L".join(f"{_n(x)} {_n(y)}" for x, y in spots)
+        ring = 1 if series.fill else 0
+        path = panel.path([*series.x, *series.x[:ring]], [*series.y, *series.y[:ring]])
+        line = "M" + "L".join(f"{_n(x)} {_n(y)}" for x, y in path)
         if series.fill:
             yield f'<path d="{line}z" fill="{color}" opacity="{_n(series.opacity)}"/>'
         elif series.line and len(spots) > 1:
@@ -217,9 +267,9 @@ def _legend(entries: dict[str, Look], width: float) -> tuple[str, float]:
     return "".join(parts), y + 22.0 if entries else 0.0
 
 
-def _lines(title: str, width: float) -> list[str]:
-    characters = int((width - 16) / (0.56 * _TITLE_SIZE))
-    return textwrap.wrap(title, characters, break_long_words=False) or []
+def _lines(text: str, width: float, size: float = _TITLE_SIZE) -> list[str]:
+    characters = int((width - 16) / (0.56 * size))
+    return textwrap.wrap(text, characters, break_long_words=False)
 
 
 def _dashes(look: Look) -> str:
@@ -262,6 +312,7 @@ def _axis(axis: Axis) -> dict[str, Any]:
     return {
         "low": axis.low, "high": axis.high, "log": axis.log, "text": text if axis.ticks else "",
         "digits": 2 if axis.unit in ("dB", "%") else None,
+        **({"bends": axis.bends} if axis.bends else {}),
     }  # fmt: skip
 
 

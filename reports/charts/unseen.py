@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reports.charts.chart import Axis, Chart, Panel, Series, linear_axis
+from reports.charts.chart import Axis, Chart, Panel, Series, broken_axis
 from reports.charts.elements import Section, cards, legend, table
 from reports.conclusions.unseen import HEADS, Target, band_means, conclusion, rows, targets
 from reports.style import Model, legend_entries, looks
@@ -39,7 +39,8 @@ def unseen_chart(found: list[Target], models: list[Model]) -> Chart:
                 series.append(Series(each.title, across, up, look, line=1.8, mark=8.0))
         ticks = tuple((value, f"{value:g}") for value in (0.0, 0.25, 0.5, 0.75, 1.0))
         x_axis = Axis("distance from the trained transfer function", -0.04, 1.04, ticks=ticks)
-        y_axis = linear_axis([one.psnr for one in own], "PSNR [dB]", least=2.0)
+        heights = [[one.psnr for one in own if one.model == each] for each in styles]
+        y_axis = broken_axis(heights, "PSNR [dB]", least=2.0)
         panels.append(Panel(panel, x_axis, y_axis, series))
     return Chart(panels, legend_entries([[one.model for one in found]], models))
 

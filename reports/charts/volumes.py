@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from reports.charts.chart import INK, Chart, Panel, Series, Text, linear_axis, log_axis
+from reports.charts.chart import INK, Chart, Panel, Series, Text, broken_axis, log_axis
 from reports.charts.elements import Section, cards, table
 from reports.conclusions.volumes import HEADS, Verdict, conclusion, memory_and_times, row, verdicts
 from reports.style import MIB, Look, Model, looks
@@ -15,11 +15,9 @@ if TYPE_CHECKING:
     from reports.charts.report import Report
     from reports.curves import Curve
 
-_ABOVE = 6.0
-"""dB of the volumes' curves that a chart shows above all models: without loss they go to 90 dB and more."""
 _WORDS = (
-    "Left: mean PSNR of the pictures over size per scene, of models and of the volume itself, compressed, "
-    "whose curve is cut a little above the best model; a black cross stands where a curve of the volume "
+    "Left: mean PSNR of the pictures over size per scene, of models and of the volume itself, compressed; a "
+    "black cross stands where a curve of the volume "
     "passes that of a model, which pays at smaller sizes only. Right: time of a view over memory, at all "
     "rates. The volume is drawn by the marcher that drew the ground truth, so its error is that of the "
     "compression alone, which favours it, and it takes every other transfer function without more bytes. "
@@ -33,14 +31,11 @@ def volumes_chart(curves: dict[str, list[Curve]], found: Sequence[Verdict], mode
     for dataset in dict.fromkeys(one.dataset for one in found):
         rows = curves[dataset]
         styles = looks([curve.model for curve in rows], models)
-        most = max(one.psnr for one in found if one.dataset == dataset) + _ABOVE
-        lines = {curve.model: (curve, list(_below(curve.spots, most))) for curve in rows}
+        curve_of = {curve.model: curve for curve in rows}
         series, labels = [], []
         for each, look in styles.items():
-            curve, spots = lines[each]
-            if not spots:
-                continue
-            across, up = [size / MIB for size, _ in spots], [psnr for _, psnr in spots]
+            curve = curve_of[each]
+            across, up = curve.mebibytes, [point.psnr for point in curve.points]
             series.append(Series(curve.title, across, up, look, 1.6, 7.0))
             labels.append(Text(across[-1], up[-1], curve.title, look.color))
         crossings = [one for one in found if one.dataset == dataset and one.meeting is not None]
@@ -50,23 +45,12 @@ def volumes_chart(curves: dict[str, list[Curve]], found: Sequence[Verdict], mode
             spot = [one.meeting[0] / MIB], [one.meeting[1]]
             series.append(Series(name, *spot, Look(INK, "x", ""), mark=9.0, names=[""]))
         x = log_axis([value for one in series for value in one.x], "size per scene [MiB]")
-        y = linear_axis([value for one in series for value in one.y], "PSNR [dB]", least=2.0)
+        heights = [[point.psnr for point in curve.points] for curve in rows]
+        y = broken_axis(heights, "PSNR [dB]", least=2.0)
         panels.append(Panel(dataset, x, y, series, labels, along=True))
         if costs := _costs(dataset, rows, styles):
             panels.append(costs)
     return Chart(panels)
-
-
-def _below(spots: Sequence[tuple[float, float]], most: float) -> Iterator[tuple[float, float]]:
-    """A curve up to a PSNR."""
-    for i, (size, psnr) in enumerate(spots):
-        if psnr <= most:
-            yield size, psnr
-            continue
-        if i:
-            before, worse = spots[i - 1]
-            yield before * (size / before) ** ((most - worse) / (psnr - worse)), most
-        return
 
 
 def _costs(dataset: str, rows: Sequence[Curve], styles: dict[Model, Look]) -> Panel | None:

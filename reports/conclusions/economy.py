@@ -233,9 +233,17 @@ def _fewest(economies: Sequence[Economy], level: float) -> str:
     )
 
 
-def _growth(economies: Sequence[Economy], level: float) -> str:
-    """How many times the bytes where the volume takes ten times as many, by least squares of logarithms."""
-    factors = {}
+def growth(
+    economies: Sequence[Economy], level: float
+) -> dict[Model, tuple[float, list[tuple[float, float]]]]:
+    """How the bytes of models grow with those of the volume, by least squares of logarithms.
+
+    Returns:
+        Model -> how many times the bytes where the volume takes ten times as many, and the two ends of the
+        line as (bytes of the volume, bytes of the model). Models on fewer than :data:`_LEAST_SCENES` scenes,
+        or on volumes of fewer decades than :data:`_LEAST_DECADES`, have none; bounds do not count.
+    """
+    lines = {}
     for each in dict.fromkeys(one.model for one in economies):
         spots = [
             (math.log10(one.volume), math.log10(own.bytes))
@@ -244,7 +252,14 @@ def _growth(economies: Sequence[Economy], level: float) -> str:
         ]
         x, y = np.array(spots).T if spots else (np.zeros(0), np.zeros(0))
         if len(spots) >= _LEAST_SCENES and np.ptp(x) >= _LEAST_DECADES:
-            factors[each.title] = 10.0 ** float(np.polyfit(x, y, 1)[0])
+            slope, start = (float(value) for value in np.polyfit(x, y, 1))
+            ends = [(10.0 ** float(end), 10.0 ** (start + slope * float(end))) for end in (x.min(), x.max())]
+            lines[each] = 10.0**slope, ends
+    return lines
+
+
+def _growth(economies: Sequence[Economy], level: float) -> str:
+    factors = {each.title: factor for each, (factor, _) in growth(economies, level).items()}
     if not factors:
         return ""
     names = ", ".join(f"{name} {factors[name]:.2g}" for name in sorted(factors, key=factors.__getitem__))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from reports.charts import svg
 from reports.charts.decision import decisions
-from reports.charts.elements import Section
+from reports.charts.elements import Section, annotated
 from reports.conclusions.answers import scope
 from reports.style import Model, label, look
 
@@ -45,7 +45,7 @@ def section(report: Report, anchors: Container[str]) -> Section | None:
         f'<div class="answer"><dl>{entries}</dl>{_charts(charts)}</div>'
         f"{_matrix(report.answers, contest, report.models, anchors)}"
     )
-    return Section("answers", "Which method?", html, charts)
+    return annotated(Section("answers", "Which method?", html, charts))
 
 
 def _entry(answer: Answer, models: list[Model]) -> str:

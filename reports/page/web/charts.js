@@ -16,8 +16,14 @@
   function points(svg) {
     if (!cache.has(svg)) {
       const data = svg.nextElementSibling ? JSON.parse(svg.nextElementSibling.textContent) : { series: [] };
+      const linear = (axis, v) => {
+        const ends = [[axis.low, 0], ...(axis.bends ?? []), [axis.high, 1]];
+        const place = (axis.bends ?? []).filter(([end]) => v > end).length;
+        const [[low, before], [high, after]] = ends.slice(place, place + 2);
+        return before + (after - before) * (v - low) / (high - low);
+      };
       const share = (axis, v) => axis.log ? Math.log(v / axis.low) / Math.log(axis.high / axis.low)
-        : (v - axis.low) / (axis.high - axis.low);
+        : linear(axis, v);
       const number = (axis, v) => axis.digits === null ? v.toLocaleString("en", { maximumSignificantDigits: 4 })
         : v.toFixed(axis.digits);
       const text = (axis, v) => axis.text ? axis.text.replace("{}", number(axis, v)) : "";

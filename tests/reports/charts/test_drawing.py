@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from reports.charts import data, files, kinds, svg
-from reports.charts.chart import Axis, Chart, Panel, Series, Text, linear_axis, log_axis
-from reports.charts.elements import card
+from reports.charts.chart import Axis, Chart, Panel, Series, Text, broken_axis, linear_axis, log_axis
+from reports.charts.elements import Section, annotated, card
 from reports.charts.labels import overlap, place_labels, text_width
 from reports.style import MARKERS, Look
 from tests.reports.charts.test_charts import texts, tradeoff
@@ -64,6 +64,109 @@ def test_axes_hold_their_values_and_ticks_read_as_numbers(ends):
     assert log_axis(ends, "").share((ends[0] * ends[1]) ** 0.5) == pytest.approx(0.5)
 
 
+LEARNED = [[32.2], [31.5, 32.0, 32.7], [30.9, 31.8]]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_far_values_are_drawn_and_do_not_press_the_others_into_a_line(sign):
+    """Volume codecs reach from 28 to 90 dB, learned methods from 31 to 33; mirrored, they reach down."""
+    volumes = [[28.8, 41.0, 49.2, 58.0, 89.6], [27.7, 38.2, 62.0, 89.5]]
+    groups = [[sign * value for value in group] for group in (*LEARNED, *volumes)]
+    values = sorted(value for group in groups for value in group)
+    axis, plain = broken_axis(groups, "PSNR [dB]", least=2.0), linear_axis(values, "PSNR [dB]")
+    shares = [axis.share(value) for value in values]
+    assert 0 < min(shares) <= max(shares) < 1
+    assert np.all(np.diff(shares) > 0)
+    spread = abs(axis.share(sign * 32.7) - axis.share(sign * 30.9))
+    assert spread > 0.2 > 5 * abs(plain.share(sign * 32.7) - plain.share(sign * 30.9))
+    ((value, share),) = axis.bends
+    assert axis.share(value) == pytest.approx(share)
+    assert sum(tick > value for tick, _ in axis.ticks) >= 2
+    assert sum(tick < value for tick, _ in axis.ticks) >= 2
+    heights = sorted(258 * axis.share(tick) for tick, _ in axis.ticks)
+    assert min(np.diff(heights)) > 11  # texts do not meet
+    ((_, above, text),) = axis.remarks
+    outer, inner = (axis.high - value) / (1 - share), (value - axis.low) / share
+    assert above == (sign > 0)
+    assert int(re.search(r"\d+", text)[0]) == round(outer / inner if above else inner / outer)
+
+
+@pytest.mark.parametrize(
+    "groups",
+    [
+        LEARNED,
+        [[17.0], *([value] for value in (30.0, 31.0, 32.0, 33.0, 34.0, 35.0))],  # a mesh below
+        [[20.0], [40.0]],
+        [[30.0]],
+        [],
+        [[], [30.0, 90.0]],
+        # Single points of volume codecs do not press the training of learned methods.
+        [[49.0], [51.5], [26.0, 28.0, 31.0, 33.0], [17.0, 24.0, 32.0]],
+        [[88.0], [90.0], [89.0], [18.0, 33.0], [19.0, 32.0], [17.0, 33.0], [20.0, 34.0]],
+    ],
+)
+def test_an_axis_is_not_broken_without_need(groups):
+    values = [value for group in groups for value in group]
+    assert broken_axis(groups, "PSNR [dB]", least=2.0) == linear_axis(values, "PSNR [dB]", least=2.0)
+
+
+def test_both_ends_of_an_axis_may_be_compressed():
+    axis = broken_axis([*LEARNED, [-40.0], [90.0]], "PSNR [dB]")
+    assert [share for _, share in axis.bends] == [0.25, 0.75]
+    assert [above for _, above, _ in axis.remarks] == [False, True]
+    assert 0 < axis.share(-40.0) < 0.25 < axis.share(30.9) < axis.share(32.7) < 0.75 < axis.share(90.0) < 1
+
+
+def test_lines_have_corners_where_the_scale_changes():
+    axis = broken_axis([*LEARNED, [28.8, 89.6]], "PSNR [dB]")
+    ((value, _),) = axis.bends
+    panel = Panel(
+        "t", Axis("x", 0.0, 1.0), axis, [Series("s", [0.0, 1.0, 0.5], [28.8, 89.6, 30.0], LOOK, 1.0)]
+    )
+    path = panel.path([0.0, 1.0, 0.5], [28.8, 89.6, 30.0])
+    up, down = (value - 28.8) / (89.6 - 28.8), 1.0 - 0.5 * (89.6 - value) / (89.6 - 30.0)
+    expected = [(0.0, 28.8), (up, value), (1.0, 89.6), (down, value), (0.5, 30.0)]
+    assert np.allclose(path, [panel.place(*spot) for spot in expected])
+    assert panel.path([0.2], [30.0]) == [panel.place(0.2, 30.0)]
+    assert panel.path([], []) == []
+    document = svg.drawing(panel)
+    assert axis.remarks[0][2] in [element.text for element in parse(f"<svg>{document}</svg>").iter("text")]
+    points = json.loads(re.search(r'json">(.*)</script>', svg.page_panel(panel))[1])
+    assert points["y"]["bends"] == [list(bend) for bend in axis.bends]
+
+
+def test_remarks_on_a_chart_stand_below_it_as_wide_as_it_is(tmp_path):
+    axis = linear_axis([0.0, 1.0], "x")
+    note = "Left out: " + ", ".join(f"method <{i}> on 2 scenes, of another truth" for i in range(12)) + "."
+    charts = [Chart([Panel("t", axis, axis)] * count, {"a": LOOK, "b": LOOK}, note) for count in (1, 3)]
+    for chart in charts:
+        document = parse(svg.file(chart))
+        lines = [each for each in document.iter(f"{SVG}text") if each.text in note and len(each.text) > 9]
+        assert " ".join(each.text for each in lines) == note
+        heights = [float(each.get("y")) for each in lines]
+        assert min(heights) > chart.panels[0].height
+        assert max(heights) < float(document.get("height"))
+        assert len(set(heights)) == len(heights)
+        assert max(text_width(each.text) for each in lines) < float(document.get("width"))
+    with files.output(tmp_path) as write:
+        write({"many": Chart([Panel("t", axis, axis)] * 13, note="Left out: nothing.")})
+    assert all("Left out: nothing." in path.read_text() for path in tmp_path.glob("many-?.svg"))
+
+
+def test_a_section_of_the_page_has_the_remarks_of_its_charts_once():
+    axis = linear_axis([0.0, 1.0], "x")
+    charts = {
+        name: Chart([Panel("t", axis, axis)], note=note)
+        for name, note in zip("abc", ("<x>", "", "<x>"), strict=True)
+    }
+    assert (
+        annotated(Section("s", "S", "<p>words</p>", charts)).html
+        == '<p>words</p><p class="note">&lt;x&gt;</p>'
+    )
+    bare = Section("s", "S", "<p>words</p>", {"b": charts["b"]})
+    assert annotated(bare) == bare
+
+
 def test_room_for_labels_is_kept_free():
     assert 0.7 < linear_axis([0.0, 30.0], "", start=0.0, room=0.25).share(30.0) < 0.75
     assert log_axis([1.0, 100.0], "", room=0.5).share(100.0) == pytest.approx(0.5)
@@ -111,7 +214,7 @@ def test_the_page_has_the_same_drawing_with_values_and_keys(maker):
 def test_what_no_page_holds_is_in_several_files(tmp_path):
     axis = linear_axis([0.0, 1.0], "x")
     small = [Panel(f"set {i}", axis, axis) for i in range(13)]
-    wide = [Panel(f"bars {i}", axis, axis, width=800.0) for i in range(2)]
+    wide = [Panel(f"bars {i}", axis, axis, width=800.0, height=900.0) for i in range(2)]
     with files.output(tmp_path) as write:
         write({"many": Chart(small), "many-bars": Chart(wide[:1])})
     with files.output(tmp_path) as write:
@@ -124,6 +227,24 @@ def test_what_no_page_holds_is_in_several_files(tmp_path):
     assert "set 11" in (tmp_path / "many-1.svg").read_text()
     for document in map(parse, (path.read_text() for path in tmp_path.glob("*.svg"))):
         assert float(document.get("height")) < 1.5 * float(document.get("width"))
+
+
+def test_wide_panels_stand_below_each_other():
+    axis = linear_axis([0.0, 1.0], "x")
+    panels = [
+        Panel(f"p {i}", axis, axis, width=width) for i, width in enumerate((800, 800, 380, 380, 380, 2000))
+    ]
+    document = parse(svg.file(Chart(panels)))
+    moves = [each.get("transform") for each in document.iter(f"{SVG}g") if each.get("transform")]
+    spots = [
+        tuple(map(float, re.findall(r"[\d.]+", move))) for move in moves[:-1]
+    ]  # the last is the legend's
+    left, top = zip(*spots, strict=True)
+    assert list(left) == [0.0, 0.0, 0.0, 394.0, 788.0, 0.0]
+    assert top[0] < top[1] < top[2] == top[3] == top[4] < top[5]
+    assert float(document.get("width")) == 2000.0
+    assert svg.pages(panels[:2]) == [panels[:2]]
+    assert svg.pages([]) == [[]]
 
 
 def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path, monkeypatch):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
 from reports.charts.chart import Bar
+from reports.charts.labels import text_width
 from reports.charts.ladders import KINDS, anchor, ladder_chart, ladders_section
 from reports.charts.report import Report
 from reports.charts.svg import file, page_panel
@@ -34,6 +37,35 @@ def test_a_field_is_a_rung_that_holds_or_the_kind_of_break() -> None:
         edges = [edge for bar in bars for edge in (bar.start, bar.end)]
         assert edges == sorted(edges)
     assert any("first breaks at r2 on vortices/cores: quality" in bar.about for bar in panel.bars)
+
+
+def test_many_methods_have_several_panels_of_readable_width() -> None:
+    names = [f"method {i:02}" for i in range(57)]
+    rows = [{"method": name, "place": place} for name in names for place in (0, 1)]
+    extra = ({"ladder": "extra", "place": place} for place in (0, 1))  # of the method a alone
+    climbs = climbed(ladders(table(*rows, *extra)))
+    chart = ladder_chart(climbs)
+    assert max(panel.width for panel in chart.panels) < 1100
+    assert len(chart.panels) == 8
+    assert [text for panel in chart.panels for _, text in panel.x.ticks] == ["a", *names]
+    for panel in chart.panels:
+        assert panel.box[2] / len(panel.x.ticks) > max(text_width(text) for _, text in panel.x.ticks)
+        assert {text for _, text in panel.y.ticks} == (
+            {"noise", "extra"} if panel is chart.panels[0] else {"noise"}
+        )
+        assert {bar.about.partition(",")[0] for bar in panel.bars} == {text for _, text in panel.x.ticks}
+    assert float(re.search(r'width="([\d.]+)"', file(chart))[1]) < 1200
+
+
+def test_long_names_of_variants_do_not_meet() -> None:
+    rows = [
+        {"method": "econgs", "variant": f"configuration=paper,features={i}", "place": place}
+        for i in range(9)
+        for place in (0, 1)
+    ]
+    chart = ladder_chart(climbed(ladders(table(*rows))))
+    for panel in chart.panels:
+        assert panel.box[2] / len(panel.x.ticks) > max(text_width(text) for _, text in panel.x.ticks)
 
 
 def test_heads_lead_to_details_on_the_page_alone() -> None:

@@ -2,12 +2,14 @@
 
 import pytest
 
+from reports.charts import kinds
+from reports.charts.chart import GRAY
 from reports.charts.report import Report
 from reports.conclusions import economy
 from reports.curves import Curve, Point
 from reports.page.document import write_report
 from reports.schema import PRUNED
-from reports.style import MISSING, Model
+from reports.style import MISSING, Model, look
 
 
 def curve(*points):
@@ -97,6 +99,20 @@ def test_the_conclusion_names_who_is_cheapest_who_grows_and_who_has_to_spare(spe
 def test_growth_is_not_told_of_volumes_within_a_factor_of_ten(spent):
     spent["complexity"]["lossless_bytes"] **= 0.45  # two decades become 0.9
     assert "ten times the bytes" not in economy.conclusion(Report(spent).economies)
+
+
+def test_charts_join_no_scenes_and_have_the_line_of_equal_bytes(spent):
+    report = Report(spent)
+    panels = {panel.title: panel for panel in kinds.needs(report.economies, report.models).panels}
+    equal, growth = (one for one in panels["35 dB"].series if one.line)
+    assert equal.x == equal.y
+    assert equal.look.color == GRAY
+    assert growth.look == look(Model("hac"), report.models)
+    assert growth.x == pytest.approx([10.0, 1000.0])
+    assert growth.y == pytest.approx([2.5, 250.0])
+    assert [one.line for one in panels["35 dB"].series if one.mark] == [0.0] * 2
+    (share,) = kinds.prunable(report.economies, report.models).panels
+    assert not any(one.line for one in share.series)  # percent are no KiB
 
 
 def test_page_and_files_show_them(spent, maker, tmp_path):
