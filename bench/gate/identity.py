@@ -10,8 +10,9 @@ from pydantic import BaseModel, ConfigDict
 
 from reports.style import absent
 
-CONTENTS, TRUTH, RENDERER, RULER = "contents", "truth", "renderer", "ruler"
-"""Kinds of differences beside those of metrics, which have the metric's name."""
+CONTENTS, TRUTH, RENDERER = "contents", "truth", "renderer"
+"""Kinds of differences beside those of single quantities, which have the quantity's name."""
+_FRAMES = "frame_ratio"
 
 
 class Identity(BaseModel):
@@ -22,7 +23,7 @@ class Identity(BaseModel):
         truth: hash of what the pictures of the truth show: contents, edit, views and their size.
         renderer: what rendered them.
         metric_versions: metric -> version.
-        ruler: version of the timing protocol.
+        ruler: version of how frames are timed.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -55,7 +56,7 @@ def differences(old: Identity, new: Identity) -> dict[str, str]:
     if changed := _changed(old.renderer, new.renderer):
         found[RENDERER] = f"the truth was rendered by {new.renderer}, the baseline's by {old.renderer}"
     if changed := _changed(old.ruler, new.ruler):
-        found[RULER] = f"timing protocol {changed}"
+        found[_FRAMES] = f"version of how frames are timed {changed}"
     for name in old.metric_versions.keys() & new.metric_versions.keys():
         if changed := _changed(old.metric_versions[name], new.metric_versions[name]):
             found[name] = f"version of the metric {changed}"

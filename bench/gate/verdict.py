@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.gate.baseline import VIEW_ROUNDING, Baseline, BaselineCell, differences, rounding
 from bench.gate.cells import VIEW_METRIC, Cell, Key, Values
-from bench.gate.identity import CONTENTS, RENDERER, RULER, TRUTH, Identity
+from bench.gate.identity import CONTENTS, RENDERER, TRUTH, Identity
 from bench.gate.identity import differences as reasons
 from bench.gate.quantities import QUANTITIES, Quantity
 from bench.gate.spread import Prior, prior, quantile, tail, variance_of, without_rounding
@@ -278,7 +278,7 @@ class _Pair:
         self.differ, self.unknown = len(known - self.equal), len(self.values) - len(known)
         self.free = set(self.values) - self.equal
         self._times = times and old.kernel is not None
-        self._pace = self.reasons.get(RULER, "") or _pace(old, new) if self._times and self.values else ""
+        self._pace = _pace(old, new) if self._times and self.values else ""
 
     def findings(self) -> Iterator[Finding]:
         """What needs no statistics."""
@@ -299,7 +299,7 @@ class _Pair:
         if self._pace:
             yield Finding("not measured", self.title, f"times: {self._pace}")
         for name, quantity in QUANTITIES.items():
-            if name in self.reasons:
+            if name in self.reasons and self._asks(quantity):
                 yield Finding("not measured", self.title, f"{quantity.title}: {self.reasons[name]}")
             rows = self.values if self._compares(quantity) else {}
             if rows and self.old.values.get(name) and not any(name in row for row in rows.values()):
@@ -336,10 +336,11 @@ class _Pair:
             return ""
         return f"the baseline's are of {self.old.processor}, these of {self.new.processor}"
 
+    def _asks(self, quantity: Quantity) -> bool:
+        return quantity.kind != "time" or (self._times and not self._pace)
+
     def _compares(self, quantity: Quantity) -> bool:
-        if quantity.kind == "time":
-            return self._times and not self._pace
-        return quantity.name not in self.reasons
+        return self._asks(quantity) and quantity.name not in self.reasons
 
     def _of_equal(self) -> Iterator[Finding]:
         """Equal files must measure alike: a gain, too, is one of measurement."""

@@ -11,11 +11,13 @@ import xml.etree.ElementTree as ElementTree
 from importlib.metadata import entry_points
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bench.gate.audit import audit
 from bench.gate.baseline import read
 from datasets.errors import DataError
+from datasets.png import read_png, write_png
 from datasets.seals import sealed, unsealed
 from tests.bench.conftest import PATIENCE, Bench
 
@@ -126,6 +128,20 @@ def test_the_power_of_a_baseline_needs_no_run(gate: Bench) -> None:
     assert {row[1] for row in cells[2:]} == {"a scene", "a method's mean", "a view"}
     assert {row[2] for row in cells[2:] if row[1] == "a scene"} == {"2"}
     gate("gate", "--baseline", "nothing.json", "--power", code=3)
+
+
+def test_another_truth_of_the_same_name_is_not_measured(gate: Bench, dataset: Path, tmp_path: Path) -> None:
+    """The pictures of one scene are darker; the other is as it was."""
+    edited = tmp_path / "edited" / dataset.name
+    shutil.copytree(dataset, edited)
+    for path in (edited / "a").rglob("*.png"):
+        write_png(path, read_png(path) * np.array([0.5, 0.5, 0.5, 1.0], np.float32))
+    gate.store, gate.dataset = tmp_path / "edited runs", edited
+    gate.run("--seed", 0, scenes=("a", "b"))
+    done = gate("gate", gate.store, "--baseline", "base.json", "--without-times", code=2)
+    (line,) = done.stdout.splitlines()[:-1]
+    assert line.startswith("not measured  tiny/a")
+    assert "truth differs: content of a" in line
 
 
 def test_what_cannot_be_compared_has_codes_of_its_own(gate: Bench, tmp_path: Path) -> None:

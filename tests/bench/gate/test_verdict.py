@@ -305,7 +305,7 @@ def identified(made: Cell, **changes) -> Cell:
         ({"contents": {}, "truth": None, "renderer": None, "ruler": None, "metric_versions": {}}, set()),
         ({"truth": "others"}, {"truth"}),
         ({"renderer": "reference"}, {"renderer"}),
-        ({"ruler": "3"}, {"ruler"}),
+        ({"ruler": "3"}, {"frame_ratio"}),
         ({"metric_versions": {"psnr": "2", "flip": "1"}}, {"psnr"}),
     ],
 )
@@ -384,12 +384,14 @@ def test_another_version_of_a_metric_leaves_that_metric_out() -> None:
 
 def test_times_of_another_ruler_are_not_compared() -> None:
     rng = np.random.default_rng(0)
-    old = identified(cell(rng, [0, 1, 2], train_ratio=30.0))
+    old = identified(cell(rng, [0, 1, 2], frame_ratio=30.0, train_ratio=5.0))
     old.kernels = [0.05]
-    slow = cell(rng, [7], train_ratio=90.0)
+    slow = cell(rng, [7], frame_ratio=90.0, train_ratio=5.0)
     assert judge({key(): old}, {key(): identified(slow)}).word == "worse"
     verdict = judge({key(): old}, {key(): identified(slow, ruler="3")})
     assert [f.kind for f in verdict.findings] == ["not measured"]
+    slow.values[7]["train_ratio"] = 15.0  # fits are timed as before
+    assert judge({key(): old}, {key(): identified(slow, ruler="3")}).word == "worse"
     assert judge({key(): old}, {key(): identified(slow, ruler="3")}, times=False).code == 0
 
 
