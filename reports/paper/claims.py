@@ -6,18 +6,24 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from typing import Any
 
+from reports.paper import intervals
 from reports.paper.layouts import FOLDER, layouts
 from reports.paper.values import QUANTITIES, Block, PaperTable, Row
 from reports.schema import METRICS
 from reports.statistics import Interval, Views
 
 HOLDS, EXCEEDS, FAILS = "holds", "holds, exceeds", "does not hold"
-UNSURE = "not decided"
+AMONG = "holds among the paper's"
+NOT_DECIDED = "not decided"
 UNKNOWN = "not measured"
 SKIPPED = "not evaluated"
-VERDICTS = (HOLDS, EXCEEDS, FAILS, UNSURE, UNKNOWN, SKIPPED)
+VERDICTS = (HOLDS, EXCEEDS, AMONG, FAILS, NOT_DECIDED, UNKNOWN, SKIPPED)
+_GRAVITY = (FAILS, NOT_DECIDED, HOLDS, EXCEEDS)
+"""Verdicts on pairs of rows, the one that decides first."""
+_RATIOS = ("ratio", "speedup")
 _LEAST_COLUMNS = 2
 _LEAST_DATASETS = 3
 """Numbers of scenes that have a trend."""
@@ -34,10 +40,12 @@ class Verdict:
         same: whether the dataset is the paper's own.
         measured: the quantity that the claim bounds; None if it was not measured.
         bounds: the paper's bounds of the quantity.
-        verdict: one of :data:`VERDICTS`. :data:`EXCEEDS`: by more than the paper states; :data:`UNSURE`: the
-            interval of the paired difference contains the bound.
-        interval: 95 % interval over views and seeds of a difference of quality.
-        why: why the claim is not evaluated, or a further difference between its rows.
+        verdict: one of :data:`VERDICTS`. :data:`EXCEEDS`: by more than the paper states; :data:`AMONG`: the
+            table has rows that the claim does not name and that are better; :data:`NOT_DECIDED`: the interval
+            contains the bound, or both rows are of the same model.
+        interval: 95 % interval: of a difference of quality over views and seeds, of a ratio of bytes, times
+            or frame rates over scenes and seeds.
+        why: why the claim is not evaluated or decided, or a further difference between its rows.
         published: the paper's name of the dataset; "" if it has none, or there are several.
     """
 
@@ -110,39 +118,80 @@ class _Evidence:
         return [verdict for block in blocks if (verdict := one(claim, block)) is not None]
 
     def _verdict(self, claim: dict[str, Any], block: Block) -> Verdict | None:
-        """The verdict; None if the block lacks a value."""
-        rows = self._rows(claim, block, claim["column"])
-        measured = None if rows is None else _quantity(claim, rows)
-        if rows is None or measured is None:
+        """The verdict; None if the block lacks a row.
+
+        Of several rows in the first place and of several rivals each pair is judged: one that fails decides,
+        then one that is not decided.
+        """
+        column = claim["column"]
+        places = self._places(claim, block, column)
+        if places is None or not all(places):
+            return _lacking(claim, block, [column], places)
+        judged = [
+            (rows, measured, *self._judged(claim, rows, measured))
+            for rows in map(list, product(*places))
+            if (measured := _quantity(claim, rows)) is not None
+        ]
+        if not judged:
             return None
-        interval = None
-        if claim.get("what") == "gain" and claim["column"] in METRICS:
-            interval = self.views.difference(rows[0].jobs, rows[1].jobs, claim["column"])
+        rows, measured, verdict, interval, why = min(judged, key=lambda one: _GRAVITY.index(one[2]))
+        remarks = [why, _mixed(claim, rows)]
+        if verdict in (HOLDS, EXCEEDS) and (ahead := _beside(claim, block, column, places[0][0])):
+            verdict, remarks = AMONG, [*remarks, f"not in the claim: {ahead}"]
+        return _stated(claim, block, measured, verdict, interval, "; ".join(filter(None, remarks)))
+
+    def _judged(
+        self, claim: dict[str, Any], rows: list[Row], measured: float
+    ) -> tuple[str, Interval | None, str]:
+        """The verdict on some rows, the interval of what they are compared in, and a remark."""
+        if len(rows) > 1 and intervals.same(rows[0], rows[1]):
+            return NOT_DECIDED, None, f"the same model: {rows[0].label}, {rows[1].label}"
+        interval = self._interval(claim, rows)
+        alone = interval is None and claim.get("what") in _RATIOS and any(row.parts for row in rows)
         verdict = _decide(claim, measured, interval)
-        return _stated(claim, block, measured, verdict, interval, _mixed(claim, rows))
+        return verdict, interval, "no interval: nothing is repeated" if alone else ""
+
+    def _interval(self, claim: dict[str, Any], rows: list[Row]) -> Interval | None:
+        """Of a difference of quality over views and seeds, of a ratio over scenes and seeds."""
+        column, what = claim["column"], claim.get("what")
+        if what == "gain" and column in METRICS:
+            return self.views.difference(rows[0].jobs, rows[1].jobs, column)
+        if what in _RATIOS:
+            above, below = (rows[1], rows[0]) if what == "ratio" else (rows[0], rows[1])
+            return intervals.ratio(above, below, column)
+        return None
 
     def _in_all(self, claim: dict[str, Any], block: Block) -> Verdict | None:
-        """Whether the first row is ahead of the second in all columns; None if the block lacks a value.
+        """Whether the first row is ahead of its rivals in all columns; None if the block lacks a row.
 
         A column that was measured nowhere in the block is left out, with a remark.
         """
         columns = [name for name in claim["columns"] if any(_has(row, name) for row in block.rows)]
         if len(columns) < _LEAST_COLUMNS:
             return None
-        behind, unsure = [], False
+        behind, undecided, beside = [], [], []
         for name in columns:
-            rows = self._rows(claim, block, name)
-            if rows is None:
-                return None
-            gain = QUANTITIES[name].better * (_value(rows[0], name) - _value(rows[1], name))
-            interval = self.views.difference(rows[0].jobs, rows[1].jobs, name) if name in METRICS else None
-            if interval is not None and interval.contains(0.0):
-                unsure = True
-            elif gain < 0.0:
+            places = self._places(claim, block, name)
+            if places is None or not all(places):
+                return _lacking(claim, block, [name], places)
+            better = QUANTITIES[name].better
+            what = "ratio" if better < 0 else "gain" if name in METRICS else "speedup"
+            one = claim | {"column": name, "what": what, "least": 0.0 if what == "gain" else 1.0}
+            states = []
+            for first, rival in product(*places):
+                measured = _quantity(one, [first, rival])
+                states.append(FAILS if measured is None else self._judged(one, [first, rival], measured)[0])
+            if FAILS in states:
                 behind.append(name)
-        verdict = FAILS if behind else UNSURE if unsure else HOLDS
+            elif NOT_DECIDED in states:
+                undecided.append(name)
+            elif ahead := _beside(claim, block, name, places[0][0]):
+                beside.append(ahead)
+        verdict = FAILS if behind else NOT_DECIDED if undecided else AMONG if beside else HOLDS
         remarks = [f"behind in {QUANTITIES[name].title}" for name in behind]
+        remarks += [f"not decided in {QUANTITIES[name].title}" for name in undecided]
         remarks += [f"without {QUANTITIES[name].title}" for name in claim["columns"] if name not in columns]
+        remarks += [f"not in the claim: {ahead}" for ahead in beside]
         good = len(columns) - len(behind)
         return _stated(claim | {"columns": columns}, block, good, verdict, None, "; ".join(remarks))
 
@@ -155,8 +204,8 @@ class _Evidence:
         for protocol in dict.fromkeys(block.protocol for block in blocks):
             points = []
             for block in (one for one in blocks if one.protocol == protocol and one.published):
-                rows = self._rows(claim, block, claim["column"])
-                value = None if rows is None else _quantity(claim, rows)
+                places = self._places(claim, block, claim["column"])
+                value = _quantity(claim, [rows[0] for rows in places]) if places and all(places) else None
                 if value is not None:
                     points.append((block.count, value, block))
             if len({count for count, _, _ in points}) < _LEAST_DATASETS:
@@ -170,31 +219,32 @@ class _Evidence:
             verdicts.append(Verdict(claim["id"], claim["text"], where, same, share, _bounds(claim), verdict))
         return verdicts
 
-    def _rows(self, claim: dict[str, Any], block: Block, column: str) -> list[Row] | None:
-        """The rows that a claim compares; None if one is missing.
+    def _places(self, claim: dict[str, Any], block: Block, column: str) -> list[list[Row]] | None:
+        """The rows of each place of a claim that have a value; None if a place was not measured at all.
 
-        Of several in the first place the worst, of several rivals the best that was measured.
+        Of several in the first place the worst comes first, of several rivals the best.
         """
-        rows = []
+        places = []
         for place, labels in enumerate(claim["rows"]):
             names = [labels] if isinstance(labels, str) else labels
-            found = [row for row in block.rows if row.label in names and _has(row, column)]
-            if not found:
-                return None
+            rows = [row for row in block.rows if row.label in names and (row.jobs or _has(row, column))]
             sign = QUANTITIES[column].better * (1.0 if place else -1.0)
-            rows.append(max(found, key=lambda row: sign * _value(row, column)))
+            valued = [row for row in rows if _has(row, column)]
+            places.append(sorted(valued, key=lambda row: -sign * _value(row, column)))
+            if not rows:
+                return None
         if (other := claim.get("against")) is not None:
             found = [
                 row
                 for one in self.blocks.get(other["table"], ())
-                if _beside(other, one, block)
+                if _alike(other, one, block)
                 for row in one.rows
                 if row.label == other["row"] and _has(row, column)
             ]
             if not found:
                 return None
-            rows.append(found[0])
-        return rows
+            places.append(found[:1])
+        return places
 
 
 def _about(claim: dict[str, Any], block: Block) -> bool:
@@ -204,7 +254,7 @@ def _about(claim: dict[str, Any], block: Block) -> bool:
     return "datasets" not in claim or block.published in claim["datasets"]
 
 
-def _beside(other: Mapping[str, str], one: Block, block: Block) -> bool:
+def _alike(other: Mapping[str, str], one: Block, block: Block) -> bool:
     """Whether a block of another table is of the same data as ``block``, or of those that a claim names.
 
     It has the conditions of ``block``, or fewer: what no model has part in has no training views.
@@ -223,10 +273,15 @@ def _together(claim: dict[str, Any], parts: Sequence[Sequence[Verdict]]) -> list
         if len(found) < len(parts):
             continue
         behind = [one.claim for one in found if one.verdict == FAILS]
-        unsure = any(one.verdict == UNSURE for one in found)
-        verdict = FAILS if behind else UNSURE if unsure else HOLDS
-        why = f"against {', '.join(behind)}" if behind else ""
-        first, good = found[0], float(len(found) - len(behind))
+        undecided = [one.claim for one in found if one.verdict == NOT_DECIDED]
+        unknown = [one.claim for one in found if one.verdict == UNKNOWN]
+        verdict = FAILS if behind else UNKNOWN if unknown else NOT_DECIDED if undecided else HOLDS
+        remarks = [f"against {', '.join(behind)}"] if behind else []
+        remarks += [f"not decided: {', '.join(undecided)}"] if undecided else []
+        remarks += [f"not measured: {', '.join(unknown)}"] if unknown else []
+        why = "; ".join(remarks)
+        first = found[0]
+        good = None if verdict == UNKNOWN else float(len(found) - len(behind))
         verdicts.append(
             Verdict(claim["id"], claim["text"], first.where, first.same, good, _bounds(claim), verdict,
                     None, why, first.published)
@@ -237,7 +292,7 @@ def _together(claim: dict[str, Any], parts: Sequence[Sequence[Verdict]]) -> list
 def _stated(
     claim: dict[str, Any],
     block: Block,
-    measured: float,
+    measured: float | None,
     verdict: str,
     interval: Interval | None,
     why: str,
@@ -256,6 +311,39 @@ def _mixed(claim: dict[str, Any], rows: list[Row]) -> str:
     versions = {row.versions for row in rows}
     alike = len({methods.get(row.label) for row in rows}) == 1
     return "rows of several versions of the method" if alike and len(versions) > 1 else ""
+
+
+def _lacking(
+    claim: dict[str, Any], block: Block, columns: Sequence[str], places: Sequence[Sequence[Row]] | None
+) -> Verdict | None:
+    """The verdict where measured rows lack a value, with the reason; None where a row was not measured."""
+    if places is None:
+        return None
+    reasons: dict[str, None] = {}
+    for column, labels in product(columns, claim["rows"]):
+        names = [labels] if isinstance(labels, str) else labels
+        rows = [row for row in block.rows if row.label in names and row.jobs]
+        if any(_has(row, column) for row in rows):
+            continue
+        for row in rows:
+            why = row.missing.get(column, "no value of all scenes")
+            reasons[f"{QUANTITIES[column].title} of {row.label}: {why}"] = None
+    return _stated(claim, block, None, UNKNOWN, None, "; ".join(reasons))
+
+
+def _beside(claim: dict[str, Any], block: Block, column: str, first: Row) -> str:
+    """Rows that a claim on "all" methods does not name (`beside`) and that are better than its first one."""
+    quantity = QUANTITIES[column]
+    ahead = [
+        f"{row.label}, {_value(row, column):,.{quantity.digits}f}"
+        for row in block.rows
+        if row.label in claim.get("beside", ()) and _has(row, column)
+        and quantity.better * (_value(row, column) - _value(first, column)) > 0.0
+    ]  # fmt: skip
+    if not ahead:
+        return ""
+    own = f"{first.label} {_value(first, column):,.{quantity.digits}f}"
+    return f"{', '.join(ahead)} ({quantity.title}; {own})"
 
 
 def _has(row: Row, column: str) -> bool:
@@ -294,8 +382,9 @@ def _decide(claim: dict[str, Any], measured: float, interval: Interval | None) -
     equal = 1.0 if claim.get("what") in ("ratio", "speedup") else 0.0
     floor = None if low is None else low - (half if low != equal else 0.0)
     good = (floor is None or measured >= floor) and (high is None or measured <= high + half)
-    if floor is not None and interval is not None and interval.contains(floor):
-        return UNSURE
+    ends = [end for end in (floor, None if high is None else high + half) if end is not None]
+    if interval is not None and any(map(interval.contains, ends)):
+        return NOT_DECIDED
     if not good:
         return FAILS
     return EXCEEDS if top is not None and measured > top + half else HOLDS

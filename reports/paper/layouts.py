@@ -34,6 +34,11 @@ def reference(name: str, match: Mapping[str, str] | None, published: str) -> dic
     return {}
 
 
+def rivals(line: Mapping[str, Any]) -> tuple[Any, ...]:
+    """What a line of a layout is about: only lines with equal scenes and training views are compared."""
+    return line.get("scene"), bool(line.get("composed")), line.get("train_views")
+
+
 def published_as(name: str, dataset: str) -> dict[str, Any]:
     """Published dataset -> its description in the layouts, if ``dataset`` is it or imitates it."""
     datasets = {row["dataset"] for row in reference_rows(name)}

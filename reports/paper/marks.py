@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 from reports.paper.values import QUANTITIES, Row
 from reports.schema import METRICS
@@ -16,31 +17,33 @@ ELSEWHERE = "not ranked: measured on several machines, devices or numbers of thr
 def marks(
     rows: Sequence[Row], columns: Sequence[str], views: Views
 ) -> tuple[dict[tuple[int, str], int], list[str]]:
-    """(row, column) -> place, and remarks.
+    """(row, column) -> place among the rows with equal :attr:`Row.rivals`, and remarks.
 
     Quality is ranked where paired differences over views decide. Other columns are ranked by their values,
     unless the ranges of seeds overlap; times are ranked only if all are from one place.
     """
     places: dict[tuple[int, str], int] = {}
-    notes: dict[str, list[str]] = {}
-    for name in columns:
+    notes: dict[str, dict[str, None]] = {}
+    for name, rivals in product(columns, dict.fromkeys(row.rivals for row in rows)):
         quantity = QUANTITIES[name]
-        measured = {i: row for i, row in enumerate(rows) if row.values[name].mean is not None}
+        measured = {
+            i: row for i, row in enumerate(rows) if row.rivals == rivals and row.values[name].mean is not None
+        }
         texts = {f"{row.values[name].mean:.{quantity.digits}f}" for row in measured.values()}
         if not quantity.better or len(texts) < 2:
             continue
         if quantity.clock and len({host for row in measured.values() for host in row.hosts}) > 1:
-            notes.setdefault(ELSEWHERE, []).append(quantity.title)
+            notes.setdefault(ELSEWHERE, {})[quantity.title] = None
             continue
         if name in METRICS:
             lacking = [row.label for row in measured.values() if views.sample(row.jobs, name) is None]
             if lacking:
                 labels = "" if len(lacking) == len(measured) else f" ({', '.join(lacking)})"
                 note = f"ranked by means alone where there are no views to pair{labels}."
-                notes.setdefault(note, []).append(quantity.title)
+                notes.setdefault(note, {})[quantity.title] = None
         column = _places(measured, name, views)
         if UNDECIDED in column.values():
-            notes[UNDECIDED_NOTE if name in METRICS else SEEDS_NOTE] = []
+            notes[UNDECIDED_NOTE if name in METRICS else SEEDS_NOTE] = {}
         places |= {(i, name): place for i, place in column.items()}
     return places, [f"{', '.join(titles)}: {note}" if titles else note for note, titles in notes.items()]
 

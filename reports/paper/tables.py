@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from reports.comparability import compared, judged, remarks, replaced
+from reports.comparability import compared, judged, reason, remarks, replaced
 from reports.conclusions.clocks import Clocks
 from reports.paper.layouts import layouts, published_as, reference, rivals, sole_dataset, takes
 from reports.paper.marks import marks
@@ -25,6 +25,7 @@ from reports.paper.values import (
 from reports.schema import METRICS
 from reports.statistics import Views
 from reports.style import absent
+from reports.tables.columns import records
 from reports.tables.protocols import shared_by_all
 from reports.tables.results import omissions
 
@@ -357,6 +358,13 @@ def _row(
             for part in complete
             for text in part["omissions"]
             for metric, why in omissions(text).items()
+        }
+        | {
+            column: why
+            for part in complete
+            for row in records(part)
+            for column in columns
+            if (why := reason(row, column))
         },
         parts(seeds, columns),
         rivals(line),

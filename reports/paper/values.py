@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from reports.schema import COLUMNS
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 NOT_MEASURED = "not measured"
 _GIB = 1.0 / 2.0**30
+
+Parts = Mapping[tuple[str, str], float]
+"""Scene and seed -> value, of a row's column."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +108,8 @@ class Row:
         hosts: machine, device and threads of the measurements.
         versions: versions of the method that fitted them.
         missing: column -> why a measured row lacks it.
+        parts: column -> what its value is made of, at the seeds that have all scenes; in units of `results`.
+        rivals: what rows are compared with each other: those with equal scenes and training views.
     """
 
     label: str
@@ -111,6 +119,8 @@ class Row:
     hosts: frozenset[tuple[str, ...]] = frozenset()
     versions: frozenset[str] = frozenset()
     missing: Mapping[str, str] = field(default_factory=dict)
+    parts: Mapping[str, Parts] = field(default_factory=dict)
+    rivals: tuple[Any, ...] = ()
 
     @property
     def has_published(self) -> bool:
@@ -155,3 +165,46 @@ class PaperTable:
     head: str
     columns: Sequence[str]
     blocks: Sequence[Block] = field(default_factory=list)
+
+
+def parts(seeds: Mapping[Any, pd.DataFrame], columns: Sequence[str]) -> dict[str, Parts]:
+    """Column -> value of each scene and seed, of the seeds that have it of all scenes.
+
+    Args:
+        seeds: seed -> its rows, one per scene.
+        columns: of :data:`QUANTITIES`; those that are no column of the rows are left out.
+    """
+    return {
+        name: {
+            (str(scene), str(seed)): float(value)
+            for seed, rows in seeds.items()
+            if rows[name].notna().all()
+            for scene, value in zip(rows["scene"], rows[name], strict=True)
+        }
+        for name in columns
+        if all(name in rows for rows in seeds.values())
+    }
+
+
+def counted_once(compositions: pd.DataFrame, basic: pd.DataFrame) -> pd.DataFrame:
+    """Compositions with the bytes of the models that no earlier one has, so that their sum has each once.
+
+    A single composition keeps its bytes. Of several, a model counts with its whole files.
+
+    Args:
+        compositions: rows of a method and seed; their groups are joined by commas.
+        basic: rows of the scenes of the same models. The bytes are missing where a group's are.
+    """
+    import pandas as pd
+
+    if len(compositions) < 2:
+        return compositions
+    files = dict(zip(basic["group"], basic["group_bytes"], strict=True))
+    counted: set[str] = set()
+    sizes = []
+    for groups in compositions["group"]:
+        new = [name for name in str(groups).split(",") if name not in counted]
+        counted.update(new)
+        sizes.append(sum(files[name] for name in new) if files.keys() >= set(new) else None)
+    column = compositions["size_bytes"]
+    return compositions.assign(size_bytes=pd.Series(sizes, column.index, dtype=column.dtype))

@@ -7,15 +7,26 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from reports import markup
-from reports.paper.claims import EXCEEDS, HOLDS, SKIPPED, UNKNOWN, UNSURE, VERDICTS, Verdict, check
+from reports.paper.claims import (
+    AMONG,
+    EXCEEDS,
+    HOLDS,
+    NOT_DECIDED,
+    SKIPPED,
+    UNKNOWN,
+    VERDICTS,
+    Verdict,
+    check,
+)
 from reports.paper.documents import to_html as table_html
+from reports.style import MISSING
 from reports.tables.confidence import ends
 
 if TYPE_CHECKING:
     from reports.paper.values import PaperTable
     from reports.statistics import Views
 
-_TAGS = {HOLDS: "ok", EXCEEDS: "ok", UNSURE: "stale"}
+_TAGS = dict.fromkeys((HOLDS, EXCEEDS), "ok") | dict.fromkeys((AMONG, NOT_DECIDED, UNKNOWN), "stale")
 
 
 def section(tables: Sequence[PaperTable], evidence: Sequence[PaperTable], views: Views) -> str:
@@ -43,18 +54,21 @@ def to_html(verdicts: Sequence[Verdict]) -> str:
             f'<span class="tag {_TAGS.get(verdict.verdict, "bad")}">{verdict.verdict}</span>',
         ]
         for verdict in verdicts
-        if verdict.measured is not None
+        if verdict.where
     ]
     if not lines:
         return ""
-    missing = sum(one.verdict == UNKNOWN for one in verdicts)
+    missing = sum(one.verdict == UNKNOWN and not one.where for one in verdicts)
     skipped = [[escape(one.text), escape(one.why)] for one in verdicts if one.verdict == SKIPPED]
     heads = ("Claim", "Dataset", "Measured", "Claimed", "Verdict")
     checks = markup.table("Claims of the paper and measured values", heads, lines)
     return (
         f"<h3>The paper's claims</h3>{checks}"
-        '<p class="note">holds, exceeds: by more than the paper states; not decided: the 95 % interval of '
-        "the paired difference over views and seeds (in brackets) contains the bound. "
+        '<p class="note">holds, exceeds: by more than the paper states; holds among the paper\'s: a method '
+        "that the claim does not name is better; not decided: the 95 % interval (in brackets) contains the "
+        "bound, or both rows are of one model. Intervals of quality are of paired differences over views and "
+        "seeds, those of bytes, times and frame rates of ratios over scenes and seeds. Each is of one claim "
+        "alone. "
         f"{missing} further claims were not measured "
         "(<code>bench report --check-claims</code> lists them).</p>"
         f"<details><summary>{len(skipped)} claims are not evaluated</summary>"
@@ -68,10 +82,11 @@ def to_text(verdicts: Sequence[Verdict]) -> str:
     lines = []
     for one in verdicts:
         remark = f" [{one.why}]" if one.why else ""
-        if one.measured is not None:
+        if one.where:
             where = one.where if one.same else f"{one.where}, other data than the paper's"
             where += f", {one.why}" if one.why else ""
-            remark = f" [{where}: {_measured(one)}, claimed {one.bounds}]"
+            measured = f": {_measured(one)}, claimed {one.bounds}" if one.measured is not None else ""
+            remark = f" [{where}{measured}]"
         lines.append(f"{one.verdict:<{wide}} {one.claim:<22} {one.text}{remark}")
     counts = [f"{sum(one.verdict == verdict for one in verdicts)} {verdict}" for verdict in VERDICTS]
     return "\n".join([*lines, "", "; ".join(counts)]) + "\n"
@@ -83,6 +98,8 @@ def _soft(remark: str) -> str:
 
 def _measured(one: Verdict) -> str:
     """The measured quantity, with its interval if it has one."""
+    if one.measured is None:
+        return MISSING
     text = f"{one.measured:.3g}".replace("-", "\N{MINUS SIGN}")
     if one.interval is None or one.interval.low is None:
         return text

@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 import pytest
 
-from reports.paper.claims import EXCEEDS, FAILS, HOLDS, SKIPPED, UNKNOWN, UNSURE, check, claims
+from reports.paper.claims import EXCEEDS, FAILS, HOLDS, NOT_DECIDED, SKIPPED, UNKNOWN, check, claims
 from reports.paper.evidence import LAYOUTS, evidence, of_report
 from reports.paper.layouts import layouts, reference_rows
 from reports.paper.values import QUANTITIES, Block, PaperTable, Row, Value
@@ -175,7 +175,13 @@ def test_a_gain_above_the_papers_range_exceeds_the_claim(gain, verdict):
 
 @pytest.mark.parametrize(
     ("gain", "noise", "verdict"),
-    [(1.5, 0.1, HOLDS), (1.5, 3.0, UNSURE), (0.7, 3.0, UNSURE), (-3.0, 0.1, FAILS), (4.0, 0.1, EXCEEDS)],
+    [
+        (1.5, 0.1, HOLDS),
+        (1.5, 3.0, NOT_DECIDED),
+        (0.7, 3.0, NOT_DECIDED),
+        (-3.0, 0.1, FAILS),
+        (4.0, 0.1, EXCEEDS),
+    ],
 )
 def test_a_bound_within_the_interval_is_not_decided(gain, noise, verdict):
     rows = results(*four("econgs", 30.0 + gain), *four("ivr-gs", 30.0))
@@ -235,7 +241,7 @@ def test_a_claim_on_several_columns_asks_for_all_of_them():
     assert slower.why == "behind in FPS; without LPIPS"
     assert verdict(fps=None).verdict == UNKNOWN, "a value of one row is missing"
     rows = results(*four("econgs", 30.1, size_bytes=1), *four("ivr-gs", 30.0, fps=50.0, train_seconds=900.0))
-    assert verdicts_of(rows, seen(rows, waves(3.0)))["rw-four"].verdict == UNSURE
+    assert verdicts_of(rows, seen(rows, waves(3.0)))["rw-four"].verdict == NOT_DECIDED
 
 
 def test_all_parts_of_a_claim_hold_on_one_dataset():
