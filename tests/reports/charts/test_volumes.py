@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from reports.charts import data, kinds, training
 from reports.charts.report import Report
 from reports.charts.volumes import volumes_chart, volumes_section
 from reports.conclusions.volumes import verdicts
@@ -91,3 +92,31 @@ def test_crossings_are_marked():
     (cross,) = [series for series in panel.series if "passes" in series.title]
     assert cross.title == "SZ3 volume passes HAC"
     assert cross.x == [found[0].meeting[0] / MIB]
+
+
+def test_every_chart_of_quality_keeps_models_apart_beside_the_volume(maker):
+    """Of models of 30 and 31 dB and codecs of 25 to 97 dB: no chart has the models within a hundredth."""
+    for rate, psnr in ((0.1, 25.0), (0.01, 45.0), (1e-4, 97.0)):
+        for codec in ("sz3", "zfp"):
+            maker.run(method=codec, rate=rate, psnr=psnr, size=int(1e5 / psnr), views=0)
+    for method in ("3dgs", "hac"):
+        for rate, psnr in ((1, 30.0), (2, 31.0)):
+            maker.run(method=method, rate=rate, psnr=psnr, size=rate << 20, views=0)
+    report = Report(maker.tables())
+    size = data.tradeoff(report.at_shared_seeds, "size_bytes")
+    lines = [
+        training.Curve(curve.model, curve.title, curve.mebibytes, [point.psnr for point in curve.points])
+        for curve in report.curves["vortex"]
+    ]
+    charts = [
+        kinds.tradeoff(size, "size_bytes", report.models),
+        kinds.rate_curves(data.rate_panels(report.curves), report.models),
+        kinds.lines({"vortex": lines}, "views", "PSNR [dB]", report.models),
+        volumes_chart(report.curves, verdicts(report.curves), report.models),
+    ]
+    for chart in charts:
+        axis = chart.panels[0].y
+        drawn = [value for series in chart.panels[0].series if series.title for value in series.y]
+        assert (min(drawn), max(drawn)) == (25.0, 97.0)
+        assert all(0 < axis.share(value) < 1 for value in drawn)
+        assert axis.share(31.0) - axis.share(30.0) > 0.08
