@@ -346,10 +346,10 @@ class HasDecoders(Protocol):
     def decoding(self, scenes: Sequence[str]) -> Decoding:
         """When the networks of scenes run; "per frame" if those of any of them do."""
 
-    def decode(self, scenes: Sequence[str]) -> None:
-        """Run again the networks of scenes that are decoded once: a frame after it has the same picture.
+    def decoding_each_frame(self) -> Model:
+        """The same scenes in a model that runs their networks for each frame, with the same pictures.
 
-        It times what such a model saves in each frame.
+        It times what decoding once saves.
         """
 
 

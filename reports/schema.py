@@ -271,8 +271,8 @@ COLUMNS: dict[str, Column] = _declare(
     Column("fps_p95", _F, "1 / 5th percentile of time", "Fastest 5 %", unit="FPS", write="{:.4g}".format),
     Column("decoding", _T, "when the model's networks make what is drawn: `once`, as it is loaded, or "
            "`per frame`, as a part of it; empty without such networks; null where not known"),
-    Column("fps_decoding", _F, "1 / median time of a frame in which a model that is decoded once is decoded "
-           "again; null for others", unit="FPS", write=_fps),
+    Column("fps_decoding", _F, "1 / median time of a frame in which networks run too that usually run once; "
+           "null for others", unit="FPS", write=_fps),
     Column("reference_seconds", _F, "time of a fixed kernel next to the timed part: how fast the machine was "
            "then", "Reference kernel", unit="s", write=seconds),
     Column("fit_reference_seconds", _F, "the same next to the fit, largest of its groups", unit="s"),

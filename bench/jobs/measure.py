@@ -14,9 +14,9 @@ from bench.edits import edit_of, edits_of
 from bench.identity import renderer_of, sketch
 from bench.jobs import answers
 from bench.jobs.context import Context
-from bench.records import MeasureResult, PruningResult, ViewResult
+from bench.records import FrameTimes, MeasureResult, PruningResult, ViewResult
 from bench.stress import stress_of
-from bench.timing import RULERS, median_timings, peak_device_bytes, synchronise, time_frames
+from bench.timing import MEASURE_SECONDS, RULERS, median_timings, peak_device_bytes, synchronise, time_frames
 from datasets.memory import peak_host_bytes
 from datasets.units import camera_in_units
 from datasets.views import evenly_spaced
@@ -24,7 +24,7 @@ from methods.interface import HasAttributes, HasDecoders, HasGaussians, Method, 
 from reports.schema import COVERAGE
 
 DECODING_SECONDS = 0.5
-"""Time for which frames are timed in which a model is decoded that usually is so once."""
+"""Time for which frames with decoding are timed, of a model that is decoded once."""
 COUNTED = 8
 """Most views in which the drawn Gaussians are counted."""
 
@@ -70,13 +70,20 @@ def run(context: Context) -> MeasureResult:
 
     context.report(stage="timing")
 
-    def render(camera: Camera) -> object:
-        return model.render(camera, scenes=scenes, edit=edit, background=background)
+    def timed(model: Model, seconds: float = MEASURE_SECONDS) -> FrameTimes:
+        return time_frames(
+            lambda camera: model.render(camera, scenes=scenes, edit=edit, background=background),
+            cameras,
+            job.device,
+            seconds,
+        )
 
-    frames = time_frames(render, cameras, job.device)
+    frames = timed(model)
     parts = median_timings(lambda camera: answers.timings(model.timings(camera, scenes=scenes)), cameras)
     context.peak_host_bytes, context.peak_device_bytes = peak_host_bytes(), peak_device_bytes(job.device)
-    decoding, decoded_frames = _decoding(model, scenes, render, cameras, job.device)
+    decoding, decoded_seconds = _decoding(
+        model, scenes, lambda each_frame: timed(each_frame, DECODING_SECONDS).frame_seconds
+    )
 
     context.report(stage="metrics")
     from bench.metrics import evaluate
@@ -116,7 +123,7 @@ def run(context: Context) -> MeasureResult:
         **frames.model_dump(),
         timing={"frame": frames.frame_seconds, **parts},
         decoding=decoding,
-        frame_seconds_decoding=decoded_frames,
+        frame_seconds_decoding=decoded_seconds,
         parts_ruler=RULERS["parts"],
         primitives=sum(answers.primitives(model.primitives(scene)) for scene in scenes),
         metrics={name: _mean([row.metrics[name] for row in rows]) for name in metrics},
@@ -132,24 +139,13 @@ def run(context: Context) -> MeasureResult:
 
 
 def _decoding(
-    model: Model,
-    scenes: Sequence[str],
-    render: Callable[[Camera], object],
-    cameras: Sequence[Camera],
-    device: str,
+    model: Model, scenes: Sequence[str], frame_seconds: Callable[[Model], float]
 ) -> tuple[Literal["", "once", "per frame"], float | None]:
-    """When the networks of a model run; if once, the median seconds of frames in which they run too."""
+    """When the networks of a model run; if once, the seconds of a frame in which they run too."""
     if not isinstance(model, HasDecoders):
         return "", None
     decoding = answers.decoding(model.decoding(scenes))
-    if decoding == "per frame":
-        return decoding, None
-
-    def decoded(camera: Camera) -> None:
-        model.decode(scenes)
-        render(camera)
-
-    return decoding, time_frames(decoded, cameras, device, DECODING_SECONDS).frame_seconds
+    return decoding, frame_seconds(model.decoding_each_frame()) if decoding == "once" else None
 
 
 def _pruning(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -128,9 +129,13 @@ class EcongsModel(SceneModel[SceneAnchors]):
 
     Args:
         groups: at least one; no two scenes share a name.
+
+    Attributes:
+        each_frame: whether all decoders run for each view.
     """
 
     method = "econgs"
+    each_frame = False
 
     def __init__(self, groups: Sequence[Group]) -> None:
         self.groups = tuple(groups)
@@ -140,15 +145,16 @@ class EcongsModel(SceneModel[SceneAnchors]):
 
     def decoding(self, scenes: Sequence[str]) -> Decoding:
         """Once, unless decoders see the direction; see :class:`methods.interface.HasDecoders`."""
-        directed = any(scene.decoders.view_direction for scene in self.chosen(scenes))
-        return "per frame" if directed else "once"
+        return "per frame" if any(map(self._each_frame, self.chosen(scenes))) else "once"
 
-    def decode(self, scenes: Sequence[str]) -> None:
-        """Decode again the scenes whose decoders do not see the direction."""
-        for scene in self.chosen(scenes):
-            if not scene.decoders.view_direction:
-                vars(scene).pop("unshaded", None)
-                _ = scene.unshaded
+    def decoding_each_frame(self) -> EcongsModel:
+        """This model, with decoders that run as if all of them saw the direction."""
+        model = copy(self)
+        model.each_frame, model.preparation = True, "decode"
+        return model
+
+    def _each_frame(self, scene: SceneAnchors) -> bool:
+        return self.each_frame or scene.decoders.view_direction
 
     def bytes_estimate(self) -> int:
         """Bytes that :meth:`save` would write."""
@@ -179,7 +185,7 @@ class EcongsModel(SceneModel[SceneAnchors]):
         palette, light, factors = shading_edit(scene.name, scene.palette, scene.light, edit)
         shown = visible_anchors(camera, scene.positions, scene.values.scalings)
         decoders, embedding = scene.decoders, scene.embedding
-        if decoders.view_direction:
+        if self._each_frame(scene):
             positions, values = scene.positions, scene.values
             rows = shown.nonzero()[:, 0]
             if len(rows) < len(positions):
@@ -200,7 +206,9 @@ class EcongsModel(SceneModel[SceneAnchors]):
     @classmethod
     def load(cls, folder: Path, device: str) -> EcongsModel:
         model = cls([Group(coded, device, file) for file, coded in read_streams(folder, SUFFIX, "econgs")])
-        model.decode(model.scenes)  # decoding once is a part of loading, not of the first frame
+        for scene in model._scenes.values():
+            if not scene.decoders.view_direction:
+                _ = scene.unshaded  # decoding once is a part of loading, not of the first frame
         return model
 
     @classmethod

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 from urllib.parse import quote
 
 import numpy as np
@@ -67,8 +67,9 @@ class AnchorModel(SceneModel[SceneAnchors]):
         """For each frame; see :class:`methods.interface.HasDecoders`."""
         return "per frame"
 
-    def decode(self, scenes: Sequence[str]) -> None:
-        """Nothing: no scene is decoded once."""
+    def decoding_each_frame(self) -> Self:
+        """This model."""
+        return self
 
     def gaussians(self, scene: SceneAnchors, camera: Camera, edit: Edit) -> Gaussians:
         """The Gaussians of the anchors in view."""

@@ -340,38 +340,30 @@ def test_an_interruption_is_no_part_of_a_frame(monkeypatch) -> None:
     assert median_timings(timings, PATH * 11) == {"shade": 0.0005, "rasterise": 0.0015}
 
 
-class _Decoded:
-    """A model whose networks take 3 ms and whose frames take 1 ms."""
+class _Decoded(_Model):
+    """A model with networks that run once."""
 
-    def __init__(self, clock: _Clock, answer: str = "once") -> None:
-        self.clock, self.answer = clock, answer
-        self.decoded, self.rendered = 0, 0
+    def __init__(self, answer: str = "once") -> None:
+        self.answer = answer
 
     def decoding(self, scenes) -> str:
         assert scenes == ["a"]
         return self.answer
 
-    def decode(self, scenes) -> None:
-        assert scenes == ["a"]
-        self.decoded += 1
-        self.clock.time += 0.003
-
-    def render(self, camera) -> None:
-        self.rendered += 1
-        self.clock.time += 0.001
+    def decoding_each_frame(self) -> _Decoded:
+        return _Decoded("per frame")
 
 
-def test_a_model_that_is_decoded_once_is_timed_with_decoding_in_each_frame_too(monkeypatch) -> None:
-    clock = _Clock(monkeypatch)
-    model = _Decoded(clock)
-    assert _decoding(model, ["a"], model.render, PATH, "cpu") == ("once", pytest.approx(0.004))
-    assert model.decoded == model.rendered > 100
-    other = _Decoded(clock, "per frame")
-    assert _decoding(other, ["a"], other.render, PATH, "cpu") == ("per frame", None)
-    assert other.rendered == 0
-    assert _decoding(_Model(), ["a"], other.render, PATH, "cpu") == ("", None)
+def test_a_model_that_is_decoded_once_is_timed_with_decoding_in_each_frame_too() -> None:
+    def frame_seconds(model) -> float:
+        assert model.answer == "per frame"
+        return 0.004
+
+    assert _decoding(_Decoded(), ["a"], frame_seconds) == ("once", 0.004)
+    assert _decoding(_Decoded("per frame"), ["a"], frame_seconds) == ("per frame", None)
+    assert _decoding(_Model(), ["a"], frame_seconds) == ("", None)
     with pytest.raises(RuntimeError, match="'twice', not one of once, per frame"):
-        _decoding(_Decoded(clock, "twice"), ["a"], other.render, PATH, "cpu")
+        _decoding(_Decoded("twice"), ["a"], frame_seconds)
 
 
 def test_the_kernel_runs_while_the_clock_of_a_fit_stands(tmp_path, monkeypatch) -> None:

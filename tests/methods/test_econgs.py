@@ -11,6 +11,7 @@ from datasets import scratch
 from datasets.errors import DataError
 from datasets.scene import Light
 from econgs.anchors.colors import offset_colors
+from methods.econgs import model as econgs_model
 from methods.econgs.memory import group_bytes
 from methods.econgs.model import Group
 from methods.econgs.spec import EcongsOptions
@@ -361,21 +362,25 @@ def test_an_edited_palette_looks_like_the_edited_scene(tiny):
 
 
 @pytest.mark.parametrize("directed", [False, True])
-def test_decoding_again_gives_the_same_pictures(tiny, scene, tmp_path, directed):
-    """Networks that see no direction run once, at load, and again for each frame where that is asked for."""
+def test_decoding_for_each_frame_gives_the_same_pictures(tiny, scene, tmp_path, monkeypatch, directed):
+    """Networks that see no direction run once, at load, and for each frame where that is asked for."""
     fit(scene, tiny.Recorder(), 30, view_direction=directed).save(tmp_path)
     model = fit.method.load(tmp_path, "cpu")
     assert isinstance(model, HasDecoders)
+    each = model.decoding_each_frame()
     assert model.decoding(["tiny"]) == ("per frame" if directed else "once")
-    anchors, before = model.scene("tiny"), pictures(model, scene)
-    ready = vars(anchors).get("unshaded")
-    assert (ready is None) == directed
-    model.decode(["tiny"])
-    assert (vars(anchors).get("unshaded") is ready) == directed, "it was decoded again"
-    assert float((pictures(model, scene) - before).abs().max()) <= 1e-5
-    # What was decoded is what is drawn.
-    if not directed:
-        vars(anchors)["unshaded"] = replace(anchors.unshaded, opacities=0.0 * anchors.unshaded.opacities)
-        assert float((pictures(model, scene) - before).abs().max()) > 0.1
-        model.decode(["tiny"])
-        assert float((pictures(model, scene) - before).abs().max()) <= 1e-5
+    assert each.decoding(["tiny"]) == "per frame"
+    runs = []
+    plain = econgs_model.decode
+    monkeypatch.setattr(econgs_model, "decode", lambda *args, **more: runs.append(1) or plain(*args, **more))
+    edit = {"tiny": Edit(opacity=0.5)}
+    for changes in ({}, {"edit": edit}):
+        before = pictures(model, scene, **changes)
+        assert len(runs) == (len(before) if directed else 0)
+        runs.clear()
+        assert float((pictures(each, scene, **changes) - before).abs().max()) <= 1e-5
+        assert len(runs) == len(before)
+        runs.clear()
+    camera = scene.validation.cameras[0]
+    assert (each.timings(camera)["decode"] > 0.0, each.timings(camera)["shade"]) == (True, 0.0)
+    assert (model.timings(camera)["decode"] > 0.0) == directed, "the model itself stays as it is"
