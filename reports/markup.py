@@ -6,7 +6,7 @@ import json
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from reports.style import Model, absent, look, model, row_label
+from reports.style import DARK, Look, Model, absent, look, model, row_label
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -17,12 +17,18 @@ _LONG = 30
 
 
 def method(row: Any, models: Sequence[Model]) -> str:
-    """A row's method with variant and rate, after a dot in its color in the charts."""
-    shade = look(model(row["method"], row["variant"]), models).color
+    """A row's method with variant and rate, after its marker in the charts."""
+    mark = dot(look(model(row["method"], row["variant"]), models))
     name = escape(row_label(row))
     for after in ",=":
         name = name.replace(after, f"{after}<wbr>")
-    return f'<span class="dot" style="background:{shade}"></span>{name}'
+    return f"{mark}{name}"
+
+
+def dot(look: Look) -> str:
+    """A marker in its color, lighter where it would drown on dark; the page's style has its shape."""
+    color = f"light-dark({look.color},{DARK[look.color]})" if look.color in DARK else look.color
+    return f'<span class="dot {look.marker}" style="background:{color}"></span>'
 
 
 def status(row: Any) -> str:

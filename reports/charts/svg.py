@@ -55,12 +55,18 @@ def page_panel(panel: Panel) -> str:
 
 
 def theme() -> str:
-    """Style rules that give charts the colors of the page, light and dark."""
-    return "".join(
+    """Style rules that give charts the colors of the page, light and dark, and dots the shapes of markers."""
+    colors = [
         f'.chart [{name}="{color}"], .swatch [{name}="{color}"] {{ {name}: {value}; }}\n'
         for color, value in THEME.items()
         for name in ("fill", "stroke")
-    )
+    ]
+    shapes = []
+    for marker, corners in _CORNERS.items():
+        reach = max(abs(part) for corner in corners for part in corner)
+        outline = ",".join(f"{_n(50 + 50 * x / reach)}% {_n(50 + 50 * y / reach)}%" for x, y in corners)
+        shapes.append(f".dot.{marker} {{ border: 0; border-radius: 0; clip-path: polygon({outline}); }}\n")
+    return "".join([*colors, *shapes])
 
 
 def file(chart: Chart) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Container
 from html import escape
 from typing import TYPE_CHECKING
 
+from reports import markup
 from reports.charts import svg
 from reports.charts.decision import decisions
 from reports.charts.elements import Section, annotated
@@ -58,7 +59,7 @@ def _entry(answer: Answer, models: list[Model]) -> str:
 
 
 def _dot(method: str, models: list[Model]) -> str:
-    return f'<span class="dot" style="background:{look(Model(method), models).color}"></span>'
+    return markup.dot(look(Model(method), models))
 
 
 def _charts(charts: dict[str, Chart]) -> str:

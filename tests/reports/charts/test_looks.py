@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist
 from skimage.color import rgb2lab
 
 from methods.registry import Registry
-from reports import style
+from reports import markup, style
 from reports.charts import data, features, kinds, parts, svg, training
 from reports.charts.elements import legend
 from reports.charts.labels import text_width
@@ -335,3 +335,18 @@ def test_the_page_lifts_the_colors_that_would_drown_on_dark():
     rules = svg.theme()
     for light, dark in style.DARK.items():
         assert rules.count(f"light-dark({light},{dark})") == 4 / 2
+
+
+def test_dots_of_methods_in_tables_have_their_markers():
+    """Methods that share a color differ in the shape of their dots, on dark as well."""
+    rules = svg.theme()
+    dots = {method: markup.dot(entry) for method, entry in style.LOOKS.items()}
+    assert len(set(dots.values())) == len(dots)
+    shapes = {marker: re.findall(rf"\.dot\.{marker} {{.*polygon\((.*?)\)", rules) for marker in style.MARKERS}
+    assert shapes.pop("circle") == []  # the usual one
+    assert len({shape for (shape,) in shapes.values()}) == len(shapes)
+    assert shapes["square"] == ["0% 0%,100% 0%,100% 100%,0% 100%"]
+    row = {"method": "plenoxels", "variant": "", "rate": None}
+    black = style.LOOKS["plenoxels"]
+    assert markup.method(row, [Model("plenoxels")]).startswith(markup.dot(black))
+    assert f"light-dark({black.color},{style.DARK[black.color]})" in markup.dot(black)
