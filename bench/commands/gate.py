@@ -54,9 +54,11 @@ def baseline(options: Namespace) -> int:
         cells=files.sorted_cells([*kept, *(files.cell_of(cell) for cell in cells.values())]),
     )
     files.write(path, content)
+    busy = sum(cell.busy for cell in cells.values())
     print(
         f"{path}: {counted(len(content.cells), 'result')}, {path.stat().st_size / 2**10:.0f} KiB"
         + (f"; {len(kept)} as before, which {options.store} lacks" if kept else "")
+        + (f"; without {counted(busy, 'time')} of a disturbed clock" if busy else "")
     )
     return 0
 

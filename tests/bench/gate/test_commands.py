@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -167,6 +168,18 @@ def test_a_baseline_needs_seeds_and_finished_runs(gate: Bench, tmp_path: Path) -
     assert "1 seeds show no spread" in done.stderr
     assert not (tmp_path / "new.json").exists()
     gate("baseline", "runs", "--out", "new.json", code=2)
+
+
+def test_times_of_a_disturbed_clock_are_counted_and_left_out(gate: Bench, tmp_path: Path) -> None:
+    def busy(record) -> None:
+        if record["job"]["seed"] == 2 and record["job"]["scenes"] == ["a"]:
+            record["measure"]["reference_seconds"] *= 1000.0
+
+    change(tmp_path / "runs", "measure", busy)
+    done = gate("baseline", "runs", "--out", "new.json", "--reason", "r")
+    assert int(re.findall(r"without (\d+) times? of", done.stdout)[0]) >= 1
+    a, _ = read(tmp_path / "new.json").cells
+    assert a.values.get("frame_ratio", [None] * 3)[2] is None
 
 
 def test_an_update_keeps_what_its_store_lacks(gate: Bench, tmp_path: Path) -> None:
