@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from reports.conclusions.clocks import decoding
 from reports.conclusions.contest import Cells, Contest, Values
 from reports.conclusions.effects import LEAST_DATASETS, Effect, effect
 from reports.conclusions.family import Family, largest
@@ -251,6 +252,10 @@ def measured(criterion: Criterion, contest: Contest, family: Family) -> Answer:
         f"{'; '.join(filter(None, remarks))}), better on {lead.wins} of {counted(lead.datasets, 'dataset')}; "
     )
     text += f"{_seeds(lead)}{_caution(values)}."
+    if criterion.column == "fps" and (
+        condition := decoding(row for row in contest.rows if row["method"] in means)
+    ):
+        text += f" {condition}"
     return Answer(criterion.title, places, "" if near else order[0], text, len(scenes), level)
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from reports.style import absent
+from reports.style import absent, enumeration, label
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -80,6 +81,35 @@ def _spread(row: Mapping[str, Any]) -> float:
     """95th / 5th percentile of a row's frame times; 1 where they are not known."""
     fast, slow = row.get("fps_p95"), row.get("fps_p05")
     return 1.0 if absent(fast) or absent(slow) else float(fast or 0.0) / float(slow or 1.0)
+
+
+def decoding(rows: Iterable[Mapping[str, Any]]) -> str:
+    """The condition of a comparison of FPS: whose networks run once and whose in each frame; "" without any.
+
+    Args:
+        rows: of `results`, of the methods that are compared.
+    """
+    kinds: dict[str, list[str]] = {"once": [], "per frame": []}
+    shares: dict[str, list[float]] = {}
+    for row in rows:
+        if absent(kind := row.get("decoding")) or kind not in kinds:
+            continue
+        if (name := label(row["method"])) not in kinds[str(kind)]:
+            kinds[str(kind)].append(name)
+        if not absent(each := row.get("fps_decoding")):
+            shares.setdefault(name, []).append(float(each or 0.0) / float(row["fps"]))
+    parts = []
+    if kinds["once"]:
+        names = [
+            f"{name} ({median(shares[name]):.2f} times the FPS with decoding in each frame)"
+            if name in shares
+            else name
+            for name in kinds["once"]
+        ]
+        parts.append(f"once, at load: {enumeration(names)}")
+    if kinds["per frame"]:
+        parts.append(f"in each frame: {enumeration(kinds['per frame'])}")
+    return f"Networks run {'; '.join(parts)}." if parts else ""
 
 
 def place(row: Mapping[str, Any], column: str) -> tuple[Any, Any]:

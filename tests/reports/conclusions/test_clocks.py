@@ -1,9 +1,11 @@
 """Which times count, on hand-made rows."""
 
+import re
+
 import pytest
 
-from reports.conclusions.clocks import BUSY, SPREAD, Clocks
-from tests.reports.conclusions.test_answers import row, table
+from reports.conclusions.clocks import BUSY, SPREAD, Clocks, decoding
+from tests.reports.conclusions.test_answers import DRAWING, TRAINING, contest, measured, pair, row, table
 
 EVEN = {"fps_p05": 80.0, "fps_p95": 120.0}
 QUIET = [row("a", 30.0, scene=f"s{i}", **EVEN) for i in range(5)]
@@ -47,3 +49,16 @@ def test_what_is_not_known_disturbs_nothing():
     assert Clocks(few).disturbed(row("b", 30.0, reference_seconds=9.0), "fps") == ""
     older = table(*QUIET).drop(columns=["reference_worst", "fps_p05"], errors="ignore")
     assert Clocks(older).disturbed({"fps": 1.0, "processor": "P", "threads": 1}, "fps") == ""
+
+
+def test_a_sentence_on_drawing_names_what_frames_contain():
+    rows = [*pair([0.0] * 4)]
+    before = measured(DRAWING, contest(*rows)).sentence
+    for one in rows:
+        once = one["method"] == "a"
+        one |= {"decoding": "once", "fps_decoding": 81.0} if once else {"decoding": "per frame"}
+    rows[0]["fps_decoding"] = 20.0  # of a busy moment
+    condition = decoding(rows)
+    assert re.search(r"once.* a \(0\.81 times .*frame: b\.$", condition)
+    assert measured(DRAWING, contest(*rows)).sentence == f"{before} {condition}"
+    assert condition not in measured(TRAINING, contest(*rows)).sentence
