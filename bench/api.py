@@ -261,7 +261,7 @@ class Runs:
 
     @property
     def answers(self) -> dict[str, str]:
-        """Criterion ("Smallest", "Best picture", ...) -> which method, by how much, and how sure.
+        """Criterion ("Smallest", "Best picture", ...) -> which method, by how much, and whether that is significant.
 
         It is empty where no two methods can be compared.
         """

@@ -414,7 +414,7 @@ def _tests(samples: Sequence[_Sample]) -> Iterator[_Test]:
 
 
 def _of_methods(pairs: Sequence[_Pair]) -> Iterator[_Sample]:
-    """Means of each method over its scenes: what is small in each scene may be sure in all."""
+    """Means of each method over its scenes: what is small in each scene may be significant in all."""
     groups: dict[Key, list[_Pair]] = defaultdict(list)
     for pair in pairs:
         groups[pair.old.key._replace(dataset="", scene=_ALL)].append(pair)

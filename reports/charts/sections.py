@@ -117,8 +117,8 @@ def _confidence(report: Report) -> Section | None:
         'are not ranked. All metrics: <a href="intervals.csv">intervals</a>, all pairs: '
         '<a href="comparisons.csv">comparisons</a>.'
     )
-    html = f"<p>{words}</p>{table('PSNR, how sure it is, and differences', heads, rows)}"
-    return Section("confidence", "How sure", html)
+    html = f"<p>{words}</p>{table('PSNR, its uncertainty, and differences', heads, rows)}"
+    return Section("confidence", "Uncertainty", html)
 
 
 def _seeds(row: dict) -> str:

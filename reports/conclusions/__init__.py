@@ -1,1 +1,1 @@
-"""What a report's tables say about the methods: which is best at what, by how much, and how sure that is."""
+"""What a report's tables say about the methods: which is best at what, by how much, and if significantly."""

@@ -100,7 +100,7 @@ def band_means(found: list[Target], panel: str) -> dict[Model, dict[str, tuple[f
 
 
 def conclusion(found: list[Target]) -> str:
-    """Which model is best on trained and on unseen transfer functions, in sentences.
+    """Which model has the highest mean on trained and on unseen transfer functions, in sentences.
 
     A method alone shows nothing. The compressed volume takes every transfer function: it stands apart.
     """
@@ -125,7 +125,9 @@ def conclusion(found: list[Target]) -> str:
             else:
                 parts.append(f"{where} {first} ({scores[first]:.1f} dB, {second} {scores[second]:.1f})")
         if parts:
-            sentences.append(f"{panel}, best model by distance of the transfer function: {'; '.join(parts)}.")
+            sentences.append(
+                f"{panel}, highest mean PSNR by distance of the transfer function: {'; '.join(parts)}."
+            )
         for each, own in means.items():
             if each.method in VOLUMES and len(own) > 1:
                 near, *_, far = (psnr for _, psnr in own.values())

@@ -46,7 +46,7 @@ class Verdict:
 
     @property
     def pays(self) -> bool:
-        """Whether the model is surely smaller than a volume as good."""
+        """Whether the model is smaller than a volume as good; False where such a volume is not known."""
         return self.bytes < self.needed and self.bound != "below"
 
 

@@ -458,7 +458,7 @@ def test_no_sections_without_data(maker):
     assert "1 of 1: failed 1" in html
 
 
-def test_how_sure_tells_intervals_seeds_and_differences(maker):
+def test_uncertainty_has_intervals_seeds_and_differences(maker):
     for seed, shift in enumerate((0.0, 0.3, -0.3)):
         maker.run(method="a", seed=seed, psnr=34.0 + shift)
         maker.run(method="b", seed=seed, psnr=30.0 + shift)

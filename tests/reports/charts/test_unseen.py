@@ -62,7 +62,7 @@ def test_bands_are_means_over_what_all_methods_have(moved):
 def test_the_conclusion_names_a_leader_by_distance(moved):
     text = unseen.conclusion(unseen.targets(Report(moved.tables()).results))
     assert text.startswith(
-        "vortex, best model by distance of the transfer function: on trained ones 3DGS (40.5 dB"
+        "vortex, highest mean PSNR by distance of the transfer function: on trained ones 3DGS (40.5 dB"
     )
     assert "3DGS and " in text  # level in the second band
     assert "beyond" in text.split(";")[-1]
