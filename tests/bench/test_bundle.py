@@ -26,9 +26,12 @@ from .conftest import suite_file
 
 
 def rows(root):
-    """Table -> its rows, of a store's folder."""
+    """Table -> its rows, of a store's folder; without the time of jobs, as views may be made again."""
     tables = stored_tables(Store(root).records())
-    return {name: table.to_dict("records") for name, table in tables.items()}
+    return {
+        name: table.drop(columns="finished", errors="ignore").to_dict("records")
+        for name, table in tables.items()
+    }
 
 
 @pytest.fixture
@@ -219,6 +222,21 @@ def test_changes_are_found(packed, tmp_path, change, words):
     problems = verify_bundle(rewritten(packed, tmp_path, change))
     assert any(words in problem for problem in problems), problems
     assert not (tmp_path.parent / "out.txt").exists()
+
+
+def test_texts_beyond_any_bundle_are_refused_unread(packed, tmp_path, monkeypatch):
+    def longer(files):
+        name = first(files, "jobs/fit-", "record.json")
+        files[name] += b" " * 100_000
+        resigned(files)
+
+    path = rewritten(packed, tmp_path, longer)
+    monkeypatch.setattr("bench.bundle._LONGEST", 100_000)
+    (problem,) = verify_bundle(path)
+    assert re.fullmatch(r"jobs/fit-\w+/record.json: \d+ bytes, more than any has", problem)
+    monkeypatch.setattr("bench.bundle._LONGEST", 100)
+    with pytest.raises(DataError, match=r"is no bundle \(bundle.json: \d+ bytes, more than any has\)"):
+        verify_bundle(path)
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -94,6 +94,18 @@ def test_a_model_that_cannot_be_decoded_does_not_hold(bench, store):
     assert "its model cannot be measured: JSONDecodeError" in done.stderr
 
 
+def test_a_crash_while_decoding_ends_nothing_else(bench, store, tmp_path):
+    plugins = tmp_path / "plugins"
+    shutil.copytree(PLUGINS, plugins)
+    file = plugins / "fake.py"
+    head = "def load(self, folder, device):\n"
+    assert head in file.read_text()
+    file.write_text(file.read_text().replace(head, f"{head}        os.abort()\n"))
+    path = packed(store)
+    done = bench("verify", path, "--redo", 1, "--plugins", plugins, "--dataset", bench.dataset, code=1)
+    assert "its model cannot be measured: its process ended with code -6" in done.stderr
+
+
 def test_other_primitives_are_found(bench, store):
     def many(record):
         record["measure"]["primitives"] = 7
