@@ -9,7 +9,8 @@ import pytest
 
 from bench.__main__ import _with_values, parser
 from bench.disturbed import disturbed_jobs, to_measure_again
-from bench.store import Store
+from bench.store import Store, write_text
+from datasets.seals import sealed
 
 from .conftest import PLUGINS, Bench, wait_for, workers
 
@@ -35,16 +36,22 @@ def six(bench, _six):
         for kind, changes in (("fit", quiet), ("measure", quiet | even)):
             if (result := getattr(record, kind)) is not None:
                 changed = result.model_copy(update=changes)
-                store.finish(record.model_copy(update={kind: changed, "finished": "2026-12-01T00:00:00"}))
+                rewrite(bench, record.model_copy(update={kind: changed, "finished": "2026-12-01T00:00:00"}))
     assert disturbed_jobs(Store(bench.store).records()) == {}
     return bench
+
+
+def rewrite(bench, record) -> None:
+    """Put a record in the place of an earlier one, beside the files of its job."""
+    file = bench.store / "jobs" / record.job.id / "record.json"
+    write_text(file, sealed(record.model_dump_json(indent=1) + "\n"))
 
 
 def disturb(bench, kind: str, seed: int, **changes: float) -> str:
     """Lengthen times of a job; its id."""
     (record,) = [one for one in bench.of_kind(kind) if one.job.seed == seed]
     result = getattr(record, kind).model_copy(update=changes)
-    Store(bench.store).finish(record.model_copy(update={kind: result}))
+    rewrite(bench, record.model_copy(update={kind: result}))
     return record.job.id
 
 
@@ -71,7 +78,8 @@ def test_disturbed_jobs_and_what_follows_from_them_run_again(six) -> None:
     assert not list((six.store / "partial").iterdir())
 
 
-def test_a_finished_job_is_not_lost_where_it_fails_again(six, tmp_path) -> None:
+@pytest.mark.parametrize("executor", ["local", "dask"])
+def test_a_finished_job_is_not_lost_where_it_fails_again(six, tmp_path, executor) -> None:
     """The fit breaks; its earlier model is measured again."""
     fit = disturb(six, "fit", 3, reference_worst=0.2)
     before = six.records()
@@ -82,8 +90,12 @@ def test_a_finished_job_is_not_lost_where_it_fails_again(six, tmp_path) -> None:
         file.read_text().replace("behaviour = _behaviour(options, targets)", 'behaviour = "raise"')
     )
     six.plugins = plugins
-    done = six.run(*SEEDS, "--retry", "busy")
+    if executor == "dask":
+        pytest.importorskip("distributed")
+    done = six.run(*SEEDS, "--retry", "busy", "--executor", executor)
     assert "a bug in the method" in done.stdout + done.stderr
+    chain = {name for name, record in before.items() if record.job.seed == 3 and record.job.kind != "views"}
+    assert changed(six, before) == chain - {fit}
     assert six.records()[fit] == before[fit]
     assert all(record.ok for record in six.records().values())
     assert not list((six.store / "partial").iterdir())
