@@ -11,7 +11,6 @@ from reports.statistics import Views
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, leads, top_two
 
 SEEDS_NOTE = f"{UNDECIDED_SIGN} of size, time and speed: the ranges of their seeds overlap."
-ELSEWHERE = "not ranked: measured on several machines, devices or numbers of threads."
 
 
 def marks(
@@ -20,7 +19,7 @@ def marks(
     """(row, column) -> place among the rows with equal :attr:`Row.rivals`, and remarks.
 
     Quality is ranked where paired differences over views decide. Other columns are ranked by their values,
-    unless the ranges of seeds overlap; times are ranked only if all are from one place.
+    unless the ranges of seeds overlap; times are of one place (:mod:`reports.comparability`).
     """
     places: dict[tuple[int, str], int] = {}
     notes: dict[str, dict[str, None]] = {}
@@ -31,9 +30,6 @@ def marks(
         }
         texts = {f"{row.values[name].mean:.{quantity.digits}f}" for row in measured.values()}
         if not quantity.better or len(texts) < 2:
-            continue
-        if quantity.clock and len({host for row in measured.values() for host in row.hosts}) > 1:
-            notes.setdefault(ELSEWHERE, {})[quantity.title] = None
             continue
         if name in METRICS:
             lacking = [row.label for row in measured.values() if views.sample(row.jobs, name) is None]

@@ -346,11 +346,6 @@ def _row(
         "; ".join(notes),
         [str(job) for part in complete for job in part["job"]],
         frozenset(
-            tuple("" if absent(value) else str(value) for value in host)
-            for part in complete
-            for host in zip(part["machine"], part["device"], part["threads"], strict=True)
-        ),
-        frozenset(
             str(version) for part in complete for version in part["method_version"] if not absent(version)
         ),
         {

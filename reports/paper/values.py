@@ -105,7 +105,6 @@ class Row:
         values: column -> cell.
         note: why cells, or those of a seed, are missing.
         jobs: the measurements of the complete seeds.
-        hosts: machine, device and threads of the measurements.
         versions: versions of the method that fitted them.
         missing: column -> why a measured row lacks it.
         parts: column -> what its value is made of, at the seeds that have all scenes; in units of `results`.
@@ -116,7 +115,6 @@ class Row:
     values: Mapping[str, Value]
     note: str = ""
     jobs: Sequence[str] = ()
-    hosts: frozenset[tuple[str, ...]] = frozenset()
     versions: frozenset[str] = frozenset()
     missing: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[str, Parts] = field(default_factory=dict)

@@ -67,8 +67,9 @@ def to_html(verdicts: Sequence[Verdict]) -> str:
         '<p class="note">holds, exceeds: by more than the paper states; holds among the paper\'s: a method '
         "that the claim does not name is better; not decided: the 95 % interval (in brackets) contains the "
         "bound, or both rows are of one model. Intervals of quality are of paired differences over views and "
-        "seeds, those of bytes, times and frame rates of ratios over scenes and seeds. Each is of one claim "
-        "alone. "
+        "seeds, those of bytes, times and frame rates of ratios over scenes and seeds. Each claim is checked "
+        "by itself, while leads of this page are corrected together: a claim may hold where no lead is "
+        "significant. "
         f"{missing} further claims were not measured "
         "(<code>bench report --check-claims</code> lists them).</p>"
         f"<details><summary>{len(skipped)} claims are not evaluated</summary>"

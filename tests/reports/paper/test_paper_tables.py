@@ -13,7 +13,7 @@ from reports.comparability import replaced
 from reports.paper import tables
 from reports.paper.documents import to_html, to_latex, to_markdown, to_text
 from reports.paper.layouts import layouts, reference_rows
-from reports.paper.marks import ELSEWHERE, SEEDS_NOTE
+from reports.paper.marks import SEEDS_NOTE
 from reports.schema import frame
 from reports.statistics import Views
 
