@@ -261,11 +261,16 @@ class Runs:
 
     @property
     def answers(self) -> dict[str, str]:
-        """Criterion ("Smallest", "Best picture", ...) -> which method, by how much, and whether that is significant.
+        """Criterion ("Smallest", "Best picture", ...) -> which method, by how much, and how significantly.
 
         It is empty where no two methods can be compared.
         """
         return {answer.title: answer.sentence for answer in self._report.answers}
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is not compared in answers, means and charts, and why; `tables["differences"]` lists it."""
+        return [one.sentence for one in self._report.remarks]
 
     @cached_property
     def _report(self) -> Report:

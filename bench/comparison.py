@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from reports.comparability import ROW, pair_differences
 from reports.schema import METRICS
+from reports.style import absent, label
 from reports.tables.protocols import by_scene_choice
 
 if TYPE_CHECKING:
     import pandas as pd
 
 EXPERIMENT = ("dataset", "scene", "method", "variant", "rate", "preset", "split", "seed")
+_IDENTITY = ("truth", "renderer", "metric_versions")
 
 
 def compared(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
@@ -23,32 +26,45 @@ def compared(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
     Returns:
         One row per experiment and metric: both means, mean difference (second - first) and its extremes, and
         ``views``, the number of common views on which both have the metric. Empty if the runs have no view in
-        common. The attribute "views" of the frame counts all common views.
+        common. The attribute "views" of the frame counts all common views, "differences" has a line for each
+        experiment or metric that both have and that is not compared (:mod:`reports.comparability`).
     """
     import pandas as pd
 
     keys = [*EXPERIMENT, "view"]
+    facts = [*keys, *METRICS, *_IDENTITY]
     text = {key: "string" for key in keys if key not in ("rate", "seed")}
     left, right = (
-        table[[*keys, *METRICS]].astype(text).assign(rate=table["rate"].fillna(-1.0))
+        table[facts].astype(text).assign(rate=table["rate"].fillna(-1.0))
         for table in map(by_scene_choice, (first, second))
     )
     pairs = left.merge(right, on=keys, suffixes=("_1", "_2"))
-    rows = []
+    rows, differences, count = [], [], 0
     for experiment, group in pairs.groupby(list(EXPERIMENT), dropna=False):
+        one, other = ({name: group[f"{name}_{side}"].iloc[0] for name in _IDENTITY} for side in (1, 2))
+        who = dict(zip(EXPERIMENT, experiment, strict=True))
+        title = f"{who['dataset']}/{who['scene']} {label(who['method'], who['variant'])}"
+        apart = pair_differences(one, other)
+        differences += [f"{title}: {name}: {why}" for name, why in apart.items()]
+        if ROW in apart:
+            continue
+        renderers = [str(each["renderer"]) for each in (one, other) if not absent(each["renderer"])]
+        if len(set(renderers)) > 1:
+            differences.append(f"{title}: the truth was rendered by {' and by '.join(renderers)}")
+        count += len(group)
         for metric in METRICS:
             values = group[[f"{metric}_1", f"{metric}_2"]].dropna()
-            if values.empty:
+            if values.empty or metric in apart:
                 continue
-            one, two = (values[column] for column in values)
-            difference = two - one
+            before, after = (values[column] for column in values)
+            difference = after - before
             rows.append(
                 {
-                    **dict(zip(EXPERIMENT, experiment, strict=True)),
+                    **who,
                     "metric": metric,
                     "views": len(values),
-                    "first": one.mean(),
-                    "second": two.mean(),
+                    "first": before.mean(),
+                    "second": after.mean(),
                     "difference": difference.mean(),
                     "least": difference.min(),
                     "greatest": difference.max(),
@@ -57,5 +73,5 @@ def compared(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
     table = pd.DataFrame(rows)
     if len(table):
         table["rate"] = table["rate"].where(table["rate"] != -1.0)
-    table.attrs["views"] = len(pairs)
+    table.attrs |= {"views": count, "differences": list(dict.fromkeys(differences))}
     return table

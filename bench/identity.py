@@ -51,7 +51,7 @@ def _trained(scenes: Any) -> Iterator[tuple[str, str]]:
 
 
 def truth(record: Record, lineage: Lineage) -> str | None:
-    """Identity of the pictures that a measurement compares with; None where it is not known."""
+    """Identity of the pictures that a measurement compares with, and of its views; None if not known."""
     job = record.job
     if record.measure is None:
         return None
@@ -66,7 +66,8 @@ def truth(record: Record, lineage: Lineage) -> str | None:
         views = [parts, job.edit, stress, job.split, size, held_out]
     if views is None:
         return None
-    return hash_of({"views": views, "names": [view.view for view in record.measure.views]})
+    names = hash_of([view.view for view in record.measure.views])
+    return f"{hash_of(views)}-{names[:8]}"
 
 
 def renderer(record: Record, lineage: Lineage) -> str | None:
@@ -150,7 +151,7 @@ def axes(record: Record, lineage: Lineage, marks: Mapping[str, str]) -> dict[str
     versions = metric_versions(record)
     return {
         "contents": json.dumps(known, sort_keys=True) if known else None,
-        "truth": hash_of([key, mark]) if key is not None and mark else key,
+        "truth": f"{mark}{key[len(mark) :]}" if key is not None and mark else key,
         "renderer": renderer(record, lineage) if record.job.kind == "measure" else None,
         "test_views": len(record.measure.views) if record.measure is not None else None,
         "metric_versions": json.dumps(versions, sort_keys=True) if versions else None,

@@ -50,8 +50,7 @@ def build_tables(
         The tables as readers get them (:func:`reports.schema.joined`).
     """
     lineage = Lineage(store.records())
-    names = {record.job.id for record in elected(lineage, methods or {})}
-    tables = _stored(lineage, methods or {}, names, ladders_of(store.root))
+    tables = _elected(lineage, methods or {}, ladders_of(store.root))
     if write and os.access(store.tables, os.W_OK):
         with store.lease("tables"):
             for leftover in store.tables.glob(".*"):  # of a process that was killed
@@ -64,6 +63,31 @@ def build_tables(
                     os.replace(aside, target)
                 finally:
                     aside.unlink(missing_ok=True)
+    return _compared(lineage, tables)
+
+
+def derived(
+    lineage: Lineage, methods: Mapping[str, MethodSpec] | None = None, ladders: Collection[Ladder] = ()
+) -> dict[str, pd.DataFrame]:
+    """The tables of records, as :func:`build_tables` returns those of a store.
+
+    Args:
+        lineage: the records.
+        methods: name -> spec of today.
+        ladders: of the suites that were run.
+    """
+    return _compared(lineage, _elected(lineage, methods or {}, ladders))
+
+
+def _elected(
+    lineage: Lineage, methods: Mapping[str, MethodSpec], ladders: Collection[Ladder]
+) -> dict[str, pd.DataFrame]:
+    names = {record.job.id for record in elected(lineage, methods)}
+    return _stored(lineage, methods, names, ladders)
+
+
+def _compared(lineage: Lineage, tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
+    """As readers get them: datasets by what they show, and what is not compared."""
     tables["jobs"] = comparability.set_apart(tables["jobs"], partial(contents_today, lineage))
     full = joined(tables)
     full["results"] = comparability.judged(full["results"])
@@ -324,6 +348,8 @@ def _measured(measured: MeasureResult) -> Row:
         "fps_p95": 1.0 / measured.frame_seconds_p05,
         "decoding": measured.decoding,
         "fps_decoding": measured.frame_seconds_decoding and 1.0 / measured.frame_seconds_decoding,
+        "ruler": measured.ruler,
+        "parts_ruler": measured.parts_ruler,
         "reference_seconds": measured.reference_seconds,
         "reference_worst": measured.reference_worst,
         "identical_views": sum(view.identical for view in measured.views),

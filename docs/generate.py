@@ -100,11 +100,13 @@ from bench.tune import LOSS, SCENE_LOSS, Study, Trial, means, read_study, smalle
 from methods.interface import MethodSpec, OptionValue
 from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
 from methods.registry import Registry
+from reports import comparability
 from reports.charts import svg
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.conclusions import economy, races, rates, unseen, volumes
 from reports.conclusions.answers import Answer, scope, standing
+from reports.conclusions.clocks import Clocks
 from reports.conclusions.ladders import amount, by_method, contrasts, verdict
 from reports.paper import datasets
 from reports.paper.documents import to_markdown
@@ -181,8 +183,7 @@ def tables(bundles: tuple[str, ...]) -> dict[str, pd.DataFrame]:
 def table(description: str) -> str:
     """A table of measured values as Markdown, and a line with the conditions."""
     block = tomllib.loads(description)
-    results = by_scene_choice(tables(tuple(block["bundles"]))["results"])
-    results = results.query(block.get("where", BY_ITSELF), engine="python")
+    every, results = _rows(block)
     if results.empty:
         raise SystemExit(f"no rows for {block}")
     by = [name for name in _names(block["rows"]) if name != "variant" or (results["variant"] != "").any()]
@@ -212,7 +213,15 @@ def table(description: str) -> str:
                 titles.append("change [dB]")
                 for line, (_, number) in zip(cells, numbers, strict=True):
                     line.append(_change(number, numbers[0][1]))
-    return _markdown(titles, cells) + "\n" + _conditions(results, ", ".join(map(" ".join, marks.values())))
+    return _markdown(titles, cells) + "\n" + _conditions(every, ", ".join(map(" ".join, marks.values())))
+
+
+def _rows(block: dict[str, Any]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The rows of a block, and the same with what is compared among them."""
+    stored = tables(tuple(block["bundles"]))["results"]
+    results = by_scene_choice(stored).query(block.get("where", BY_ITSELF), engine="python")
+    results = comparability.judged(results, Clocks(stored), ("dataset", "preset", "split"))
+    return results, comparability.compared({"results": results})["results"]
 
 
 def _incomplete(results: pd.DataFrame, by: list[str]) -> list[str]:
@@ -260,10 +269,14 @@ def _plain(value: Any, titles: dict[str, str]) -> str:
 
 
 def _number(results: pd.DataFrame | None, value: Value, spread: bool) -> tuple[str, float | None]:
-    """Scenes make one number for each seed, and seeds make a mean."""
-    if results is None or (column := results[value.column]).isna().any():
-        return "\N{EN DASH}", None
-    seeds = column.groupby(results["seed"]).agg(value.over_scenes) * value.factor
+    """Scenes make one number for each seed, and seeds that have it in all scenes make a mean."""
+    if results is None:
+        return DASH, None
+    whole = [rows for _, rows in results.groupby("seed") if rows[value.column].notna().all()]
+    if not whole:
+        return DASH, None
+    numbers = [rows[value.column].agg(value.over_scenes) for rows in whole]
+    seeds = pd.Series(numbers, dtype=float) * value.factor
     text = format(float(seeds.mean()), value.form)
     if spread and value.over_scenes == "mean" and len(seeds) > 1:
         text += f" ± {format(float(seeds.std()), value.form)}"
@@ -295,7 +308,8 @@ def _conditions(results: pd.DataFrame, note: str = "") -> str:
     else:
         parts.append("; ".join(f"{name} ({', '.join(methods)})" for name, methods in machines.items()))
     parts += filter(None, [note, _earlier(results)])
-    return f"*{'; '.join(parts)}.*\n"
+    remarks = comparability.notes(results)
+    return f"*{'; '.join(parts)}.{''.join(f' {text}' for text in remarks)}*\n"
 
 
 def _earlier(results: pd.DataFrame) -> str:
@@ -335,6 +349,8 @@ def image(description: str) -> tuple[str, str]:
         for name, part in parts.items():
             if column in part:
                 parts[name] = part[part[column].isin(values)]
+    stored = tables(tuple(block["bundles"]))["results"]
+    parts["results"] = comparability.judged(parts["results"], Clocks(stored))
     sections = chart_sections(Report(parts))
     (drawing,) = (section.charts[block["chart"]] for section in sections if block["chart"] in section.charts)
     return block["image"], svg.file(drawing) + "\n"
@@ -467,8 +483,7 @@ def _measured(block: dict[str, Any], variants: list[str]) -> pd.DataFrame:
     """Rows of these variants; none without bundles."""
     if not block["bundles"]:
         return pd.DataFrame(columns=["variant"])
-    results = by_scene_choice(tables(tuple(block["bundles"]))["results"])
-    results = results.query(block.get("where", BY_ITSELF), engine="python")
+    _, results = _rows(block)
     return results[(results["method"] == block["method"]) & results["variant"].isin(variants)]
 
 
@@ -531,7 +546,8 @@ def verdict_of(description: str) -> str:
     """What a section of the report concludes, as Markdown, its table, and a line with the conditions."""
     block = tomllib.loads(description)
     parts = dict(tables(tuple(block["bundles"])))
-    parts["results"] = parts["results"].query(block.get("where", "index >= 0"), engine="python")
+    rows = parts["results"].query(block.get("where", "index >= 0"), engine="python")
+    parts["results"] = comparability.judged(rows, Clocks(parts["results"]))
     report = Report(parts)
     if block["section"] == "unseen":
         targets = unseen.targets(report.results)
@@ -556,7 +572,7 @@ def verdict_of(description: str) -> str:
         raise SystemExit(f"nothing of the kind for {block}")
     if not block.get("table", True):
         return f"**{sentence}**\n"
-    return f"**{sentence}**\n\n{_markdown(list(heads), lines)}\n{_conditions(report.results)}"
+    return f"**{sentence}**\n\n{_markdown(list(heads), lines)}\n{_conditions(report.measured)}"
 
 
 def _places(report: Report) -> tuple[list[str], list[list[str]]]:

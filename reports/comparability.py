@@ -20,7 +20,7 @@ import json
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from reports.conclusions.clocks import CLOCKS, Clocks
 from reports.schema import COVERAGE, METRICS, by_name, frame
@@ -43,13 +43,19 @@ UNKNOWN = "truth unknown"
 """End of the names of datasets whose rows are not ranked: what they were measured on is not known."""
 _STRATUM = ("dataset", "preset", "split", "requested_views")
 _PICTURES = (*METRICS, *COVERAGE)
+PARTS = "parts"
+"""Key of `differences` for the times of the parts of a frame."""
 _CLOCKED = {
-    "fps": ("fps", "fps_p05", "fps_p95", "load_seconds"),
+    "fps": ("fps", "fps_p05", "fps_p95", "load_seconds", "frame_ms", "decode_ms", "rasterise_ms"),
+    PARTS: ("decode_ms", "rasterise_ms"),
     "train_seconds": ("train_seconds", "group_seconds", "partition_seconds", "encode_seconds"),
 }
 """Clock -> columns that it measured."""
-_DERIVED = {"curve": "train_seconds", "timing": "fps"}
-"""Table -> the clock that its rows are of."""
+_RULERS = {"fps": "ruler", PARTS: "parts_ruler"}
+_SOURCES = {"fps": "fps", PARTS: "fps", "train_seconds": "train_seconds"}
+"""Clock -> the one that the machine's load and processor beside it are recorded for."""
+_DERIVED = {"curve": ("train_seconds",), "timing": ("fps", PARTS)}
+"""Table -> the clocks that its rows are of."""
 
 
 # --------------------------------------------------------------------------- datasets by what they show
@@ -221,7 +227,7 @@ def judged(
     clocks = clocks or Clocks(results)
     for own in _groups([row for row in rows if ROW not in row["differences"]], strata):
         _judge_metrics(own)
-        for clock in CLOCKS:
+        for clock in _CLOCKED:
             _judge_clock(own, clock, clocks)
     texts = [_text(row["differences"]) for row in rows]
     return results.assign(differences=_column(results, "dataset", texts))
@@ -229,6 +235,33 @@ def judged(
 
 def _parsed(text: Any) -> dict[str, str]:
     return {} if absent(text) or not text else dict(json.loads(text))
+
+
+def pair_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, str]:
+    """Column -> why the values of two rows of one name, of different stores, are not compared.
+
+    The key :data:`ROW` holds for all columns: the truth differs, or is not known of both.
+
+    Args:
+        one: the columns `truth` and `metric_versions` of the first.
+        other: those of the second.
+    """
+    if absent(one["truth"]) or absent(other["truth"]):
+        return {ROW: "what they were measured on is not known of both"}
+    if _pictures(one) != _pictures(other):
+        return {ROW: "they were measured on different pictures (another content, edit, or size of views)"}
+    versions = [_parsed(each["metric_versions"]) for each in (one, other)]
+    shared = versions[0].keys() & versions[1].keys()
+    return {
+        name: f"metric of version {versions[0][name]} in the first, {versions[1][name]} in the second"
+        for name in sorted(shared)
+        if versions[0][name] != versions[1][name]
+    }
+
+
+def _pictures(row: Mapping[str, Any]) -> str:
+    """The part of `truth` that does not depend on which of the views were measured."""
+    return str(row["truth"]).partition("-")[0]
 
 
 def reason(row: Mapping[str, Any], column: str) -> str:
@@ -301,12 +334,13 @@ class Place:
     @classmethod
     def of(cls, row: Mapping[str, Any], clock: str) -> Place:
         """The place of a row's time."""
-        name = "" if absent(row.get(CLOCKS[clock][0])) else str(row[CLOCKS[clock][0]])
+        processor = row.get(CLOCKS[_SOURCES[clock]][0])
+        name = "" if absent(processor) else str(processor)
         parts = name.split(", ")
         instructions = parts.pop() if len(parts) > 2 and "core" not in parts[-1] else ""
         return cls(
             ", ".join(parts), instructions, _plain(row.get("threads")), str(_plain(row.get("device")) or ""),
-            _plain(row.get("ruler")) if clock == "fps" else None,
+            _plain(row.get(_RULERS[clock])) if clock in _RULERS else None,
         )  # fmt: skip
 
     def agrees(self, other: Place) -> bool:
@@ -334,10 +368,13 @@ class Place:
 
 
 def _judge_clock(rows: Sequence[dict[str, Any]], clock: str, clocks: Clocks) -> None:
-    timed = [row for row in rows if not absent(row.get(clock))]
+    source = _SOURCES[clock]
+    timed = [row for row in rows if not absent(row.get(source))]
+    if clock != source:  # what disturbed the frames disturbed their parts
+        timed = [row for row in timed if source not in row["differences"]]
     quiet = []
     for row in timed:
-        if reason := clocks.disturbed(row, clock):
+        if reason := clocks.disturbed(row, source):
             row["differences"][clock] = f"{DISTURBED}: {reason}"
         else:
             quiet.append((row, Place.of(row, clock)))
@@ -402,7 +439,8 @@ def compared(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     for column in {name for each in found for name in each} - {DATASET, ROW}:
         at = pd.Series([column in each for each in found], results.index)
         for name in _CLOCKED.get(column, (column,)):
-            values[name] = values[name].mask(at)
+            if name in values:
+                values[name] = values[name].mask(at)
     whole = pd.Series([ROW not in each for each in found], results.index)
     out["results"] = values[whole]
     return out
@@ -440,22 +478,66 @@ def listing(results: pd.DataFrame, superseded: pd.DataFrame | None = None) -> pd
     return frame("differences", lines)
 
 
-def remarks(results: pd.DataFrame, superseded: pd.DataFrame | None = None) -> dict[str, list[str]]:
-    """Dataset -> sentences on what is not compared, counted by reason, and on unequal seeds and scenes.
+class Remark(NamedTuple):
+    """A sentence on what is not compared.
+
+    Attributes:
+        dataset: its name in the table `results`.
+        quantity: column that it is about; :data:`ROW` and :data:`DATASET` concern all.
+        text: the sentence, without the dataset.
+    """
+
+    dataset: str
+    quantity: str
+    text: str
+
+    @property
+    def sentence(self) -> str:
+        """The sentence with its dataset."""
+        return f"{self.dataset}: {self.text}"
+
+
+def remarks(results: pd.DataFrame, superseded: pd.DataFrame | None = None) -> list[Remark]:
+    """What is not compared, counted by dataset and reason; unequal seeds and scenes.
 
     Args:
         results: as :func:`judged` returns it.
         superseded: rows whose place a newer one takes.
     """
-    found: dict[str, list[str]] = {}
-    for dataset, rows in _by_dataset(results).items():
-        sentences = [*_counted(rows), *_of_sets(rows)]
-        if sentences:
-            found[dataset] = sentences
+    found = [
+        Remark(name, quantity, text)
+        for name, rows in _by_dataset(results).items()
+        for quantity, text in (*_counted(rows), *_of_sets(rows))
+    ]
     if superseded is not None:
-        for name, rows in superseded.groupby("dataset", sort=False):
-            found.setdefault(str(name), []).append(replaced(rows))
+        found += [
+            Remark(str(name), ROW, replaced(rows)) for name, rows in superseded.groupby("dataset", sort=False)
+        ]
     return found
+
+
+def concerning(
+    found: Iterable[Remark], titles: Iterable[str] | None = None, columns: Iterable[str] = ()
+) -> list[Remark]:
+    """The remarks on some datasets and columns.
+
+    Args:
+        found: of :func:`remarks`.
+        titles: of panels; they begin with a dataset's name. Default: all datasets.
+        columns: clocks and metrics that are shown; remarks on rows, seeds and scenes concern all.
+    """
+    starts = None if titles is None else list(titles)
+    shown = {ROW, DATASET, *columns}
+    return [
+        one
+        for one in found
+        if one.quantity in shown and (starts is None or any(_begins(title, one.dataset) for title in starts))
+    ]
+
+
+def _begins(title: str, dataset: str) -> bool:
+    rest = title.removeprefix(dataset)
+    return rest != title and (not rest or not (rest[0].isalnum() or rest[0] in "_-[@"))
 
 
 def replaced(superseded: pd.DataFrame | None) -> str:
@@ -471,29 +553,16 @@ def left_out(results: pd.DataFrame) -> set[tuple[Any, str]]:
     found = set()
     for index, text in results["differences"].items():
         for quantity in _parsed(text).keys() - {DATASET}:
-            names = results.columns if quantity == ROW else _CLOCKED.get(quantity, (quantity,))
+            names = tuple(results.columns) if quantity == ROW else _CLOCKED.get(quantity, (quantity,))
             found |= {(index, name) for name in names if by_name(name).better}
     return found
 
 
 def notes(results: pd.DataFrame, superseded: pd.DataFrame | None = None) -> list[str]:
     """All :func:`remarks` as sentences; none for other tables than `results`."""
-    return sentences(remarks(results, superseded)) if "differences" in results else []
-
-
-def sentences(found: Mapping[str, Sequence[str]], datasets: Collection[str] | None = None) -> list[str]:
-    """The remarks of some datasets, or of all, each with its dataset.
-
-    Args:
-        found: of :func:`remarks`.
-        datasets: names, also those that :mod:`reports.tables.protocols` makes of them.
-    """
-    return [
-        f"{name}: {text}"
-        for name, texts in found.items()
-        if datasets is None or any(each == name or each.startswith(f"{name}, ") for each in datasets)
-        for text in texts
-    ]
+    if "differences" not in results:
+        return []
+    return [one.sentence for one in remarks(results, superseded)]
 
 
 def _by_dataset(table: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
@@ -503,31 +572,35 @@ def _by_dataset(table: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
     return groups
 
 
-def _counted(rows: Sequence[dict[str, Any]]) -> Iterable[str]:
-    """Sentences that count rows by quantity and kind of reason, each with one of its reasons."""
+def _counted(rows: Sequence[dict[str, Any]]) -> Iterable[tuple[str, str]]:
+    """Quantity and sentence that counts its rows, by kind of reason, each with one of the reasons."""
     groups: dict[tuple[str, str], list[tuple[dict[str, Any], str]]] = defaultdict(list)
     for row in rows:
         for quantity, reason in _parsed(row.get("differences")).items():
             groups[quantity, reason.partition(":")[0]].append((row, reason))
     for (quantity, kind), own in groups.items():
         detail = own[0][1].partition(": ")[2]
-        who = enumeration(list(dict.fromkeys(label(row["method"]) for row, _ in own)))
         if quantity == DATASET:
-            yield f"set apart, {kind}: {detail}."
+            yield quantity, f"set apart, {kind}: {detail}."
             continue
-        what = "rows" if quantity == ROW else by_name(quantity).title or quantity
-        example = f"{detail}" if len(own) == 1 else f"as {detail}"
-        if quantity == ROW:
-            yield f"not compared: {counted(len(own), 'row')} of {who} ({kind}: {example})."
-        else:
-            yield f"not compared: {what} of {counted(len(own), 'row')} of {who} ({kind}: {example})."
+        who = enumeration(list(dict.fromkeys(label(row["method"]) for row, _ in own)))
+        what = counted(len(own), "row")
+        what = what if quantity == ROW else f"{by_name(quantity).title or quantity} of {what}"
+        example = detail if len({text for _, text in own}) == 1 else f"as {detail}"
+        yield quantity, f"not compared: {what} of {who} ({kind}: {example})."
 
 
-def _of_sets(rows: Sequence[dict[str, Any]]) -> Iterable[str]:
-    """Sentences on methods that have other seeds or fewer scenes than others."""
-    for own in _groups(
-        [row for row in rows if row["kind"] == "basic"], ("preset", "split", "requested_views")
-    ):
+def _of_sets(rows: Sequence[dict[str, Any]]) -> Iterable[tuple[str, str]]:
+    """Sentences on models that have other presets, splits or seeds, or fewer scenes, than others."""
+    basic = [row for row in rows if row["kind"] == "basic"]
+    for axis in ("preset", "split"):
+        values: dict[str, set[str]] = defaultdict(set)
+        for row in basic:
+            values[label(row["method"], row["variant"])].add(str(_plain(row[axis])))
+        texts = {name: ", ".join(sorted(own)) for name, own in values.items()}
+        if len(set(texts.values())) > 1:
+            yield ROW, f"not compared across {axis}s, which differ: {_grouped(texts)}."
+    for own in _groups(basic, ("preset", "split", "requested_views")):
         seeds: dict[str, set[Any]] = defaultdict(set)
         scenes: dict[str, set[str]] = defaultdict(set)
         for row in own:
@@ -536,7 +609,7 @@ def _of_sets(rows: Sequence[dict[str, Any]]) -> Iterable[str]:
             scenes[name].add(str(row["scene"]))
         numbers = {name: ", ".join(str(one) for one in sorted(own, key=str)) for name, own in seeds.items()}
         if len(set(numbers.values())) > 1:
-            yield f"seeds differ: {_grouped(numbers)}."
+            yield ROW, f"seeds differ: {_grouped(numbers)}."
         every = set().union(*scenes.values())
         fewer = {
             name: f"{len(own)} of {len(every)} ({', '.join(sorted(own))})"
@@ -544,7 +617,7 @@ def _of_sets(rows: Sequence[dict[str, Any]]) -> Iterable[str]:
             if own != every
         }
         if fewer:
-            yield f"scenes differ: {_grouped(fewer)}."
+            yield ROW, f"scenes differ: {_grouped(fewer)}."
 
 
 _MOST_NAMED = 4

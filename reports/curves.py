@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -139,8 +140,9 @@ def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
     """Dataset (with preset and split where there are several) -> its curves.
 
     The points are the rates that one fit was saved at (column ``rate``), or fits that differ only in a rate
-    knob (column ``knob_value``); a method of one size is a curve of one point. Sets that lack a scene are
-    left out, seeds are averaged.
+    knob (column ``knob_value``); a method of one size is a curve of one point. Seeds are averaged. Models
+    that lack scenes are compared with all others on the scenes that they have, in a panel of its own where
+    they have several points.
 
     Args:
         results: of the seeds that :func:`with_shared_seeds` leaves.
@@ -148,18 +150,48 @@ def curves(results: pd.DataFrame) -> dict[str, list[Curve]]:
     panels: dict[str, list[Curve]] = {}
     columns = results[["method", "variant", "base", "knob_value"]]
     knobs = {(method, variant): rest for method, variant, *rest in columns.itertuples(index=False)}
-    for dataset, rows in comparable(summary(results)):
-        groups: dict[Model, list[Point]] = {}
-        whole = rows[rows["complete"] & rows["psnr"].notna() & (rows["size_bytes"] > 0)]
-        for row in records(whole):
-            base, knob = knobs[row["method"], row["variant"]]
-            rate = knob if absent(row["rate"]) else row["rate"]
-            size = float(row["size_bytes"]) / _scenes(row)
-            point = Point("" if absent(rate) else f"{rate:g}", size, float(row["psnr"]), row)
-            groups.setdefault(model(row["method"], base), []).append(point)
-        for each, group in groups.items():
-            panels.setdefault(dataset, []).append(Curve(dataset, each, _distinct(group)))
+    basic = results[results["kind"] == "basic"]
+    for dataset, rows in comparable(basic):
+        every = _curves(dataset, rows, knobs)
+        if every:
+            panels[dataset] = every
+        whole = {curve.model for curve in every}
+        for scenes in _fewer_scenes(rows):
+            names = ", ".join(sorted(scenes))
+            title = (
+                f"{dataset} / {names}" if len(scenes) == 1 else f"{dataset}, {len(scenes)} scenes: {names}"
+            )
+            found = _curves(title, rows[rows["scene"].isin(scenes)], knobs)
+            if any(len(curve.points) > 1 and curve.model not in whole for curve in found):
+                panels[title] = found
+                whole |= {curve.model for curve in found}
     return panels
+
+
+def _curves(title: str, results: pd.DataFrame, knobs: Mapping[tuple[Any, Any], Sequence[Any]]) -> list[Curve]:
+    """The curves of the models that have all scenes of some results."""
+    groups: dict[Model, list[Point]] = {}
+    rows = summary(results)
+    for row in records(rows[rows["complete"] & rows["psnr"].notna() & (rows["size_bytes"] > 0)]):
+        base, knob = knobs[row["method"], row["variant"]]
+        rate = knob if absent(row["rate"]) else row["rate"]
+        size = float(row["size_bytes"]) / _scenes(row)
+        point = Point("" if absent(rate) else f"{rate:g}", size, float(row["psnr"]), row)
+        groups.setdefault(model(row["method"], base), []).append(point)
+    return [Curve(title, each, _distinct(group)) for each, group in groups.items()]
+
+
+def _fewer_scenes(results: pd.DataFrame) -> list[frozenset[str]]:
+    """The sets of scenes that models have with all their seeds, but for the set of all; large first."""
+    fits: dict[tuple[Any, ...], dict[Any, set[str]]] = {}
+    columns = (results[name].tolist() for name in ("method", "variant", "rate", "seed", "scene", "status"))
+    for method, variant, rate, seed, scene, status in zip(*columns, strict=True):
+        own = fits.setdefault((method, variant, None if absent(rate) else rate), {}).setdefault(seed, set())
+        if status == "ok":
+            own.add(str(scene))
+    sets = {frozenset(set.intersection(*seeds.values())) for seeds in fits.values()}
+    every = frozenset(str(scene) for scene in results["scene"])
+    return sorted((one for one in sets if one and one != every), key=lambda one: (-len(one), sorted(one)))
 
 
 def with_shared_seeds(results: pd.DataFrame) -> pd.DataFrame:

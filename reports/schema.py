@@ -176,9 +176,9 @@ COLUMNS: dict[str, Column] = _declare(
     Column("iterations", _W, "training iterations of the group", write="{:,}".format),
     Column("contents", _T, "JSON: scene -> hash of its definition and data, of all scenes that decide the "
            "row; null where not known"),
-    Column("truth", _T, "identity of the pictures that the row is measured on: content, edit, split, views, "
-           "their size, and the renderer where it differs; null where not known. Rows of one scene are "
-           "compared if their truths are equal"),
+    Column("truth", _T, "identity of the pictures that the row is measured on (content, edit, split, number "
+           "and size of views; the pictures where renderers disagree), and behind a `-` of the measured "
+           "views; null where not known. Rows of one scene are compared if their truths are equal"),
     Column("test_views", _W, "measured views"),
     Column("metric_versions", _T, "JSON: metric -> its version"),
     Column("width", _W, "width of a view in pixels; in `features`, numbers in a row"),
@@ -269,6 +269,8 @@ COLUMNS: dict[str, Column] = _declare(
            _fps, "frames per second"),
     Column("fps_p05", _F, "1 / 95th percentile of time", "Slowest 5 %", unit="FPS", write="{:.4g}".format),
     Column("fps_p95", _F, "1 / 5th percentile of time", "Fastest 5 %", unit="FPS", write="{:.4g}".format),
+    Column("ruler", _W, "version of how frames are timed; FPS of several versions are not compared"),
+    Column("parts_ruler", _W, "version of how the parts of a frame are timed"),
     Column("decoding", _T, "when the model's networks make what is drawn: `once`, as it is loaded, or "
            "`per frame`, as a part of it; empty without such networks; null where not known"),
     Column("fps_decoding", _F, "1 / median time of a frame in which networks run too that usually run once; "
@@ -374,10 +376,10 @@ _SETTINGS = (
 )  # fmt: skip
 _FIT = (*_SETTINGS, "seed")
 _SAVED = (*_FIT, "rate")
-_MEASURED = (*_SAVED, "scene", "split", "truth", "metric_versions")
+_MEASURED = (*_SAVED, "scene", "split", "truth", "renderer", "metric_versions")
 _RESULT = (
     *_MEASURED, "kind", "edit", "group", "fitted_scenes", "method_version", "options", "knob", "iterations",
-    "train_views", "contents", "renderer", "test_views", "width", "height", "device", "machine", "threads",
+    "train_views", "contents", "test_views", "width", "height", "device", "machine", "threads",
     "finished", "commit", "source", "processor", "fit_processor", "procedural", "differences",
 )  # fmt: skip
 TABLES: dict[str, Table] = {
@@ -395,10 +397,10 @@ TABLES: dict[str, Table] = {
         ("job", "status", "reason", "omissions", "stage", "stale", "changes", "recipe", "distance", *METRICS,
          *COVERAGE, "flicker", "identical_views", "size_bytes", "group_bytes", "standalone_bytes",
          "primitives", "drawn", "start_points", "train_seconds", "group_seconds", "partition_seconds",
-         "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95", "decoding",
-         "fps_decoding", "reference_seconds", "reference_worst", "fit_reference_seconds",
-         "fit_reference_worst", "peak_host_bytes", "peak_device_bytes", "group_peak_host_bytes",
-         "render_host_bytes", "render_device_bytes", "gaussians", *PRUNED),
+         "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95", "ruler",
+         "parts_ruler", "decoding", "fps_decoding", "reference_seconds", "reference_worst",
+         "fit_reference_seconds", "fit_reference_worst", "peak_host_bytes", "peak_device_bytes",
+         "group_peak_host_bytes", "render_host_bytes", "render_device_bytes", "gaussians", *PRUNED),
     ),
     "views": Table(
         "A measured view of a model.", _MEASURED,

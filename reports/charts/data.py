@@ -17,7 +17,6 @@ from reports.fronts import pareto
 from reports.schema import COLUMNS
 from reports.style import OTHERS, Look, Model, label, looks, mean_key, mib, model, named, seconds
 from reports.tables.protocols import comparable
-from reports.tables.results import distinct_processors
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,9 +29,6 @@ AXIS = {
     for name in ("size_bytes", "fps", "train_seconds", "peak_host_bytes", "peak_device_bytes")
 }
 """Columns that PSNR is drawn against."""
-
-_CLOCK = {"fps": "processor", "train_seconds": "fit_processor"}
-"""Column that was timed -> the one that tells on what."""
 _NEEDED = (
     "dataset", "preset", "split", "method", "base", "variant", "rate", "scene", "seed", "job", "status",
     "size_bytes", "psnr",
@@ -74,16 +70,11 @@ class Line:
 
 @dataclass
 class Panel:
-    """The chart of a dataset at one preset and split, which its title names where there are several.
-
-    Attributes:
-        mixed: the numbers were timed on several processors.
-    """
+    """The chart of a dataset at one preset and split, which its title names where there are several."""
 
     title: str
     lines: list[Line]
     better: int = -1
-    mixed: bool = False
 
     @property
     def means(self) -> list[tuple[float, float]]:
@@ -154,7 +145,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
         against: the column.
     """
     unit = AXIS[against].scale
-    columns = list(dict.fromkeys((*_NEEDED, against, *_CLOCK.values())))
+    columns = list(dict.fromkeys((*_NEEDED, against)))
     panels = []
     for title, rows in comparable(results.loc[results["kind"] == "basic", columns]):
         good = rows[
@@ -188,8 +179,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
             line.means.sort(key=lambda spot: (spot.size, spot.x))
             if line.means and line.model not in own:
                 line.scenes.clear()
-        mixed = against in _CLOCK and len(distinct_processors(good, _CLOCK[against])) > 1
-        panels.append(Panel(title, list(lines.values()), AXIS[against].better, mixed))
+        panels.append(Panel(title, list(lines.values()), AXIS[against].better))
     return panels
 
 

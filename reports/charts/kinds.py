@@ -50,7 +50,7 @@ def tradeoff(panels: Sequence[data.Panel], column: str, models: list[Model]) -> 
     parts = []
     gray = False
     for panel in panels:
-        title = data.AXIS[column].axis_title + (", several processors" if panel.mixed else "")
+        title = data.AXIS[column].axis_title
         x = log_axis([x for x, _ in panel.spots], title)
         heights = [[spot.y for spot in (*line.means, *line.scenes)] for line in panel.lines]
         y = broken_axis(heights, _QUALITY, least=2.0)

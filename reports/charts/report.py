@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from reports.comparability import Remark, compared, remarks
 from reports.conclusions.answers import CRITERIA, answers, compare
 from reports.conclusions.contest import contests
 from reports.conclusions.economy import economies
@@ -54,12 +55,16 @@ class Report:
 
     Attributes:
         stored: the tables.
-        tables: the same :func:`~reports.tables.protocols.by_protocol`.
+        measured: their results :func:`~reports.tables.protocols.by_protocol`.
+        tables: the same of all tables, with what is compared (:func:`reports.comparability.compared`).
+        results: the results among them; their index is that of the same rows of ``measured``.
     """
 
     def __init__(self, tables: dict[str, pd.DataFrame]) -> None:
         self.stored = tables
-        self.tables = by_protocol(tables)
+        protocols = by_protocol(tables)
+        self.measured = protocols["results"]
+        self.tables = compared(protocols)
         self.results = self.tables["results"]
         self.views = Views(tables["views"])
         self._whole = self
@@ -69,6 +74,11 @@ class Report:
         """The models that have looks; those of curves are without their rate knob."""
         rows = models(self.results, self.tables["curve"], self.tables["features"])
         return list(dict.fromkeys([*rows, *models(self.results, column="base")]))
+
+    @cached_property
+    def remarks(self) -> list[Remark]:
+        """What is not compared, and why."""
+        return remarks(self.measured, self.stored.get("superseded"))
 
     @cached_property
     def of_defaults(self) -> Report:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from html import escape
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -13,6 +14,7 @@ from reports.charts.decision import decisions
 from reports.charts.economy import economy_section
 from reports.charts.elements import Section, annotated, card, cards, legend, rest, table
 from reports.charts.ladders import ladders_section
+from reports.charts.notes import with_notes
 from reports.charts.races import races_section
 from reports.charts.unseen import unseen_section
 from reports.charts.volumes import volumes_section
@@ -63,7 +65,7 @@ _CONVERGENCE = (
 def charts(report: Report) -> Iterator[tuple[str, Chart]]:
     """The charts of the page with the names of their files."""
     if report.contests:
-        yield from decisions(report.contests[0], report.models).items()
+        yield from with_notes(decisions(report.contests[0], report.models), report).items()
     for section in chain(chart_sections(report.of_defaults), variant_sections(report)):
         yield from section.charts.items()
 
@@ -91,7 +93,7 @@ def chart_sections(report: Report) -> Iterator[Section]:
     for make in makers:
         section = make(report)
         if section is not None:
-            yield annotated(section)
+            yield annotated(replace(section, charts=with_notes(section.charts, report)))
 
 
 def _confidence(report: Report) -> Section | None:

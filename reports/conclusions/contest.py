@@ -132,7 +132,7 @@ class Contest:
     def values(self, column: str) -> Values:
         """The values of a column on the datasets where all ranked methods have the scenes that all tried.
 
-        Speeds are of the processor and number of threads with the most datasets.
+        Speeds are of the place with the most datasets, and of the scenes that all have, at least half.
         """
         rows = [
             row
@@ -165,15 +165,22 @@ class Contest:
         for row in rows:
             scenes = cells[row["method"]].setdefault(row["dataset"], {})
             scenes.setdefault(row["scene"], {})[row["seed"]] = float(row[column])
-        whole = [
-            dataset
+        common = {
+            dataset: scenes.intersection(*(own.get(dataset, ()) for own in cells.values()))
             for dataset, scenes in self.scenes.items()
-            if dataset in self.main and all(scenes <= set(own.get(dataset, ())) for own in cells.values())
-        ]
+            if dataset in self.main
+        }
+        # A disturbed time leaves out its scene; a scene that somebody did not finish, the dataset.
+        least = _LEAST_SHARE if column in CLOCKS else 1.0
+        enough = {
+            dataset: sorted(scenes)
+            for dataset, scenes in common.items()
+            if scenes and len(scenes) >= least * len(self.scenes[dataset])
+        }
         return {
             name: {
-                dataset: {scene: own[dataset][scene] for scene in sorted(self.scenes[dataset])}
-                for dataset in whole
+                dataset: {scene: own[dataset][scene] for scene in scenes}
+                for dataset, scenes in enough.items()
             }
             for name, own in cells.items()
         }

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from reports.conclusions.clocks import CLOCKS, Clocks, place
 from reports.conclusions.contest import Cells
 from reports.conclusions.effects import Effect, effect
 from reports.conclusions.family import Family, largest
@@ -227,10 +226,9 @@ def races(results: pd.DataFrame) -> list[Race]:
     """A race per discipline and dataset on which a method has several models, disciplines first.
 
     Lengths and rates that were not measured with all seeds of a method take no part.
-    Training times count only on the processor with the most rows, and where nothing disturbed them.
 
     Args:
-        results: the table of that name.
+        results: the table of that name, with what is compared (:func:`reports.comparability.compared`).
     """
     rows = results[(results["kind"] == "basic") & (results["status"] == "ok") & results["psnr"].notna()]
     rows = rows[rows["iterations"].notna() & (rows["iterations"] > 1)]  # volumes and meshes train nothing
@@ -238,12 +236,11 @@ def races(results: pd.DataFrame) -> list[Race]:
         return []
     bases = rows["base"].fillna("").astype(str)
     rows = rows[bases.map(lambda base: _LENGTH.fullmatch(base) is not None)]
-    clocks = Clocks(results)
     datasets = [(title, records(group)) for title, group in comparable(rows)]
     found = []
     for discipline in DISCIPLINES:
         for title, group in datasets:
-            race = _race(title, discipline, group, clocks)
+            race = _race(title, discipline, group)
             if race is not None:
                 found.append(race)
     return found
@@ -260,16 +257,9 @@ def _of_all_seeds(models: _Models) -> dict[Any, list[Spot]]:
     return {seed: [own[seed] for own in whole if seed in own] for seed in seeds}
 
 
-def _race(
-    dataset: str, discipline: Discipline, rows: Sequence[dict[str, Any]], clocks: Clocks
-) -> Race | None:
+def _race(dataset: str, discipline: Discipline, rows: Sequence[dict[str, Any]]) -> Race | None:
     column = discipline.column
     here = [row for row in rows if not absent(row.get(column)) and float(row[column]) > 0]
-    if column in CLOCKS and here:
-        here = [row for row in here if not clocks.disturbed(row, column)]
-        places = [place(row, column) for row in here]
-        usual = max(set(places), key=lambda one: (places.count(one), str(one)), default=None)
-        here = [row for row, at in zip(here, places, strict=True) if at == usual]
     entered: dict[str, dict[str, _Models]] = {}
     expenses: dict[tuple[str, str, Any, Spot], Expense] = {}
     for row in here:
@@ -278,8 +268,7 @@ def _race(
         settings = (row["variant"], "" if absent(row["rate"]) else row["rate"])
         spot = (cost, float(row["psnr"]))
         own.setdefault(settings, {})[row["seed"]] = spot
-        timed = not absent(row["train_seconds"]) and not clocks.disturbed(row, "train_seconds")
-        time = float(row["train_seconds"]) if timed else None
+        time = None if absent(row["train_seconds"]) else float(row["train_seconds"])
         memory = None if absent(row["peak_host_bytes"]) else float(row["peak_host_bytes"])
         expenses[str(row["method"]), str(row["scene"]), row["seed"], spot] = Expense(time, memory)
     spots = {

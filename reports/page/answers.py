@@ -11,6 +11,7 @@ from reports import markup
 from reports.charts import svg
 from reports.charts.decision import decisions
 from reports.charts.elements import Section, annotated
+from reports.charts.notes import with_notes
 from reports.conclusions.answers import scope
 from reports.style import Model, label, look
 
@@ -39,7 +40,7 @@ def section(report: Report, anchors: Container[str]) -> Section | None:
     if not report.contests:
         return None
     contest = report.contests[0]
-    charts = decisions(contest, report.models)
+    charts = with_notes(decisions(contest, report.models), report)
     entries = "".join(_entry(answer, report.models) for answer in report.answers)
     html = (
         f"<p>{escape(scope(contest))}</p>"

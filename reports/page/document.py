@@ -9,7 +9,6 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import comparability
 from reports.charts import files as chart_files
 from reports.charts import svg
 from reports.charts.elements import Section
@@ -86,7 +85,7 @@ def write_report(
             sections.append(Section("provenance", "Provenance", provenance.section(report)))
         write_files(report, out.parent, paper)
         name = _name(dvr if results.empty else results)
-        head = _head(name, report.measured, sections, comparability.sentences(report.remarks))
+        head = _head(name, report.measured, sections, [one.sentence for one in report.remarks])
         write_text(out, _document(name, head, sections))
     return out
 

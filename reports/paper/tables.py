@@ -205,7 +205,7 @@ def _compared(
     if rows.empty:
         return results, []
     every = pd.concat([compared({"results": rows})["results"], results[~own]]).sort_index()
-    return every, [text for texts in remarks(rows).values() for text in texts]
+    return every, [one.text for one in remarks(rows)]
 
 
 def _version_remarks(rows: list[Row], methods: Mapping[str, str]) -> list[str]:

@@ -195,12 +195,13 @@ def test_rows_stand_in_the_order_people_expect() -> None:
     assert [(scene, seed, None if pd.isna(rate) else rate) for scene, seed, rate in cells] == rows
 
 
-def _views(psnr: list[float], rate=None) -> pd.DataFrame:
+def _views(psnr: list[float], rate=None, **more) -> pd.DataFrame:
     return frame(
         "views",
         [
             {"dataset": "d", "scene": "a", "method": "m", "variant": "", "rate": rate, "preset": "quick",
-             "split": "test", "seed": 0, "view": str(i), "psnr": p, "job": "j"}
+             "split": "test", "seed": 0, "view": str(i), "psnr": p, "job": "j", "truth": "t-1",
+             "metric_versions": '{"psnr": "1"}', **more}
             for i, p in enumerate(psnr)
         ],
     )  # fmt: skip
@@ -213,6 +214,31 @@ def test_views_are_paired(rate) -> None:
     assert (row["metric"], row["views"], row["first"], row["second"]) == ("psnr", 2, 30.5, 31.0)
     assert (row["difference"], row["least"], row["greatest"]) == (0.5, 0.0, 1.0)
     assert compared(_views([30.0], 1.0), _views([30.0], 2.0)).empty
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"truth": "u-1"}, "different pictures"),
+        ({"truth": None}, "not known"),
+        ({"metric_versions": '{"psnr": "2"}'}, "psnr: metric of version 1"),
+    ],
+)
+def test_views_of_another_truth_or_metric_are_not_paired(change, words) -> None:
+    table = compared(_views([30.0]), _views([31.0], **change))
+    assert table.empty
+    (line,) = table.attrs["differences"]
+    assert words in line
+
+
+def test_fewer_measured_views_are_paired_on_those_that_both_have() -> None:
+    assert list(compared(_views([30.0, 31.0]), _views([30.5], truth="t-2"))["views"]) == [1]
+
+
+def test_another_renderer_of_the_truth_is_named() -> None:
+    table = compared(_views([30.0], renderer="mitsuba"), _views([31.0], renderer="reference"))
+    assert list(table["difference"]) == [1.0]
+    assert "mitsuba" in table.attrs["differences"][0]
 
 
 def test_merge_joins_and_prefers_success(finished, tmp_path) -> None:

@@ -1,0 +1,42 @@
+"""What charts leave out, in a note below their panels."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from reports.charts.chart import Chart
+from reports.comparability import PARTS, Remark, concerning
+
+if TYPE_CHECKING:
+    from reports.charts.report import Report
+
+_MOST = 3
+_CLOCKS = {
+    "fps": ("fps",), "time": ("train_seconds",), "train": ("train_seconds",), "anytime": ("train_seconds",),
+    "convergence": ("train_seconds",), "frame": ("fps", PARTS), "timing": ("fps", PARTS),
+}  # fmt: skip
+"""Part of a chart's name -> the clocks that it draws."""
+
+
+def with_notes(charts: Mapping[str, Chart], report: Report) -> dict[str, Chart]:
+    """Charts by file name, each with the remarks on its datasets and on what it draws.
+
+    A chart whose panels bear no names of datasets is of all datasets.
+    """
+    datasets = {str(name) for name in report.measured["dataset"]}
+    return {
+        name: replace(chart, note=_note(name, chart, report.remarks, datasets))
+        for name, chart in charts.items()
+    }
+
+
+def _note(name: str, chart: Chart, remarks: Sequence[Remark], datasets: Collection[str]) -> str:
+    clocks = {clock for part, own in _CLOCKS.items() if part in name for clock in own}
+    titles = [panel.title for panel in chart.panels]
+    of_datasets = any(title.startswith(dataset) for title in titles for dataset in datasets)
+    found = concerning(remarks, titles if of_datasets else None, ("psnr", *clocks))
+    texts = [one.sentence for one in found]
+    more = [f"{len(texts) - _MOST} more remarks are on the page."] if len(texts) > _MOST else []
+    return " ".join([chart.note, *texts[:_MOST], *more]).strip()

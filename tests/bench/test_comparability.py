@@ -1,0 +1,256 @@
+"""No consumer compares what differs in silence: differences are planted, and each consumer is asked."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from bench.__main__ import main
+from bench.api import Runs
+from bench.bundle import write_bundle
+from bench.commands.results import print_answers
+from bench.lineage import Lineage
+from bench.store import Store
+from bench.tables import build_tables, derived
+from methods.registry import Registry
+from reports.charts import svg
+from reports.charts.report import Report
+from reports.charts.sections import charts
+from reports.conclusions.answers import CRITERIA
+from reports.page.document import write_report
+from reports.paper.documents import to_text
+from reports.paper.tables import paper_tables
+from reports.style import label
+
+from .planted_store import METHODS, SCENES, VIEWS, Facts, Plant, every, write
+
+OURS, THEIRS = METHODS[1], METHODS[0]
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A difference between the rows of two methods.
+
+    Attributes:
+        plant: makes it in the rows of one method.
+        words: pattern of the reason that consumers give.
+        pictures, times: whether pictures, and times, of both methods are still compared.
+    """
+
+    plant: Plant
+    words: str
+    pictures: bool = False
+    times: bool = False
+
+
+def of(**changes: object) -> Plant:
+    return lambda facts: replace(facts, **changes)  # type: ignore[arg-type]
+
+
+def where(condition: Callable[[Facts], bool], **changes: object) -> Plant:
+    return lambda facts: replace(facts, **changes) if condition(facts) else facts  # type: ignore[arg-type]
+
+
+PLANTS = {
+    "truth": Planted(of(content="c1"), "another content"),
+    "definition of a scene": Planted(
+        where(lambda f: f.scene == "TF02", content="c1"), "another content: TF02", pictures=True, times=True
+    ),
+    "split": Planted(of(split="val"), "across splits"),
+    "number of views": Planted(of(test_views=4, views=(0, 1, 2, 3)), "4 test views"),
+    "one view less": Planted(of(views=tuple(range(VIEWS - 1))), f"{VIEWS - 1} test views"),
+    "other views": Planted(of(test_views=7, views=tuple(range(1, 7))), "another truth"),
+    "resolution": Planted(of(size=100), "100 .{1,9} 100"),
+    "metric version": Planted(of(metrics={"psnr": "2", "ssim": "1"}), "another metric: version", times=True),
+    "ruler": Planted(of(ruler=1), "another ruler", pictures=True),
+    "processor": Planted(of(cpu="Xeon"), "elsewhere: .*Xeon", pictures=True),
+    "threads": Planted(of(threads=2), "threads", pictures=True),
+    "device": Planted(of(device="cuda"), "fitted on cuda"),
+    "busy machine": Planted(of(kernel=0.09), "disturbed", pictures=True),
+    "uneven frames": Planted(of(spread=3.0), "disturbed", pictures=True),
+    "set of seeds": Planted(where(lambda f: f.seed == 1, made=False), "seeds differ", True, True),
+    "set of scenes": Planted(where(lambda f: f.scene == "TF04", made=False), "scenes differ", True, True),
+    "method version": Planted(where(lambda f: f.seed == 1, version="0"), "another version", True, True),
+    "stale option": Planted(
+        where(lambda f: f.seed == 1, options={"sh_degree": 7}), "another version: sh_degree", True, True
+    ),
+    "renderer that disagrees": Planted(of(renderer="reference 1", shade=0.52), "pictures of reference 1"),
+    "truth unknown": Planted(of(known=False), "truth unknown"),
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quick() -> Iterator[None]:
+    """Stores that no power cut must outlive."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda handle: None)
+        yield
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory) -> Store:
+    return write(tmp_path_factory.mktemp("clean") / "s")
+
+
+@pytest.fixture(scope="module", params=PLANTS)
+def planted(request, tmp_path_factory) -> tuple[Planted, Store, Report]:
+    planted = PLANTS[request.param]
+    store = write(tmp_path_factory.mktemp("planted") / "s", planted.plant)
+    return planted, store, Report(build_tables(store, Registry().specs, write=False))
+
+
+def test_a_clean_store_has_no_remark_and_compares_all(clean) -> None:
+    report = Report(build_tables(clean, Registry().specs, write=False))
+    assert report.remarks == []
+    assert report.tables["differences"].empty
+    (contest,) = report.contests
+    for each in CRITERIA:
+        cells = contest.values(each.column).cells
+        assert not cells or set(cells[OURS]["vortex_views"]) == set(SCENES)
+    assert {len(race.fronts) for race in report.races} == {2}
+    (difference,) = report.differences
+    assert difference.rate is not None
+    assert difference.rate_interval is not None
+
+
+def test_renderers_that_agree_are_one_truth() -> None:
+    records = every(of(renderer="reference 1", shade=0.5 + 2e-4))
+    report = Report(derived(Lineage(records), Registry().specs))
+    assert report.results["truth"].nunique() == len(SCENES)
+    assert report.remarks == []
+
+
+def test_conclusions_leave_it_out(planted) -> None:
+    """Contest, races, curves, means: pictures and times are compared where their own rule allows it."""
+    case, _, report = planted
+    pictures = [_compared(contest.values("psnr").cells) for contest in report.contests]
+    times = [_compared(contest.values("fps").cells) for contest in report.contests]
+    assert any(pictures) == case.pictures
+    assert any(times) == case.times
+    races = {len(race.fronts) for race in report.races if race.discipline.column == "size_bytes"}
+    assert (2 in races) == (case.pictures and not case.words.startswith("scenes"))
+    rates = [one for one in report.differences if one.rate is not None or one.psnr is not None]
+    assert bool(rates) == case.pictures
+
+
+def _compared(cells) -> bool:
+    """Whether values of both methods on one dataset stand side by side."""
+    sides = [set(cells.get(method, {})) for method in METHODS]
+    return bool(sides[0] & sides[1])
+
+
+def test_no_mean_is_of_several_truths_or_versions(planted) -> None:
+    _, _, report = planted
+    rows = report.results[report.results["status"] == "ok"]
+    for _, own in rows.groupby(["dataset", "preset", "split", "scene"], dropna=False):
+        assert own["truth"].nunique() <= 1
+    for _, own in rows.groupby(["dataset", "preset", "split", "method", "variant"], dropna=False):
+        assert own["method_version"].nunique() == 1
+        assert own["changes"].nunique() == 1
+    timed = rows[rows["fps"].notna()]
+    for _, own in timed.groupby(["dataset", "preset", "split"], dropna=False):
+        for column in ("processor", "threads", "device", "ruler"):
+            assert own[column].nunique() == 1, column
+
+
+def test_no_row_is_lost(planted) -> None:
+    _, store, report = planted
+    measured = [record.job.id for record in store.records() if record.measure is not None]
+    assert sorted(report.measured["job"]) == sorted(measured)
+
+
+def test_the_page_and_its_files_give_the_reason(planted, tmp_path) -> None:
+    case, store, report = planted
+    page = write_report(report.stored, store.root, tmp_path / "r.html", report=report)
+    files = ["r.html", "results.md", "results.tex"]
+    if not report.tables["differences"].empty:
+        files.append("differences.csv")
+    for name in files:
+        assert _has(case, (page.parent / name).read_text(encoding="utf-8")), name
+
+
+def test_the_terminal_and_python_give_the_reason(planted, capsys) -> None:
+    case, store, report = planted
+    print_answers(report)
+    assert _has(case, capsys.readouterr().out)
+    assert any(_has(case, text) for text in Runs(store.root).remarks)
+
+
+def test_charts_give_the_reason(planted) -> None:
+    """Every chart that would have compared what differs."""
+    case, _, report = planted
+    drawn = dict(charts(report))
+    names = [name for name in ("psnr-size", "psnr-fps") if name in drawn]
+    assert names
+    texts = [svg.file(drawn[name]) for name in names]
+    assert any(_has(case, re.sub(r"\s+", " ", re.sub("<[^>]*>", " ", text))) for text in texts)
+
+
+def test_the_papers_tables_give_the_reason(planted) -> None:
+    case, _, report = planted
+    papers = [one for one in paper_tables(report.stored, report.views) if one.name == "univariate"]
+    apart = [one.sentence for one in report.remarks if one.quantity == "dataset"]
+    blocks = [block for paper in papers for block in paper.blocks]
+    if all(len([row for row in block.rows if row.jobs]) < 2 for block in blocks):
+        return  # the rows are in no table together
+    assert _has(case, " ".join([*map(to_text, papers), *apart]))
+
+
+def test_two_stores_are_compared_only_where_they_may_be(planted, clean, capsys) -> None:
+    case, store, _ = planted
+    code = main(["compare", str(clean.root), str(store.root), "--format", "csv"])
+    out, err = capsys.readouterr()
+    ours = [line for line in out.splitlines() if f",{OURS}," in line and ",psnr," in line]
+    if case.pictures:
+        assert code == 0
+        assert ours
+    elif f"{VIEWS - 1} test" not in case.words:  # views are paired one by one
+        assert not ours
+        assert err.strip(), "the reason"
+
+
+def test_the_gate_gives_the_reason(planted, clean, tmp_path, capsys) -> None:
+    case, store, _ = planted
+    baseline = tmp_path / "baseline.json"
+    assert main(["baseline", str(clean.root), "--out", str(baseline), "--reason", "first"]) == 0
+    capsys.readouterr()
+    code = main(["gate", str(store.root), "--baseline", str(baseline)])
+    out = capsys.readouterr().out
+    # What is the same but for chance is a note, and seeds that lack are no difference of results.
+    assert code in (1, 2) or case.times, out
+    assert code or label(OURS) in out or case.words.startswith("seeds")
+    assert not code or label(OURS) in out
+
+
+def test_the_documentation_gives_the_reason(planted, tmp_path, monkeypatch) -> None:
+    case, store, _ = planted
+    write_bundle(store, tmp_path / "planted.zip")
+    generate = _generator(monkeypatch)
+    monkeypatch.setattr(generate, "MEASURED", tmp_path)
+    block = 'bundles = ["planted"]\nrows = ["dataset", "method"]\ncolumns = ["psnr", "fps", "mib"]\n'
+    block += "where = \"kind == 'basic' and rate.isna() and variant == ''\"\n"
+    try:
+        text = generate.table(block)
+    except SystemExit as refusal:
+        text = str(refusal)
+    assert _has(case, text) or "means over different scenes" in text
+
+
+def _has(case: Planted, text: str) -> bool:
+    return re.search(case.words, text.replace("\\", "")) is not None
+
+
+def _generator(monkeypatch):
+    spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
