@@ -20,6 +20,7 @@ import json
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from reports.conclusions.clocks import CLOCKS, Clocks
@@ -225,10 +226,11 @@ def judged(
     for own in _groups(rows, (*_STRATUM, "method", "variant", "scenes_together")):
         _judge_versions(own)
     clocks = clocks or Clocks(results)
+    everywhere = {clock: Counter(Place.of(row, clock) for row in rows) for clock in _CLOCKED}
     for own in _groups([row for row in rows if ROW not in row["differences"]], strata):
         _judge_metrics(own)
         for clock in _CLOCKED:
-            _judge_clock(own, clock, clocks)
+            _judge_clock(own, clock, clocks, everywhere[clock])
     texts = [_text(row["differences"]) for row in rows]
     return results.assign(differences=_column(results, "dataset", texts))
 
@@ -367,7 +369,9 @@ class Place:
         return name if self.threads is None else f"{name}, {counted(self.threads, 'thread')}"
 
 
-def _judge_clock(rows: Sequence[dict[str, Any]], clock: str, clocks: Clocks) -> None:
+def _judge_clock(
+    rows: Sequence[dict[str, Any]], clock: str, clocks: Clocks, everywhere: Mapping[Place, int]
+) -> None:
     source = _SOURCES[clock]
     timed = [row for row in rows if not absent(row.get(source))]
     if clock != source:  # what disturbed the frames disturbed their parts
@@ -378,29 +382,36 @@ def _judge_clock(rows: Sequence[dict[str, Any]], clock: str, clocks: Clocks) -> 
             row["differences"][clock] = f"{DISTURBED}: {reason}"
         else:
             quiet.append((row, Place.of(row, clock)))
-    usual = usual_place(quiet)
+    usual = usual_place(quiet, everywhere)
     for row, place in quiet:
         if usual is not None and not place.agrees(usual):
             row["differences"][clock] = place.difference(usual)
 
 
-def usual_place(rows: Sequence[tuple[Mapping[str, Any], Place]]) -> Place | None:
+def usual_place(
+    rows: Sequence[tuple[Mapping[str, Any], Place]], everywhere: Mapping[Place, int] = MappingProxyType({})
+) -> Place | None:
     """The place where the most methods, then models, then seeds of models have all scenes; None without rows.
 
     A model's scenes are those that it has anywhere.
+
+    Args:
+        rows: each with its place.
+        everywhere: place -> rows of a larger table, which decide between equals.
     """
     scenes: dict[tuple[Any, ...], set[str]] = defaultdict(set)
     for row, _ in rows:
         scenes[_model(row)].add(row["scene"])
 
-    def weight(place: Place) -> tuple[int, int, int, int, str]:
+    def weight(place: Place) -> tuple[int, int, int, int, int, str]:
         own: dict[tuple[Any, ...], dict[Any, set[str]]] = defaultdict(lambda: defaultdict(set))
         here = [row for row, other in rows if place.agrees(other)]
         for row in here:
             own[_model(row)][_plain(row.get("seed"))].add(row["scene"])
         whole = [model for model, seeds in own.items() for each in seeds.values() if each == scenes[model]]
         methods = {method for method, *_ in whole}
-        return len(methods), len(set(whole)), len(whole), len(here), str(place)
+        found = len(methods), len(set(whole)), len(whole), len(here)
+        return *found, everywhere.get(place, 0), str(place)
 
     places = {place for _, place in rows}
     known = [one for one in places if one.instructions or not any(_more(one, other) for other in places)]

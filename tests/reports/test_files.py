@@ -130,7 +130,7 @@ def test_latex_compiles(maker, case):
 def test_the_papers_tables_compile(size, tmp_path):
     rows = [*four("econgs", 35.1), *four("3dgs", 35.0), *four("ivr-gs", 34.0)]
     rows += [*four("econgs", 35.0, seed=1)[:3], row(scene="TF04", status="oom", psnr=None, seed=1)]
-    rows += [one | {"variant": "view_direction=false", "job": f"v{i}"} for i, one in enumerate(rows[:4])]
+    rows += [one | {"variant": "view_direction=true", "job": f"v{i}"} for i, one in enumerate(rows[:4])]
     rows += [one | {"preset": "quick", "requested_views": 42, "job": f"q{i}"} for i, one in enumerate(rows)]
     table = results(*rows)
     by_name = {one.name: one for one in paper_tables(table, seen(table, waves(size)))}

@@ -120,19 +120,6 @@ def test_rates_of_a_method_are_compared_on_the_seeds_that_all_of_them_have(maker
     assert [anchor for anchor in html if words in html[anchor]] == ["rate-distortion", "tradeoffs"]
 
 
-def test_axes_tell_of_times_that_do_not_compare(maker):
-    maker.run(method="3dgs", processor="old", fit_processor="old")
-    maker.run(method="econgs", processor="new", fit_processor="old")
-    titles = {x: tradeoff(maker, x).panels[0].x.title for x in ("fps", "train_seconds", "size_bytes")}
-    assert titles["fps"] == "frames per second, several processors"
-    assert titles["train_seconds"] == "training time per scene [s]"
-    assert not titles["size_bytes"].endswith("processors")
-    maker.run(dataset="other", method="3dgs", processor="old")  # without native kernels: no instruction set
-    maker.run(dataset="other", method="econgs", processor="old, avx2")
-    (_, same) = tradeoff_data(maker, "fps")
-    assert not same.mixed
-
-
 def test_points_are_linked_to_rows(maker):
     maker.run(scene="a", method="ivr-gs", rate=64, views=0)
     dots = tradeoff(maker, "fps").panels[0].series
