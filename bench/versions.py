@@ -119,12 +119,13 @@ def scene_choices(lineage: Lineage) -> dict[str, int]:
         if together := lineage.scenes_together(record):
             sets[_protocol(record.job)][together] += 1
     usual = {key: max(own, key=lambda one: (len(one), own[one])) for key, own in sets.items()}
-    return {
-        record.job.id: len(together)
-        for record in lineage
-        if (together := lineage.scenes_together(record))
-        and set(together) != set(usual[_protocol(record.job)])
-    }
+    choices = {}
+    for record in lineage:
+        together, most = lineage.scenes_together(record), usual.get(_protocol(record.job), ())
+        others = len(together) > 1 and set(together) != set(most)
+        if together and (len(together) < len(most) or others):
+            choices[record.job.id] = len(together)
+    return choices
 
 
 def _protocol(job: Job) -> tuple[Any, ...]:

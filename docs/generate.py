@@ -8,7 +8,7 @@ A block begins with ``<!-- KIND`` and a description in TOML, and ends with ``<!-
 
     bundles     names in reports/measured, without ".zip"
     where       a pandas query; default: scenes as trained, at the default rate, by themselves
-    rows        columns that a row of the block stands for, as "method"
+    rows        columns that a row of the block stands for, as "method"; "model": its name with its options
     across      columns whose values set the block's columns apart, as "scene"
     columns     names of VALUES
     spread      true: quality with the standard deviation over seeds
@@ -114,7 +114,7 @@ from reports.paper.tables import paper_tables
 from reports.paper.values import PaperTable
 from reports.schema import PRUNED
 from reports.statistics import Views
-from reports.style import MISSING, TITLES, counted
+from reports.style import MISSING, TITLES, counted, label
 from reports.tables.documents import to_markdown as costs_as_markdown
 from reports.tables.ladders import climbed, held, ladders
 from reports.tables.protocols import by_scene_choice
@@ -220,6 +220,8 @@ def _rows(block: dict[str, Any]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The rows of a block, and the same with what is compared among them."""
     stored = tables(tuple(block["bundles"]))["results"]
     results = by_scene_choice(stored).query(block.get("where", BY_ITSELF), engine="python")
+    pairs = zip(results["method"], results["variant"], strict=True)
+    results = results.assign(model=[label(*pair) for pair in pairs])
     results = comparability.judged(results, Clocks(stored), ("dataset", "preset", "split"))
     return results, comparability.compared({"results": results})["results"]
 

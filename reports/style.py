@@ -29,7 +29,7 @@ MOST_NAMED = 10
 MIB = float(2**20)
 MISSING = "\N{EN DASH}"
 TITLES = {
-    "3dgs": "3DGS", "econgs": "ECoNGS", "scaffold-gs": "Scaffold-GS", "hac": "HAC", "ivr-gs": "iVR-GS",
+    "3dgs": "3DGS", "econgs": "ECoNGS-R", "scaffold-gs": "Scaffold-GS", "hac": "HAC", "ivr-gs": "iVR-GS",
     "vq-3dgs": "VQ-3DGS", "plenoxels": "Plenoxels", "ccnerf": "CCNeRF", "veg": "VEG",
     "mesh": "Triangle mesh", "sz3": "SZ3 volume", "zfp": "zfp volume", "3dgs-mcmc": "3DGS-MCMC",
     "hac-plus": "HAC++", "3dgs-coded": "3DGS, coded",
@@ -62,6 +62,10 @@ LOOKS = {
     "zfp": Look(WINE, "triangle-up", "dash"),
 }
 """Built-in method -> its look in every report."""
+PAPER = "configuration=paper"
+"""Option that gives a method the settings of its paper."""
+PUBLISHED = {"econgs": "ECoNGS"}
+"""Name of the published method, where this project's version has a name of its own."""
 RATES: dict[str, dict[float, str]] = {
     "3dgs-coded": {
         1: "ply-zstd", 2: "spz-8bit-sh", 3: "spz", 4: "sog",
@@ -90,10 +94,18 @@ def enumeration(names: Sequence[str]) -> str:
 
 
 def label(method: Any, variant: Any = "", rate: Any = None) -> str:
-    """What a row is called in tables and charts."""
-    parts = [TITLES.get(str(method), str(method))]
-    if not absent(variant) and variant:
-        parts.append(f"[{variant}]")
+    """What a row is called in tables and charts.
+
+    A method with the settings of its paper is called "NAME (published)": this project's version differs.
+    """
+    options = [] if absent(variant) else str(variant).split(",")
+    if PAPER in options:
+        options.remove(PAPER)
+        parts = [f"{PUBLISHED.get(str(method)) or TITLES.get(str(method), str(method))} (published)"]
+    else:
+        parts = [TITLES.get(str(method), str(method))]
+    if any(options):
+        parts.append(f"[{','.join(options)}]")
     if not absent(rate):
         parts.append(f"@ {RATES.get(str(method), {}).get(rate, f'{rate:g}')}")
     return " ".join(parts)

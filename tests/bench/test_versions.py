@@ -62,13 +62,18 @@ def record(kind, identity, day, made_by="1", status="ok", **said):
     )
 
 
+def hashed(scenes):
+    """Scenes with the hashes of their contents, as fits have them."""
+    return [[scene, f"content of {scene}"] for scene in scenes]
+
+
 def version(number, day, made_by="1", groups=GROUPS, joint=True, shared=10, failed=(), rate=None, done=True):
     """All records of a method's models of one version: each group's shared bytes and 100 per scene."""
     made = []
     scenes = tuple(scene for group in groups for scene in group)
     common = {"options": number}
     partition = record(
-        "partition", {**common, "scenes": scenes}, day, made_by, scenes=scenes,
+        "partition", {**common, "scenes": hashed(scenes)}, day, made_by, scenes=scenes,
         partition=PartitionResult(groups=[list(group) for group in groups], seconds=0.0),
     )  # fmt: skip
     if joint:
@@ -77,7 +82,7 @@ def version(number, day, made_by="1", groups=GROUPS, joint=True, shared=10, fail
         name = "+".join(group)
         point = CurvePoint(iteration=1, train_seconds=1.0, loss=None, psnr={}, primitives=1)
         fit = record(
-            "fit", {**common, "scenes": group, "partition": partition.job.key if joint else None}, day,
+            "fit", {**common, "scenes": hashed(group), "partition": partition.job.key if joint else None}, day,
             made_by, scenes=group, group=name, needs=(partition.job.id,) if joint else (),
             fit=FitResult(seconds=60.0, iterations=1, primitives={}, train_views=12, curve=[point], resumed=0,
                           reference_seconds=None),
@@ -300,3 +305,18 @@ def test_a_scene_learned_alone_is_not_averaged_with_joint_models(tables_of):
         ("", 31.0), ("scenes alone", 32.0), ("scenes alone", 33.0),
     }  # fmt: skip
     assert sorted(tables["results"]["scenes_together"].fillna(0)) == [0, 0, 0, 1, 1]
+
+
+def test_scenes_that_are_all_learned_alone_are_the_usual_models(tables_of):
+    apart = [version(1, 1, groups=((scene,),)) for scene in "abc"]
+    assert models(tables_of(*apart)) == {"m": {"a": 110, "b": 110, "c": 110}}
+
+
+def test_other_sets_of_as_many_scenes_are_models_with_their_names(tables_of):
+    two = [version(1, 1, groups=(("a", "b"),)), version(1, 2, groups=(("b", "c"),))]
+    three = version(1, 3, groups=(("a", "b", "c"),))
+    assert {name: set(scenes) for name, scenes in models(tables_of(*two, three)).items()} == {
+        "m": {"a", "b", "c"},
+        "m [2 scenes together: a, b]": {"a", "b"},
+        "m [2 scenes together: b, c]": {"b", "c"},
+    }

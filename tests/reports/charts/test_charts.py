@@ -115,7 +115,7 @@ def test_rates_of_a_method_are_compared_on_the_seeds_that_all_of_them_have(maker
     maker.run(method="econgs", variant="rate_weight=0.01", seed=0, psnr=33.1, size=200, views=0)
     (panel,) = tradeoff_data(maker)
     means = {line.model.title: [spot.y for spot in line.means] for line in panel.lines}
-    assert means == {"ECoNGS": [33.1, 33.8], "3DGS": [pytest.approx(33.4)]}
+    assert means == {"ECoNGS-R": [33.1, 33.8], "3DGS": [pytest.approx(33.4)]}
     html = sections(maker.tables())
     assert [anchor for anchor in html if words in html[anchor]] == ["rate-distortion", "tradeoffs"]
 
@@ -168,7 +168,7 @@ def test_rate_curves_hold_the_numbers_and_single_sizes_are_marks(maker):
     assert panel.series[0].x == pytest.approx([100 / 1024, 200 / 1024, 300 / 1024, 400 / 1024])
     assert panel.series[1].y == [33.5, 34.5, 35.5, 36.5]
     assert panel.x.log
-    assert texts(panel) == {"HAC", "ECoNGS", "3DGS"}
+    assert texts(panel) == {"HAC", "ECoNGS-R", "3DGS"}
 
 
 def test_the_page_tells_bd_rates(maker):
@@ -201,7 +201,7 @@ def test_of_many_fits_convergence_is_the_mean_of_each_method():
     ]
     lines = training.convergence(curve_table(rows), "iteration")["d"]
     assert [(line.title, line.x, line.y) for line in lines] == [
-        ("ECoNGS", [1, 2], pytest.approx([37.0, 38.0])),
+        ("ECoNGS-R", [1, 2], pytest.approx([37.0, 38.0])),
         ("3DGS", [1, 2, 3], pytest.approx([37.0, 38.0, 39.0])),
     ]
     few = curve_table([row for row in rows if row[1] < "s2"])
@@ -309,7 +309,7 @@ def test_losses_are_means_over_stretches_with_marks_where_stages_begin():
     other = curve_table(
         [("m", "a", "hac", i, 1.0, 30.0, None, '{"image": 1.0, "scale": 0.5}') for i in (1, 2)]
     )
-    assert [panel.title for panel in losses(other, stretches)] == ["ECoNGS", "HAC"]
+    assert [panel.title for panel in losses(other, stretches)] == ["ECoNGS-R", "HAC"]
 
 
 # --------------------------------------------------------------------------- parts of a whole
@@ -343,7 +343,7 @@ def test_bars_are_means_over_the_seeds_that_have_all_scenes():
         ("a", {"positions": 99}),
     ]
     (bar,), _ = data.ledger(table("bytes", sizes))
-    assert (bar.title, bar.total) == ("d · ECoNGS", 100.0)  # of two scenes: 80 and 120
+    assert (bar.title, bar.total) == ("d · ECoNGS-R", 100.0)  # of two scenes: 80 and 120
     assert bar.percent("positions") == pytest.approx(30.0)
     times = [("ab", {"frame": 0.01, "decode": 0.004}), ("ab", {"frame": 0.02, "decode": 0.008})]
     (bar,), _ = data.timing(table("seconds", times))
@@ -460,4 +460,4 @@ def test_every_series_of_a_figure_is_named(maker):
     report = maker.report()
     panels = training.anytime(report.tables["curve"], report.results, "psnr")
     (panel, *_) = kinds.lines(panels, "", "", report.models).panels
-    assert texts(panel) == {"3DGS (1 of 2 scenes)", "ECoNGS"}
+    assert texts(panel) == {"3DGS (1 of 2 scenes)", "ECoNGS-R"}

@@ -264,7 +264,7 @@ def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path, mon
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert b"/FontFile" in paths[0].read_bytes()
     words = [element.text for element in parse(paths[0].with_suffix(".svg").read_text()).iter(f"{SVG}text")]
-    assert {"x", "y", "3DGS", "ECoNGS", "HAC", "frames per second"} <= set(words)
+    assert {"x", "y", "3DGS", "ECoNGS-R", "HAC", "frames per second"} <= set(words)
 
 
 def test_a_chart_that_cannot_be_converted_is_an_error(maker, tmp_path, monkeypatch):
@@ -297,6 +297,6 @@ def test_many_variants_and_scenes_leave_no_label_on_another(maker):
             psnr, size = float(rng.normal(33.0, 0.3)), int(rng.integers(1 << 20, 1 << 22))
             maker.run(scene=scene, method=method, psnr=psnr, size=size, views=0)
     (panel,) = tradeoff(maker).panels
-    assert texts(panel) == {"3DGS", "ECoNGS", "HAC", "Scaffold-GS", "iVR-GS"}
+    assert texts(panel) == {"3DGS", "ECoNGS-R", "HAC", "Scaffold-GS", "iVR-GS"}
     boxes = [place.box for _, place in panel.placed]
     assert not any(overlap(a, np.array(boxes[:i]).reshape(-1, 4)).any() for i, a in enumerate(boxes))

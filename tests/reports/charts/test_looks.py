@@ -122,7 +122,7 @@ def test_with_many_variants_only_the_defaults_are_told_apart():
     styles = list(looks(MODELS, MODELS).values())
     assert styles.count(OTHERS) == 20
     assert OTHERS not in styles[20:]  # and drawn below
-    assert list(legend_entries([MODELS], MODELS)) == ["ECoNGS", "3DGS [start=cloud]", "HAC", OTHERS_NAME]
+    assert list(legend_entries([MODELS], MODELS)) == ["ECoNGS-R", "3DGS [start=cloud]", "HAC", OTHERS_NAME]
 
 
 def test_a_legend_shows_marker_and_dash(maker):
@@ -167,7 +167,7 @@ def test_page_legends_name_only_what_is_drawn(maker):
     tables["curve"].loc[tables["curve"]["method"] == "hac", "psnr"] = None
     html = sections(tables)
     for anchor in ("convergence", "anytime"):
-        assert re.findall(r"</svg> ([^<]+)</span>", html[anchor]) == ["3DGS", "ECoNGS"]
+        assert re.findall(r"</svg> ([^<]+)</span>", html[anchor]) == ["3DGS", "ECoNGS-R"]
 
 
 def test_the_page_names_the_lines_over_complexity(maker):
@@ -175,13 +175,13 @@ def test_the_page_names_the_lines_over_complexity(maker):
         maker.run(method="3dgs", dataset=f"blobs_{count}")
         maker.run(method="econgs", dataset=f"blobs_{count}")
     html = sections(maker.tables())["complexity"]
-    assert re.findall(r"</svg> ([^<]+)</span>", html) == ["3DGS", "ECoNGS"]
+    assert re.findall(r"</svg> ([^<]+)</span>", html) == ["3DGS", "ECoNGS-R"]
 
 
 def test_the_front_is_named_among_many_variants_and_the_rest_is_gray(maker):
     many_variants(maker)
     (panel,) = tradeoff(maker).panels
-    assert texts(panel) == {"ECoNGS", "HAC", "features=0", "features=1"}
+    assert texts(panel) == {"ECoNGS-R", "HAC", "features=0", "features=1"}
     dots = [each for each in panel.series if each.title]
     assert [each.look.color == OTHERS.color for each in dots[:9]] == [True] * 9  # and drawn below
     assert sum(each.look.color == OTHERS.color for each in dots) == 9
@@ -222,7 +222,7 @@ def test_single_sizes_of_variants_are_not_in_the_chart_of_rates(maker):
     for rate, size in ((64, 1 << 20), (256, 2 << 20)):
         maker.run(method="ivr-gs", rate=rate, psnr=30.0 + rate / 100, size=size, views=0)
     (curves,) = data.rate_panels(maker.report().curves).values()
-    assert [curve.title for curve in curves] == ["ECoNGS", "HAC", "3DGS [start=cloud]", "iVR-GS"]
+    assert [curve.title for curve in curves] == ["ECoNGS-R", "HAC", "3DGS [start=cloud]", "iVR-GS"]
 
 
 def test_every_row_of_the_page_has_a_key_of_its_own(maker):
@@ -295,7 +295,7 @@ def test_losses_of_many_variants_are_those_of_the_default():
         curve_table([(f"j{v}", "s", "econgs", i, 1.0, 30.0, None, text) for i in (1, 2)]).assign(variant=v)
         for v in variants
     ]
-    assert [panel.title for panel in losses(pd.concat(each))] == ["ECoNGS"]
+    assert [panel.title for panel in losses(pd.concat(each))] == ["ECoNGS-R"]
     assert len(losses(pd.concat(each[:MOST_NAMED]))) == MOST_NAMED
 
 

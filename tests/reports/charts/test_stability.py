@@ -91,7 +91,7 @@ def test_what_is_spent_over_complexity(maker) -> None:
         maker.run(dataset=f"blobs_{count}", method="econgs", size=size // 4, status=status)
     results = maker.tables()["results"]
     sizes = {line.title: (line.x, line.y) for line in stability.by_complexity(results, "size_bytes")["blobs"]}
-    assert sizes == {"3DGS": ([1.0, 8.0, 64.0], [1.0, 2.0, 4.0]), "ECoNGS": ([1.0, 64.0], [0.25, 1.0])}
+    assert sizes == {"3DGS": ([1.0, 8.0, 64.0], [1.0, 2.0, 4.0]), "ECoNGS-R": ([1.0, 64.0], [0.25, 1.0])}
     psnr = stability.by_complexity(results, "psnr")["blobs"]
     assert psnr[0].y == [31.0, 38.0, 94.0]
 

@@ -70,7 +70,7 @@ def test_the_section_of_a_page(maker):
     maker.run(method="econgs", psnr=31.0, size=1 << 16, fps=100.0, views=0)
     report = Report(maker.tables())
     section = volumes_section(report)
-    assert "vortex: ECoNGS smaller than the SZ3 volume at equal PSNR." in section.html
+    assert "vortex: ECoNGS-R smaller than the SZ3 volume at equal PSNR." in section.html
     quality, costs = section.charts["volumes"].panels
     lines = {series.title: series for series in quality.series}
     assert max(lines["SZ3 volume"].y) == 97.0  # whole: not cut above the best model

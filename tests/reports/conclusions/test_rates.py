@@ -137,7 +137,7 @@ def test_curves_gather_rates_and_fits_that_differ_in_the_rate_knob(maker):
         for scene in "ab":
             maker.run(scene=scene, method="ivr-gs", rate=rate, psnr=psnr, size=size, views=0)
     rows = maker.report().curves["vortex"]
-    assert [c.title for c in rows] == ["ECoNGS", "iVR-GS"]
+    assert [c.title for c in rows] == ["ECoNGS-R", "iVR-GS"]
     assert [(p.rate, p.bytes, p.psnr) for p in rows[0].points] == [
         ("0.01", 100, 33.0), ("0.005", 200, 34.0), ("0.001", 300, 35.0), ("", 400, 36.0)
     ]  # fmt: skip
@@ -151,7 +151,7 @@ def test_other_options_make_other_curves(maker):
     maker.run(method="econgs", variant="rate_weight=0.01", views=0)
     report = maker.report()
     rows = report.curves["vortex"]
-    assert [c.title for c in rows] == ["ECoNGS [context=false]", "ECoNGS"]
+    assert [c.title for c in rows] == ["ECoNGS-R [context=false]", "ECoNGS-R"]
     assert {c.model for c in rows} < set(report.models)  # they have looks
     assert differences({"vortex": rows}) == []
 

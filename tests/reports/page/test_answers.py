@@ -28,7 +28,7 @@ def test_the_answers_come_first_with_their_evidence_and_all_else_is_folded(maker
     report = Report(maker.tables())
     lines = to_text(report.contests[0], report.answers)
     assert len(lines) <= 10
-    assert any("ECoNGS, 0.95 MiB: 4.0 times smaller than 3DGS" in line for line in lines)
+    assert any("ECoNGS-R, 0.95 MiB: 4.0 times smaller than 3DGS" in line for line in lines)
 
 
 def test_a_report_of_one_method_has_no_answers_and_nothing_folded(maker):

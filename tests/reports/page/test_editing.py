@@ -30,7 +30,7 @@ def test_quality_by_edit_is_of_the_edited_scenes_alone(edited) -> None:
     ((name, heads, rows),) = editing.quality(edited.tables()["results"])
     assert name == "vortex"
     assert heads == ["Method", editing.UNEDITED, "opacity=2", "light=1,0,0"]
-    assert rows == [["3DGS", "38.00", "34.00", "refused"], ["ECoNGS", "39.00", "36.00", "37.00"]]
+    assert rows == [["3DGS", "38.00", "34.00", "refused"], ["ECoNGS-R", "39.00", "36.00", "37.00"]]
 
 
 def test_an_incomplete_mean_is_none(edited) -> None:

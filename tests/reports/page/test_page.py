@@ -132,7 +132,7 @@ def test_variants_are_counted_where_several_were_measured(maker):
     maker.run(method="econgs", variant="shading=false", views=0)
     facts = re.findall(r"<dd>(.*?)</dd>", page(maker)[0])
     assert any(
-        re.fullmatch(r"3DGS, HAC \[configuration=paper\], ECoNGS\b[^,]*\b2\b[^,]*", fact) for fact in facts
+        re.fullmatch(r"3DGS, HAC \(published\), ECoNGS-R\b[^,]*\b2\b[^,]*", fact) for fact in facts
     )
 
 

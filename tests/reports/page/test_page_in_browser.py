@@ -146,7 +146,7 @@ def test_rows_sort_by_keyboard_across_datasets(browser: Browser) -> None:
 def test_filters_leave_what_fits_and_say_how_much(browser: Browser) -> None:
     total = len(column(browser, "Method"))
     write_filter(browser, "fuel jet")
-    assert column(browser, "Method") == ["ECoNGS oom"]
+    assert column(browser, "Method") == ["ECoNGS-R oom"]
     assert browser.run("document.querySelector('#count').textContent") == f"1 of {total} rows"
     assert browser.run(f"{VISIBLE}.length") == 1
     groups = "Array.from(document.querySelectorAll('tr.group')).filter((g) => g.offsetParent)"
@@ -217,9 +217,9 @@ def test_pictures_are_compared_with_the_keyboard_alone(browser: Browser) -> None
         browser.run("document.querySelector('#compare [role=status]').textContent") == "Shown: Ground truth"
     )
     # Any two models, and the ground truth in place of the one that is shown.
-    for side, name in (("a", "ECoNGS"), ("b", "HAC")):
+    for side, name in (("a", "ECoNGS-R"), ("b", "HAC")):
         browser.choose(f"#compare select[data-side={side}]", name)
-    assert browser.run(names) == [f"{view}: ECoNGS"]
+    assert browser.run(names) == [f"{view}: ECoNGS-R"]
     browser.key("f")
     assert browser.run(names) == [f"{view}: HAC"]
     browser.key("g")
@@ -227,7 +227,7 @@ def test_pictures_are_compared_with_the_keyboard_alone(browser: Browser) -> None
     browser.key("n")
     other = browser.run("document.querySelector('#compare h3').textContent")
     assert other != view
-    assert browser.run(names) == [f"{other}: ECoNGS"]
+    assert browser.run(names) == [f"{other}: ECoNGS-R"]
     browser.key("Escape")
     assert not browser.run("document.querySelector('#compare').open")
     assert browser.run("document.activeElement.className") == "compare"
@@ -240,7 +240,7 @@ def test_the_first_picture_of_the_page_has_a_slider(browser: Browser) -> None:
     assert browser.run(names) == ["Ground truth", "3DGS"]
     first = browser.run("document.querySelector('figure.panel').getBoundingClientRect().top")
     assert browser.run(f"{stage}.getBoundingClientRect().bottom") < first
-    browser.choose("div.comparison select[data-side=b]", "ECoNGS")
+    browser.choose("div.comparison select[data-side=b]", "ECoNGS-R")
     browser.run("document.querySelector('div.comparison input[type=range]').focus()")
     browser.key("ArrowLeft")
     assert browser.run(f"{stage}.style.getPropertyValue('--at')") == "49%"

@@ -154,7 +154,7 @@ def test_a_claim_on_all_names_who_is_better_beside_it():
     best = found["uni-best"]
     assert best.verdict == AMONG
     assert "VEG, 38.13" in best.why, "the mean of four scenes"
-    assert "ECoNGS 37.36" in best.why
+    assert "ECoNGS-R 37.36" in best.why
     assert found["uni-small"].verdict == HOLDS
     assert found["concl"].verdict == AMONG
     text = to_text(list(found.values()))
@@ -172,10 +172,10 @@ def test_claims_on_all_methods_know_every_row_of_their_table():
     lines = layouts()["tables"]["univariate"]["rows"]
     for claim in claims():
         if claim["id"] in ("uni-best", "uni-small", "concl"):
-            known = {*claim["rows"][1], *claim["beside"], "ECoNGS", "ECoNGS, the paper's settings"}
+            known = {*claim["rows"][1], *claim["beside"], "ECoNGS-R", "ECoNGS (published)"}
             assert known == {one["label"] for one in lines}
             assert set(claim["rows"][1]) == {
-                one["label"] for one in lines if "match" in one and one["label"] != "ECoNGS"
+                one["label"] for one in lines if "match" in one and not one["label"].startswith("ECoNGS")
             }, "those with a published row"
         assert set(claim.get("beside", ())) <= {one["label"] for one in lines}
 
@@ -185,9 +185,9 @@ def test_a_measured_row_without_a_value_has_a_verdict_with_the_reason():
     one = verdicts(results(*rows))["vortex-fps"]
     assert (one.verdict, one.measured) == (UNKNOWN, None)
     assert one.where == "vortex_views, paper, 92 views"
-    assert "FPS of ECoNGS" in one.why
-    assert "FPS of ECoNGS" in to_text([one])
-    assert "FPS of ECoNGS" in to_html([one])
+    assert "FPS of ECoNGS-R" in one.why
+    assert "FPS of ECoNGS-R" in to_text([one])
+    assert "FPS of ECoNGS-R" in to_html([one])
     omitted = [*four("econgs", 35.0, omissions='{"lpips_vgg": "no weights"}'), *four("3dgs", 34.0)]
     omitted += four("econgs", 34.0, variant="view_direction=true", omissions='{"lpips_vgg": "no weights"}')
     assert "no weights" in verdicts(results(*omitted))["abl-vca-lpips"].why
@@ -241,7 +241,7 @@ def test_rows_are_marked_among_those_of_equal_scenes_and_views():
     ]
     (block,) = blocks(results(*rows), "veg")
     places = {block.rows[i].label: place for (i, name), place in block.marks.items() if name == "psnr"}
-    assert places == {"basic, VEG": 1, "basic, ECoNGS": 2, "composed, VEG": 1, "composed, ECoNGS": 2}
+    assert places == {"basic, VEG": 1, "basic, ECoNGS-R": 2, "composed, VEG": 1, "composed, ECoNGS-R": 2}
     views = [
         row(method, scene, psnr, dataset="argon_bubble_like", requested_views=count, train_views=count)
         for count, base in ((6, 25.0), (92, 35.0))
@@ -250,7 +250,7 @@ def test_rows_are_marked_among_those_of_equal_scenes_and_views():
     ]
     (block,) = blocks(results(*views), "limited-views")
     places = {block.rows[i].label: place for (i, name), place in block.marks.items() if name == "psnr"}
-    assert places["6 views, ECoNGS"] == places["92 views, ECoNGS"] == 1
+    assert places["6 views, ECoNGS-R"] == places["92 views, ECoNGS-R"] == 1
     assert places["6 views, iVR-GS"] == places["92 views, iVR-GS"] == 2
     fuzzy = [
         row(scene=name, dataset="vortices_fuzzy", psnr=psnr)
@@ -291,4 +291,4 @@ def test_sizes_of_compositions_count_a_shared_model_once():
     (block,) = blocks(results(*rows("veg", False), *rows("econgs", True)), "veg")
     assert line(block, "basic, VEG").values["size_bytes"].mean == pytest.approx(6.0)
     assert line(block, "composed, VEG").values["size_bytes"].mean == pytest.approx(6.0), "not 10"
-    assert line(block, "composed, ECoNGS").values["size_bytes"].mean == pytest.approx(6.0)
+    assert line(block, "composed, ECoNGS-R").values["size_bytes"].mean == pytest.approx(6.0)

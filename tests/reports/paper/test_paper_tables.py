@@ -60,7 +60,7 @@ def test_measured_values_stand_beside_the_published_ones_in_their_units():
     papers = paper_tables(results(*four("econgs", 35.0), *four("3dgs", 34.0, fps=300.0)))
     block = table(papers, "univariate").blocks[0]
     assert (block.dataset, block.published, block.same) == ("vortex_views", "vortex", True)
-    ours = line(block, "ECoNGS").values
+    ours = line(block, "ECoNGS-R").values
     assert ours["psnr"].mean == pytest.approx(36.5)
     assert ours["psnr"].published == 36.74
     assert ours["train_seconds"].mean == pytest.approx(8.0)  # minutes of all scenes together
@@ -75,7 +75,7 @@ def test_measured_values_stand_beside_the_published_ones_in_their_units():
 def test_seeds_give_a_spread_and_an_incomplete_seed_is_named():
     rows = [*four("econgs", 35.0), *four("econgs", 36.0, seed=1), *four("econgs", 50.0, seed=2)[:3]]
     block = blocks(results(*rows))[0]
-    ours = line(block, "ECoNGS")
+    ours = line(block, "ECoNGS-R")
     assert ours.values["psnr"].mean == pytest.approx(37.0)
     assert ours.values["psnr"].spread == pytest.approx(0.5**0.5)
     assert ours.note == "seed 2: TF04 not run"
@@ -91,27 +91,27 @@ def test_rows_of_a_method_are_of_the_seeds_that_all_of_them_have():
     design, univariate = table(tables, "design").blocks[0], table(tables, "univariate").blocks[0]
     assert [r.values["psnr"].mean for r in design.rows if r.jobs] == [33.5, 34.5]
     (remark,) = (remark for remark in design.remarks if "seed 0" in remark)
-    assert "full ECoNGS, w/o view direction" in remark
+    assert "full ECoNGS-R, w/o view direction" in remark
     assert "w/o joint learning" not in remark, "it was not measured"
-    assert line(univariate, "ECoNGS").values["psnr"].seeds == (34.5, 31.5)
-    assert any("seeds differ: ECoNGS: 0, 1; 3DGS: 1" in remark for remark in univariate.remarks)
+    assert line(univariate, "ECoNGS-R").values["psnr"].seeds == (34.5, 31.5)
+    assert any("seeds differ: ECoNGS-R: 0, 1; 3DGS: 1" in remark for remark in univariate.remarks)
     apart = paper_tables(
         results(*ours[:4], *(one | {"seed": 1, "job": one["job"][:-1] + "1"} for one in plain))
     )
     block = table(apart, "design").blocks[0]
     assert [r.values["psnr"].mean for r in block.rows if r.jobs] == [33.5, 34.5]
-    assert any("seeds differ: ECoNGS" in remark for remark in block.remarks)
+    assert any("seeds differ: ECoNGS-R" in remark for remark in block.remarks)
     # Where methods are compared each keeps its seeds.
     literal = four("econgs", 32.0, variant="configuration=paper")
     block = blocks(results(*ours, *literal, *others))[0]
-    assert line(block, "ECoNGS").values["psnr"].seeds == (34.5, 31.5)
-    assert any("ECoNGS: 0, 1; ECoNGS [configuration=paper]: 0" in remark for remark in block.remarks)
+    assert line(block, "ECoNGS-R").values["psnr"].seeds == (34.5, 31.5)
+    assert any("ECoNGS-R: 0, 1; ECoNGS (published): 0" in remark for remark in block.remarks)
 
 
 def test_a_failed_scene_leaves_the_cells_empty():
     rows = [*four("econgs", 35.0)[:3], row(scene="TF04", psnr=None, status="failed"), *four("3dgs", 30.0)]
     block = blocks(results(*rows))[0]
-    assert line(block, "ECoNGS").values["psnr"].mean is None
+    assert line(block, "ECoNGS-R").values["psnr"].mean is None
     assert line(block, "3DGS").values["psnr"].mean is not None
 
 
@@ -179,7 +179,7 @@ def test_meshes_have_triangles_and_rendering_has_memory_of_its_own():
     assert (plain.values["triangles"].mean, plain.values["triangles"].published) == (4.0, 17.1)
     assert (coded.values["triangles"].mean, coded.values["triangles"].published) == (2.0, None)
     assert line(block, "composed, triangle mesh, reduced and coded").values["triangles"].mean == 6.0
-    ours = line(block, "low, ECoNGS").values
+    ours = line(block, "low, ECoNGS-R").values
     assert ours["triangles"].mean is None, "anchors are no triangles"
     assert (ours["render_host_bytes"].mean, ours["render_host_bytes"].published) == (0.5, 7.61)
     assert ours["render_device_bytes"].mean is None
@@ -198,8 +198,8 @@ def test_basic_scenes_and_compositions_of_veg():
     assert (block.published, block.same, block.count) == ("ionization (T)", False, 4)
     values = {one.label: one.values["psnr"] for one in block.rows}
     assert {label: (one.mean, one.published) for label, one in values.items()} == {
-        "basic, VEG": (30.0, 30.38), "basic, ECoNGS": (34.0, 34.34),
-        "composed, VEG": (29.0, 28.94), "composed, ECoNGS": (33.0, 33.45),
+        "basic, VEG": (30.0, 30.38), "basic, ECoNGS-R": (34.0, 34.34),
+        "composed, VEG": (29.0, 28.94), "composed, ECoNGS-R": (33.0, 33.45),
     }  # fmt: skip
     alone = [one for one in rows if one["method"] == "econgs"]
     assert not [one for one in paper_tables(results(*alone)) if one.name == "veg"]
@@ -249,9 +249,9 @@ def test_the_table_of_times_has_the_gaussians_that_are_drawn():
     rows = results(*four("econgs", 35.0, drawn=500.5), *four("3dgs", 34.0, drawn=1200.0))
     timing = pd.DataFrame([{"job": job, "part": "frame", "seconds": 0.01} for job in rows["job"]])
     block = blocks(rows, "timing", timing=timing)[0]
-    values = {label: line(block, label).values["drawn"] for label in ("ECoNGS", "3DGS")}
+    values = {label: line(block, label).values["drawn"] for label in ("ECoNGS-R", "3DGS")}
     assert {label: (one.mean, one.published) for label, one in values.items()} == {
-        "ECoNGS": (500.5, 70905), "3DGS": (1200.0, 134156),
+        "ECoNGS-R": (500.5, 70905), "3DGS": (1200.0, 134156),
     }  # fmt: skip
 
 
@@ -272,10 +272,10 @@ def test_scenes_learned_with_others_are_not_those_of_a_smaller_dataset():
     both = paper_tables(results(*alone, *mixed, *small))
     (univariate,) = table(both, "univariate").blocks
     assert (univariate.published, univariate.dataset) == ("ionization (T)", "ionisation_like")
-    assert line(univariate, "ECoNGS").values["psnr"].mean == 33.0
+    assert line(univariate, "ECoNGS-R").values["psnr"].mean == 33.0
     assert line(univariate, "iVR-GS").values["psnr"].mean == 36.0
     (multivariate,) = table(both, "multivariate").blocks
-    assert line(multivariate, "ECoNGS").values["psnr"].mean == 30.0
+    assert line(multivariate, "ECoNGS-R").values["psnr"].mean == 30.0
     without = paper_tables(results(*alone, *mixed))
     assert "univariate" not in {one.name for one in without}, "nothing to set iVR-GS against"
 
@@ -319,7 +319,7 @@ FAILED = [one | {"status": "failed", "psnr": None} for one in four("3dgs", 35.0,
 def test_quality_is_ranked_where_complete_seeds_and_their_views_can_tell(rows, noise, expected):
     rows = results(*rows)
     (univariate,) = (one for one in paper_tables(rows, seen(rows, waves(noise))) if one.name == "univariate")
-    assert places(univariate.blocks[0]) == dict(zip(("ECoNGS", "3DGS"), expected, strict=True))
+    assert places(univariate.blocks[0]) == dict(zip(("ECoNGS-R", "3DGS"), expected, strict=True))
     assert ("\N{ALMOST EQUAL TO}" in to_text(univariate)) == (expected == (3, 3))
 
 
@@ -328,7 +328,7 @@ def test_the_leader_must_be_ahead_on_the_views_too():
     rows = results(*four("econgs", 35.0), *four("3dgs", 34.0))
     views = seen(rows, waves(0.1))
     views.loc[views["job"].str.startswith("3dgs"), "psnr"] += 3.0
-    assert places(blocks(rows, views=views)[0]) == {"ECoNGS": 3, "3DGS": 3}
+    assert places(blocks(rows, views=views)[0]) == {"ECoNGS-R": 3, "3DGS": 3}
 
 
 def test_a_ranking_without_views_has_a_remark_with_the_rows_that_lack_them():
@@ -353,13 +353,13 @@ def test_speed_and_time_are_ranked_in_one_place_and_where_seeds_agree():
         rows += [*four("3dgs", 35.0, fps=fps[3], seed=1, **changed)]
         return blocks(results(*rows))[0]
 
-    assert places(block_of(90.0, 100.0, 110.0, 120.0), "fps") == {"3DGS": 1, "ECoNGS": 2}
+    assert places(block_of(90.0, 100.0, 110.0, 120.0), "fps") == {"3DGS": 1, "ECoNGS-R": 2}
     near = block_of(90.0, 112.0, 110.0, 120.0)
-    assert places(near, "fps") == {"3DGS": 3, "ECoNGS": 3}
+    assert places(near, "fps") == {"3DGS": 3, "ECoNGS-R": 3}
     assert SEEDS_NOTE in near.remarks
     apart = block_of(90.0, 100.0, 110.0, 120.0, threads=1)
     assert places(apart, "fps") == {}
-    assert [line(apart, name).values["fps"].mean for name in ("ECoNGS", "3DGS")].count(None) == 1
+    assert [line(apart, name).values["fps"].mean for name in ("ECoNGS-R", "3DGS")].count(None) == 1
     assert any("FPS" in remark and "threads" in remark for remark in apart.remarks)
 
 
@@ -372,20 +372,20 @@ def test_an_empty_column_has_its_reason_and_its_rows():
     (remark,) = (remark for remark in block.remarks if "LPIPS" in remark)
     assert "weights missing" in remark
     assert "slow" not in remark, "FLIP is no column of this table"
-    assert "ECoNGS" not in remark, "all rows lack it"
+    assert "ECoNGS-R" not in remark, "all rows lack it"
     rows = results(*rows, *four("3dgs", 34.0, lpips_vgg=0.1))
     text = to_markdown(table(paper_tables(rows), "univariate"))
-    assert re.search(r"LPIPS of ECoNGS\b.*weights missing", text)
+    assert re.search(r"LPIPS of ECoNGS-R\b.*weights missing", text)
 
 
 def test_rows_of_several_versions_of_a_method_have_a_remark():
     without = {"variant": "view_direction=true", "method_version": "1"}
     rows = [*four("econgs", 35.0, method_version="2"), *four("econgs", 34.0, **without)]
     block = blocks(results(*rows), "design")[0]
-    assert any("full ECoNGS; w/o view direction" in remark for remark in block.remarks)
+    assert any("full ECoNGS-R; w/o view direction" in remark for remark in block.remarks)
     rows = [*four("econgs", 35.0, method_version="2"), *four("3dgs", 34.0, method_version="1")]
     (block,) = table(paper_tables(results(*rows)), "univariate").blocks
-    assert not [remark for remark in block.remarks if "ECoNGS" in remark]
+    assert not [remark for remark in block.remarks if "ECoNGS-R" in remark]
 
 
 def test_rows_left_out_are_counted():
@@ -413,7 +413,7 @@ def test_times_of_a_frame_come_from_their_own_table():
     )
     assert not [one for one in paper_tables(rows) if one.name == "timing"]
     block = table(paper_tables(rows, timing=timing), "timing").blocks[0]
-    ours, theirs = line(block, "ECoNGS").values, line(block, "3DGS").values
+    ours, theirs = line(block, "ECoNGS-R").values, line(block, "3DGS").values
     assert (ours["rasterise_ms"].mean, ours["rasterise_ms"].published) == (pytest.approx(3.0), 0.69)
     assert theirs["frame_ms"].mean == pytest.approx(8.0)
 
@@ -425,7 +425,7 @@ def test_documents_hold_every_row_and_escape_what_they_must():
     design = table(tables, "design")
     for write in (to_markdown, to_html, to_latex, to_text):
         text = write(design)
-        for label in ("full ECoNGS", "w/o view direction", "w/o joint learning"):
+        for label in ("full ECoNGS-R", "w/o view direction", "w/o joint learning"):
             assert label in text
     assert r"\textbf{36.50}" in to_latex(design)
 
@@ -459,4 +459,4 @@ def test_triangle_meshes_have_their_rows_beside_the_papers():
     assert not any("Triangles" in remark for remark in block.remarks)
 
 
-KINDS = ("triangle mesh", "triangle mesh, reduced and coded", "ECoNGS")
+KINDS = ("triangle mesh", "triangle mesh, reduced and coded", "ECoNGS-R")
