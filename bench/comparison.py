@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reports.comparability import ROW, pair_differences
+from reports.comparability import pair_differences
 from reports.schema import METRICS
 from reports.style import absent, label
 from reports.tables.protocols import by_scene_choice
@@ -45,12 +45,11 @@ def compared(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
         who = dict(zip(EXPERIMENT, experiment, strict=True))
         title = f"{who['dataset']}/{who['scene']} {label(who['method'], who['variant'])}"
         apart = pair_differences(one, other)
+        if absent(one["truth"]) or absent(other["truth"]):
+            apart["truth"] = "what they were measured on is not known of both"
         differences += [f"{title}: {name}: {why}" for name, why in apart.items()]
-        if ROW in apart:
+        if "truth" in apart:
             continue
-        renderers = [str(each["renderer"]) for each in (one, other) if not absent(each["renderer"])]
-        if len(set(renderers)) > 1:
-            differences.append(f"{title}: the truth was rendered by {' and by '.join(renderers)}")
         count += len(group)
         for metric in METRICS:
             values = group[[f"{metric}_1", f"{metric}_2"]].dropna()

@@ -79,6 +79,7 @@ prints them. Keys:
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import tempfile
 import tomllib
@@ -106,7 +107,7 @@ from reports.charts.report import Report
 from reports.charts.sections import chart_sections
 from reports.conclusions import economy, races, rates, unseen, volumes
 from reports.conclusions.answers import Answer, scope, standing
-from reports.conclusions.clocks import Clocks
+from reports.conclusions.clocks import CLOCKS, Clocks
 from reports.conclusions.ladders import amount, by_method, contrasts, verdict
 from reports.paper import datasets
 from reports.paper.documents import to_markdown
@@ -142,11 +143,19 @@ class Value(NamedTuple):
     title: str
     column: str
     factor: float
-    over_scenes: str
+    over_scenes: str | Callable[[pd.Series], float]
     form: str
 
 
+def geometric(values: pd.Series) -> float:
+    """Geometric mean, as the answers of a report have it."""
+    return math.exp(float(values.astype(float).map(math.log).mean()))
+
+
 VALUES = {
+    "fps_each": Value("FPS", "fps", 1, geometric, ",.0f"),
+    "seconds_each": Value("training [s]", "train_seconds", 1, geometric, ",.1f"),
+    "mib_each": Value("size [MiB]", "size_bytes", 2**-20, geometric, ",.3f"),
     "psnr": Value("PSNR [dB]", "psnr", 1, "mean", ".2f"),
     "psnr_fg": Value("foreground PSNR [dB]", "psnr_fg", 1, "mean", ".2f"),
     "ssim": Value("SSIM", "ssim", 1, "mean", ".4f"),
@@ -213,7 +222,9 @@ def table(description: str) -> str:
                 titles.append("change [dB]")
                 for line, (_, number) in zip(cells, numbers, strict=True):
                     line.append(_change(number, numbers[0][1]))
-    return _markdown(titles, cells) + "\n" + _conditions(every, ", ".join(map(" ".join, marks.values())))
+    shown = {VALUES[name].column for name in block["columns"]}
+    note = ", ".join(map(" ".join, marks.values()))
+    return _markdown(titles, cells) + "\n" + _conditions(every, note, shown)
 
 
 def _rows(block: dict[str, Any]) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -279,10 +290,11 @@ def _number(results: pd.DataFrame | None, value: Value, spread: bool) -> tuple[s
         return DASH, None
     numbers = [rows[value.column].agg(value.over_scenes) for rows in whole]
     seeds = pd.Series(numbers, dtype=float) * value.factor
-    text = format(float(seeds.mean()), value.form)
-    if spread and value.over_scenes == "mean" and len(seeds) > 1:
+    mean = geometric(seeds) if value.over_scenes is geometric else float(seeds.mean())
+    text = format(mean, value.form)
+    if spread and value.over_scenes in ("mean", geometric) and len(seeds) > 1:
         text += f" ± {format(float(seeds.std()), value.form)}"
-    return text, float(seeds.mean())
+    return text, mean
 
 
 def _change(number: float | None, reference: float | None) -> str:
@@ -292,7 +304,8 @@ def _change(number: float | None, reference: float | None) -> str:
     return "" if number is reference else "0" if text.endswith("0.00") else text
 
 
-def _conditions(results: pd.DataFrame, note: str = "") -> str:
+def _conditions(results: pd.DataFrame, note: str = "", columns: Iterable[str] = ("psnr", *CLOCKS)) -> str:
+    """A line on how rows were measured, and what is not compared in some columns."""
     sizes = sorted(set(results[["width", "height"]].dropna().itertuples(index=False, name=None)))
     parts = [
         "preset " + ", ".join(sorted(set(results["preset"]))),
@@ -310,8 +323,8 @@ def _conditions(results: pd.DataFrame, note: str = "") -> str:
     else:
         parts.append("; ".join(f"{name} ({', '.join(methods)})" for name, methods in machines.items()))
     parts += filter(None, [note, _earlier(results)])
-    remarks = comparability.notes(results)
-    return f"*{'; '.join(parts)}.{''.join(f' {text}' for text in remarks)}*\n"
+    found = comparability.concerning(comparability.remarks(results), columns=columns)
+    return f"*{'; '.join(parts)}.{''.join(f' {one.sentence}' for one in found)}*\n"
 
 
 def _earlier(results: pd.DataFrame) -> str:

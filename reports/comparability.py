@@ -240,30 +240,51 @@ def _parsed(text: Any) -> dict[str, str]:
 
 
 def pair_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, str]:
-    """Column -> why the values of two rows of one name, of different stores, are not compared.
+    """Kind -> why the values of two rows of one name, of two stores or of a baseline, are not compared.
 
-    The key :data:`ROW` holds for all columns: the truth differs, or is not known of both.
+    What is unknown on one side differs in nothing. `contents` and `truth` (other views of the same content)
+    hold for all columns, `ruler` for FPS, the name of a metric for that metric. Renderers of one truth agree
+    but for rounding, so `renderer` explains differences and forbids no comparison.
 
     Args:
-        one: the columns `truth` and `metric_versions` of the first.
-        other: those of the second.
+        one: the columns of these names and `metric_versions`, as text or parsed.
+        other: the same of the other row.
     """
-    if absent(one["truth"]) or absent(other["truth"]):
-        return {ROW: "what they were measured on is not known of both"}
-    if _pictures(one) != _pictures(other):
-        return {ROW: "they were measured on different pictures (another content, edit, or size of views)"}
-    versions = [_parsed(each["metric_versions"]) for each in (one, other)]
-    shared = versions[0].keys() & versions[1].keys()
-    return {
-        name: f"metric of version {versions[0][name]} in the first, {versions[1][name]} in the second"
-        for name in sorted(shared)
-        if versions[0][name] != versions[1][name]
-    }
+    found = {}
+    first, second = (_table(row.get("contents")) for row in (one, other))
+    for scene in sorted(first.keys() & second.keys()):
+        if changed := _changed(first[scene], second[scene]):
+            found["contents"] = f"truth differs: content of {scene} {changed}"
+    if "contents" not in found and (changed := _changed(*(_pictures(row) for row in (one, other)))):
+        found["truth"] = f"truth differs: other views of the same content, {changed}"
+    renderers = [_plain(row.get("renderer")) for row in (one, other)]
+    if _changed(*renderers):
+        found["renderer"] = f"the truth was rendered by {renderers[1]}, that of the other by {renderers[0]}"
+    if changed := _changed(*(_plain(row.get("ruler")) for row in (one, other))):
+        found["ruler"] = f"timing protocol {changed}"
+    first, second = (_table(row.get("metric_versions")) for row in (one, other))
+    for name in sorted(first.keys() & second.keys()):
+        if changed := _changed(first[name], second[name]):
+            found[name] = f"version of the metric {changed}"
+    return found
 
 
-def _pictures(row: Mapping[str, Any]) -> str:
+def _table(value: Any) -> dict[str, Any]:
+    return dict(value) if isinstance(value, Mapping) else dict(_parsed(value))
+
+
+def _changed(one: Any, other: Any) -> str:
+    return (
+        ""
+        if one is None or other is None or str(one) == str(other)
+        else f"{one} \N{RIGHTWARDS ARROW} {other}"
+    )
+
+
+def _pictures(row: Mapping[str, Any]) -> str | None:
     """The part of `truth` that does not depend on which of the views were measured."""
-    return str(row["truth"]).partition("-")[0]
+    truth = _plain(row.get("truth"))
+    return None if truth is None else str(truth).partition("-")[0]
 
 
 def reason(row: Mapping[str, Any], column: str) -> str:

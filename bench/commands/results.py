@@ -67,6 +67,8 @@ def print_answers(contents: Report) -> None:
 
     if contents.contests:
         print("\n".join(to_text(contents.contests[0], contents.answers)))
+    elif contents.results["method"].nunique() > 1:
+        print("Nothing is ranked: no two methods have the same scenes under the same conditions.")
     for sentence in races.conclusion(contents.races, contents.family):
         print(sentence)
     _print_differences(contents.stored, sys.stdout)

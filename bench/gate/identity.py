@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from reports.comparability import pair_differences
 from reports.style import absent
 
 CONTENTS, TRUTH, RENDERER = "contents", "truth", "renderer"
@@ -42,26 +43,6 @@ class Identity(BaseModel):
 
 
 def differences(old: Identity, new: Identity) -> dict[str, str]:
-    """Kind -> why two identities do not compare; what is unknown on one side differs in nothing.
-
-    :data:`CONTENTS` and :data:`TRUTH` (other views of the same) hold for all results. Renderers of one truth
-    agree but for rounding, so :data:`RENDERER` explains differences and forbids no comparison.
-    """
-    found = {}
-    for scene in old.contents.keys() & new.contents.keys():
-        if changed := _changed(old.contents[scene], new.contents[scene]):
-            found[CONTENTS] = f"truth differs: content of {scene} {changed}"
-    if CONTENTS not in found and (changed := _changed(old.truth, new.truth)):
-        found[TRUTH] = f"truth differs: other views of the same content, {changed}"
-    if changed := _changed(old.renderer, new.renderer):
-        found[RENDERER] = f"the truth was rendered by {new.renderer}, the baseline's by {old.renderer}"
-    if changed := _changed(old.ruler, new.ruler):
-        found[_FRAMES] = f"version of how frames are timed {changed}"
-    for name in old.metric_versions.keys() & new.metric_versions.keys():
-        if changed := _changed(old.metric_versions[name], new.metric_versions[name]):
-            found[name] = f"version of the metric {changed}"
-    return found
-
-
-def _changed(old: str | None, new: str | None) -> str:
-    return "" if old is None or new is None or old == new else f"{old} → {new}"
+    """Kind -> why a baseline's identity and a run's do not compare (:mod:`reports.comparability`)."""
+    found = pair_differences(old.model_dump(), new.model_dump())
+    return {_FRAMES if kind == "ruler" else kind: reason for kind, reason in found.items()}

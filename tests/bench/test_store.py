@@ -219,9 +219,9 @@ def test_views_are_paired(rate) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"truth": "u-1"}, "different pictures"),
+        ({"truth": "u-1"}, "truth differs"),
         ({"truth": None}, "not known"),
-        ({"metric_versions": '{"psnr": "2"}'}, "psnr: metric of version 1"),
+        ({"metric_versions": '{"psnr": "2"}'}, "psnr: version of the metric 1"),
     ],
 )
 def test_views_of_another_truth_or_metric_are_not_paired(change, words) -> None:

@@ -362,7 +362,7 @@ def test_another_renderer_is_the_cause_of_what_differs() -> None:
         verdict = judge({key(): old}, {key(): new})
         assert verdict.code == 2
         assert verdict.findings
-        cause = "the truth was rendered by reference, the baseline's by mitsuba 3"
+        cause = "the truth was rendered by reference, that of the other by mitsuba 3"
         assert all(finding.text.endswith(f": {cause}") for finding in verdict.findings)
         known = judge({key(): old}, {key(): identified(new)})
         assert known.code == 1
