@@ -324,7 +324,7 @@ def _conditions(results: pd.DataFrame, note: str = "", columns: Iterable[str] = 
         parts.append("; ".join(f"{name} ({', '.join(methods)})" for name, methods in machines.items()))
     parts += filter(None, [note, _earlier(results)])
     found = comparability.concerning(comparability.remarks(results), columns=columns)
-    return f"*{'; '.join(parts)}.{''.join(f' {one.sentence}' for one in found)}*\n"
+    return f"*{'; '.join(parts)}.{' ' if found else ''}{comparability.summary(found)}*\n"
 
 
 def _earlier(results: pd.DataFrame) -> str:
@@ -386,7 +386,7 @@ def ladders_of(description: str) -> str:
     if "method" in block:
         rungs = rungs[rungs["method"] == block["method"]]
     usual = parts["results"].query(BY_ITSELF, engine="python")
-    return f"{shows[block['show']](rungs)}\n{_conditions(usual[usual['variant'] == ''])}"
+    return f"{shows[block['show']](rungs)}\n{_conditions(usual[usual['variant'] == ''], columns=('psnr',))}"
 
 
 def _breaks(rungs: pd.DataFrame) -> str:
@@ -554,7 +554,8 @@ def economy_of(description: str) -> str:
     usual = report.results.query(BY_ITSELF, engine="python")
     heads = [names[show], "volume [KiB]", *titles]
     sentence = f"**{economy.conclusion(rows)}**\n\n" if block.get("conclusion") else ""
-    return f"{sentence}{_markdown(heads, lines)}\n{_conditions(usual[usual['variant'] == ''])}"
+    conditions = _conditions(usual[usual["variant"] == ""], columns=("psnr",))
+    return f"{sentence}{_markdown(heads, lines)}\n{conditions}"
 
 
 def verdict_of(description: str) -> str:
@@ -587,7 +588,9 @@ def verdict_of(description: str) -> str:
         raise SystemExit(f"nothing of the kind for {block}")
     if not block.get("table", True):
         return f"**{sentence}**\n"
-    return f"**{sentence}**\n\n{_markdown(list(heads), lines)}\n{_conditions(report.measured)}"
+    clocks = {"races": ("train_seconds",), "answers": tuple(CLOCKS), "places": tuple(CLOCKS)}
+    columns = ("psnr", *clocks.get(block["section"], ()))
+    return f"**{sentence}**\n\n{_markdown(list(heads), lines)}\n{_conditions(report.measured, '', columns)}"
 
 
 def _places(report: Report) -> tuple[list[str], list[list[str]]]:

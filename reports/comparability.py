@@ -517,11 +517,15 @@ class Remark(NamedTuple):
         dataset: its name in the table `results`.
         quantity: column that it is about; :data:`ROW` and :data:`DATASET` concern all.
         text: the sentence, without the dataset.
+        kind: of the reason, as "disturbed"; "" of remarks that count no rows.
+        rows: their number.
     """
 
     dataset: str
     quantity: str
     text: str
+    kind: str = ""
+    rows: int = 0
 
     @property
     def sentence(self) -> str:
@@ -536,11 +540,9 @@ def remarks(results: pd.DataFrame, superseded: pd.DataFrame | None = None) -> li
         results: as :func:`judged` returns it.
         superseded: rows whose place a newer one takes.
     """
-    found = [
-        Remark(name, quantity, text)
-        for name, rows in _by_dataset(results).items()
-        for quantity, text in (*_counted(rows), *_of_sets(rows))
-    ]
+    found = []
+    for name, rows in _by_dataset(results).items():
+        found += [*_counted(name, rows), *(Remark(name, ROW, text) for text in _of_sets(rows))]
     if superseded is not None:
         found += [
             Remark(str(name), ROW, replaced(rows)) for name, rows in superseded.groupby("dataset", sort=False)
@@ -570,6 +572,23 @@ def concerning(
 def _begins(title: str, dataset: str) -> bool:
     rest = title.removeprefix(dataset)
     return rest != title and (not rest or not (rest[0].isalnum() or rest[0] in "_-[@"))
+
+
+def summary(found: Iterable[Remark]) -> str:
+    """All remarks in a line: rows counted over datasets, without the details; "" without remarks."""
+    counts: dict[tuple[str, str], int] = defaultdict(int)
+    texts = []
+    for one in found:
+        if one.rows:
+            counts[one.kind, one.quantity] += one.rows
+        else:
+            texts.append(one.sentence)
+    kinds: dict[str, list[str]] = defaultdict(list)
+    for (kind, quantity), count in counts.items():
+        name = "all values" if quantity == ROW else by_name(quantity).title or quantity
+        kinds[kind].append(f"{name} of {counted(count, 'row')}")
+    parts = [f"{', '.join(what)} ({kind})" for kind, what in kinds.items()]
+    return " ".join([*([f"Not compared: {'; '.join(parts)}."] if parts else []), *texts])
 
 
 def replaced(superseded: pd.DataFrame | None) -> str:
@@ -604,8 +623,8 @@ def _by_dataset(table: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
     return groups
 
 
-def _counted(rows: Sequence[dict[str, Any]]) -> Iterable[tuple[str, str]]:
-    """Quantity and sentence that counts its rows, by kind of reason, each with one of the reasons."""
+def _counted(dataset: str, rows: Sequence[dict[str, Any]]) -> Iterable[Remark]:
+    """Remarks that count rows by quantity and kind of reason, each with one of the reasons."""
     groups: dict[tuple[str, str], list[tuple[dict[str, Any], str]]] = defaultdict(list)
     for row in rows:
         for quantity, reason in _parsed(row.get("differences")).items():
@@ -613,16 +632,17 @@ def _counted(rows: Sequence[dict[str, Any]]) -> Iterable[tuple[str, str]]:
     for (quantity, kind), own in groups.items():
         detail = own[0][1].partition(": ")[2]
         if quantity == DATASET:
-            yield quantity, f"set apart, {kind}: {detail}."
+            yield Remark(dataset, quantity, f"set apart, {kind}: {detail}.")
             continue
         who = enumeration(list(dict.fromkeys(label(row["method"]) for row, _ in own)))
         what = counted(len(own), "row")
         what = what if quantity == ROW else f"{by_name(quantity).title or quantity} of {what}"
         example = detail if len({text for _, text in own}) == 1 else f"as {detail}"
-        yield quantity, f"not compared: {what} of {who} ({kind}: {example})."
+        text = f"not compared: {what} of {who} ({kind}: {example})."
+        yield Remark(dataset, quantity, text, kind, len(own))
 
 
-def _of_sets(rows: Sequence[dict[str, Any]]) -> Iterable[tuple[str, str]]:
+def _of_sets(rows: Sequence[dict[str, Any]]) -> Iterable[str]:
     """Sentences on models that have other presets, splits or seeds, or fewer scenes, than others."""
     basic = [row for row in rows if row["kind"] == "basic"]
     for axis in ("preset", "split"):
@@ -631,7 +651,7 @@ def _of_sets(rows: Sequence[dict[str, Any]]) -> Iterable[tuple[str, str]]:
             values[label(row["method"], row["variant"])].add(str(_plain(row[axis])))
         texts = {name: ", ".join(sorted(own)) for name, own in values.items()}
         if len(set(texts.values())) > 1:
-            yield ROW, f"not compared across {axis}s, which differ: {_grouped(texts)}."
+            yield f"not compared across {axis}s, which differ: {_grouped(texts)}."
     for own in _groups(basic, ("preset", "split", "requested_views")):
         seeds: dict[str, set[Any]] = defaultdict(set)
         scenes: dict[str, set[str]] = defaultdict(set)
@@ -641,7 +661,7 @@ def _of_sets(rows: Sequence[dict[str, Any]]) -> Iterable[tuple[str, str]]:
             scenes[name].add(str(row["scene"]))
         numbers = {name: ", ".join(str(one) for one in sorted(own, key=str)) for name, own in seeds.items()}
         if len(set(numbers.values())) > 1:
-            yield ROW, f"seeds differ: {_grouped(numbers)}."
+            yield f"seeds differ: {_grouped(numbers)}."
         every = set().union(*scenes.values())
         fewer = {
             name: f"{len(own)} of {len(every)} ({', '.join(sorted(own))})"
@@ -649,7 +669,7 @@ def _of_sets(rows: Sequence[dict[str, Any]]) -> Iterable[tuple[str, str]]:
             if own != every
         }
         if fewer:
-            yield ROW, f"scenes differ: {_grouped(fewer)}."
+            yield f"scenes differ: {_grouped(fewer)}."
 
 
 _MOST_NAMED = 4

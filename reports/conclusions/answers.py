@@ -69,10 +69,7 @@ class Criterion:
     def interval(self, difference: Effect) -> str:
         """The 95 % interval of the same; without one, what would give one."""
         if difference.ends is None:
-            return (
-                "no interval, as nothing is repeated: further seeds "
-                "(`bench run \N{HORIZONTAL ELLIPSIS} --seed 0 1 2`) or scenes would give one"
-            )
+            return "no interval: add seeds (`--seed 0 --seed 1 --seed 2`) or scenes"
         wide = _WIDE_RATIO if self.ratio else _WIDE
         if (difference.half or 0.0) > max(wide, abs(difference.mean)):
             few = difference.datasets < LEAST_DATASETS

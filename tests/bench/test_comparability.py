@@ -71,7 +71,7 @@ PLANTS = {
     "metric version": Planted(of(metrics={"psnr": "2", "ssim": "1"}), "another metric: version", times=True),
     "ruler": Planted(of(ruler=1), "another ruler", pictures=True),
     "processor": Planted(of(cpu="Xeon"), "elsewhere: .*Xeon", pictures=True),
-    "threads": Planted(of(threads=2), "threads", pictures=True),
+    "threads": Planted(of(threads=2), "elsewhere: .*threads", pictures=True),
     "device": Planted(of(device="cuda"), "fitted on cuda"),
     "busy machine": Planted(of(kernel=0.09), "disturbed", pictures=True),
     "uneven frames": Planted(of(spread=3.0), "disturbed", pictures=True),
@@ -240,7 +240,8 @@ def test_the_documentation_gives_the_reason(planted, tmp_path, monkeypatch) -> N
         text = generate.table(block)
     except SystemExit as refusal:
         text = str(refusal)
-    assert _has(case, text) or "means over different scenes" in text
+    kind = case.words.partition(":")[0]  # a line counts rows by the kind of the reason
+    assert _has(case, text) or kind in text or "means over different scenes" in text
 
 
 def _has(case: Planted, text: str) -> bool:

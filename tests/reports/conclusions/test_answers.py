@@ -116,7 +116,7 @@ def test_one_scene_with_one_seed_decides_nothing():
     answer = measured(PICTURE, contest(*pair([5.0])))
     assert answer.winner == ""
     assert "no interval" in answer.sentence
-    assert "--seed 0 1 2" in answer.sentence, "what would give one"
+    assert "--seed 0 --seed 1 --seed 2" in answer.sentence, "what would give one"
 
 
 def test_an_interval_that_says_nothing_is_not_printed():
