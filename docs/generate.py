@@ -826,10 +826,13 @@ def generated(page: Path) -> dict[Path, str]:
     return files
 
 
+def _pages() -> list[Path]:
+    return sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), MEASURED / "README.md"])
+
+
 def outdated() -> dict[Path, str]:
     """Files that differ from what the bundles and the parser give now -> their new content."""
-    pages = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), MEASURED / "README.md"])
-    files = {path: text for page in pages for path, text in generated(page).items()}
+    files = {path: text for page in _pages() for path, text in generated(page).items()}
     return {
         path: text
         for path, text in files.items()
@@ -838,8 +841,9 @@ def outdated() -> dict[Path, str]:
 
 
 def main() -> None:
-    """Write all blocks."""
-    for path, text in outdated().items():
+    """Write all blocks; what somebody changed in a page meanwhile stays."""
+    for path in outdated():
+        text = next((text for page in _pages() for name, text in generated(page).items() if name == path), "")
         path.write_text(text, encoding="utf-8")
         print(path.relative_to(ROOT))
 
