@@ -7,6 +7,7 @@ import difflib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from reports.comparability import judged
 from reports.schema import COLUMNS, TABLES, Column, frame
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 NEEDED = ("dataset", "scene", "method", "psnr", "size_bytes")
 """Columns that a table of results must have."""
 _KEYS = ("dataset", "scene", "method", "variant", "rate", "preset", "requested_views", "split", "seed")
-_OWN = ("job", "stale", "fitted_scenes", "omissions")
+_OWN = ("job", "stale", "fitted_scenes", "omissions", "differences")
 """Columns of `results` that are not read from a foreign table."""
 
 
@@ -51,6 +52,7 @@ def read_results(path: Path) -> dict[str, pd.DataFrame]:
     results.loc[lost, ["status", "reason"]] = ["failed", "no psnr"]
     results["job"] = pd.Series([f"row-{i}" for i in range(len(results))], dtype="string")
     _once(path, results)
+    results = judged(results)
     return {name: results if name == "results" else frame(name) for name in TABLES}
 
 

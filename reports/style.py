@@ -138,6 +138,13 @@ def model(method: Any, variant: Any) -> Model:
     return Model(str(method), "" if absent(variant) else str(variant))
 
 
+def model_named(name: str) -> Model:
+    """The model that conclusions call by this name: a method, or :func:`label` of one with options."""
+    title, _, options = name.removesuffix("]").partition(" [")
+    methods = {text: method for method, text in TITLES.items()}
+    return Model(methods.get(title, title) if options else name, options)
+
+
 def models(*tables: pd.DataFrame, column: str = "variant") -> list[Model]:
     """The models of tables in order of appearance; their options are in this column."""
     pairs = (zip(table["method"], table[column], strict=True) for table in tables)

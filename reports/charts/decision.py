@@ -9,7 +9,7 @@ from reports.conclusions.contest import Contest
 from reports.conclusions.relative import Mark, marks, reference
 from reports.fronts import pareto
 from reports.schema import COLUMNS
-from reports.style import Look, Model, label, look
+from reports.style import Look, Model, label, look, model_named
 
 COSTS = {"size_bytes": "Size", "train_seconds": "Training time", "fps": "Frames per second"}
 """Column of a cost -> its title."""
@@ -57,7 +57,7 @@ def decision(contest: Contest, column: str, models: list[Model]) -> Chart | None
         series.append(_line(front, GRAY, dash="dash"))
     labels = []
     for method, spot in spots.items():
-        style = look(Model(method), models)
+        style = look(model_named(method), models)
         series += [_line(line, style.color) for line in crosses.get(method, ())]
         series.append(Series(label(method), [spot[0]], [spot[1]], style, mark=9.0, names=[""]))
         labels.append(Text(*spot, label(method), style.color))

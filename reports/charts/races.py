@@ -11,7 +11,7 @@ import numpy as np
 from reports.charts.chart import Chart, Panel, Series, Text, broken_axis, log_axis, room_for
 from reports.charts.elements import Section, cards, legend, table
 from reports.conclusions.races import DISCIPLINES, HEADS, Race, conclusion, row
-from reports.style import Look, Model, label, look
+from reports.style import Look, Model, label, look, model_named
 
 if TYPE_CHECKING:
     from reports.charts.report import Report
@@ -45,7 +45,7 @@ def race_chart(found: Sequence[Race], models: list[Model]) -> Chart:
         last = max(cost for name in race.fronts for cost in race.costs(name))
         series, labels, heights = [], [], []
         for name in race.fronts:
-            style = look(Model(name), models)
+            style = look(model_named(name), models)
             own = _series(race, name, last, style)
             series += own
             heights.append([value for one in own for value in one.y])
@@ -57,7 +57,7 @@ def race_chart(found: Sequence[Race], models: list[Model]) -> Chart:
         panels.append(Panel(race.dataset, x, y, series, labels if few else ()))
     names = dict.fromkeys(name for race in found for name in race.fronts)
     crowded = any(len(race.fronts) > _MOST_NAMES for race in found)
-    return Chart(panels, {label(name): look(Model(name), models) for name in names} if crowded else {})
+    return Chart(panels, {label(name): look(model_named(name), models) for name in names} if crowded else {})
 
 
 def _series(race: Race, name: str, last: float, style: Look) -> list[Series]:

@@ -17,9 +17,9 @@ from reports.comparability import (
     usual_place,
 )
 from reports.conclusions.clocks import CLOCKS
-from reports.style import absent, label
+from reports.style import absent
 from reports.tables.columns import records
-from reports.tables.protocols import GROUPING, ORIGIN
+from reports.tables.protocols import GROUPING, ORIGIN, contestants
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -195,12 +195,7 @@ def contests(results: pd.DataFrame) -> list[Contest]:
     grouping = results.get(GROUPING, "")
     default = (results["kind"] == "basic") & (results["variant"].fillna("") == grouping)
     rows = results[default & results["rate"].isna() & ~results["dataset"].str.endswith(UNKNOWN)]
-    if GROUPING in rows:  # what was learned from other scenes competes beside the usual model
-        names = [
-            method if not words else label(method, words)
-            for method, words in zip(rows["method"], rows[GROUPING], strict=True)
-        ]
-        rows = rows.assign(method=names).astype({"method": rows["method"].dtype})
+    rows = contestants(rows)
     contests = []
     for (preset, split), every in rows.groupby(["preset", "split"], dropna=False, sort=False):
         # Datasets with one method compare nothing.

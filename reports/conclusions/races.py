@@ -22,7 +22,7 @@ from reports.conclusions.family import Family, largest
 from reports.fronts import interpolated, pareto
 from reports.style import MIB, MISSING, absent, counted, label, mib, seconds
 from reports.tables.columns import records
-from reports.tables.protocols import comparable
+from reports.tables.protocols import GROUPING, comparable, contestants
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -234,8 +234,12 @@ def races(results: pd.DataFrame) -> list[Race]:
     rows = rows[rows["iterations"].notna() & (rows["iterations"] > 1)]  # volumes and meshes train nothing
     if rows.empty:
         return []
-    bases = rows["base"].fillna("").astype(str)
-    rows = rows[bases.map(lambda base: _LENGTH.fullmatch(base) is not None)]
+    words = rows[GROUPING] if GROUPING in rows else [""] * len(rows)
+    bases = [
+        str(base or "").removesuffix(text).removesuffix(",")
+        for base, text in zip(rows["base"].fillna(""), words, strict=True)
+    ]
+    rows = contestants(rows[[_LENGTH.fullmatch(base) is not None for base in bases]])
     datasets = [(title, records(group)) for title, group in comparable(rows)]
     found = []
     for discipline in DISCIPLINES:

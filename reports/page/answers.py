@@ -13,7 +13,7 @@ from reports.charts.decision import decisions
 from reports.charts.elements import Section, annotated
 from reports.charts.notes import with_notes
 from reports.conclusions.answers import scope
-from reports.style import Model, label, look
+from reports.style import Model, label, look, model_named
 
 if TYPE_CHECKING:
     from reports.charts.chart import Chart
@@ -60,7 +60,7 @@ def _entry(answer: Answer, models: list[Model]) -> str:
 
 
 def _dot(method: str, models: list[Model]) -> str:
-    return markup.dot(look(Model(method), models))
+    return markup.dot(look(model_named(method), models))
 
 
 def _charts(charts: dict[str, Chart]) -> str:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from reports.style import absent
+from reports.style import absent, label
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -95,6 +95,20 @@ def _with_names(table: pd.DataFrame, words: list[str]) -> list[str]:
         f"{word}: {names}" if "together" in word and len(several[str(dataset), word]) > 1 else word
         for dataset, word, names in zip(table["dataset"], words, fitted, strict=True)
     ]
+
+
+def contestants(results: pd.DataFrame) -> pd.DataFrame:
+    """Results whose methods are named by the scenes that were learned together, where others are usual.
+
+    Conclusions rank them beside the usual models; the names are those of :func:`reports.style.label`.
+    """
+    if GROUPING not in results:
+        return results
+    names = [
+        method if not words else label(method, words)
+        for method, words in zip(results["method"], results[GROUPING], strict=True)
+    ]
+    return results.assign(method=names).astype({"method": results["method"].dtype})
 
 
 def by_training_views(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
