@@ -115,7 +115,7 @@ from reports.paper.tables import paper_tables
 from reports.paper.values import PaperTable
 from reports.schema import PRUNED
 from reports.statistics import Views
-from reports.style import MISSING, TITLES, counted, label
+from reports.style import MISSING, PAPER, TITLES, counted, label
 from reports.tables.documents import to_markdown as costs_as_markdown
 from reports.tables.ladders import climbed, held, ladders
 from reports.tables.protocols import by_scene_choice
@@ -210,6 +210,7 @@ def table(description: str) -> str:
         line[-1] += marks[count][0] if count in marks else ""
     sole = across and len(block["columns"]) == 1  # its name then stands once, at the head of the first column
     titles = [f"{VALUES[block['columns'][0]].title} by {by[0]}", *by[1:]] if sole else list(by)
+    titles[0] = titles[0].replace("model", "method")
     for group in groups:
         for name in block["columns"]:
             title = ", ".join(_plain(value, block.get("titles", {})) for value in group)
@@ -254,12 +255,12 @@ def _names(names: str | Iterable[str]) -> list[str]:
 
 def _ordered(results: pd.DataFrame, names: list[str]) -> list[tuple[Any, ...]]:
     """The values that columns take together: methods as in METHODS, defaults first, numbers by size."""
+    places = {method: place for place, method in enumerate(METHODS)}
+    places |= {label(method): place for method, place in places.items()}
+    places |= {label(method, PAPER): place for method, place in places.items() if method in METHODS}
 
     def key(values: tuple[Any, ...]) -> list[Any]:
-        return [
-            (METHODS.index(value), []) if value in METHODS else (len(METHODS), _natural(value))
-            for value in values
-        ]
+        return [(places.get(str(value), len(METHODS)), _natural(value)) for value in values]
 
     return sorted(set(results[names].itertuples(index=False, name=None)), key=key)
 
