@@ -50,7 +50,7 @@ def build_tables(
         The tables as readers get them (:func:`reports.schema.joined`).
     """
     lineage = Lineage(store.records())
-    tables = _elected(lineage, methods or {}, ladders_of(store.root))
+    tables = _compared(lineage, methods or {}, ladders_of(store.root))
     if write and os.access(store.tables, os.W_OK):
         with store.lease("tables"):
             for leftover in store.tables.glob(".*"):  # of a process that was killed
@@ -63,7 +63,7 @@ def build_tables(
                     os.replace(aside, target)
                 finally:
                     aside.unlink(missing_ok=True)
-    return _compared(lineage, tables)
+    return joined(tables)
 
 
 def derived(
@@ -76,23 +76,24 @@ def derived(
         methods: name -> spec of today.
         ladders: of the suites that were run.
     """
-    return _compared(lineage, _elected(lineage, methods or {}, ladders))
+    return joined(_compared(lineage, methods or {}, ladders))
 
 
-def _elected(
+def _compared(
     lineage: Lineage, methods: Mapping[str, MethodSpec], ladders: Collection[Ladder]
 ) -> dict[str, pd.DataFrame]:
+    """As on disk: datasets by what they show, and of each row what is not compared."""
     names = {record.job.id for record in elected(lineage, methods)}
-    return _stored(lineage, methods, names, ladders)
-
-
-def _compared(lineage: Lineage, tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
-    """As readers get them: datasets by what they show, and what is not compared."""
-    tables["jobs"] = comparability.set_apart(tables["jobs"], partial(contents_today, lineage))
-    full = joined(tables)
-    full["results"] = comparability.judged(full["results"])
-    full["differences"] = comparability.listing(full["results"], full["superseded"])
-    return full
+    tables = _stored(lineage, methods, names, ladders)
+    jobs = tables["jobs"] = comparability.set_apart(tables["jobs"], partial(contents_today, lineage))
+    full = joined({name: tables[name] for name in ("jobs", "results", "superseded")})
+    results = comparability.judged(full["results"])
+    reasons = dict(zip(results["job"], results["differences"], strict=True))
+    texts = [reasons.get(job, text) for job, text in zip(jobs["job"], jobs["differences"], strict=True)]
+    tables["jobs"] = jobs.assign(differences=texts).astype({"differences": jobs["differences"].dtype})
+    listed = comparability.listing(results, full["superseded"])
+    tables["differences"] = frame("differences", listed.to_dict("records"), stored=True)  # type: ignore[arg-type]
+    return tables
 
 
 def contents_today(lineage: Lineage, dataset: str, scene: str) -> list[str]:
