@@ -1,4 +1,4 @@
-"""Jobs whose times were disturbed, by the rule of :mod:`reports.conclusions.clocks`."""
+"""Jobs whose times were disturbed, by the rule of :mod:`reports.clocks`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def disturbed_jobs(records: Iterable[Record]) -> dict[str, str]:
         records: of one store, which show how long the reference kernel takes on quiet machines.
     """
     from bench.tables import stored_tables
-    from reports.conclusions.clocks import Clocks
+    from reports.clocks import Clocks
     from reports.schema import joined
     from reports.tables.columns import records as records_of
 

@@ -15,7 +15,7 @@ import psutil
 from filelock import Timeout
 
 from bench.timing import lap_seconds, machine_lock
-from reports.conclusions.clocks import BUSY
+from reports.clocks import BUSY
 
 IDLE_SECONDS = 1.0
 """Time for which this process sleeps, so that all work is that of others."""
@@ -63,7 +63,7 @@ class Load:
 
     @property
     def busy(self) -> bool:
-        """Whether times measured now would be disturbed (:mod:`reports.conclusions.clocks`)."""
+        """Whether times measured now would be disturbed (:mod:`reports.clocks`)."""
         return self.locked or self.slowdown > BUSY
 
 

@@ -105,9 +105,9 @@ from reports import comparability
 from reports.charts import svg
 from reports.charts.report import Report
 from reports.charts.sections import chart_sections
+from reports.clocks import CLOCKS, Clocks
 from reports.conclusions import economy, races, rates, unseen, volumes
 from reports.conclusions.answers import Answer, scope, standing
-from reports.conclusions.clocks import CLOCKS, Clocks
 from reports.conclusions.ladders import amount, by_method, contrasts, verdict
 from reports.paper import datasets
 from reports.paper.documents import to_markdown

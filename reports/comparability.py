@@ -23,13 +23,13 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from reports.conclusions.clocks import CLOCKS, Clocks
+from reports.clocks import CLOCKS, Clocks
 from reports.schema import COVERAGE, METRICS, by_name, frame
 from reports.style import absent, counted, enumeration, label
-from reports.tables.columns import records
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 Current = Callable[[str, str], Collection[str]]
 """Dataset and scene -> content hashes that it has today; none where that is not known."""
@@ -59,6 +59,11 @@ _DERIVED = {"curve": ("train_seconds",), "timing": ("fps", PARTS)}
 """Table -> the clocks that its rows are of."""
 
 
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows of a table."""
+    return table.to_dict("records")  # type: ignore[return-value]
+
+
 # --------------------------------------------------------------------------- datasets by what they show
 
 
@@ -74,7 +79,7 @@ def set_apart(jobs: pd.DataFrame, current: Current | None = None) -> pd.DataFram
     """
     if jobs.empty:
         return jobs
-    rows = records(jobs)
+    rows = _records(jobs)
     for row in rows:
         row["differences"] = {}
     _by_content(rows, current or (lambda dataset, scene: ()))
@@ -209,7 +214,7 @@ def judged(
     - Rows of one method, options and scenes learned together have one version: today's where some have it,
       else that of the most rows.
     - A metric has one version in a dataset, preset and split: that of the most rows.
-    - Times count if nothing disturbed them (:meth:`reports.conclusions.clocks.Clocks.disturbed`), on one
+    - Times count if nothing disturbed them (:meth:`reports.clocks.Clocks.disturbed`), on one
       place (processor, threads, device and ruler): :func:`usual_place`.
 
     Args:
@@ -219,7 +224,7 @@ def judged(
     """
     if results.empty:
         return results
-    rows = records(results)
+    rows = _records(results)
     for row in rows:
         row["differences"] = dict(_parsed(row.get("differences")))
         row["differences"] = {k: v for k, v in row["differences"].items() if k == DATASET}
@@ -502,11 +507,11 @@ def listing(results: pd.DataFrame, superseded: pd.DataFrame | None = None) -> pd
     """
     lines = [
         row | {"quantity": quantity, "reason": why}
-        for row in records(results)
+        for row in _records(results)
         for quantity, why in _parsed(row.get("differences")).items()
     ]
     again = {"quantity": ROW, "reason": "measured again: a newer row takes its place"}
-    lines += [row | again for row in (records(superseded) if superseded is not None else ())]
+    lines += [row | again for row in (_records(superseded) if superseded is not None else ())]
     return frame("differences", lines)
 
 
@@ -618,7 +623,7 @@ def notes(results: pd.DataFrame, superseded: pd.DataFrame | None = None) -> list
 
 def _by_dataset(table: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
     groups: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for row in records(table):
+    for row in _records(table):
         groups[str(row["dataset"])].append(row)
     return groups
 

@@ -79,7 +79,7 @@ def run(options: Namespace) -> int:
 
 def _disturbed(every: pd.DataFrame, own: pd.DataFrame) -> int:
     """Number of the run's times that take no part in conclusions, by what the store's tables show."""
-    from reports.conclusions.clocks import CLOCKS, Clocks
+    from reports.clocks import CLOCKS, Clocks
     from reports.tables.columns import records
 
     clocks = Clocks(every)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from bench.gate.identity import Identity
 from bench.gate.quantities import QUANTITIES
 from bench.store import Store
-from reports.conclusions.clocks import CLOCKS, Clocks
+from reports.clocks import CLOCKS, Clocks
 from reports.style import absent, label
 from reports.tables.protocols import by_scene_choice
 

@@ -22,7 +22,7 @@ from bench.gate.identity import CONTENTS, RENDERER, TRUTH, Identity
 from bench.gate.identity import differences as reasons
 from bench.gate.quantities import QUANTITIES, Quantity
 from bench.gate.spread import Prior, prior, quantile, tail, variance_of, without_rounding
-from reports.conclusions.clocks import BUSY
+from reports.clocks import BUSY
 
 LEVEL = 0.01
 """Probability of any false alarm in a comparison, in either direction."""

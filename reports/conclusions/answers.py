@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reports.conclusions.clocks import decoding
+from reports.clocks import decoding
 from reports.conclusions.contest import Cells, Contest, Values
 from reports.conclusions.effects import LEAST_DATASETS, Effect, effect
 from reports.conclusions.family import Family, largest

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from reports.clocks import CLOCKS
 from reports.comparability import (
     DATASET,
     DISTURBED,
@@ -16,7 +17,6 @@ from reports.comparability import (
     kind_of,
     usual_place,
 )
-from reports.conclusions.clocks import CLOCKS
 from reports.style import absent
 from reports.tables.columns import records
 from reports.tables.protocols import GROUPING, ORIGIN, contestants

@@ -7,8 +7,8 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
+from reports.clocks import Clocks
 from reports.comparability import compared, judged, reason, remarks, replaced
-from reports.conclusions.clocks import Clocks
 from reports.paper.layouts import layouts, published_as, reference, rivals, sole_dataset, takes
 from reports.paper.marks import marks
 from reports.paper.values import (

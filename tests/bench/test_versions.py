@@ -82,8 +82,9 @@ def version(number, day, made_by="1", groups=GROUPS, joint=True, shared=10, fail
         name = "+".join(group)
         point = CurvePoint(iteration=1, train_seconds=1.0, loss=None, psnr={}, primitives=1)
         fit = record(
-            "fit", {**common, "scenes": hashed(group), "partition": partition.job.key if joint else None}, day,
-            made_by, scenes=group, group=name, needs=(partition.job.id,) if joint else (),
+            "fit",
+            {**common, "scenes": hashed(group), "partition": partition.job.key if joint else None},
+            day, made_by, scenes=group, group=name, needs=(partition.job.id,) if joint else (),
             fit=FitResult(seconds=60.0, iterations=1, primitives={}, train_views=12, curve=[point], resumed=0,
                           reference_seconds=None),
         )  # fmt: skip

@@ -131,9 +131,7 @@ def test_variants_are_counted_where_several_were_measured(maker):
     maker.run(method="econgs", views=0)
     maker.run(method="econgs", variant="shading=false", views=0)
     facts = re.findall(r"<dd>(.*?)</dd>", page(maker)[0])
-    assert any(
-        re.fullmatch(r"3DGS, HAC \(published\), ECoNGS-R\b[^,]*\b2\b[^,]*", fact) for fact in facts
-    )
+    assert any(re.fullmatch(r"3DGS, HAC \(published\), ECoNGS-R\b[^,]*\b2\b[^,]*", fact) for fact in facts)
 
 
 def test_a_missing_metric_is_a_dash_with_its_reason(maker):

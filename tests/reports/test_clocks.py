@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from reports.conclusions.clocks import BUSY, SPREAD, Clocks, decoding
+from reports.clocks import BUSY, SPREAD, Clocks, decoding
 from tests.reports.conclusions.test_answers import DRAWING, TRAINING, contest, measured, pair, row, table
 
 EVEN = {"fps_p05": 80.0, "fps_p95": 120.0}
