@@ -441,7 +441,8 @@ TABLES: dict[str, Table] = {
     ),
     "dvr": Table(
         "Cost of direct rendering of a scene's volume, one view per launch, alone on the machine.",
-        ("dataset", "scene", "kind", "preset", "width", "height", "machine", "threads", "commit"),
+        ("dataset", "scene", "kind", "preset", "width", "height", "machine", "processor", "threads",
+         "commit"),
         ("job", "status", "reason", "nx", "ny", "nz", "variables", "dtype", "volume_bytes", "ms_per_view",
          "ms_p05", "ms_p95", "fps", "load_seconds", "setup_seconds", "peak_host_bytes", "peak_device_bytes",
          "renderer", "version", "backend", "reference_seconds"),

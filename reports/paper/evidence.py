@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 OURS = Model("econgs")
 LAYOUTS = {
-    "curves": ("Rate-distortion curves: ECoNGS against others", [*TITLES.values()], ["bd_psnr"]),
+    "curves": ("Rate-distortion curves: ECoNGS-R against others", [*TITLES.values()], ["bd_psnr"]),
     "volumes": ("Direct rendering of the volumes", ["volume"], ["fps"]),
     "data": ("Data", ["data"], ["scenes", "variables", "cloud_seconds"]),
 }
@@ -52,7 +52,7 @@ def of_report(report: Report) -> list[PaperTable]:
 
 
 def _of_curves(panels: Mapping[str, Sequence[Curve]]) -> Iterator[Block]:
-    """BD-PSNR of ECoNGS against each other method, all at their default options."""
+    """BD-PSNR of ECoNGS-R against each other method, all at their default options."""
     for name, curves in panels.items():
         ours = next((curve for curve in curves if curve.model == OURS), None)
         others = [curve for curve in curves if curve.model != OURS and not curve.model.options]
@@ -74,7 +74,8 @@ def _of_curves(panels: Mapping[str, Sequence[Curve]]) -> Iterator[Block]:
 def _of_volumes(dvr: pd.DataFrame) -> Iterator[Block]:
     """Frame rate of direct rendering, mean over basic scenes that were all rendered."""
     basic = dvr[dvr["kind"] == "basic"]
-    for (dataset, preset, *_), rows in basic.groupby(["dataset", "preset", "machine"], sort=False):
+    keys = ["dataset", "preset", "processor", "threads"]
+    for (dataset, preset, *_), rows in basic.groupby(keys, sort=False, dropna=False):
         for published, same, part in _parts(str(dataset), rows):
             fine = part["status"].eq("ok").all()
             fps = float(part["fps"].mean()) if fine else None
