@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from reports.charts.chart import Chart
 from reports.comparability import PARTS, Remark, concerning
+from reports.style import counted
 
 if TYPE_CHECKING:
     from reports.charts.report import Report
@@ -38,5 +39,5 @@ def _note(name: str, chart: Chart, remarks: Sequence[Remark], datasets: Collecti
     of_datasets = any(title.startswith(dataset) for title in titles for dataset in datasets)
     found = concerning(remarks, titles if of_datasets else None, ("psnr", *clocks))
     texts = [one.sentence for one in found]
-    more = [f"{len(texts) - _MOST} more remarks are on the page."] if len(texts) > _MOST else []
+    more = [f"The page has {counted(len(texts) - _MOST, 'more remark')}."] if len(texts) > _MOST else []
     return " ".join([chart.note, *texts[:_MOST], *more]).strip()

@@ -138,7 +138,7 @@ def wait_for(condition: Callable[[], object], seconds: float = 120.0) -> None:
 
 def plain_tables(store: Path) -> dict[str, str]:
     """The tables without what depends on the machine, its speed and the program's commit."""
-    apart = {"processor", "fit_processor", "threads", "timing", "commit"}
+    apart = {"processor", "fit_processor", "threads", "timing", "commit", "finished", "differences"}
     apart |= {
         name
         for name, one in COLUMNS.items()
@@ -149,6 +149,7 @@ def plain_tables(store: Path) -> dict[str, str]:
     return {
         name: table.drop(columns=[column for column in table if column in apart]).to_csv()
         for name, table in build_tables(Store(store), write=False).items()
+        if name != "differences"  # of times on this machine
     }
 
 
