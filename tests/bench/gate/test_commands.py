@@ -123,7 +123,8 @@ def test_a_baseline_has_one_version_of_a_method(gate: Bench, tmp_path: Path) -> 
 
 
 def test_the_power_of_a_baseline_needs_no_run(gate: Bench) -> None:
-    lines = gate("gate", "nowhere", "--baseline", "base.json", "--power", "--without-times").stdout.splitlines()
+    power = ("--power", "--without-times")
+    lines = gate("gate", "nowhere", "--baseline", "base.json", *power).stdout.splitlines()
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     assert {len(row) for row in cells} == {7}
     assert {row[1] for row in cells[2:]} == {"a scene", "a method's mean", "a view"}
