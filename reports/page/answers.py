@@ -43,8 +43,8 @@ def section(report: Report, anchors: Container[str]) -> Section | None:
     charts = with_notes(decisions(contest, report.models), report)
     entries = "".join(_entry(answer, report.models) for answer in report.answers)
     html = (
-        f"<p>{escape(scope(contest))}</p>"
         f'<div class="answer"><dl>{entries}</dl>{_charts(charts)}</div>'
+        f"<p>{escape(scope(contest))}</p>"
         f"{_matrix(report.answers, contest, report.models, anchors)}"
     )
     return annotated(Section("answers", "Which method?", html, charts))
@@ -52,7 +52,8 @@ def section(report: Report, anchors: Container[str]) -> Section | None:
 
 def _entry(answer: Answer, models: list[Model]) -> str:
     head = escape(answer.title)
-    text = re.sub("`(.*?)`", r"<code>\1</code>", escape(answer.sentence))
+    sentence = re.sub(r" among \d+ leads? of this page", "", answer.sentence)  # the words below have it
+    text = re.sub("`(.*?)`", r"<code>\1</code>", escape(sentence))
     if answer.winner:
         name = escape(label(answer.winner))
         text = f"<b>{_dot(answer.winner, models)}{name}</b>{text.removeprefix(name)}"
