@@ -17,7 +17,7 @@ def disturbed_jobs(records: Iterable[Record]) -> dict[str, str]:
     from bench.tables import stored_tables
     from reports.clocks import Clocks
     from reports.schema import joined
-    from reports.tables.columns import records as records_of
+    from reports.schema import records as records_of
 
     lineage = Lineage(records)
     results = joined(stored_tables(lineage))["results"]

@@ -24,7 +24,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from reports.clocks import CLOCKS, Clocks
-from reports.schema import COVERAGE, METRICS, by_name, frame
+from reports.schema import COVERAGE, METRICS, by_name, frame, records
 from reports.style import absent, counted, enumeration, label
 
 if TYPE_CHECKING:
@@ -55,13 +55,6 @@ _CLOCKED = {
 _RULERS = {"fps": "ruler", PARTS: "parts_ruler"}
 _SOURCES = {"fps": "fps", PARTS: "fps", "train_seconds": "train_seconds"}
 """Clock -> the one that the machine's load and processor beside it are recorded for."""
-_DERIVED = {"curve": ("train_seconds",), "timing": ("fps", PARTS)}
-"""Table -> the clocks that its rows are of."""
-
-
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """The rows of a table."""
-    return table.to_dict("records")  # type: ignore[return-value]
 
 
 # --------------------------------------------------------------------------- datasets by what they show
@@ -79,7 +72,7 @@ def set_apart(jobs: pd.DataFrame, current: Current | None = None) -> pd.DataFram
     """
     if jobs.empty:
         return jobs
-    rows = _records(jobs)
+    rows = records(jobs)
     for row in rows:
         row["differences"] = {}
     _by_content(rows, current or (lambda dataset, scene: ()))
@@ -224,10 +217,10 @@ def judged(
     """
     if results.empty:
         return results
-    rows = _records(results)
+    rows = records(results)
     for row in rows:
-        row["differences"] = dict(_parsed(row.get("differences")))
-        row["differences"] = {k: v for k, v in row["differences"].items() if k == DATASET}
+        before = _parsed(row.get("differences"))
+        row["differences"] = {DATASET: before[DATASET]} if DATASET in before else {}
     for own in _groups(rows, (*_STRATUM, "method", "variant", "scenes_together")):
         _judge_versions(own)
     clocks = clocks or Clocks(results)
@@ -465,13 +458,17 @@ def compared(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     if not any(each.keys() - {DATASET} for each in found):
         return dict(tables)
     out = dict(tables)
-    for name, clock in _DERIVED.items():
-        if name in out and not out[name].empty:
-            bad = _keys(
-                results[pd.Series([{clock, ROW} & each.keys() != set() for each in found], results.index)]
-            )
-            keys = [key in bad for key in _key_list(out[name])]
-            out[name] = out[name][~pd.Series(keys, out[name].index, dtype=bool)]
+
+    def rows_with(*quantities: str) -> pd.DataFrame:
+        at = [not each.keys().isdisjoint({ROW, *quantities}) for each in found]
+        return results[pd.Series(at, results.index, dtype=bool)]
+
+    if "timing" in out:
+        out["timing"] = out["timing"][~out["timing"]["job"].isin(rows_with("fps", PARTS)["job"])]
+    if "curve" in out:  # of fits, whose measurements results hold
+        left = set(_fits(rows_with("train_seconds")))
+        kept = [fit not in left for fit in _fits(out["curve"])]
+        out["curve"] = out["curve"][pd.Series(kept, out["curve"].index, dtype=bool)]
     values = results.copy()
     for column in {name for each in found for name in each} - {DATASET, ROW}:
         at = pd.Series([column in each for each in found], results.index)
@@ -486,13 +483,10 @@ def compared(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
 _FIT = ("dataset", "scenes_together", "method", "variant", "preset", "requested_views", "seed", "scene")
 
 
-def _key_list(table: pd.DataFrame) -> list[tuple[Any, ...]]:
+def _fits(table: pd.DataFrame) -> list[tuple[Any, ...]]:
+    """What each row's fit and scene are."""
     columns = (table[name].tolist() for name in _FIT)
     return [tuple(_plain(value) for value in key) for key in zip(*columns, strict=True)]
-
-
-def _keys(table: pd.DataFrame) -> set[tuple[Any, ...]]:
-    return set(_key_list(table))
 
 
 # --------------------------------------------------------------------------- what is left out, in words
@@ -507,11 +501,11 @@ def listing(results: pd.DataFrame, superseded: pd.DataFrame | None = None) -> pd
     """
     lines = [
         row | {"quantity": quantity, "reason": why}
-        for row in _records(results)
+        for row in records(results)
         for quantity, why in _parsed(row.get("differences")).items()
     ]
     again = {"quantity": ROW, "reason": "measured again: a newer row takes its place"}
-    lines += [row | again for row in (_records(superseded) if superseded is not None else ())]
+    lines += [row | again for row in (records(superseded) if superseded is not None else ())]
     return frame("differences", lines)
 
 
@@ -623,7 +617,7 @@ def notes(results: pd.DataFrame, superseded: pd.DataFrame | None = None) -> list
 
 def _by_dataset(table: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
     groups: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for row in _records(table):
+    for row in records(table):
         groups[str(row["dataset"])].append(row)
     return groups
 

@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from reports.fronts import pareto
+from reports.schema import records
 from reports.style import MIB, Model, absent, mean_key, model
-from reports.tables.columns import records
 from reports.tables.means import summary
 from reports.tables.protocols import comparable, shared_by_all
 

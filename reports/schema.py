@@ -499,6 +499,11 @@ def frame(name: str, rows: Iterable[Mapping[str, Any]] = (), *, stored: bool = F
     )
 
 
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows of a table; much faster than `iterrows`."""
+    return table.to_dict("records")  # type: ignore[return-value]
+
+
 def joined(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     """The tables as readers get them: every row with the axes of its job.
 

@@ -80,7 +80,7 @@ def run(options: Namespace) -> int:
 def _disturbed(every: pd.DataFrame, own: pd.DataFrame) -> int:
     """Number of the run's times that take no part in conclusions, by what the store's tables show."""
     from reports.clocks import CLOCKS, Clocks
-    from reports.tables.columns import records
+    from reports.schema import records
 
     clocks = Clocks(every)
     return sum(bool(clocks.disturbed(row, name)) for row in records(own) for name in CLOCKS)

@@ -20,9 +20,9 @@ from reports.charts.unseen import unseen_section
 from reports.charts.volumes import volumes_section
 from reports.conclusions import rates
 from reports.curves import LEAST_POINTS, at_default_rates
+from reports.schema import records
 from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, models, seconds
 from reports.tables import confidence
-from reports.tables.columns import records
 from reports.tables.protocols import comparable
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from reports.comparability import (
     kind_of,
     usual_place,
 )
+from reports.schema import records
 from reports.style import absent
-from reports.tables.columns import records
 from reports.tables.protocols import GROUPING, ORIGIN, contestants
 
 if TYPE_CHECKING:

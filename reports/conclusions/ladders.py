@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
+from reports.schema import records
 from reports.style import absent, counted, enumeration, label
-from reports.tables.columns import records
 from reports.tables.confidence import signed
 from reports.tables.ladders import held, severity
 

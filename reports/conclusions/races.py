@@ -20,8 +20,8 @@ from reports.conclusions.contest import Cells
 from reports.conclusions.effects import Effect, effect
 from reports.conclusions.family import Family, largest
 from reports.fronts import interpolated, pareto
+from reports.schema import records
 from reports.style import MIB, MISSING, absent, counted, label, mib, seconds
-from reports.tables.columns import records
 from reports.tables.protocols import GROUPING, comparable, contestants
 
 if TYPE_CHECKING:

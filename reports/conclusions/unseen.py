@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reports.conclusions.volumes import VOLUMES
+from reports.schema import records
 from reports.style import MISSING, Model, model
-from reports.tables.columns import records
 
 if TYPE_CHECKING:
     import pandas as pd

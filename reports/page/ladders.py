@@ -13,9 +13,8 @@ from reports.charts.ladders import KINDS, anchor, kind_of
 from reports.conclusions.ladders import by_method, flickering, title, verdict
 from reports.pictures import ladder_files, strips
 from reports.pictures.files import thumbnail
-from reports.schema import COLUMNS, COVERAGE
+from reports.schema import COLUMNS, COVERAGE, records
 from reports.style import MISSING, absent, label
-from reports.tables.columns import records
 from reports.tables.confidence import signed
 from reports.tables.ladders import climbed, held
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from reports import markup
 from reports.comparability import kind_of, reason, replaced
 from reports.page.provenance import DETAILS, details
-from reports.schema import COLUMNS, by_name
+from reports.schema import COLUMNS, by_name, records
 from reports.style import MISSING, absent, label, mean_key, models
-from reports.tables.columns import axes, cell, numbers, records
+from reports.tables.columns import axes, cell, numbers
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
 from reports.tables.results import notes, omissions
 

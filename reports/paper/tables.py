@@ -22,10 +22,9 @@ from reports.paper.values import (
     counted_once,
     parts,
 )
-from reports.schema import METRICS
+from reports.schema import METRICS, records
 from reports.statistics import Views
 from reports.style import absent
-from reports.tables.columns import records
 from reports.tables.protocols import shared_by_all
 from reports.tables.results import omissions
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reports.pictures.files import background, inside, read
+from reports.schema import records
 from reports.style import absent
-from reports.tables.columns import records
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,11 +15,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """The rows of a table; much faster than `iterrows`."""
-    return table.to_dict("records")  # type: ignore[return-value]
-
-
 def places(table: pd.DataFrame, keys: Sequence[str]) -> dict[tuple[Any, ...], NDArray[np.intp]]:
     """Values of some columns -> positions of their rows, both in order of appearance.
 

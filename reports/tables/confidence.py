@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from reports.schema import METRICS
+from reports.schema import METRICS, records
 from reports.style import MISSING, absent, row_label
-from reports.tables.columns import records
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
-from reports.schema import COLUMNS
+from reports.schema import COLUMNS, records
 from reports.style import absent
-from reports.tables.columns import records
 
 if TYPE_CHECKING:
     import pandas as pd

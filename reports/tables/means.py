@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reports.schema import METRICS
+from reports.schema import METRICS, records
 from reports.style import absent
-from reports.tables.columns import records
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from reports.schema import COLUMNS, METRICS
+from reports.schema import COLUMNS, METRICS, records
 from reports.statistics import Views
 from reports.style import absent
-from reports.tables.columns import records
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench.records import (
+    CurvePoint,
     EncodeResult,
     FitResult,
     Job,
@@ -137,14 +138,17 @@ def _of(facts: Facts) -> Iterator[Record]:
     pairs = [[facts.scene, content]] if facts.known else [facts.scene]
     version = facts.version or spec.version
     seconds = 10.0 if facts.length is None else 4.0
+    point = CurvePoint(
+        iteration=1, train_seconds=seconds, loss=None, psnr={facts.scene: 20.0}, primitives=1000
+    )
     fit = record(
         "fit",
         {"scenes": pairs, "method": [facts.method, version], "seed": facts.seed, "views": views.job.key,
          "options": trained["options"], "iterations": trained["iterations"], "device": facts.device},
         needs=(views.job.id,),
         fit=FitResult(
-            seconds=seconds, cpu_seconds=seconds, iterations=trained["iterations"], train_views=42, curve=[],
-            primitives={facts.scene: 1000}, resumed=0, reference_seconds=facts.kernel,
+            seconds=seconds, cpu_seconds=seconds, iterations=trained["iterations"], train_views=42,
+            curve=[point], primitives={facts.scene: 1000}, resumed=0, reference_seconds=facts.kernel,
         ),
         **trained,
     )  # fmt: skip

@@ -22,11 +22,14 @@ from methods.registry import Registry
 from reports.charts import svg
 from reports.charts.report import Report
 from reports.charts.sections import charts
+from reports.comparability import kind_of
 from reports.conclusions.answers import CRITERIA
 from reports.page.document import write_report
 from reports.paper.documents import to_text
 from reports.paper.tables import paper_tables
+from reports.schema import records
 from reports.style import label
+from reports.tables.protocols import by_protocol
 
 from .planted_store import METHODS, SCENES, VIEWS, Facts, Plant, every, write
 
@@ -158,6 +161,22 @@ def test_no_mean_is_of_several_truths_or_versions(planted) -> None:
     for _, own in timed.groupby(["dataset", "preset", "split"], dropna=False):
         for column in ("processor", "threads", "device", "ruler"):
             assert own[column].nunique() == 1, column
+
+
+def test_charts_of_times_are_without_what_is_left_out(planted) -> None:
+    """The tables `timing` and `curve` lack the rows whose clocks are not compared, and no others."""
+    _, _, report = planted
+    every = by_protocol(report.stored)
+    rows = records(report.measured)
+    slow = {row["job"] for row in rows if kind_of(row, "fps")}
+    timed = every["timing"]
+    assert set(report.tables["timing"]["job"]) == set(timed["job"]) - slow
+    late = {_fit(row) for row in rows if kind_of(row, "train_seconds")}
+    assert {*map(_fit, records(report.tables["curve"]))} == {*map(_fit, records(every["curve"]))} - late
+
+
+def _fit(row) -> tuple:
+    return tuple(str(row[name]) for name in ("dataset", "method", "variant", "seed", "scene"))
 
 
 def test_no_row_is_lost(planted) -> None:

@@ -9,7 +9,7 @@ from PIL import Image
 from reports.conclusions.ladders import by_method
 from reports.pictures.ladder_files import breaks_of, draw_breaks, draw_flicker
 from reports.pictures.strips import Flicker
-from reports.tables.columns import records
+from reports.schema import records
 from reports.tables.ladders import climbed, ladders
 from tests.reports.pictures.test_strips import views
 from tests.reports.tables.test_ladders import table

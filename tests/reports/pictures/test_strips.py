@@ -7,8 +7,7 @@ import pytest
 from PIL import Image
 
 from reports.pictures.strips import FACTOR, choose, flicker, strip, until_break, views_of_jobs, worst_subject
-from reports.schema import frame
-from reports.tables.columns import records
+from reports.schema import frame, records
 from reports.tables.ladders import ladders
 from tests.reports.tables.test_ladders import table
 
