@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,34 +28,12 @@ FILES = "files"
 """Renderer of pre-rendered views."""
 
 
-def contents(record: Record, lineage: Lineage) -> dict[str, str] | None:
-    """Scene -> content hash, of the scenes that decide a job: its own, those fitted and learned with them.
-
-    A composition has an entry of its own. None where a scene's content is not known.
-    """
-    found: dict[str, str] = {}
-    for one in (record, *lineage.needed(record, "views")):
-        if one.job.kind in ("views", "dvr", "complexity") and isinstance(one.job.identity.get("scene"), str):
-            found[one.job.subject] = one.job.identity["scene"]
-    trained = [one for model in lineage.models(record) for one in (model.fit, model.partition) if one]
-    for one in (record, *trained):
-        found |= dict(_trained(one.job.identity.get("scenes")))
-    return found if {record.job.subject, *record.job.scenes} & found.keys() else None
-
-
-def _trained(scenes: Any) -> Iterator[tuple[str, str]]:
-    """Name and content hash, as fits and partitions have them in their identities."""
-    for pair in scenes or ():
-        if isinstance(pair, list | tuple) and len(pair) == 2:
-            yield str(pair[0]), str(pair[1])
-
-
 def truth(record: Record, lineage: Lineage) -> str | None:
     """Identity of the pictures that a measurement compares with, and of its views; None if not known."""
     job = record.job
     if record.measure is None:
         return None
-    known = contents(record, lineage) or {}
+    known = lineage.contents(record) or {}
     parts = [known.get(job.subject)] if job.subject in known else [known.get(scene) for scene in job.scenes]
     request = job.request
     views: Any = job.identity.get("views")  # without its record, all that is known of a views job is its key
@@ -146,7 +124,7 @@ def axes(record: Record, lineage: Lineage, marks: Mapping[str, str]) -> dict[str
         lineage: of its store.
         marks: of :func:`disagreeing`.
     """
-    known, key = contents(record, lineage), truth(record, lineage)
+    known, key = lineage.contents(record), truth(record, lineage)
     mark = marks.get(record.job.id)
     versions = metric_versions(record)
     return {

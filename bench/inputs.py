@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -59,21 +60,19 @@ def fingerprint(dataset: Dataset, scene_name: str) -> str:
     return hash_of(identity)
 
 
-def content_of(source: str, name: str) -> str | None:
-    """Content hash of a scene or composition of a dataset; None where it cannot be read here.
+def content(dataset: Dataset, scenes: Sequence[str], *, composed: bool) -> str:
+    """Content hash of a basic scene, or of the composition of some.
 
-    Args:
-        source: name of the catalogue, or path.
-        name: of a basic scene or a composition.
+    Raises:
+        DataError: no such scene, or its data cannot be read.
     """
-    from datasets.catalogue import open_dataset
+    hashes = [fingerprint(dataset, scene) for scene in scenes]
+    return composition_hash(hashes) if composed else hashes[0]
 
-    try:
-        dataset = open_dataset(source)
-        parts = [fingerprint(dataset, part.name) for part in dataset.parts(name)]
-    except (DataError, KeyError, OSError):
-        return None
-    return hash_of({"composition": parts}) if name in dataset.compositions else parts[0]
+
+def composition_hash(scenes: Sequence[str]) -> str:
+    """Content hash of a composition, from those of its scenes."""
+    return hash_of({"composition": list(scenes)})
 
 
 def request(dataset: Dataset, scene_name: str, preset: ViewPreset) -> Request:

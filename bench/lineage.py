@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from bench.records import Record
 
@@ -49,6 +50,28 @@ class Lineage:
         partitions = [model.partition for model in self.models(record) if model.partition]
         return max((one.job.scenes for one in partitions), key=len, default=())
 
+    def contents(self, record: Record) -> dict[str, str] | None:
+        """Scene -> content hash, of the scenes that decide a job: its own, and those that a fit learned.
+
+        A composition has an entry of its own. None where the content of the job's scenes is not known.
+        """
+        return self._contents[record.job.id]
+
+    @cached_property
+    def _contents(self) -> Mapping[str, dict[str, str] | None]:
+        return {record.job.id: self._content(record) for record in self}
+
+    def _content(self, record: Record) -> dict[str, str] | None:
+        found: dict[str, str] = {}
+        for one in (record, *self.needed(record, "views")):
+            scene = one.job.identity.get("scene")
+            if one.job.kind in ("views", "dvr", "complexity") and isinstance(scene, str):
+                found[one.job.subject] = scene
+        trained = [one for model in self.models(record) for one in (model.fit, model.partition) if one]
+        for one in (record, *trained):
+            found |= dict(_hashes(one.job.identity.get("scenes")))
+        return found if {record.job.subject, *record.job.scenes} & found.keys() else None
+
     @cached_property
     def _models(self) -> Mapping[str, list[Model]]:
         return {record.job.id: list(self._behind(record)) for record in self}
@@ -63,3 +86,10 @@ class Lineage:
 
     def _one(self, record: Record | None, kind: str) -> Record | None:
         return next(iter(self.needed(record, kind)), None)
+
+
+def _hashes(scenes: Any) -> Iterator[tuple[str, str]]:
+    """Name and content hash, as fits and partitions have them in their identities."""
+    for pair in scenes or ():
+        if isinstance(pair, list | tuple) and len(pair) == 2:
+            yield str(pair[0]), str(pair[1])

@@ -20,13 +20,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from bench import inputs
 from bench.edits import edit_of, edits_of
 from bench.estimates import Past
-from bench.inputs import fingerprint
 from bench.limits import Limit, Limits, memory_reason, time_reason, used_memory
 from bench.metrics import METRICS
 from bench.processes import Processes, end_session
-from bench.records import Job, Record, hash_of
+from bench.records import Job, Record
 from bench.runner import Runner
 from bench.store import Store, read_record, write_text
 from bench.stress import stress_of
@@ -223,7 +223,7 @@ class _Here:
                 reasons.append(str(error))
         for name, dataset in sources.items():
             try:
-                content = _content(dataset, job)
+                content = inputs.content(dataset, job.scenes, composed=bool(job.composition))
             except DataError as error:  # it has no such scene, or its files are gone
                 reasons.append(str(error))
                 continue
@@ -287,13 +287,6 @@ def _equal(name: str, recorded: float | None, value: float | None) -> bool:
 
 def _text(value: float | None) -> str:
     return "none" if value is None else f"{value:.7g}"
-
-
-def _content(dataset: Dataset, job: Job) -> str:
-    """Content of the scene or composition of a views job, as plans have it (:mod:`bench.selection`)."""
-    if job.composition:
-        return hash_of({"composition": [fingerprint(dataset, scene) for scene in job.scenes]})
-    return fingerprint(dataset, job.subject)
 
 
 def _renderer(record: Record, split: str) -> str:

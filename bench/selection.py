@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from bench import inputs
-from bench.records import Request, hash_of
+from bench.records import Request
 from bench.suites import Suite, ViewPreset
 from datasets.catalogue import list_datasets, open_dataset
 from datasets.errors import DataError, UnknownName
@@ -61,7 +61,7 @@ class Subset:
     def content(self, name: str) -> str:
         """Content hash of a basic scene or of a composition."""
         if name in self.compositions:
-            return hash_of({"composition": [self.hashes[part] for part in self.compositions[name]]})
+            return inputs.composition_hash([self.hashes[part] for part in self.compositions[name]])
         return self.hashes[name]
 
 

@@ -85,7 +85,7 @@ def _compared(
     """As on disk: datasets by what they show, and of each row what is not compared."""
     names = {record.job.id for record in elected(lineage, methods)}
     tables = _stored(lineage, methods, names, ladders)
-    jobs = tables["jobs"] = comparability.set_apart(tables["jobs"], partial(contents_today, lineage))
+    jobs = tables["jobs"] = comparability.set_apart(tables["jobs"], _today(lineage))
     full = joined({name: tables[name] for name in ("jobs", "results", "superseded")})
     results = comparability.judged(full["results"])
     reasons = dict(zip(results["job"], results["differences"], strict=True))
@@ -96,12 +96,27 @@ def _compared(
     return tables
 
 
-def contents_today(lineage: Lineage, dataset: str, scene: str) -> list[str]:
-    """Content hashes that a scene has today, in the catalogue or on disk; none where that is not known."""
-    from bench.inputs import content_of
+def _today(lineage: Lineage) -> comparability.Current:
+    """Contents that scenes have today, in the catalogue or on disk; data are opened once, when asked for."""
+    from bench.inputs import content
+    from datasets.catalogue import open_dataset
+    from datasets.errors import DataError
 
-    sources = dict.fromkeys(one.job.dataset for one in lineage if one.job.dataset_name == dataset)
-    return [content for source in sources if (content := content_of(source, scene)) is not None]
+    opened = cache(open_dataset)
+
+    def current(name: str, scene: str) -> list[str]:
+        sources = {one.job.dataset for one in lineage if one.job.dataset_name == name}
+        found = []
+        for source in sorted(sources):
+            try:
+                dataset = opened(source)
+                parts = [part.name for part in dataset.parts(scene)]
+                found.append(content(dataset, parts, composed=scene in dataset.compositions))
+            except (DataError, OSError):  # it is gone, or has no such scene
+                continue
+        return found
+
+    return current
 
 
 def stored_tables(

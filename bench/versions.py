@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from bench.identity import contents
 from bench.lineage import Lineage
 from bench.provenance import source_hash
 from bench.records import Job, Record
@@ -99,7 +98,7 @@ def elected(lineage: Lineage, methods: Mapping[str, MethodSpec]) -> list[Record]
     scenes: dict[tuple[Any, ...], set[tuple[str, str | None]]] = defaultdict(set)
     dropped = set()
     for record in sorted(models, key=rank, reverse=True):
-        known, covered = contents(record, lineage) or {}, scenes[_cell(record, lineage)]
+        known, covered = lineage.contents(record) or {}, scenes[_cell(record, lineage)]
         own = {(scene, known.get(scene)) for scene in record.job.scenes}
         if covered.isdisjoint(own):
             covered |= own
@@ -136,7 +135,7 @@ def _cell(record: Record, lineage: Lineage) -> tuple[Any, ...]:
     """What the rows of all scenes of a method on a dataset have in common."""
     job, size = record.job, (record.job.request.width, record.job.request.height)
     together = lineage.scenes_together(record)
-    learned = frozenset((contents(record, lineage) or {}).items()) if together else frozenset()
+    learned = frozenset((lineage.contents(record) or {}).items()) if together else frozenset()
     return (
         *_protocol(job), *size, job.method, job.variant, job.seed, job.stress, job.device.split(":")[0],
         together, learned,
