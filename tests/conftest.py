@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Generator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -59,3 +61,15 @@ def data_folder() -> Path:
     if not folder:
         pytest.skip("BENCH_DATA is not set")
     return Path(folder)
+
+
+@pytest.fixture(scope="module")
+def generate() -> ModuleType:
+    """The script ``docs/generate.py``."""
+    script = Path(__file__).parents[1] / "docs" / "generate.py"
+    spec = importlib.util.spec_from_file_location("generate", script)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

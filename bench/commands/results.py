@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 def results(options: Namespace) -> int:
     """Print a table of a store."""
+    from reports.comparability import notes
+
     store = Store(Path(options.runs))
     tables = build_tables(store, current(options.plugins, store.root), write=False)
     report_damage(store)
@@ -32,7 +34,8 @@ def results(options: Namespace) -> int:
     else:
         print_as(tables[options.table], options.format or "csv")
     if options.table not in ("differences", "superseded"):
-        _print_differences(tables, sys.stderr)
+        found = notes(tables["results"], tables["superseded"])
+        _print_differences(found, tables["differences"], sys.stderr)
     return 0
 
 
@@ -71,7 +74,8 @@ def print_answers(contents: Report) -> None:
         print("Nothing is ranked: no two methods have the same scenes under the same conditions.")
     for sentence in races.conclusion(contents.races, contents.family):
         print(sentence)
-    _print_differences(contents.stored, sys.stdout)
+    found = [one.sentence for one in contents.remarks]
+    _print_differences(found, contents.stored["differences"], sys.stdout)
 
 
 def report_damage(store: Store) -> None:
@@ -83,16 +87,13 @@ def report_damage(store: Store) -> None:
         print(f"bench: damaged record left out: {text}", file=sys.stderr)
 
 
-def _print_differences(tables: dict[str, pd.DataFrame], out: TextIO) -> None:
+def _print_differences(remarks: Sequence[str], listed: pd.DataFrame, out: TextIO) -> None:
     """Print what is not compared, and the command that lists it; nothing where everything is."""
-    from reports.comparability import notes
-
-    found = notes(tables["results"], tables["superseded"])
-    for note in found[:_MOST_NOTES]:
-        print(note, file=out)
-    if len(found) > _MOST_NOTES:
-        print(f"... and {len(found) - _MOST_NOTES} more remarks.", file=out)
-    if not tables["differences"].empty:
+    for remark in remarks[:_MOST_NOTES]:
+        print(remark, file=out)
+    if len(remarks) > _MOST_NOTES:
+        print(f"... and {len(remarks) - _MOST_NOTES} more remarks.", file=out)
+    if not listed.empty:
         print("`bench results --table differences` lists what is not compared.", file=out)
 
 

@@ -68,7 +68,7 @@ def run(options: Namespace) -> int:
                 write_report(tables, store.root, page, report=contents)
                 print_answers(contents)
             print(f"report: {page}")
-    if count := _disturbed(tables["results"], frames["results"]):
+    if count := _disturbed(frames["results"]):
         text = f"{counted(count, 'time')} disturbed by other work on the machine"
         print(f"bench: {text}; --retry busy measures again", file=sys.stderr)
     if names := of_other_source(outcome.records, methods):
@@ -77,13 +77,13 @@ def run(options: Namespace) -> int:
     return _verdict(outcome, store)
 
 
-def _disturbed(every: pd.DataFrame, own: pd.DataFrame) -> int:
-    """Number of the run's times that take no part in conclusions, by what the store's tables show."""
-    from reports.clocks import CLOCKS, Clocks
+def _disturbed(results: pd.DataFrame) -> int:
+    """Number of times that take no part in conclusions, as something disturbed them."""
+    from reports.clocks import CLOCKS
+    from reports.comparability import DISTURBED, kind_of
     from reports.schema import records
 
-    clocks = Clocks(every)
-    return sum(bool(clocks.disturbed(row, name)) for row in records(own) for name in CLOCKS)
+    return sum(kind_of(row, name) == DISTURBED for row in records(results) for name in CLOCKS)
 
 
 def execution(options: Namespace) -> dict[str, Any]:

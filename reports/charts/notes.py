@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from reports.charts.chart import Chart
+from reports.charts.elements import Section, annotated
 from reports.comparability import PARTS, Remark, concerning
 from reports.style import counted
 
@@ -19,6 +20,11 @@ _CLOCKS = {
     "convergence": ("train_seconds",), "frame": ("fps", PARTS), "timing": ("fps", PARTS),
 }  # fmt: skip
 """Part of a chart's name -> the clocks that it draws."""
+
+
+def noted(section: Section, report: Report) -> Section:
+    """A section whose charts have the remarks, and whose end repeats them."""
+    return annotated(replace(section, charts=with_notes(section.charts, report)))
 
 
 def with_notes(charts: Mapping[str, Chart], report: Report) -> dict[str, Chart]:

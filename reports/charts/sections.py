@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from html import escape
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -12,9 +11,9 @@ from reports.charts import data, features, kinds, stability_sections, training
 from reports.charts.chart import Chart, Panel
 from reports.charts.decision import decisions
 from reports.charts.economy import economy_section
-from reports.charts.elements import Section, annotated, card, cards, legend, rest, table
+from reports.charts.elements import Section, card, cards, legend, rest, table
 from reports.charts.ladders import ladders_section
-from reports.charts.notes import with_notes
+from reports.charts.notes import noted, with_notes
 from reports.charts.races import races_section
 from reports.charts.unseen import unseen_section
 from reports.charts.volumes import volumes_section
@@ -93,7 +92,7 @@ def chart_sections(report: Report) -> Iterator[Section]:
     for make in makers:
         section = make(report)
         if section is not None:
-            yield annotated(replace(section, charts=with_notes(section.charts, report)))
+            yield noted(section, report)
 
 
 def _confidence(report: Report) -> Section | None:
@@ -221,7 +220,7 @@ def variant_sections(report: Report) -> Iterator[Section]:
     )
     if panels:
         html = f"<p>{words}</p>{cards(chart.panels)}"
-        yield annotated(Section("variants", "Variants of options", html, {"variants": chart}))
+        yield noted(Section("variants", "Variants of options", html, {"variants": chart}), report)
 
 
 def _by_dataset(

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from reports import markup
 from reports.charts import svg
 from reports.charts.decision import decisions
-from reports.charts.elements import Section, annotated
-from reports.charts.notes import with_notes
+from reports.charts.elements import Section
+from reports.charts.notes import noted
 from reports.conclusions.answers import scope
 from reports.style import Model, label, look, model_named
 
@@ -40,14 +40,14 @@ def section(report: Report, anchors: Container[str]) -> Section | None:
     if not report.contests:
         return None
     contest = report.contests[0]
-    charts = with_notes(decisions(contest, report.models), report)
+    charts = decisions(contest, report.models)
     entries = "".join(_entry(answer, report.models) for answer in report.answers)
     html = (
         f'<div class="answer"><dl>{entries}</dl>{_charts(charts)}</div>'
         f"<p>{escape(scope(contest))}</p>"
         f"{_matrix(report.answers, contest, report.models, anchors)}"
     )
-    return annotated(Section("answers", "Which method?", html, charts))
+    return noted(Section("answers", "Which method?", html, charts), report)
 
 
 def _entry(answer: Answer, models: list[Model]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
 from collections.abc import Callable, Iterator
@@ -248,11 +247,11 @@ def test_the_gate_gives_the_reason(planted, clean, tmp_path, capsys) -> None:
     assert not code or label(OURS) in out
 
 
-def test_the_documentation_gives_the_reason(planted, tmp_path, monkeypatch) -> None:
+def test_the_documentation_gives_the_reason(planted, generate, tmp_path, monkeypatch) -> None:
     case, store, _ = planted
     write_bundle(store, tmp_path / "planted.zip")
-    generate = _generator(monkeypatch)
     monkeypatch.setattr(generate, "MEASURED", tmp_path)
+    generate.tables.cache_clear()
     block = 'bundles = ["planted"]\nrows = ["dataset", "method"]\ncolumns = ["psnr", "fps", "mib"]\n'
     block += "where = \"kind == 'basic' and rate.isna() and variant == ''\"\n"
     try:
@@ -265,12 +264,3 @@ def test_the_documentation_gives_the_reason(planted, tmp_path, monkeypatch) -> N
 
 def _has(case: Planted, text: str) -> bool:
     return re.search(case.words, text.replace("\\", "")) is not None
-
-
-def _generator(monkeypatch):
-    spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
