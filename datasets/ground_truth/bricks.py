@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
-BRICK = 4
+BRICK = 2
 """Voxels along a brick's side."""
 
 
 class Bricks:
     """Value ranges of the bricks of a field, found once per volume while its slices :meth:`pass <passing>`.
 
-    Brick b along an axis covers grid indices [4 b, 4 b + 4]; its range includes one more voxel on either
-    side, so that rounding at a border never hides a visible sample.
+    Brick b along an axis covers grid indices [2 b, 2 b + 2], borders included: what lies in it is
+    interpolated between samples of that range.
 
     Args:
         shape: nz, ny, nx of the field.
@@ -88,17 +88,17 @@ def leaps(empty: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def _add(bricks: NDArray[Any], z: int, plane: NDArray[Any], pick: np.ufunc) -> None:
-    """Reduce a slice into the bricks that hold it, or have it as their one more voxel."""
+    """Reduce a slice into the bricks that hold it: one, or the two on whose border it lies."""
     reduced = _reduced(_reduced(plane, pick, 0), pick, 1)
-    for brick in bricks[max(0, (z - 2) // BRICK) : (z + 1) // BRICK + 1]:
+    for brick in bricks[max(0, (z - 1) // BRICK) : z // BRICK + 1]:
         pick(brick, reduced, out=brick)
 
 
 def _reduced(values: NDArray[Any], pick: np.ufunc, axis: int) -> NDArray[Any]:
-    """Reduction of (., .) over each brick along an axis and one more voxel on either side."""
+    """Reduction of (., .) over each brick along an axis, borders included."""
     n = values.shape[axis]
     starts = BRICK * np.arange(max(1, -(-(n - 1) // BRICK)))
-    result: NDArray[Any] = np.take(values, np.maximum(starts - 1, 0), axis)
-    for offset in range(BRICK + 2):
+    result: NDArray[Any] = np.take(values, starts, axis)
+    for offset in range(1, BRICK + 1):
         pick(result, np.take(values, np.minimum(starts + offset, n - 1), axis), out=result)
     return result

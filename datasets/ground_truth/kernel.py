@@ -21,6 +21,7 @@ from datasets.ground_truth.model import BISECTIONS, GRADIENT_FLOOR, PHONG_FLOOR,
 from datasets.ground_truth.occlusion import Occlusion
 from datasets.scene import Light
 
+_MARGIN = 2e-3  # voxels that leaps end early: more than the rounding of positions
 _UNSEEN = 1e-6  # transmittance at which a ray may stop: below what 16-bit images resolve
 
 
@@ -43,12 +44,13 @@ def march(scene: SceneData, start: Any, step: Any, whole: Any, rest: Any, view: 
 @dr.syntax
 def _march(scene: Any, start: Any, step: Any, whole: Any, rest: Any, view: Any) -> Any:
     i = mi.Int32(0)
+    inverse = _inverse(step)
     color = mi.Color3f(0.0)
     transmitted = mi.Float(1.0)
     while (i <= whole) & (transmitted > _UNSEEN):
         part = dr.select(i < whole, 1.0, rest)
         at = dr.fma(step, mi.Float(i) + 0.5 * part, start)
-        distance, leap = scene.leap(at, step)
+        distance, leap = scene.leap(at, step, inverse)
         if distance > 0:
             i += leap
         else:
@@ -63,12 +65,13 @@ def _march(scene: Any, start: Any, step: Any, whole: Any, rest: Any, view: Any) 
 @dr.syntax
 def _march_with_surfaces(scene: Any, start: Any, step: Any, whole: Any, rest: Any, view: Any) -> Any:
     i = mi.Int32(0)
+    inverse = _inverse(step)
     color = mi.Color3f(0.0)
     transmitted = mi.Float(1.0)
     while (i <= whole) & (transmitted > _UNSEEN):
         part = dr.select(i < whole, 1.0, rest)
         first = dr.fma(step, mi.Float(i), start)
-        distance, leap = scene.leap(first, step)
+        distance, leap = scene.leap(first, step, inverse)
         leap -= 1  # steps that end in empty space: one that leaves it may cross a surface
         if (distance > 0) & (leap > 0):
             i += leap
@@ -90,10 +93,12 @@ def _march_with_surfaces(scene: Any, start: Any, step: Any, whole: Any, rest: An
 def _sample_one(scene: Any, layer: Any, at: Any, view: Any) -> Any:
     """Extinction and color of a single layer."""
     cell = layer.field.cell(at)
-    classified = layer.classify(cell.value())
-    extinction = classified.w
-    sample = mi.Color3f(classified.x, classified.y, classified.z)
-    if extinction > 0.0:
+    value = cell.value()
+    extinction, sample = mi.Float(0.0), mi.Color3f(0.0)
+    if layer.may_show(value):
+        classified = layer.classify(value)
+        extinction = classified.w
+        sample = mi.Color3f(classified.x, classified.y, classified.z)
         if dr.hint(layer.field.mask is not None, mode="scalar"):
             extinction *= cell.mask()
         if dr.hint(layer.light is not None, mode="scalar"):
@@ -259,7 +264,7 @@ class SceneData:
         there = mi.Vector3f(*(dr.fma(x, self._scale, self._offset) for x in at))
         return color * (1.0 - layer.strength * self._occlusion.cell(there).value())
 
-    def leap(self, at: Any, step: Any) -> tuple[Any, Any]:
+    def leap(self, at: Any, step: Any, inverse: Any) -> tuple[Any, Any]:
         """Distance in bricks to the nearest visible one, and the steps to the end of the empty space."""
         brick = [
             dr.select(b < n, dr.select(b > 0, b, 0), n - 1)
@@ -268,9 +273,10 @@ class SceneData:
         number = (brick[2] * self._bricks[1] + brick[1]) * self._bricks[0] + brick[0]
         distance = dr.gather(mi.Int32, self._leaps, number)
         steps = mi.Float(1e6)
-        for x, d, b in zip(at, step, brick, strict=True):
-            face = dr.select(d > 0.0, b + distance, b - distance + 1)
-            along = dr.select(d == 0.0, 1e6, (mi.Float(face * BRICK) - x) / d)
+        for x, d, i, b in zip(at, step, inverse, brick, strict=True):
+            forward = d > 0.0
+            face = mi.Float(dr.select(forward, b + distance, b - distance + 1) * BRICK)
+            along = (face + dr.select(forward, -_MARGIN, _MARGIN) - x) * i
             steps = dr.select(along < steps, along, steps)
         return distance, 1 + mi.Int32(dr.select(steps > 0.0, steps, 0.0))
 
@@ -364,6 +370,11 @@ def _any(conditions: Sequence[Any]) -> Any:
 
 def _lit(layers: Sequence[_Lit]) -> bool:
     return any(layer.light is not None for layer in layers)
+
+
+def _inverse(step: Any) -> Any:
+    """Inverse of a ray step; what stands still along an axis never arrives."""
+    return mi.Vector3f(*(dr.select(dr.abs(d) > 1e-12, 1.0 / d, 1e12) for d in step))
 
 
 def _clamp(color: Any) -> Any:
