@@ -31,6 +31,7 @@ COMMANDS = {
     "render": "bench.commands.pictures:render",
     "export": "bench.commands.export:export",
     "score": "bench.commands.pictures:score",
+    "samples": "bench.commands.samples:samples",
     "merge": "bench.commands.stores:merge",
     "compare": "bench.commands.stores:compare",
     "cache": "bench.commands.stores:cache",
@@ -234,6 +235,7 @@ def parser() -> _Parser:
     render.add_argument(
         "--truth", action="store_true", help="with --model: the ground truth beside, and PSNR"
     )
+    _add_samples(render)
     _add_device(render)
     export = command(
         "export", "write a finished model of Gaussians as a file that viewers of splats open", stored, runs
@@ -249,6 +251,14 @@ def parser() -> _Parser:
         help="iterations against the model's own pictures, where it has to be baked; 0: none (default: 1000)",
     )  # fmt: skip
     _add_device(export)
+    samples = command(
+        "samples", "what rays a pixel are worth: a scene with 1, 4, 16 ... rays against finer truth"
+    )
+    samples.add_argument("dataset", help="name in the catalogue, or a path")
+    _repeatable(samples, "--scene", help="only this scene")
+    samples.add_argument("--views", type=_count, help="number of test views (default: 4)")
+    samples.add_argument("--size", type=_size, metavar="WxH", help="pixels (default: 128)")
+    samples.add_argument("--format", choices=("csv", "md", "tex", "json"), default="md")
     score = command("score", "apply the metrics to two folders of images")
     score.add_argument("renders", metavar="RENDERS")
     score.add_argument("truth", metavar="TRUTH")
@@ -306,7 +316,15 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
         "--split", choices=("test", "val"), default="test",
         help="measure on test views, or leave every tenth training view out of the fit and measure on those",
     )  # fmt: skip
+    _add_samples(parser)
     _add_settings(parser, "differing from the preset")
+
+
+def _add_samples(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--samples", metavar="N|auto",
+        help="rays a pixel of rendered views: 1, 4, 9 ...; default: the dataset's, else as many as it needs",
+    )  # fmt: skip
 
 
 def _add_data(parser: argparse.ArgumentParser) -> None:

@@ -56,6 +56,7 @@ def render_views(
     size: tuple[int, int] = (256, 256),
     split: Split = "test",
     edit: Mapping[str, Edit] | None = None,
+    samples: int | Literal["auto"] = "auto",
 ) -> ViewSet:
     """Ground truth of a scene or composition, rendered or read; rendered views are cached.
 
@@ -66,6 +67,7 @@ def render_views(
         size: width and height in pixels; pre-rendered views need a whole fraction of their own.
         split: "test", "train", "val" or "trainval".
         edit: basic scene -> change, whose ground truth this is.
+        samples: rays a pixel of rendered views, a square; default: as many as each pixel needs.
 
     Returns:
         Cameras, and images (count, height, width, 4), float32 RGBA in [0, 1], premultiplied by alpha.
@@ -73,9 +75,11 @@ def render_views(
     Raises:
         DataError: no such scene, or the data cannot be read or rendered.
     """
+    from datasets.ground_truth.sampling import samples_of
     from datasets.render_views import views_of
 
-    return views_of(dataset, scene, ViewRequest(split, count, count, *size), edit=edit)
+    rays = samples_of(samples, "render_views")
+    return views_of(dataset, scene, ViewRequest(split, count, count, *size, samples=rays), edit=edit)
 
 
 def score_views(truth: ViewSet, views: ViewSet) -> pd.DataFrame:
@@ -112,6 +116,7 @@ def run(
     seeds: Sequence[int] = (),
     preset: Literal["", "quick", "standard", "paper"] = "",
     split: Literal["test", "val"] = "test",
+    samples: int | Literal["", "auto"] = "",
     options: Mapping[str, Mapping[str, Any]] | None = None,
     device: str = "cpu",
     plugins: Sequence[_Path] = (),
@@ -135,6 +140,7 @@ def run(
         seeds: seeds instead of the suite's.
         preset: instead of the suite's.
         split: "val" leaves every tenth training view out of the fit and measures on those.
+        samples: rays a pixel of rendered views; "": the datasets' own.
         options: method -> option -> value, differing from the preset.
         device: "cpu", "cuda" or "cuda:N".
         plugins: folders with methods of your own; default: those of earlier runs of this store.
@@ -153,6 +159,7 @@ def run(
     from bench.experiment import execute
     from bench.selection import Selection
     from bench.suites import load_suite
+    from datasets.ground_truth.sampling import samples_of
 
     selection = Selection(
         suite=load_suite(str(suite)),
@@ -163,6 +170,7 @@ def run(
         seeds=tuple(seeds),
         preset=preset,
         split=split,
+        samples=samples_of(samples, "run") if samples != "" else None,
         overrides=options or {},
         device=device,
     )

@@ -86,7 +86,7 @@ def _likenesses(job: Job) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]
     """Keys that similar jobs share, the closest first: those of the same variant and views, and others."""
     loose = (job.kind, job.method, job.preset)
     request = job.request
-    sized = (*loose, request.width, request.height, request.train_views, request.test_views)
+    sized = (*loose, *request.model_dump().values())
     dataset, grouped = (*sized, job.dataset_name), (*sized, job.dataset_name, len(job.scenes))
     variant = ("variant", job.variant)
     return [(*grouped, *variant), (*dataset, *variant), (*sized, *variant)], [grouped, dataset, sized, loose]

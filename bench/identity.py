@@ -40,6 +40,8 @@ def truth(record: Record, lineage: Lineage) -> str | None:
     if None not in parts:
         stress = part_of(job.stress, "truth", "test")
         size = [request.width, request.height, request.test_views]
+        if request.samples != 1:
+            size.append(request.samples)
         held_out = request.train_views if job.split == "val" else None
         views = [parts, job.edit, stress, job.split, size, held_out]
     if views is None:

@@ -20,7 +20,7 @@ from datasets.edits import Edit, changes_transfer, edited
 from datasets.errors import DataError
 from datasets.ground_truth.model import MODEL_VERSION
 from datasets.readers.naming import split
-from datasets.render_views import views_of, volume_digest
+from datasets.render_views import Finer, finer_views, views_of, volume_digest
 from datasets.scene import Dataset
 from datasets.transfer import TransferFunction
 from datasets.unseen import transfer_distance
@@ -75,8 +75,14 @@ def composition_hash(scenes: Sequence[str]) -> str:
     return hash_of({"composition": list(scenes)})
 
 
-def request(dataset: Dataset, scene_name: str, preset: ViewPreset) -> Request:
+def request(dataset: Dataset, scene_name: str, preset: ViewPreset, samples: int | None = None) -> Request:
     """The views of a dataset that a preset asks for.
+
+    Args:
+        dataset: with volumes, or pre-rendered.
+        scene_name: one of its basic scenes.
+        preset: numbers and size of views.
+        samples: rays a pixel of rendered views; default: the dataset's.
 
     Raises:
         DataError: its pre-rendered views cannot be read, or have no size that the preset can use.
@@ -84,7 +90,17 @@ def request(dataset: Dataset, scene_name: str, preset: ViewPreset) -> Request:
     scene = dataset.scene(scene_name)
     native = None if scene.views_folder is None else _native_size(scene.views_folder)
     width, height = view_size(preset, native)
-    return Request(train_views=preset.train_views, test_views=preset.test_views, width=width, height=height)
+    if native is not None:
+        samples = 1
+    elif samples is None:
+        samples = dataset.samples
+    return Request(
+        train_views=preset.train_views,
+        test_views=preset.test_views,
+        width=width,
+        height=height,
+        samples=samples,
+    )
 
 
 def view_size(preset: ViewPreset, native: tuple[int, int] | None) -> tuple[int, int]:
@@ -113,6 +129,14 @@ def views(
     """Ground-truth views of a basic scene or of a composition, edited or not; cached if possible."""
     edits = _edits(dataset, scene, edit)
     return views_of(dataset, scene, view_request(request, split, stress), edit=edits)
+
+
+def finer(
+    dataset: Dataset, scene: str, request: Request, split: Split, edit: str = "", stress: str = ""
+) -> Finer:
+    """Some of those views with other rays; of a dataset with volumes."""
+    edits = _edits(dataset, scene, edit)
+    return finer_views(dataset, scene, view_request(request, split, stress), edit=edits)
 
 
 def _edits(dataset: Dataset, scene: str, edit: str) -> dict[str, Edit]:
@@ -181,7 +205,9 @@ def view_request(request: Request, split: Split, stress: str = "") -> ViewReques
         max(1, round(values.get("zoom", 1.0) * size)) for size in (request.width, request.height)
     )
     distance, step = values.get("distance", 1.0), values.get("step", 0.0)
-    return ViewRequest(split, request.train_views, request.test_views, width, height, distance, step)
+    return ViewRequest(
+        split, request.train_views, request.test_views, width, height, distance, step, request.samples
+    )
 
 
 def _native_size(folder: Path) -> tuple[int, int]:

@@ -349,7 +349,7 @@ class Planner:
         """A job about a scene or composition without a method: its views, cost of rendering or complexity."""
         identity: dict[str, Any] = {"kind": kind, "scene": subset.content(name)}
         if kind != "complexity":
-            identity["request"] = subset.request.model_dump()
+            identity["request"] = subset.request.identity
         if edit:
             identity["edit"] = edit
         if stress:
@@ -405,6 +405,8 @@ class Planner:
             "cloud_points": points,
             **more,
         }
+        if request.samples != 1:
+            identity["samples"] = request.samples
         if stress:
             identity["stress"] = stress
         return self._job(

@@ -26,12 +26,23 @@ class _Model(BaseModel):
 
 
 class Request(_Model):
-    """Numbers of views and their size in pixels, before the validation split."""
+    """Numbers of views and their size in pixels, before the validation split.
+
+    Attributes:
+        samples: rays a pixel of rendered views; 0: as many as each needs. Pre-rendered views and older
+            records have 1.
+    """
 
     train_views: int
     test_views: int
     width: int
     height: int
+    samples: int = 1
+
+    @property
+    def identity(self) -> dict[str, int]:
+        """All that decides pictures."""
+        return self.model_dump(exclude={"samples"} if self.samples == 1 else None)
 
 
 class Job(_Model):
@@ -207,6 +218,11 @@ class ViewsResult(_Model):
             empty for pre-rendered views.
         variable: what a basic scene shows; "" for others.
         cloud_seconds: from the volume in memory to the candidates of initial clouds; None without a volume.
+        floor: metric -> what the truth itself reaches against the same views rendered with other, more rays
+            (:func:`datasets.render_views.finer_views`), mean over some of the measured views; empty for
+            pre-rendered views and in older records.
+        one_ray: metric -> what one ray a pixel reaches against these.
+        floor_seconds: time that this took.
     """
 
     view_keys: dict[str, str]
@@ -218,6 +234,9 @@ class ViewsResult(_Model):
     transfer: dict[str, dict[str, list[list[float]]]] = Field(default_factory=dict)
     variable: str = ""
     cloud_seconds: float | None = None
+    floor: dict[str, float | None] = Field(default_factory=dict)
+    one_ray: dict[str, float | None] = Field(default_factory=dict)
+    floor_seconds: float | None = None
 
 
 class FrameTimes(_Model):

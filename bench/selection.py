@@ -22,6 +22,7 @@ class Selection:
     Attributes:
         scenes: names of basic scenes, or of compositions (which bring their basic scenes along).
         composed: every composition of the scenes, whatever the suite says.
+        samples: rays a pixel of rendered views; None: the datasets' own.
         overrides: method -> option -> value, from ``--set``; on top of the suite's variants.
     """
 
@@ -33,6 +34,7 @@ class Selection:
     seeds: tuple[int, ...] = ()
     preset: str = ""
     split: str = "test"
+    samples: int | None = None
     overrides: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     device: str = "cpu"
     plugins: tuple[str, ...] = ()
@@ -97,7 +99,14 @@ def subsets(selection: Selection, preset: ViewPreset) -> list[Subset]:
                 choice = [scene for scene in selection.scenes if scene in names]
                 choices = [choice] if choice else []
             result += [
-                _subset(source, dataset, choice, compositions, replace(preset, train_views=count))
+                _subset(
+                    source,
+                    dataset,
+                    choice,
+                    compositions,
+                    replace(preset, train_views=count),
+                    selection.samples,
+                )
                 for choice in choices
                 for count in suite.train_views or (preset.train_views,)
             ]
@@ -134,7 +143,7 @@ def subset_of_scene(selection: Selection, preset: ViewPreset, place: str) -> Sub
     if selection.scenes and scene not in selection.scenes:
         return None
     source = inputs.absolute(name)
-    return _subset(source, open_dataset(source), (scene,), (), preset)
+    return _subset(source, open_dataset(source), (scene,), (), preset, selection.samples)
 
 
 def _available(suite: Suite) -> set[str]:
@@ -149,6 +158,7 @@ def _subset(
     choice: Sequence[str],
     wish: Literal["all"] | tuple[str, ...],
     preset: ViewPreset,
+    samples: int | None,
 ) -> Subset:
     """Scenes and compositions of a choice (empty: all scenes), and those of the wish that they make up."""
     names = choice or [scene.name for scene in dataset.scenes]
@@ -165,7 +175,7 @@ def _subset(
         dataset.kind,
         {scene: inputs.fingerprint(dataset, scene) for scene in scenes},
         compositions,
-        inputs.request(dataset, scenes[0], preset),
+        inputs.request(dataset, scenes[0], preset, samples),
         tuple(dataset.scene(scene) for scene in scenes),
     )
 

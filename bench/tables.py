@@ -223,6 +223,7 @@ def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
         "iterations": job.iterations,
         "width": job.request.width,
         "height": job.request.height,
+        "samples": _samples(record, lineage),
         "device": job.device,
         "machine": where.machine if where else None,
         "processor": _processors([record]) if record.ok else None,
@@ -232,6 +233,15 @@ def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
         "commit": where.commit if where else None,
         "source": next((fit.provenance.source for fit in fits if fit.provenance), None),
     }
+
+
+def _samples(record: Record, lineage: Lineage) -> int | None:
+    """Rays a pixel of the views; None for pre-rendered ones, and where that is not known."""
+    samples = record.job.request.samples
+    if samples != 1:
+        return samples
+    rendered = identity.renderer(record, lineage) if record.job.kind == "measure" else None
+    return None if rendered in (None, identity.FILES) else 1
 
 
 def _processors(records: list[Record]) -> str | None:

@@ -133,7 +133,8 @@ def _protocol(job: Job) -> tuple[Any, ...]:
 
 def _cell(record: Record, lineage: Lineage) -> tuple[Any, ...]:
     """What the rows of all scenes of a method on a dataset have in common."""
-    job, size = record.job, (record.job.request.width, record.job.request.height)
+    job, request = record.job, record.job.request
+    size = (request.width, request.height, request.samples)
     together = lineage.scenes_together(record)
     learned = frozenset((lineage.contents(record) or {}).items()) if together else frozenset()
     return (

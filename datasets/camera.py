@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,11 +90,24 @@ class Camera:
         """World-space rays through all pixel centres.
 
         Returns:
-            origins (3,) and unit directions (height, width, 3), float64.
+            origin (3,) and unit directions (height, width, 3), float64.
         """
-        u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
-        v = (np.arange(self.height) + 0.5 - self.cy) / self.fy
-        grid = np.stack(np.broadcast_arrays(u[None, :], v[:, None], 1.0), axis=-1)
+        return self.rays_through(np.arange(self.width) + 0.5, (np.arange(self.height) + 0.5)[:, None])
+
+    def rays_through(
+        self, x: NDArray[Any], y: NDArray[Any]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """World-space rays through points of the picture.
+
+        Args:
+            x: pixels from the left border.
+            y: pixels from the upper border; the two broadcast to (...).
+
+        Returns:
+            origin (3,) and unit directions (..., 3), float64.
+        """
+        u, v = (np.asarray(x, dtype=np.float64) - self.cx) / self.fx, (y - self.cy) / self.fy
+        grid = np.stack(np.broadcast_arrays(u, v, 1.0), axis=-1)
         directions = grid @ self.camera_to_world[:3, :3].T
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return self.position, directions

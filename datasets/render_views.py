@@ -30,12 +30,13 @@ from datasets.ground_truth.model import (
     Progress,
     same_grid,
 )
+from datasets.ground_truth.sampling import ADAPTIVE, SAMPLING_VERSION, checked
 from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
 from datasets.names import unknown
 from datasets.scene import RGB, BasicScene, Dataset, Frame
 from datasets.scratch import picked
 from datasets.view_cache import CachedViews, ViewCache
-from datasets.views import ViewRequest, ViewSet, split_indices
+from datasets.views import ViewRequest, ViewSet, evenly_spaced, split_indices
 from datasets.volume import Volume
 
 Renderer = Literal["auto", "mitsuba", "reference"]
@@ -102,6 +103,64 @@ def cameras_of(dataset: Dataset, scene_name: str, request: ViewRequest) -> tuple
         return view_cameras(parts[0], request)
     cameras = _cameras(dataset.volume(parts[0].variable), dataset.frame, request)
     return tuple(cameras[i] for i in split_indices(len(cameras), request.split))
+
+
+FLOOR_VIEWS = 2
+"""Views in which the truth is compared with a finer one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finer:
+    """Some views of a request, rendered once more with other rays.
+
+    Attributes:
+        places: positions of these views among those of the request.
+        one_ray: (n, height, width, 4) the same with one ray a pixel, through its centre.
+        finer: (n, height, width, 4) the same at twice the width and height, with as many rays as those pixels
+            need, averaged over 2 x 2 pixels.
+    """
+
+    places: tuple[int, ...]
+    one_ray: NDArray[np.float32]
+    finer: NDArray[np.float32]
+
+
+def finer_views(
+    dataset: Dataset,
+    scene_name: str,
+    request: ViewRequest,
+    *,
+    edit: Mapping[str, Edit] | None = None,
+    renderer: Renderer = "auto",
+    count: int = FLOOR_VIEWS,
+) -> Finer:
+    """What the truth itself may be measured against: independent pictures of evenly spaced views.
+
+    Args:
+        dataset: with volumes.
+        scene_name: one of its basic scenes or compositions.
+        request: whose views.
+        edit: as for :func:`views_of`.
+        renderer: as for :func:`views_of`.
+        count: number of views.
+
+    Raises:
+        UnknownName, DataError: as :func:`views_of`.
+    """
+    work = _Work(dataset, _edited(dataset.parts(scene_name), edit), request, renderer)
+    places = evenly_spaced(len(work.places), count)
+    cameras = tuple(work.cameras[work.places[i]] for i in places)
+    double = tuple(camera.resized(2 * request.width, 2 * request.height) for camera in cameras)
+    one_ray, finer = (
+        marcher_of(work.volumes, work.backend, replace(work.settings, samples=samples)).prepare(work.layers)(
+            seen
+        )
+        for samples, seen in ((1, cameras), (ADAPTIVE, double))
+    )
+    means = finer.reshape(len(places), request.height, 2, request.width, 2, 4).mean(
+        axis=(2, 4), dtype=np.float64
+    )
+    return Finer(tuple(places), one_ray, means.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -219,7 +278,8 @@ class _Work:
                 "every tenth view is validation and there are fewer than ten",
                 "Use 12 or more training views",
             )
-        self.settings = MarchSettings()
+        samples = checked(request.samples, f"{dataset.name}/{names}")
+        self.settings = MarchSettings(samples=samples)
         self.backend = _backend(renderer)
         self.key = self._key()
 
@@ -261,10 +321,15 @@ class _Work:
 
     def _key(self) -> str:
         parts = [_ingredients(layer) for layer in self.layers]
+        settings = asdict(self.settings)
+        if settings["samples"] == 1:
+            del settings["samples"]  # as keys were before there was a choice
+        else:
+            settings["sampling"] = SAMPLING_VERSION
         ingredients = {
             "model": MODEL_VERSION,
             "cameras": hashlib.sha256(b"".join(_bytes(c) for c in self.cameras)).hexdigest(),
-            "settings": asdict(self.settings),
+            "settings": settings,
             "renderer": self._renderer(),
             **(parts[0] if len(parts) == 1 else {"parts": parts}),
         }

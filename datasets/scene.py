@@ -101,6 +101,7 @@ class Dataset:
         scenes: basic scenes by order of the catalogue.
         compositions: name -> names of basic scenes; empty for "views".
         volumes: variable -> function that reads it; empty for "views".
+        samples: rays a pixel of views (:attr:`datasets.views.ViewRequest.samples`).
         framing: function that finds the frame of all views; None: they show each volume's whole box.
     """
 
@@ -111,6 +112,7 @@ class Dataset:
     compositions: dict[str, tuple[str, ...]] = field(default_factory=dict)
     volumes: dict[str, Callable[[], Volume]] = field(default_factory=dict)
     framing: Callable[[Dataset], Frame] | None = None
+    samples: int = 0
     _loaded: dict[str, Volume] = field(default_factory=dict, repr=False)
     _frames: list[Frame] = field(default_factory=list, repr=False)
 

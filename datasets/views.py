@@ -30,6 +30,8 @@ class ViewRequest:
         distance: factor on the usual distance of the cameras (of rendered views).
         step: degrees between test cameras in the middle of the path (of rendered views); 0 spreads them over
             the whole path.
+        samples: rays a pixel of rendered views, a square; 0: as many as each pixel needs
+            (:mod:`datasets.ground_truth.sampling`).
     """
 
     split: Split
@@ -39,6 +41,7 @@ class ViewRequest:
     height: int
     distance: float = 1.0
     step: float = 0.0
+    samples: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,10 +83,18 @@ def set_apart(jobs: pd.DataFrame, current: Current | None = None) -> pd.DataFram
         lambda row: f"{row['width']} \N{MULTIPLICATION SIGN} {row['height']}",
         "views of {}",
     )
+    _by_axis(rows, ("samples",), lambda row: rays_a_pixel(int(row["samples"])), "truth of {}")
     _by_truth(rows)
     return jobs.assign(
         dataset=_column(jobs, "dataset", [row["dataset"] for row in rows]),
         differences=_column(jobs, "dataset", [_text(row["differences"]) for row in rows]),
+    )
+
+
+def rays_a_pixel(samples: int) -> str:
+    """How the pixels of rendered views were sampled."""
+    return (
+        "rays as needed" if samples == 0 else "one ray a pixel" if samples == 1 else f"{samples} rays a pixel"
     )
 
 

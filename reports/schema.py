@@ -45,6 +45,11 @@ def _fps(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.1f}" if value >= 1 else f"{value:.3f}"
 
 
+def rays(samples: int) -> str:
+    """Rays a pixel, for people."""
+    return "as needed" if samples == 0 else f"{samples}"
+
+
 @dataclass(frozen=True)
 class Column:
     """A column, in whichever tables it occurs.
@@ -183,6 +188,8 @@ COLUMNS: dict[str, Column] = _declare(
     Column("metric_versions", _T, "JSON: metric -> its version"),
     Column("width", _W, "width of a view in pixels; in `features`, numbers in a row"),
     Column("height", _W, "height of a view in pixels"),
+    Column("samples", _W, "rays a pixel of rendered views, 0: as many as each pixel needs; null for views "
+           "that were rendered elsewhere", "Rays a pixel", write=rays),
     Column("device", _T, "device of the fit: `cpu`, `cuda`"),
     Column("machine", _T, "host name"),
     Column("processor", _T, "processor, cores and instruction set; `1 of 2 cores`: a share of the machine"),
@@ -379,7 +386,7 @@ _SAVED = (*_FIT, "rate")
 _MEASURED = (*_SAVED, "scene", "split", "truth", "renderer", "metric_versions")
 _RESULT = (
     *_MEASURED, "kind", "edit", "group", "fitted_scenes", "method_version", "options", "knob", "iterations",
-    "train_views", "contents", "test_views", "width", "height", "device", "machine", "threads",
+    "train_views", "contents", "test_views", "width", "height", "samples", "device", "machine", "threads",
     "finished", "commit", "source", "processor", "fit_processor", "procedural", "differences",
 )  # fmt: skip
 TABLES: dict[str, Table] = {

@@ -42,11 +42,13 @@ def _render(options: Namespace, dataset_name: str) -> None:
     from bench.records import Request
     from bench.suites import ViewPreset
     from datasets.catalogue import open_dataset
+    from datasets.ground_truth.sampling import samples_of
     from datasets.png import write_png
     from datasets.render_views import cameras_of, views_of
 
     dataset = open_dataset(dataset_name)
     count = options.views or 8
+    samples = None if options.samples is None else samples_of(options.samples, "--samples")
     model, default = _model(options) if options.model else (None, ())
     names = options.scene or default or [scene.name for scene in dataset.scenes]
     parts = {name: [scene.name for scene in dataset.parts(name)] for name in names}
@@ -62,9 +64,10 @@ def _render(options: Namespace, dataset_name: str) -> None:
         edit = {scene: edits[scene] for scene in scenes if scene in edits}
         if options.size:
             width, height = options.size
-            views = Request(train_views=12, test_views=count, width=width, height=height)
+            rays = 1 if dataset.kind == "views" else dataset.samples if samples is None else samples
+            views = Request(train_views=12, test_views=count, width=width, height=height, samples=rays)
         else:
-            views = inputs.request(dataset, scenes[0], ViewPreset(12, count, 256, 256, sys.maxsize))
+            views = inputs.request(dataset, scenes[0], ViewPreset(12, count, 256, 256, sys.maxsize), samples)
         request = inputs.view_request(views, "test")
         folder = Path(options.out) / dataset.name / name
         folder.mkdir(parents=True, exist_ok=True)

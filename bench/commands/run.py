@@ -171,6 +171,7 @@ def _state(job: Job, record: Record | None, estimate: Estimate | None, store: St
 
 def _selection(options: Namespace) -> Selection:
     """What the command line selects; its plugin folders are chosen by the run."""
+    from datasets.ground_truth.sampling import samples_of
     from methods.options import parse_assignments
 
     return Selection(
@@ -182,6 +183,7 @@ def _selection(options: Namespace) -> Selection:
         seeds=tuple(options.seed),
         preset=options.preset or "",
         split=options.split,
+        samples=None if options.samples is None else samples_of(options.samples, "--samples"),
         overrides=parse_assignments(options.set),
         device=options.device,
     )

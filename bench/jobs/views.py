@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import time
+from collections.abc import Iterable
 
-from bench.inputs import edit_distance, stressed, transfer_summary, views
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.inputs import edit_distance, finer, stressed, transfer_summary, views
 from bench.jobs.context import Context
 from bench.jobs.truth import write_truth
 from bench.records import ViewsResult
@@ -13,7 +18,14 @@ from datasets.catalogue import open_dataset
 from datasets.cloud import cloud_source
 from datasets.errors import DataError
 from datasets.png import write_png
-from datasets.views import Split, ViewSet
+from datasets.views import Split, ViewSet, over
+
+FLOORS = ("psnr", "psnr_fg", "ssim", "flip", "delta_e_uv")
+"""Metrics whose noise floor is measured: all but LPIPS, whose networks are loaded for models alone."""
+CONVERGED = 50.0
+"""PSNR [dB] of a truth against a finer one, from which it has converged."""
+
+_log = logging.getLogger(__name__)
 
 
 def run(context: Context) -> ViewsResult:
@@ -38,6 +50,24 @@ def run(context: Context) -> ViewsResult:
         raise DataError(
             f"{job.dataset_name}/{job.subject}", f"no views in split {job.split!r}", "Use another split"
         )
+    floor: dict[str, float | None] = {}
+    one_ray: dict[str, float | None] = {}
+    floor_seconds = None
+    if dataset.kind == "volume":
+        context.report(stage="noise floor")
+        start = time.perf_counter()
+        other = finer(dataset, job.subject, job.request, job.split, job.edit, stress)
+        own = [measured.images[place] for place in other.places]
+        floor, one_ray = (_against(measured, other.finer, images) for images in (own, other.one_ray))
+        floor_seconds = time.perf_counter() - start
+        if (reached := floor["psnr"]) is not None and reached < CONVERGED:
+            _log.warning(
+                "%s/%s: the truth has not converged: against itself with other rays it reaches %.1f dB, "
+                "and what a method has beyond that means nothing",
+                job.dataset_name,
+                job.subject,
+                reached,
+            )
     context.report(stage="storing")
     scene = dataset.scene(job.subject) if basic else None
     cloud, cloud_seconds = None, None
@@ -64,4 +94,26 @@ def run(context: Context) -> ViewsResult:
         transfer=transfer_summary(dataset, job.subject, job.edit),
         variable="" if scene is None else scene.variable,
         cloud_seconds=cloud_seconds,
+        floor=floor,
+        one_ray=one_ray,
+        floor_seconds=floor_seconds,
     )
+
+
+def _against(
+    views: ViewSet, finer: Iterable[NDArray[np.float32]], images: Iterable[NDArray[np.float32]]
+) -> dict[str, float | None]:
+    """Metrics of premultiplied pictures against finer ones, over the background of the views: means."""
+    from bench.metrics import evaluate
+
+    back = views.background
+    rows = [
+        evaluate(truth, over(image, back), image[..., 3], back, FLOORS).values
+        for truth, image in zip(finer, images, strict=True)
+    ]
+    means: dict[str, float | None] = {}
+    for name in FLOORS:
+        values = [row[name] for row in rows]
+        numbers = [value for value in values if value is not None]
+        means[name] = sum(numbers) / len(values) if len(numbers) == len(values) else None
+    return means

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from datasets.catalogue import entries
 from datasets.catalogue.entries import is_joined
 from datasets.errors import DataError
+from datasets.ground_truth.sampling import samples_of
 from datasets.names import unknown
 
 if TYPE_CHECKING:
@@ -152,7 +153,8 @@ def _from_catalogue(name: str, table: dict[str, Any], folders: Sequence[Path], r
     volumes = {f["variable"]: _reader(paths[f["path"]], f, spacing) for f in table["files"]}
     framing = None if name in entries.built_in() else partial(_framing, table.get("frame"))
     compositions = entries.compositions_of(table)
-    return Dataset(name, table["title"], "volume", _scenes(table), compositions, volumes, framing)
+    samples = samples_of(table.get("samples", "auto"), f"dataset {name}")
+    return Dataset(name, table["title"], "volume", _scenes(table), compositions, volumes, framing, samples)
 
 
 def _framing(table: dict[str, Any] | None, dataset: Dataset) -> Frame:

@@ -117,6 +117,7 @@ class Entry(_Part):
     files: Annotated[list[File], Field(min_length=1)]
     scenes: Annotated[list[Scene], Field(min_length=1)]
     frame: Frame | None = None
+    samples: int | Literal["auto"] = "auto"
     compositions: dict[Name, Annotated[list[str], Field(min_length=2)]] = {}
 
     @model_validator(mode="after")

@@ -8,7 +8,7 @@ Set the variant (:func:`datasets.ground_truth.probe.activate`) before importing 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from functools import lru_cache
 from typing import Any
 
 import drjit as dr
@@ -20,12 +20,11 @@ from datasets.camera import Camera
 from datasets.ground_truth.bricks import Bricks, leaps
 from datasets.ground_truth.field import Field, aligned
 from datasets.ground_truth.kernel import SceneData, march
-from datasets.ground_truth.model import Draw, Layer, Marcher, MarchSettings, Progress, index_transform
+from datasets.ground_truth.model import Layer, Marcher, MarchSettings, index_transform
 from datasets.ground_truth.occlusion import bake
-from datasets.scratch import new_array
+from datasets.ground_truth.sampling import Tracer
 from datasets.volume import Volume
 
-_RAYS_PER_LAUNCH = 2**20
 _TILE = 16
 """Pixels along the side of a tile: neighbouring rays share their fetches."""
 
@@ -64,30 +63,9 @@ class MitsubaMarcher(Marcher):
         self._scale, self._offset = index_transform(first)
         self._half = 0.5 * first.extent
 
-    def prepare(self, layers: Sequence[Layer]) -> Draw:
+    def tracer(self, layers: Sequence[Layer]) -> Tracer:
         """See :class:`datasets.ground_truth.model.Marcher`."""
-        return partial(self._draw, self._scene(layers))
-
-    def _draw(
-        self, data: SceneData, cameras: tuple[Camera, ...], progress: Progress | None = None
-    ) -> NDArray[np.float32]:
-        """Views of a scene; several small ones share a launch."""
-        width, height = cameras[0].width, cameras[0].height
-        images = new_array((len(cameras), height, width, 4), np.float32)
-        batch = max(1, _RAYS_PER_LAUNCH // (width * height))
-        for start in range(0, len(cameras), batch):
-            part = cameras[start : start + batch]
-            with dr.suspend_grad():
-                pixel, inside, *rays = self._rays(part)
-                color, transmitted = march(data, *rays)
-                # The kernel scatters pixels: in NumPy this takes longer than the rays of a sparse scene.
-                picture = dr.zeros(mi.Float, len(part) * width * height * 4)
-                rgba = mi.Vector4f(color.x, color.y, color.z, 1.0 - transmitted)
-                dr.scatter(picture, rgba, pixel, inside)
-            images[start : start + batch] = np.array(picture).reshape(-1, height, width, 4)
-            if progress:
-                progress(start + len(part), len(cameras))
-        return images
+        return _Rays(self._scene(layers), self._half, self._scale, self._offset, self._dt)
 
     def _scene(self, layers: Sequence[Layer]) -> SceneData:
         """Tables, leaps and occlusion of layers."""
@@ -107,34 +85,80 @@ class MitsubaMarcher(Marcher):
         per_voxel = self._scale * self._voxel
         return SceneData(layers, fields, tables, leaps(empty), self._dt, per_voxel, occlusion)
 
-    def _rays(self, cameras: Sequence[Camera]) -> tuple[Any, ...]:
-        """Rays of all pixels in grid indices, tile by tile.
+
+class _Rays:
+    """Rays of a scene; see :class:`datasets.ground_truth.sampling.Tracer`.
+
+    Args:
+        data: the scene.
+        half: (3,) half of the box's sides.
+        scale, offset: of :func:`datasets.ground_truth.model.index_transform`.
+        dt: ray step in scene space.
+    """
+
+    def __init__(
+        self,
+        data: SceneData,
+        half: NDArray[np.float64],
+        scale: NDArray[np.float64],
+        offset: NDArray[np.float64],
+        dt: float,
+    ) -> None:
+        self._data = data
+        self._half, self._scale, self._offset, self._dt = half, scale, offset, dt
+
+    def centres(self, cameras: Sequence[Camera]) -> NDArray[np.float32]:
+        """One ray a pixel, tile by tile."""
+        width, height = cameras[0].width, cameras[0].height
+        view, x, y, place = _centres(len(cameras), width, height)
+        return self._traced(cameras, view, x, y, place).reshape(-1, height, width, 4)
+
+    def rays(
+        self,
+        cameras: Sequence[Camera],
+        view: NDArray[np.uint32],
+        x: NDArray[np.float32],
+        y: NDArray[np.float32],
+    ) -> NDArray[np.float32]:
+        """Rays in the order that they are in: neighbours share their fetches."""
+        return self._traced(cameras, view, x, y, np.arange(len(view), dtype=np.uint32))
+
+    def _traced(
+        self,
+        cameras: Sequence[Camera],
+        view: NDArray[np.uint32],
+        x: NDArray[np.float32],
+        y: NDArray[np.float32],
+        place: NDArray[np.uint32],
+    ) -> NDArray[np.float32]:
+        """(R, 4) values of rays, each at its place."""
+        with dr.suspend_grad():
+            color, transmitted = march(self._data, *self._set_up(cameras, view, x, y))
+            # The kernel scatters pixels: in NumPy this takes longer than the rays of a sparse scene.
+            picture = dr.zeros(mi.Float, 4 * len(view))
+            rgba = mi.Vector4f(color.x, color.y, color.z, 1.0 - transmitted)
+            dr.scatter(picture, rgba, mi.UInt32(aligned(place)))
+            return np.array(picture).reshape(-1, 4)
+
+    def _set_up(
+        self,
+        cameras: Sequence[Camera],
+        view: NDArray[np.uint32],
+        x: NDArray[np.float32],
+        y: NDArray[np.float32],
+    ) -> tuple[Any, ...]:
+        """Rays in grid indices.
 
         Returns:
-            pixel: number of the pixel in the pictures; inside: whether it lies within them (tiles reach over
-            the border); start: entry point into the box; step: one ray step; whole: number of whole steps
-            (-1: the ray misses); rest: remaining part of a step; view: unit vector to the camera.
+            start: entry point into the box; step: one ray step; whole: number of whole steps (-1: the ray
+            misses); rest: remaining part of a step; view: unit vector to the camera.
         """
-        width, height = cameras[0].width, cameras[0].height
-        camera_rows = np.stack([_pack(c) for c in cameras])
-        opaque_width, opaque_height = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
-        across, down = _tiles(width), _tiles(height)
-        opaque_across, opaque_down = dr.opaque(mi.UInt32, across), dr.opaque(mi.UInt32, down)
-        index = dr.arange(mi.UInt32, len(cameras) * down * across * _TILE**2)
-        row = index // _TILE**2 // opaque_across
-        column = index // _TILE**2 - row * opaque_across
-        number = row // opaque_down
-        row -= number * opaque_down
-        within = dr.gather(mi.UInt32, mi.UInt32(aligned(_ORDER)), index % _TILE**2)
-        row = row * _TILE + within // _TILE
-        column = column * _TILE + within % _TILE
-        inside = (column < opaque_width) & (row < opaque_height)
-        camera = mi.Float64(aligned(camera_rows))
+        camera = mi.Float64(aligned(np.stack([_pack(c) for c in cameras])))
+        number = mi.UInt32(aligned(view))
         entry = [dr.gather(mi.Float64, camera, number * _CAMERA_WIDTH + k) for k in range(_CAMERA_WIDTH)]
-
-        x = (mi.Float64(column) + 0.5 - entry[14]) / entry[12]
-        y = (mi.Float64(row) + 0.5 - entry[15]) / entry[13]
-        direction = [entry[3 + 3 * a] * x + entry[4 + 3 * a] * y + entry[5 + 3 * a] for a in range(3)]
+        right = (mi.Float64(mi.Float(aligned(x))) - entry[14]) / entry[12]
+        down = (mi.Float64(mi.Float(aligned(y))) - entry[15]) / entry[13]
+        direction = [entry[3 + 3 * a] * right + entry[4 + 3 * a] * down + entry[5 + 3 * a] for a in range(3)]
         length = dr.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
         direction = [d / length for d in direction]
         near, far = mi.Float64(0.0), mi.Float64(1e30)
@@ -146,15 +170,13 @@ class MitsubaMarcher(Marcher):
             enter, leave = dr.select(swapped, other, one), dr.select(swapped, one, other)
             near, far = dr.select(enter > near, enter, near), dr.select(leave < far, leave, far)
         dt = dr.opaque(mi.Float64, self._dt)
-        steps = dr.select(inside & (far > near), (far - near) / dt, -1.0)
+        steps = dr.select(far > near, (far - near) / dt, -1.0)
         whole = dr.floor(steps)
         scale = [dr.opaque(mi.Float64, float(s)) for s in self._scale]
         offset = [dr.opaque(mi.Float64, float(o)) for o in self._offset]
         start = [(entry[a] + near * direction[a]) * scale[a] + offset[a] for a in range(3)]
         step = [dt * direction[a] * scale[a] for a in range(3)]
         return (
-            (number * opaque_height + row) * opaque_width + column,
-            inside,
             mi.Vector3f(*(mi.Float(s) for s in start)),
             mi.Vector3f(*(mi.Float(s) for s in step)),
             mi.Int32(whole),
@@ -180,5 +202,16 @@ def _tile_order() -> NDArray[np.uint32]:
 _ORDER = _tile_order()
 
 
-def _tiles(pixels: int) -> int:
-    return -(-pixels // _TILE)
+@lru_cache(maxsize=2)  # a full launch, and the last one of a set
+def _centres(views: int, width: int, height: int) -> tuple[NDArray[Any], ...]:
+    """View, x, y and place of the rays of all pixel centres, tile by tile."""
+    down, across = -(-height // _TILE), -(-width // _TILE)
+    row = (np.arange(down)[:, None] * _TILE + _ORDER // _TILE)[:, None]
+    column = np.arange(across)[:, None] * _TILE + _ORDER % _TILE
+    row, column = (np.broadcast_to(one, (down, across, _TILE**2)).ravel() for one in (row, column))
+    inside = (row < height) & (column < width)
+    row, column = row[inside], column[inside]
+    view = np.repeat(np.arange(views, dtype=np.uint32), height * width)
+    place = np.tile((row * width + column).astype(np.uint32), views) + view * np.uint32(height * width)
+    x, y = (np.tile((one + 0.5).astype(np.float32), views) for one in (column, row))
+    return view, x, y, place

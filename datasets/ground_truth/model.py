@@ -1,6 +1,7 @@
 """The optical model of every ground-truth renderer.
 
-Emission-absorption, front to back, along the ray of each pixel centre through the box of the volume:
+A pixel is the mean over its rays (:mod:`datasets.ground_truth.sampling`). Along each of them, emission and
+absorption, front to back, through the box of the volume:
 
 * Samples lie in the middle of segments of length dt = ``step_voxels`` x smallest voxel side. The first
   segment begins where the ray enters the box, the last one ends where the ray leaves it.
@@ -68,7 +69,9 @@ from numpy.typing import NDArray
 
 from datasets.camera import Camera
 from datasets.errors import DataError
+from datasets.ground_truth.sampling import RAYS_AT_ONCE, Tracer, pictures
 from datasets.scene import BasicScene, Isosurface, Light
+from datasets.scratch import new_array
 from datasets.transfer import TransferFunction
 from datasets.volume import Volume
 
@@ -101,10 +104,13 @@ class MarchSettings:
             differs from view to view (no method can learn it); 0.5 reaches 46-55 dB in 1.6-2 times the time.
         table_size: entries of the transfer function's table (linear in between). 16384 leaves an error of
             about 1.5e-5, 1024 an error of 8e-4.
+        samples: rays a pixel (:mod:`datasets.ground_truth.sampling`): 1 goes through its centre, 0 are as
+            many as it needs.
     """
 
     step_voxels: float = 0.5
     table_size: int = 16384
+    samples: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,13 +176,34 @@ class Marcher:
         self._voxel = self._volumes[0].voxel
         self._dt = settings.step_voxels * self._voxel
 
-    def prepare(self, layers: Sequence[Layer]) -> Draw:
-        """Set up the drawing of a scene's views.
+    def tracer(self, layers: Sequence[Layer]) -> Tracer:
+        """Set up the rays of a scene.
 
         Args:
             layers: layers on the marcher's own volumes; several make a composition.
         """
         raise NotImplementedError
+
+    def prepare(self, layers: Sequence[Layer]) -> Draw:
+        """Set up the drawing of a scene's views; several small ones share a launch.
+
+        Args:
+            layers: layers on the marcher's own volumes; several make a composition.
+        """
+        tracer, samples = self.tracer(layers), self._settings.samples
+
+        def draw(cameras: tuple[Camera, ...], progress: Progress | None = None) -> NDArray[np.float32]:
+            width, height = cameras[0].width, cameras[0].height
+            images = new_array((len(cameras), height, width, 4), np.float32)
+            batch = max(1, RAYS_AT_ONCE // (width * height))
+            for start in range(0, len(cameras), batch):
+                part = cameras[start : start + batch]
+                images[start : start + batch] = pictures(tracer, part, samples)
+                if progress:
+                    progress(start + len(part), len(cameras))
+            return images
+
+        return draw
 
     def _numbers(self, layers: Sequence[Layer]) -> list[int]:
         """Index of each layer's volume among the marcher's."""

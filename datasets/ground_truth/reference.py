@@ -17,16 +17,14 @@ from datasets.ground_truth.model import (
     BISECTIONS,
     GRADIENT_FLOOR,
     PHONG_FLOOR,
-    Draw,
     Layer,
     Marcher,
     MarchSettings,
-    Progress,
     index_transform,
 )
 from datasets.ground_truth.occlusion import bake
+from datasets.ground_truth.sampling import Tracer
 from datasets.scene import Light
-from datasets.scratch import new_array
 from datasets.volume import Volume
 
 _SAMPLES_AT_ONCE = {"cpu": 2**20, "cuda": 2**24}
@@ -91,19 +89,9 @@ class ReferenceMarcher(Marcher):
         self._scale, self._offset = self._tensor(scale), self._tensor(offset)
         self._lower, self._upper = (self._tensor(corner) for corner in first.box)
 
-    def prepare(self, layers: Sequence[Layer]) -> Draw:
+    def tracer(self, layers: Sequence[Layer]) -> Tracer:
         """See :class:`datasets.ground_truth.model.Marcher`."""
-        scene = self._scene(layers)
-
-        def draw(cameras: tuple[Camera, ...], progress: Progress | None = None) -> NDArray[np.float32]:
-            images = new_array((len(cameras), cameras[0].height, cameras[0].width, 4), np.float32)
-            for done, camera in enumerate(cameras, start=1):
-                images[done - 1] = self._image(camera, scene).to("cpu", torch.float32).numpy()
-                if progress:
-                    progress(done, len(cameras))
-            return images
-
-        return draw
+        return _Rays(self, self._scene(layers))
 
     def compose_exact(self, camera: Camera, layers: Sequence[Layer]) -> Tensor:
         """(height, width, 4) premultiplied RGBA in this marcher's own precision."""
@@ -124,10 +112,14 @@ class ReferenceMarcher(Marcher):
         baked = bake(layers, [self._normalised[n] for n in numbers], size)
         return _Scene(parts, self._tensor(baked.values), baked.scale, baked.offset)
 
-    @torch.no_grad()
     def _image(self, camera: Camera, scene: _Scene) -> Tensor:
+        """(height, width, 4) values along the rays of all pixel centres."""
         origin, directions = (self._tensor(a) for a in camera.rays())
-        rays = directions.reshape(-1, 3)
+        return self._traced(origin, directions.reshape(-1, 3), scene).reshape(camera.height, camera.width, 4)
+
+    @torch.no_grad()
+    def _traced(self, origin: Tensor, rays: Tensor, scene: _Scene) -> Tensor:
+        """(R, 4) values along rays (R, 3) from one point."""
         near, far = self._box_interval(origin, rays)
         image = torch.zeros(len(rays), 4, dtype=self._dtype, device=self._device)
         hits = torch.nonzero(far > near)[:, 0]
@@ -137,7 +129,7 @@ class ReferenceMarcher(Marcher):
             for part in hits.split(max(1, at_once // steps)):
                 with torch.device(self._device):
                     image[part] = self._march(origin, rays[part], near[part], far[part], scene)
-        return image.reshape(camera.height, camera.width, 4)
+        return image
 
     def _tensor(self, array: NDArray[Any]) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self._device, self._dtype)
@@ -252,6 +244,37 @@ class ReferenceMarcher(Marcher):
         trust = square / (square + floor**2)
         shaded: Tensor = trust * (color * lit + light.specular * facing**light.shininess)
         return shaded + (1.0 - trust) * flat * color
+
+
+class _Rays:
+    """Rays of a scene; see :class:`datasets.ground_truth.sampling.Tracer`."""
+
+    def __init__(self, marcher: ReferenceMarcher, scene: _Scene) -> None:
+        self._marcher, self._scene = marcher, scene
+
+    def centres(self, cameras: Sequence[Camera]) -> NDArray[np.float32]:
+        return np.stack([_float32(self._marcher._image(camera, self._scene)) for camera in cameras])
+
+    def rays(
+        self,
+        cameras: Sequence[Camera],
+        view: NDArray[np.uint32],
+        x: NDArray[np.float32],
+        y: NDArray[np.float32],
+    ) -> NDArray[np.float32]:
+        values = np.empty((len(view), 4), dtype=np.float32)
+        for number in np.unique(view):
+            own = np.flatnonzero(view == number)
+            origin, directions = (
+                self._marcher._tensor(a) for a in cameras[number].rays_through(x[own], y[own])
+            )
+            values[own] = _float32(self._marcher._traced(origin, directions, self._scene))
+        return values
+
+
+def _float32(values: Tensor) -> NDArray[np.float32]:
+    array: NDArray[np.float32] = values.to("cpu", torch.float32).numpy()
+    return array
 
 
 def _value(values: Tensor, index: Tensor) -> Tensor:

@@ -1,0 +1,60 @@
+"""``bench samples``: what rays a pixel are worth, against a finer truth."""
+
+from __future__ import annotations
+
+import time
+from argparse import Namespace
+from dataclasses import replace
+
+from datasets.errors import DataError
+
+NUMBERS = (1, 4, 9, 16, 64, 0)
+"""Samples that are compared; 0: as many as each pixel needs."""
+METRICS = ("psnr", "ssim", "flip", "delta_e_uv")
+
+
+def samples(options: Namespace) -> int:
+    """Print, for each scene and number of rays, its pictures' metrics against finer ones, and their cost."""
+    import pandas as pd
+
+    from bench.commands.results import print_as
+    from bench.metrics import evaluate
+    from datasets.catalogue import open_dataset
+    from datasets.render_views import FLOOR_VIEWS, finer_views, live_renderer
+    from datasets.views import ViewRequest, over
+    from reports.schema import rays
+
+    dataset = open_dataset(options.dataset)
+    if dataset.kind == "views":
+        raise DataError(dataset.name, "was rendered elsewhere", "Name a dataset with a volume")
+    count = options.views or 2 * FLOOR_VIEWS
+    width, height = options.size or (128, 128)
+    rows = []
+    for name in options.scene or [scene.name for scene in dataset.scenes]:
+        request = ViewRequest("test", 12, count, width, height)
+        truth = finer_views(dataset, name, request, count=count)
+        background = dataset.parts(name)[0].background
+        for number in NUMBERS:
+            live = live_renderer(dataset, name, replace(request, samples=number))
+            start = time.perf_counter()
+            images = [live.render(camera) for camera in live.cameras]
+            seconds = time.perf_counter() - start
+            scores = [
+                evaluate(fine, over(image, background), image[..., 3], background, METRICS).values
+                for fine, image in zip(truth.finer, images, strict=True)
+            ]
+            means = {
+                metric: sum(score[metric] or 0.0 for score in scores) / len(scores) for metric in METRICS
+            }
+            rows.append(
+                {
+                    "scene": name,
+                    "rays a pixel": rays(number),
+                    **means,
+                    "ms a view": 1e3 * seconds / len(images),
+                }
+            )
+    print_as(pd.DataFrame(rows), options.format)
+    if options.format == "md":
+        print("Against the same views at twice the size, with as many rays as they need, averaged.")
+    return 0
