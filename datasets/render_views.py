@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache as once
+from functools import lru_cache
 from importlib.metadata import version
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
@@ -151,12 +152,9 @@ def finer_views(
     places = evenly_spaced(len(work.places), count)
     cameras = tuple(work.cameras[work.places[i]] for i in places)
     double = tuple(camera.resized(2 * request.width, 2 * request.height) for camera in cameras)
-    one_ray, finer = (
-        marcher_of(work.volumes, work.backend, replace(work.settings, samples=samples)).prepare(work.layers)(
-            seen
-        )
-        for samples, seen in ((1, cameras), (ADAPTIVE, double))
-    )
+    marcher = _marcher(work.volumes, work.backend)
+    one_ray = marcher.prepare(work.layers, 1)(cameras)
+    finer = marcher.prepare(work.layers, ADAPTIVE)(double)
     means = finer.reshape(len(places), request.height, 2, request.width, 2, 4).mean(
         axis=(2, 4), dtype=np.float64
     )
@@ -225,6 +223,12 @@ def marcher_of(
     return MitsubaMarcher(volumes, settings)
 
 
+@lru_cache(maxsize=1)
+def _marcher(volumes: tuple[Volume, ...], backend: probe.Backend) -> Marcher:
+    """The marcher of the last scene: several sets of its views follow each other."""
+    return marcher_of(volumes, backend)
+
+
 def volume_digest(volume: Volume) -> str:
     """Content hash of a volume's values, type, spacing, range, mask and vertices; computed once."""
     if volume not in _digests:
@@ -286,7 +290,7 @@ class _Work:
     def set_up(self) -> tuple[Draw, float]:
         """The function that draws views of this scene, and the seconds until it was ready."""
         start = time.perf_counter()
-        draw = marcher_of(self.volumes, self.backend, self.settings).prepare(self.layers)
+        draw = _marcher(self.volumes, self.backend).prepare(self.layers, self.settings.samples)
         if self.backend.name != "none":
             draw(self.cameras[:1])  # compiles the kernel
         return draw, time.perf_counter() - start

@@ -166,9 +166,14 @@ class Marcher:
         volume: the field, or the fields of a composition.
         settings: step and table size.
 
+    Attributes:
+        rays_at_once: rays of the views that are drawn together, at one ray a pixel.
+
     Raises:
         DataError: the volumes differ in grid or box.
     """
+
+    rays_at_once = RAYS_AT_ONCE
 
     def __init__(self, volume: Volume | Sequence[Volume], settings: MarchSettings) -> None:
         self._volumes = same_grid((volume,) if isinstance(volume, Volume) else volume)
@@ -184,21 +189,23 @@ class Marcher:
         """
         raise NotImplementedError
 
-    def prepare(self, layers: Sequence[Layer]) -> Draw:
+    def prepare(self, layers: Sequence[Layer], samples: int | None = None) -> Draw:
         """Set up the drawing of a scene's views; several small ones share a launch.
 
         Args:
             layers: layers on the marcher's own volumes; several make a composition.
+            samples: rays a pixel; default: those of the settings.
         """
-        tracer, samples = self.tracer(layers), self._settings.samples
+        tracer = self.tracer(layers)
+        rays = self._settings.samples if samples is None else samples
 
         def draw(cameras: tuple[Camera, ...], progress: Progress | None = None) -> NDArray[np.float32]:
             width, height = cameras[0].width, cameras[0].height
             images = new_array((len(cameras), height, width, 4), np.float32)
-            batch = max(1, RAYS_AT_ONCE // (width * height))
+            batch = max(1, self.rays_at_once // (width * height))
             for start in range(0, len(cameras), batch):
                 part = cameras[start : start + batch]
-                images[start : start + batch] = pictures(tracer, part, samples)
+                images[start : start + batch] = pictures(tracer, part, rays)
                 if progress:
                     progress(start + len(part), len(cameras))
             return images
