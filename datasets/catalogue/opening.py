@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from datasets.catalogue import entries
 from datasets.catalogue.entries import is_joined
 from datasets.errors import DataError
-from datasets.ground_truth.sampling import samples_of
 from datasets.names import unknown
 
 if TYPE_CHECKING:
@@ -134,6 +133,7 @@ def _one(volumes: Callable[[], dict[str, Volume]], variable: str) -> Volume:
 
 
 def _from_catalogue(name: str, table: dict[str, Any], folders: Sequence[Path], request: str) -> Dataset:
+    from datasets.ground_truth.sampling import samples_of
     from datasets.scene import BasicScene, Dataset
 
     paths: dict[str, Path] = {}

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from datasets.errors import DataError
+from datasets.ground_truth.sampling import samples_of
 from datasets.toml import read_toml
 
 REMEDY = "Mend it as docs/guide/data.md shows"
@@ -16,6 +18,14 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=
 Color = tuple[Share, Share, Share]
 Coordinate = Annotated[float, Field(ge=-1.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+def _checked_samples(value: object) -> object:
+    try:
+        samples_of(value, "samples")
+    except DataError as error:
+        raise ValueError(f"{error.reason}. {error.remedy}") from error
+    return value
 
 
 class _Part(BaseModel):
@@ -117,7 +127,7 @@ class Entry(_Part):
     files: Annotated[list[File], Field(min_length=1)]
     scenes: Annotated[list[Scene], Field(min_length=1)]
     frame: Frame | None = None
-    samples: int | Literal["auto"] = "auto"
+    samples: Annotated[int | str, BeforeValidator(_checked_samples)] = "auto"
     compositions: dict[Name, Annotated[list[str], Field(min_length=2)]] = {}
 
     @model_validator(mode="after")

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
+from datasets.scratch import new_array
+
 BRICK = 2
 """Voxels along a brick's side."""
 
@@ -22,15 +24,19 @@ class Bricks:
     Args:
         shape: nz, ny, nx of the field.
         mask: bool of that shape, True for valid values; None: all are valid.
+        together: bytes of all that is held with them (:func:`datasets.scratch.new_array`).
 
     Attributes:
         low, high: float32 least and greatest normalised value of each brick (z, y, x).
     """
 
-    def __init__(self, shape: tuple[int, ...], mask: NDArray[np.bool_] | None = None) -> None:
+    def __init__(
+        self, shape: tuple[int, ...], mask: NDArray[np.bool_] | None = None, together: int = 0
+    ) -> None:
         counts = tuple(max(1, -(-(n - 1) // BRICK)) for n in shape)
-        self.low = np.full(counts, np.inf, dtype=np.float32)
-        self.high = np.full(counts, -np.inf, dtype=np.float32)
+        self.low, self.high = (new_array(counts, np.float32, together) for _ in range(2))
+        self.low.fill(np.inf)
+        self.high.fill(-np.inf)
         self._outside = None
         if mask is not None:
             valid = np.zeros(counts, dtype=bool)

@@ -55,7 +55,7 @@ class MitsubaMarcher(Marcher):
         self._bricks, self._fields = [], []
         together = sum(Field.bytes_of(each.values.shape) for each in self._volumes)
         for each in self._volumes:
-            bricks = Bricks(each.values.shape, each.mask)
+            bricks = Bricks(each.values.shape, each.mask, together)
             slices = bricks.passing(each.normalise(values) for values in each.values)
             self._fields.append(Field(slices, each.values.shape, each.mask, together))
             self._bricks.append(bricks)

@@ -72,6 +72,8 @@ class ReferenceMarcher(Marcher):
         DataError: the volumes differ in grid or box.
     """
 
+    rays_at_once = 1  # a view by itself: progress is seen, and nothing is gained by more
+
     def __init__(
         self,
         volume: Volume | Sequence[Volume],

@@ -22,7 +22,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol
+from numbers import Integral
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,36 +88,38 @@ def checked(samples: int, what: str) -> int:
     Raises:
         DataError: it is none of those.
     """
-    root = math.isqrt(samples) if samples > 0 else 0
-    if samples == ADAPTIVE or (samples == root**2 and 0 < samples <= MOST):
-        return samples
-    near = f"{root**2} or {(root + 1) ** 2}, say" if 0 < samples <= MOST else "16, say"
-    raise DataError(
-        what,
-        f"samples = {samples}: a pixel has 1, 4, 9, 16 ... {MOST} rays",
-        f'Take {near}, or "auto" for as many as each pixel needs',
-    )
+    return ADAPTIVE if _whole(samples) == ADAPTIVE else samples_of(samples, what)
 
 
-def samples_of(value: int | str, what: str) -> int:
-    """A number of samples that a file or a command line asks for.
+def samples_of(value: object, what: str) -> int:
+    """A number of samples that a user asks for.
 
     Args:
-        value: a square, or "auto".
-        what: who asks for it.
+        value: a square, as a number or its digits, or "auto".
+        what: the option, or the function.
 
     Raises:
         DataError: it is neither.
     """
     if value == "auto":
         return ADAPTIVE
-    if (isinstance(value, str) and not value.isdecimal()) or int(value) == ADAPTIVE:
-        raise DataError(
-            what,
-            f"samples = {value}: a pixel has at least one ray",
-            'Take 1, 4, 9, 16 ..., or "auto" for as many as each pixel needs',
-        )
-    return checked(int(value), what)
+    number = _whole(value)
+    root = math.isqrt(number) if 0 < number <= MOST else 0
+    if root and number == root**2:
+        return number
+    near = f"{root**2} or {(root + 1) ** 2}, say" if root else "16, say"
+    raise DataError(
+        what,
+        f"a pixel has 1, 4, 9, 16 ... {MOST} samples, not {value!r}",
+        f'Take {near}, or "auto" for as many as each pixel needs',
+    )
+
+
+def _whole(value: object) -> int:
+    """A whole number, or its digits; -1 for all else."""
+    if isinstance(value, str) and value.isascii() and value.isdecimal() and len(value) < 9:
+        return int(value)
+    return int(cast(int, value)) if isinstance(value, Integral) and not isinstance(value, bool) else -1
 
 
 def pictures(tracer: Tracer, cameras: Sequence[Camera], samples: int) -> NDArray[np.float32]:
@@ -259,6 +262,8 @@ def _bends(
 
 def _bent(image: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Pixels of (n, height, width, 4) off the line between their neighbours along the row or the column."""
+    if min(image.shape[1:3]) == 1:  # no neighbours, along one side at least
+        return np.ones(image.shape[:3], dtype=bool)
     bent = np.zeros(image.shape[:3], dtype=bool)
     for axis in (1, 2):
         lines = np.moveaxis(image, axis, 0)
@@ -266,9 +271,8 @@ def _bent(image: NDArray[np.float32]) -> NDArray[np.bool_]:
         off = _largest(np.abs(0.5 * (before + after) - at)) > BEND
         np.moveaxis(bent, axis, 0)[1:-1] |= off
         for border, inner in ((0, 1), (-1, -2)):
-            if image.shape[axis] > 1:
-                outer, next_ = (np.moveaxis(image, axis, 0)[place] for place in (border, inner))
-                np.moveaxis(bent, axis, 0)[border] |= 0.5 * _largest(np.abs(next_ - outer)) > BEND
+            off = 0.5 * _largest(np.abs(lines[inner] - lines[border])) > BEND
+            np.moveaxis(bent, axis, 0)[border] |= off
     return bent
 
 

@@ -11,6 +11,7 @@ from datasets.catalogue.entries import OWN_ENVIRONMENT, built_in
 from datasets.errors import DataError
 
 LINE = re.compile(r" \(line \d+\)")
+RAYS = "a pixel has 1, 4, 9, 16 ... 1024 samples"
 ENTRY = """
 [[files]]
 path = "ramp.npy"
@@ -84,6 +85,11 @@ def test_a_broken_entry_breaks_nothing_else(folder, monkeypatch):
         (('"ramp.npy"', '"ramp.npy"\nurl = "http://h/ramp.npy"'), "files[0]: a url needs the sha512"),
         (('"ramp.npy"', f'"../r.npy"\nurl = "https://h/r"\nsha512 = "{"0" * 128}"'), "leaves the folder"),
         (('"ramp.npy"', '"ramp.npy"\nurl = "file:///etc/passwd"'), "files[0].url"),
+        *(
+            (("[[files]]", f"samples = {value}\n[[files]]"), f"samples: {RAYS}, not {shown}. Take")
+            for value, shown in (("0", "0"), ("-1", "-1"), ("3", "3"), ("1.5", "1.5"), ("4000000", "4000000"),
+                                 ("'many'", "'many'"), ("true", "True"), ("[4]", "[4]"), ("nan", "nan"))
+        ),
         (("[[files]]", "[[files"), "is no TOML file"),
     ],
 )  # fmt: skip
@@ -94,6 +100,15 @@ def test_a_mistake_is_named_with_its_file_and_key(folder, change, reason):
         open_dataset(str(path))
     assert str(error.value).startswith(f"{path}: ")
     assert reason in LINE.sub("", str(error.value))
+
+
+@pytest.mark.parametrize(("value", "samples"), [("'auto'", 0), ("1", 1), ("16", 16), ("'16'", 16)])
+def test_an_entry_states_the_rays_of_a_pixel(folder, value, samples):
+    path = folder / "engine.toml"
+    path.write_text(f"samples = {value}\n{ENTRY}")
+    assert open_dataset(str(path)).samples == samples
+    path.write_text(ENTRY)
+    assert open_dataset(str(path)).samples == 0
 
 
 def test_a_missing_entry_or_volume_is_named(folder):

@@ -342,7 +342,12 @@ def test_an_edited_palette_looks_like_the_edited_scene(tiny):
 
     dataset = open_dataset("shells")
     train, test, blue = (
-        views_of(dataset, "middle", ViewRequest(split, 42, 16, 96, 96), edit=edit_of("middle", edit))
+        views_of(
+            dataset,
+            "middle",
+            ViewRequest(split, 42, 16, 96, 96, samples=1),
+            edit=edit_of("middle", edit),
+        )
         for split, edit in (("train", ""), ("test", ""), ("test", "palette=#2060e0"))
     )
     given = SceneInput(

@@ -27,7 +27,7 @@ from methods.registry import Registry, load_method
 from methods.volume.codecs import Sz3, Zfp
 from methods.volume.stored import Samples, read
 
-TEST = ViewRequest("test", 12, 3, 32, 32)
+TEST = ViewRequest("test", 12, 3, 32, 32, samples=1)
 FOG = TransferFunction("fog", (Bump("b", 0.3, 0.45, 0.6, 0.8, (0.9, 0.4, 0.2), 0.5),), 0.05)
 SHELL = TransferFunction("shell", (Bump("c", 0.5, 0.6, 1.0, 1.0, (0.2, 0.5, 0.9), 0.7),), 0.05)
 SKINS = (Isosurface("a", 0.4, (0.2, 0.8, 0.3), 0.4), Isosurface("b", 0.7, (0.8, 0.2, 0.3)))
