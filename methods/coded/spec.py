@@ -43,7 +43,7 @@ SPEC = replace(
         f"{PLAIN.reference}; saved as SPZ (Niantic), SOG (PlayCanvas), PLY in Zstandard, and by the integer "
         "coder of this project"
     ),
-    version="2",
+    version="3",
     implementation="methods.coded.method:CodedSplatting",
     rate_knobs=(RateKnob("codec", tuple(CODECS), refit=False),),
 )

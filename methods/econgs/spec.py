@@ -144,7 +144,7 @@ SPEC = MethodSpec(
     reference=(
         "K. Tang, C. Wang: ECoNGS: Efficient Compressive Neural Gaussian Splats for Volume Visualization"
     ),
-    version="6",
+    version="7",
     implementation="methods.econgs.method:Econgs",
     source=SHARED_SOURCE,
     joint=True,

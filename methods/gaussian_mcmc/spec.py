@@ -49,7 +49,7 @@ SPEC = replace(
         "S. Kheradmand, D. Rebain, G. Sharma, W. Sun, J. Tseng, H. Isack, A. Kar, A. Tagliasacchi, K. M. Yi: "
         "3D Gaussian Splatting as Markov Chain Monte Carlo. NeurIPS 2024"
     ),
-    version="2",
+    version="3",
     implementation="methods.gaussian_mcmc.method:GaussianMcmc",
     options=McmcOptions,
     presets={

@@ -94,7 +94,7 @@ SPEC = MethodSpec(
         "B. Kerbl, G. Kopanas, T. Leimkühler, G. Drettakis: 3D Gaussian Splatting for Real-Time Radiance "
         "Field Rendering. ACM Transactions on Graphics 42(4), 2023"
     ),
-    version="6",
+    version="7",
     implementation="methods.gaussian_splatting.method:GaussianSplatting",
     source=SHARED_SOURCE,
     composable=True,

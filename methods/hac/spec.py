@@ -63,7 +63,7 @@ SPEC = replace(
         "Y. Chen, Q. Wu, W. Lin, M. Harandi, J. Cai: HAC: Hash-grid Assisted Context for 3D Gaussian "
         "Splatting Compression. ECCV 2024"
     ),
-    version="6",
+    version="7",
     implementation="methods.hac.method:Hac",
     # Masks move as far as in 30,000 iterations.
     presets={"quick": {**PLAIN.presets["quick"], "mask_lr": 0.045}, "standard": {"mask_lr": 9.1e-3}},

@@ -33,7 +33,7 @@ SPEC = replace(
         "Y. Chen, Q. Wu, W. Lin, M. Harandi, J. Cai: HAC++: Towards 100X Compression of 3D Gaussian "
         "Splatting. IEEE Transactions on Pattern Analysis and Machine Intelligence, 2025"
     ),
-    version="3",
+    version="4",
     implementation="methods.hac_plus.method:HacPlus",
     options=HacPlusOptions,
     presets={**PLAIN.presets, "quick": {**PLAIN.presets["quick"], "offsets": 5}},

@@ -84,7 +84,7 @@ SPEC = replace(
         "K. Tang, S. Yao, C. Wang: iVR-GS: Inverse Volume Rendering for Explorable Visualization via "
         "Editable 3D Gaussian Splatting. IEEE Transactions on Visualization and Computer Graphics 31(6), 2025"
     ),
-    version="8",
+    version="9",
     implementation="methods.ivr_gs.method:IvrGs",
     edits=frozenset({"palette", "opacity", "light", "shading"}),
     uses_alpha=(

@@ -103,7 +103,7 @@ SPEC = MethodSpec(
         "T. Lu, M. Yu, L. Xu, Y. Xiangli, L. Wang, D. Lin, B. Dai: Scaffold-GS: Structured 3D Gaussians for "
         "View-Adaptive Rendering. CVPR 2024"
     ),
-    version="6",
+    version="7",
     implementation="methods.scaffold_gs.method:ScaffoldGS",
     source=SHARED_SOURCE,
     composable=True,

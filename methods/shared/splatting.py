@@ -19,7 +19,7 @@ class SplattingOptions:
         True, "opacities shrink so that the filter keeps a Gaussian's mass (Mip-Splatting)"
     )
     smoothing: float = option(
-        0.1,
+        0.0,
         "variance added to every Gaussian in the scene, px² of the training views at their mean distance",
         minimum=0.0,
         maximum=4.0,

@@ -115,7 +115,7 @@ SPEC = MethodSpec(
         "L. Dyken, A. Sewell, W. Usher, N. Debardeleben, S. Petruzza, S. Kumar: Volume Encoding Gaussians: "
         "Transfer Function-Agnostic 3D Gaussians for Volume Rendering. arXiv:2504.13339, 2025"
     ),
-    version="2",
+    version="3",
     implementation="methods.veg.method:Veg",
     source=SHARED_SOURCE,
     joint=True,

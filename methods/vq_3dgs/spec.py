@@ -36,7 +36,7 @@ SPEC = replace(
         f"{PLAIN.reference}; quantised by products of residual codebooks with fine-tuning, as a line of work "
         "since K. Navaneet, K. Meibodi, S. Koohpayegani, H. Pirsiavash (Compact3D, ECCV 2024) does"
     ),
-    version="6",
+    version="7",
     implementation="methods.vq_3dgs.method:VectorQuantised",
     options=VqOptions,
     rate_knobs=(RateKnob("codebook_size", SIZES, refit=True),),
