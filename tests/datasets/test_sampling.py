@@ -222,7 +222,7 @@ def test_a_diagonal_wire_is_found_along_its_whole_length(slope, width, missed, l
     assert (np.stack(one)[along] > 0.0).mean() < 1.1 * width
     assert (alpha[along] == 0.0).mean() <= missed
     assert not alpha[areas == 0.0].any()
-    assert alpha.sum() == pytest.approx(areas.sum(), rel=0.03)
+    assert alpha.sum() == pytest.approx(areas.sum(), rel=max(missed, 0.01))
     assert decibels(alpha, areas) >= least
 
 
@@ -270,7 +270,7 @@ def exact():
 
 
 @pytest.mark.parametrize(
-    "name", [*SCENES][:4] + [pytest.param(n, marks=pytest.mark.slow) for n in [*SCENES][4:]]
+    "name", [*SCENES][:2] + [pytest.param(n, marks=pytest.mark.slow) for n in [*SCENES][2:]]
 )
 def test_as_many_rays_as_needed_reach_256_rays_in_float64(exact, name):
     layers, cameras, values = SCENES[name], around(A, size=20, pick=(0,)), {}
