@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from bench import identity
 from bench.ladders import Ladder
 from bench.lineage import Lineage, Model
-from bench.records import EncodeResult, FitResult, Job, MeasureResult, Record
+from bench.records import EncodeResult, FitResult, Job, MeasureResult, Record, ViewsResult
 from bench.rungs import ladders_of, rungs_of
 from bench.store import Store
 from bench.versions import changes, elected, scene_choices
-from datasets.catalogue.entries import is_procedural
+from datasets.catalogue.entries import built_in, entry, is_procedural
 from methods.options import label
 from reports import comparability
 from reports.schema import COVERAGE, METRICS, TABLES, frame, joined
@@ -237,11 +237,22 @@ def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
 
 def _samples(record: Record, lineage: Lineage) -> int | None:
     """Rays a pixel of the views; None for pre-rendered ones, and where that is not known."""
-    samples = record.job.request.samples
-    if samples != 1:
-        return samples
-    rendered = identity.renderer(record, lineage) if record.job.kind == "measure" else None
-    return None if rendered in (None, identity.FILES) else 1
+    if record.job.request.samples != 1:
+        return record.job.request.samples
+    if record.views is not None:
+        known: str | None = identity.renderer_of(record.views.cost.get(record.job.split))
+    else:
+        renderers = (identity.renderer(one, lineage) for one in (record, *lineage.fits(record)))
+        known = next(filter(None, renderers), None)
+    here = known != identity.FILES if known else _has_volume(record.job.dataset)
+    return 1 if here else None
+
+
+@cache
+def _has_volume(dataset: str) -> bool:
+    """Whether the catalogue renders all parts of a dataset here, for records without their views."""
+    parts = [part.partition("@")[0] for part in dataset.split("+")]
+    return all(part in built_in() and entry(part)["kind"] != "views" for part in parts)
 
 
 def _processors(records: list[Record]) -> str | None:
@@ -272,6 +283,7 @@ def _facts(record: Record, lineage: Lineage, methods: Mapping[str, MethodSpec]) 
         "timing": _timing(record),
         "features": _features(record),
         "scenes": _scenes(record),
+        "floors": _floors(record),
         "dvr": [_dvr(record)] if record.job.kind == "dvr" else [],
         "complexity": [record.complexity.model_dump()] if record.complexity is not None else [],
     }
@@ -327,6 +339,18 @@ def _scenes(record: Record) -> Iterator[Row]:
         }
 
 
+def _floors(record: Record) -> Iterator[Row]:
+    for name, reached in _reached(record.views).items():
+        yield {"picture": name, **reached}
+
+
+def _reached(views: ViewsResult | None) -> dict[str, Mapping[str, float | None]]:
+    """Picture -> metric -> what it reaches against truth of other rays; empty where that is not known."""
+    if views is None or not views.floor:
+        return {}
+    return {"truth": views.floor, "one ray": views.one_ray}
+
+
 def _rungs(
     record: Record, lineage: Lineage, methods: Mapping[str, MethodSpec], ladders: Iterable[Ladder]
 ) -> Iterator[Row]:
@@ -342,6 +366,8 @@ def _result(record: Record, lineage: Lineage, methods: Mapping[str, MethodSpec])
     """The row of a basic scene (with one model) or of a composition (with those that hold its scenes)."""
     models, fits = lineage.models(record), lineage.fits(record)
     changed = changes(fits, methods)
+    truth = next((one.views for one in lineage.needed(record, "views") if one.views is not None), None)
+    reached = _reached(truth)
     row = {
         "status": record.status,
         "reason": record.reason,
@@ -349,7 +375,9 @@ def _result(record: Record, lineage: Lineage, methods: Mapping[str, MethodSpec])
         "stale": bool(changed),
         "changes": changed,
         "recipe": json.dumps(record.job.recipe) if record.job.recipe else "",
-        "distance": next((one.views.distance for one in lineage.needed(record, "views") if one.views), None),
+        "distance": truth.distance if truth is not None else None,
+        "floor": reached.get("truth", {}).get("psnr"),
+        "one_ray": reached.get("one ray", {}).get("psnr"),
         "fit_reference_seconds": _largest(fit.fit.reference_seconds for fit in fits if fit.fit is not None),
         "fit_reference_worst": _largest(fit.fit.reference_worst for fit in fits if fit.fit is not None),
         **_costs(record.job, models),

@@ -113,7 +113,7 @@ from reports.paper import datasets
 from reports.paper.documents import to_markdown
 from reports.paper.tables import paper_tables
 from reports.paper.values import PaperTable
-from reports.schema import PRUNED
+from reports.schema import PRUNED, records
 from reports.statistics import Views
 from reports.style import MISSING, PAPER, TITLES, counted, label
 from reports.tables.documents import to_markdown as costs_as_markdown
@@ -311,6 +311,7 @@ def _conditions(results: pd.DataFrame, note: str = "", columns: Iterable[str] = 
     parts = [
         "preset " + ", ".join(sorted(set(results["preset"]))),
         ", ".join(f"{width}²" if width == height else f"{width} by {height}" for width, height in sizes),
+        *filter(None, [comparability.fixed_rays(records(results))]),
         "training views " + _series(results["train_views"]),
         f"{'seeds' if results['seed'].nunique() > 1 else 'one seed,'} {_series(results['seed'])}",
     ]

@@ -98,6 +98,30 @@ def rays_a_pixel(samples: int) -> str:
     )
 
 
+def fixed_rays(rows: Iterable[Mapping[str, Any]]) -> str:
+    """As "one ray a pixel" where the truth of rows has a fixed number of rays; else "".
+
+    Datasets are named where others have as many as needed or were rendered elsewhere, but for those whose
+    names have the number.
+
+    Args:
+        rows: with the columns `dataset` and `samples`.
+    """
+    numbers: dict[str, int] = {}
+    for row in rows:
+        samples = 0 if absent(row.get("samples")) else int(row["samples"])
+        numbers[str(row["dataset"])] = samples or numbers.get(str(row["dataset"]), 0)
+    sets: dict[str, list[str]] = defaultdict(list)
+    for dataset, samples in numbers.items():
+        words = rays_a_pixel(samples) if samples else ""
+        sets["" if words in dataset else words].append(dataset)
+    everywhere = len(sets) == 1
+    sets.pop("", None)
+    return "; ".join(
+        words if everywhere else f"{words} ({', '.join(names)})" for words, names in sets.items()
+    )
+
+
 def _column(like: pd.DataFrame, name: str, values: Sequence[Any]) -> pd.Series:
     import pandas as pd
 
@@ -572,11 +596,12 @@ def concerning(
     return [
         one
         for one in found
-        if one.quantity in shown and (starts is None or any(_begins(title, one.dataset) for title in starts))
+        if one.quantity in shown and (starts is None or any(begins(title, one.dataset) for title in starts))
     ]
 
 
-def _begins(title: str, dataset: str) -> bool:
+def begins(title: str, dataset: str) -> bool:
+    """Whether the title of a panel begins with the name of a dataset."""
     rest = title.removeprefix(dataset)
     return rest != title and (not rest or not (rest[0].isalnum() or rest[0] in "_-[@"))
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from reports.floors import Floor, of_row
 from reports.fronts import pareto
 from reports.schema import records
 from reports.style import MIB, Model, absent, mean_key, model
@@ -118,6 +119,12 @@ class Curve:
     @property
     def _beaten(self) -> int:
         return len(self.points) - len(self.front)
+
+
+def floor_of(curves: Iterable[Curve]) -> Floor | None:
+    """The noise floor of the truth that curves of one panel are measured on, mean over its scenes."""
+    known = (of_row(point.row) for curve in curves for point in curve.points)
+    return next((one for one in known if one is not None), None)
 
 
 def at_default_rates(table: pd.DataFrame) -> pd.DataFrame:

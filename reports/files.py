@@ -77,6 +77,7 @@ def _write_rates(report: Report, folder: Path) -> None:
             write_text(path, json.dumps(curve.exchange(), indent=1) + "\n")
     if report.differences:
         table = pd.DataFrame([asdict(difference) for difference in report.differences])
+        table = table.drop(columns="scenes")
         table["warnings"] = ["; ".join(warnings) for warnings in table["warnings"]]
         for name in ("psnr_range", "bytes_range", "rate_interval", "psnr_interval"):
             table[name] = [f"{ends[0]:.7g} to {ends[1]:.7g}" if ends else "" for ends in table[name]]

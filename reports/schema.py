@@ -240,6 +240,13 @@ COLUMNS: dict[str, Column] = _declare(
            "more than 2 degrees against the one before", "Flicker", "steps of 1/255", -1, _fixed(2)),
     Column("identical_views", _W, "views that are identical to the truth"),
     Column("psnr_std", _F, "standard deviation of PSNR over seeds", "±", "dB", 0, _fixed(2)),
+    Column("floor", _F, "noise floor: PSNR of the truth itself against the same views rendered with other, "
+           "more rays, mean over two of the measured views. A difference between models that come near it is "
+           "one of the truth's rays. Null for views that were rendered elsewhere and in older records",
+           "Floor", "dB", 0, _fixed(2)),
+    Column("one_ray", _F, "PSNR of one ray a pixel against these views", "One ray", "dB", 0, _fixed(2)),
+    Column("picture", _T, "`truth`: the measured pictures; `one ray`: those of one ray a pixel", "Picture",
+           write=str),
     # Size.
     Column("size_bytes", _W, "bytes of the files that load opens: the scene's own part and its share of the "
            "shared part, so that rows sum to the dataset's total", "Size", "bytes", -1, mib,
@@ -402,10 +409,10 @@ TABLES: dict[str, Table] = {
         "the maximum. A method that cannot make an edit, or cannot render models of several groups together, "
         "has a row with status `refused`.", _RESULT,
         ("job", "status", "reason", "omissions", "stage", "stale", "changes", "recipe", "distance", *METRICS,
-         *COVERAGE, "flicker", "identical_views", "size_bytes", "group_bytes", "standalone_bytes",
-         "primitives", "drawn", "start_points", "train_seconds", "group_seconds", "partition_seconds",
-         "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95", "ruler",
-         "parts_ruler", "decoding", "fps_decoding", "reference_seconds", "reference_worst",
+         *COVERAGE, "floor", "one_ray", "flicker", "identical_views", "size_bytes", "group_bytes",
+         "standalone_bytes", "primitives", "drawn", "start_points", "train_seconds", "group_seconds",
+         "partition_seconds", "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95",
+         "ruler", "parts_ruler", "decoding", "fps_decoding", "reference_seconds", "reference_worst",
          "fit_reference_seconds", "fit_reference_worst", "peak_host_bytes", "peak_device_bytes",
          "group_peak_host_bytes", "render_host_bytes", "render_device_bytes", "gaussians", *PRUNED),
     ),
@@ -413,6 +420,14 @@ TABLES: dict[str, Table] = {
         "A measured view of a model.", _MEASURED,
         ("job", "view", *METRICS, *COVERAGE, "identical", "truth_file", "render_file", "alpha_file",
          "background"),
+    ),
+    "floors": Table(
+        "What the truth of a scene reaches against the same views rendered with other, more rays (its noise "
+        "floor), and what one ray a pixel reaches: means over two of the measured views. Views that were "
+        "rendered elsewhere have none.",
+        ("dataset", "scene", "kind", "edit", "preset", "split", "requested_views", "width", "height",
+         "samples"),
+        ("job", "picture", *METRICS),
     ),
     "curve": Table(
         "An evaluation during a fit, per scene, on four of the views that are measured at the end; no method "

@@ -21,6 +21,8 @@ INK, GRAY = "#222222", "#888888"
 _TOP, _RIGHT, _BOTTOM, _ABOVE = 8.0, 10.0, 44.0, 24.0
 MOST_LABELS = 10
 """More series than this are named by a legend and when pointed at."""
+_LEVEL = 14.0
+"""Pixels of the line of text that names a level."""
 _MOST_ROOM = 0.35
 _STEPS = 40
 """Points along a line that labels keep clear of."""
@@ -56,6 +58,10 @@ class Axis:
     above: bool = False
     links: Mapping[str, str] = field(default_factory=dict)
     bends: tuple[tuple[float, float], ...] = ()
+
+    def holds(self, value: float) -> bool:
+        """Whether a value is between the ends."""
+        return min(self.low, self.high) <= value <= max(self.low, self.high)
 
     @property
     def unit(self) -> str:
@@ -260,6 +266,22 @@ class Bar(NamedTuple):
     about: str
 
 
+class Level(NamedTuple):
+    """A horizontal line across a panel, which a line of text above it names.
+
+    Attributes:
+        value: of y; the axis need not hold it.
+        text: what it is, with the value.
+        dash: "dash" or "dot".
+        width: in pixels.
+    """
+
+    value: float
+    text: str
+    dash: str
+    width: float
+
+
 @dataclass(frozen=True, eq=False)
 class Panel:
     """Series on two axes.
@@ -271,6 +293,7 @@ class Panel:
         along: whether labels keep clear of the series' lines too, whose x ascend.
         stages: (x, text) of vertical lines.
         bars: drawn below the series.
+        levels: drawn below the series as well, where the vertical axis holds them.
         width, height: in pixels, axes included.
     """
 
@@ -283,6 +306,7 @@ class Panel:
     along: bool = False
     stages: Sequence[tuple[float, str]] = ()
     bars: Sequence[Bar] = ()
+    levels: Sequence[Level] = ()
     width: float = WIDTH
     height: float = HEIGHT
 
@@ -292,7 +316,24 @@ class Panel:
         ticks = max((text_width(text) for _, text in self.y.ticks), default=0.0)
         left = ticks + (28.0 if self.y.title else 10.0)
         top, bottom = (_ABOVE, _TOP) if self.x.above else (_TOP, _BOTTOM)
+        top += _LEVEL * len(self.levels)
         return left, top, self.width - left - _RIGHT, self.height - top - bottom
+
+    @cached_property
+    def level_texts(self) -> list[tuple[float, Level, str]]:
+        """(middle in pixels, level, text) of the lines above the panel."""
+        below = self.box[1] - _LEVEL * len(self.levels)
+        return [
+            (
+                below + _LEVEL * (i + 0.3),
+                one,
+                one.text + ("" if self.y.holds(one.value) else self._outside(one)),
+            )
+            for i, one in enumerate(self.levels)
+        ]
+
+    def _outside(self, level: Level) -> str:
+        return ", above the chart" if level.value > max(self.y.low, self.y.high) else ", below the chart"
 
     def place(self, x: float, y: float) -> tuple[float, float]:
         """Pixels of a point, y down."""

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from reports import floors
 from reports.charts import parts
 from reports.charts.parts import OTHER
+from reports.floors import Floor
 from reports.fronts import pareto
 from reports.schema import COLUMNS
 from reports.style import OTHERS, Look, Model, label, looks, mean_key, mib, model, named, seconds
@@ -31,7 +33,7 @@ AXIS = {
 """Columns that PSNR is drawn against."""
 _NEEDED = (
     "dataset", "preset", "split", "method", "base", "variant", "rate", "scene", "seed", "job", "status",
-    "size_bytes", "psnr",
+    "size_bytes", "psnr", "floor", "one_ray",
 )  # fmt: skip
 """Columns of a trade-off but for its axis: groups of rows with all columns take five times as long."""
 _FEW = 30  # points of a panel
@@ -70,11 +72,19 @@ class Line:
 
 @dataclass
 class Panel:
-    """The chart of a dataset at one preset and split, which its title names where there are several."""
+    """The chart of a dataset at one preset and split, which its title names where there are several.
+
+    Attributes:
+        title: dataset and protocol.
+        lines: its models.
+        better: 1 if a higher x is better, -1 if a lower one is.
+        floor: of the truth, mean over the dataset's scenes; None where it is not known.
+    """
 
     title: str
     lines: list[Line]
     better: int = -1
+    floor: Floor | None = None
 
     @property
     def means(self) -> list[tuple[float, float]]:
@@ -179,7 +189,7 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
             line.means.sort(key=lambda spot: (spot.size, spot.x))
             if line.means and line.model not in own:
                 line.scenes.clear()
-        panels.append(Panel(title, list(lines.values()), AXIS[against].better))
+        panels.append(Panel(title, list(lines.values()), AXIS[against].better, floors.of_table(rows)))
     return panels
 
 

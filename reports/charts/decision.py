@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from statistics import fmean
 
 from reports.charts.chart import GRAY, Chart, Panel, Series, Text, broken_axis, log_axis
+from reports.charts.levels import with_floor
 from reports.conclusions.contest import Contest
 from reports.conclusions.relative import Mark, marks, reference
+from reports.floors import Floor, mean
 from reports.fronts import pareto
 from reports.schema import COLUMNS
 from reports.style import Look, Model, label, look, model_named
@@ -61,7 +64,17 @@ def decision(contest: Contest, column: str, models: list[Model]) -> Chart | None
         series += [_line(line, style.color) for line in crosses.get(method, ())]
         series.append(Series(label(method), [spot[0]], [spot[1]], style, mark=9.0, names=[""]))
         labels.append(Text(*spot, label(method), style.color))
-    return Chart([Panel(COSTS[column], x, y, series, labels, width=_WIDTH, height=_HEIGHT)])
+    panel = Panel(COSTS[column], x, y, series, labels, width=_WIDTH, height=_HEIGHT)
+    return Chart([with_floor(panel, _floor(contest, base), "+.1f")])
+
+
+def _floor(contest: Contest, base: str) -> Floor | None:
+    """How far the noise floor is above a method: mean over datasets of means over scenes, as of marks."""
+    above = []
+    for dataset, scenes in contest.values("psnr").cells[base].items():
+        pairs = [(contest.floors[dataset][scene], fmean(seeds.values())) for scene, seeds in scenes.items()]
+        above.append(mean(floor and floor.above(psnr) for floor, psnr in pairs))
+    return mean(above)
 
 
 def _cross(mark: Mark) -> list[list[tuple[float, float]]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 
 from reports.charts import data, features, training
 from reports.charts.chart import (
@@ -22,9 +23,11 @@ from reports.charts.chart import (
     room_for,
 )
 from reports.charts.labels import text_width
+from reports.charts.levels import with_floor
 from reports.charts.parts import colors
 from reports.conclusions import economy
-from reports.curves import Curve
+from reports.curves import Curve, floor_of
+from reports.floors import Floor
 from reports.schema import PRUNED
 from reports.style import OTHERS, OTHERS_NAME, PALETTE, Look, Model, legend_entries, looks, mib
 
@@ -66,7 +69,8 @@ def tradeoff(panels: Sequence[data.Panel], column: str, models: list[Model]) -> 
                 size = 6.0 if look is OTHERS else 8.5
                 series.append(_spots(line.means, Series(line.model.title, (), (), look, line=1.6, mark=size)))
         labels = [Text(*label) for label in panel.labels(models)]
-        parts.append(Panel(panel.title, x, y, series, labels, panel.to_avoid))
+        drawn = Panel(panel.title, x, y, series, labels, panel.to_avoid)
+        parts.append(with_floor(drawn, panel.floor))
     return Chart(parts, {OTHERS_NAME: OTHERS} if gray else {})
 
 
@@ -100,12 +104,19 @@ def rate_curves(panels: Mapping[str, list[Curve]], models: list[Model]) -> Chart
             series.append(Series(curve.title, size, heights, look, 1.6, 7.0, names=texts, keys=keys))
             if look is not OTHERS:
                 labels.append(Text(size[-1], heights[-1], curve.title, look.color))
-        parts.append(Panel(title, x, y, series, labels, along=True))
+        parts.append(with_floor(Panel(title, x, y, series, labels, along=True), floor_of(curves)))
     return Chart(parts)
 
 
 def lines(
-    panels: Panels, x: str, y: str, models: list[Model], *, log_x: bool = True, log_y: bool = False
+    panels: Panels,
+    x: str,
+    y: str,
+    models: list[Model],
+    *,
+    log_x: bool = True,
+    log_y: bool = False,
+    floors: Mapping[str, Floor | None] = MappingProxyType({}),
 ) -> Chart:
     """Lines named at their ends, a panel per dataset; where there are too many a legend names them.
 
@@ -116,6 +127,7 @@ def lines(
         models: all of the report.
         log_x: whether x is logarithmic; a linear axis begins at 0.
         log_y: whether y is logarithmic.
+        floors: panel -> noise floor of its truth, where y is PSNR.
     """
     across = partial(log_axis, title=x) if log_x else partial(linear_axis, title=x, start=0.0)
     parts = []
@@ -128,18 +140,17 @@ def lines(
             look = styles[curve.model]
             line, mark = (0.8, 3.0) if look is OTHERS else (1.6, 4.5)
             series.append(Series(curve.title, curve.x, curve.y, look, line=line, mark=mark))
-        parts.append(
-            Panel(
-                title,
-                across([v for curve in curves for v in curve.x], room=room_for(names)),
-                log_axis([v for curve in curves for v in curve.y], y)
-                if log_y
-                else broken_axis([curve.y for curve in curves], y, least=2.0),
-                series,
-                [Text(c.x[-1], c.y[-1], c.title, styles[c.model].color) for c in curves] if few else [],
-                [spot for c in curves for spot in zip(c.x, c.y, strict=True)] if few else [],
-            )
+        drawn = Panel(
+            title,
+            across([v for curve in curves for v in curve.x], room=room_for(names)),
+            log_axis([v for curve in curves for v in curve.y], y)
+            if log_y
+            else broken_axis([curve.y for curve in curves], y, least=2.0),
+            series,
+            [Text(c.x[-1], c.y[-1], c.title, styles[c.model].color) for c in curves] if few else [],
+            [spot for c in curves for spot in zip(c.x, c.y, strict=True)] if few else [],
         )
+        parts.append(with_floor(drawn, floors.get(title)))
     crowded = any(len(curves) > _MOST_ENDS for curves in panels.values())
     return Chart(parts, legend_of(panels, models) if crowded else {})
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from reports.charts.chart import Chart
 from reports.charts.elements import Section, annotated
-from reports.comparability import PARTS, Remark, concerning
+from reports.comparability import PARTS, Remark, begins, concerning, fixed_rays
+from reports.schema import records
 from reports.style import counted
 
 if TYPE_CHECKING:
@@ -32,18 +33,20 @@ def with_notes(charts: Mapping[str, Chart], report: Report) -> dict[str, Chart]:
 
     A chart whose panels bear no names of datasets is of all datasets.
     """
-    datasets = {str(name) for name in report.measured["dataset"]}
+    rows = records(report.measured)
     return {
-        name: replace(chart, note=_note(name, chart, report.remarks, datasets))
-        for name, chart in charts.items()
+        name: replace(chart, note=_note(name, chart, report.remarks, rows)) for name, chart in charts.items()
     }
 
 
-def _note(name: str, chart: Chart, remarks: Sequence[Remark], datasets: Collection[str]) -> str:
+def _note(name: str, chart: Chart, remarks: Sequence[Remark], rows: Sequence[Mapping[str, Any]]) -> str:
     clocks = {clock for part, own in _CLOCKS.items() if part in name for clock in own}
     titles = [panel.title for panel in chart.panels]
-    of_datasets = any(title.startswith(dataset) for title in titles for dataset in datasets)
-    found = concerning(remarks, titles if of_datasets else None, ("psnr", *clocks))
+    datasets = {str(row["dataset"]) for row in rows}
+    drawn = {one for one in datasets if any(begins(title, one) for title in titles)}
+    rays = fixed_rays(row for row in rows if not drawn or row["dataset"] in drawn)
+    found = concerning(remarks, titles if drawn else None, ("psnr", *clocks))
     texts = [one.sentence for one in found]
     more = [f"The page has {counted(len(texts) - _MOST, 'more remark')}."] if len(texts) > _MOST else []
-    return " ".join([chart.note, *texts[:_MOST], *more]).strip()
+    parts = [chart.note, rays and f"Ground truth: {rays}.", *texts[:_MOST], *more]
+    return " ".join(filter(None, parts))

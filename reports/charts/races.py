@@ -10,7 +10,9 @@ import numpy as np
 
 from reports.charts.chart import Chart, Panel, Series, Text, broken_axis, log_axis, room_for
 from reports.charts.elements import Section, cards, legend, table
+from reports.charts.levels import with_floor
 from reports.conclusions.races import DISCIPLINES, HEADS, Race, conclusion, row
+from reports.floors import mean
 from reports.style import Look, Model, label, look, model_named
 
 if TYPE_CHECKING:
@@ -54,7 +56,8 @@ def race_chart(found: Sequence[Race], models: list[Model]) -> Chart:
         room = room_for([one.text for one in labels]) if few else 0.0
         x = log_axis([value for one in series for value in one.x], race.discipline.title, room=room)
         y = broken_axis(heights, "PSNR [dB]", least=2.0)
-        panels.append(Panel(race.dataset, x, y, series, labels if few else ()))
+        drawn = Panel(race.dataset, x, y, series, labels if few else ())
+        panels.append(with_floor(drawn, mean(race.floors.values())))
     names = dict.fromkeys(name for race in found for name in race.fronts)
     crowded = any(len(race.fronts) > _MOST_NAMES for race in found)
     return Chart(panels, {label(name): look(model_named(name), models) for name in names} if crowded else {})

@@ -13,6 +13,7 @@ from reports.charts.decision import decisions
 from reports.charts.economy import economy_section
 from reports.charts.elements import Section, card, cards, legend, rest, table
 from reports.charts.ladders import ladders_section
+from reports.charts.levels import by_panel
 from reports.charts.notes import noted, with_notes
 from reports.charts.races import races_section
 from reports.charts.unseen import unseen_section
@@ -239,7 +240,14 @@ def _anytime(report: Report) -> Section | None:
     curve = report.tables["curve"]
     panels = {what: training.anytime(curve, report.results, what) for what in ("psnr", "bytes_estimate")}
     charts = {
-        f"anytime-{name}": kinds.lines(panels[what], _ANYTIME, title, report.models, log_y=what != "psnr")
+        f"anytime-{name}": kinds.lines(
+            panels[what],
+            _ANYTIME,
+            title,
+            report.models,
+            log_y=what != "psnr",
+            floors=by_panel(report.results) if what == "psnr" else {},
+        )
         for name, what, title in (("psnr", "psnr", _PSNR), ("size", "bytes_estimate", _ESTIMATE))
         if panels[what]
     }
@@ -279,7 +287,8 @@ def _convergence(report: Report) -> Section | None:
     entries: dict[str, Look] = {}
     for name, against, title in _CONVERGENCE:
         if panels := training.convergence(curve, against):
-            chart = kinds.lines(panels, title, _PSNR, report.models, log_x=False)
+            floors = by_panel(report.results)
+            chart = kinds.lines(panels, title, _PSNR, report.models, log_x=False, floors=floors)
             charts[f"convergence-{name}"] = chart
             entries |= kinds.legend_of(panels, report.models)
     words = (

@@ -42,6 +42,8 @@ _GAP, _TITLE = 14.0, 15.0
 _PAGE = _COLUMNS * WIDTH + (_COLUMNS - 1) * _GAP
 """Width of a page of paper in pixels; its height is √2 times as much."""
 _TITLE_SIZE = 12.0
+_SAMPLE = 26.0
+"""Length of the sample of a level beside its name in pixels."""
 _LEAST, _MOST = 300.0, 1.5
 """Least width of a panel on the page in pixels, and by how much it may be enlarged."""
 
@@ -138,8 +140,8 @@ def _document(width: float, height: float, content: str, attributes: str) -> str
 def drawing(panel: Panel, *, links: bool = False) -> str:
     """The markup of a panel, its upper left corner at the origin; with the links of its axes if asked for."""
     series = f'<g class="series">{"".join(_series(panel))}</g>'
-    parts = (*_axes(panel, links), *_bars(panel), *_stages(panel), *_bends(panel), series, *_labels(panel))
-    return "".join(parts)
+    below = (*_axes(panel, links), *_bars(panel), *_levels(panel), *_stages(panel), *_bends(panel))
+    return "".join((*below, series, *_labels(panel)))
 
 
 def _axes(panel: Panel, links: bool) -> Iterator[str]:
@@ -174,6 +176,18 @@ def _bars(panel: Panel) -> Iterator[str]:
             f'<rect x="{_n(x)}" y="{_n(y)}" width="{end - x:.2f}" height="{_n(low - y)}" fill="{bar.color}"'
             f' data-about="{escape(bar.about)}"/>'
         )
+
+
+def _levels(panel: Panel) -> Iterator[str]:
+    """Lines across the panel, and above it a sample of each with its name."""
+    left, _, width, _ = panel.box
+    for middle, level, text in panel.level_texts:
+        style = f'stroke="{INK}" stroke-width="{_n(level.width)}" stroke-dasharray="{_DASHES[level.dash]}"'
+        if panel.y.holds(level.value):
+            height = panel.place(panel.x.low, level.value)[1]
+            yield f'<path d="M{_n(left)} {_n(height)}h{_n(width)}" {style} fill="none"/>'
+            yield f'<path d="M{_n(left)} {_n(middle)}h{_n(_SAMPLE)}" {style} fill="none"/>'
+        yield _text(left + _SAMPLE + 6, middle + 4, text, color=_SOFT)
 
 
 def _stages(panel: Panel) -> Iterator[str]:

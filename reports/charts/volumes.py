@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 from reports.charts.chart import INK, Chart, Panel, Series, Text, broken_axis, log_axis
 from reports.charts.elements import Section, cards, table
+from reports.charts.levels import with_floor
 from reports.conclusions.volumes import HEADS, Verdict, conclusion, memory_and_times, row, verdicts
+from reports.curves import floor_of
 from reports.style import MIB, Look, Model, looks
 
 if TYPE_CHECKING:
@@ -47,7 +49,7 @@ def volumes_chart(curves: dict[str, list[Curve]], found: Sequence[Verdict], mode
         x = log_axis([value for one in series for value in one.x], "size per scene [MiB]")
         heights = [[point.psnr for point in curve.points] for curve in rows]
         y = broken_axis(heights, "PSNR [dB]", least=2.0)
-        panels.append(Panel(dataset, x, y, series, labels, along=True))
+        panels.append(with_floor(Panel(dataset, x, y, series, labels, along=True), floor_of(rows)))
         if costs := _costs(dataset, rows, styles):
             panels.append(costs)
     return Chart(panels)

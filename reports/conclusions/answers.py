@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from reports import floors
 from reports.clocks import decoding
+from reports.comparability import fixed_rays
 from reports.conclusions.contest import Cells, Contest, Values
 from reports.conclusions.effects import LEAST_DATASETS, Effect, effect
 from reports.conclusions.family import Family, largest
@@ -21,6 +24,7 @@ from reports.tables.confidence import signed
 if TYPE_CHECKING:
     import pandas as pd
 
+BEST_PICTURE = "Best picture"
 ROBUST = "Most robust"
 EDITABLE = "Can be edited"
 _MOST_NAMES = 3
@@ -81,7 +85,7 @@ class Criterion:
 
 CRITERIA = (
     Criterion("Smallest", "size_bytes", "smaller", " MiB"),
-    Criterion("Best picture", "psnr", "higher", " dB", ratio=False),
+    Criterion(BEST_PICTURE, "psnr", "higher", " dB", ratio=False),
     Criterion("Fastest to train", "train_seconds", "faster"),
     Criterion("Fastest to draw", "fps", "faster", " FPS"),
     Criterion("Least memory", "peak_host_bytes", "smaller", " MiB"),
@@ -155,9 +159,14 @@ def scope(contest: Contest) -> str:
     """What is compared, and when a lead counts."""
     datasets = len(next(iter(contest.values("psnr").cells.values())))
     whole = len(contest.main & set(contest.scenes))
+    rays = "".join(
+        f", {text}"
+        for text in [fixed_rays(row for row in contest.rows if row["dataset"] in contest.main)]
+        if text
+    )
     of = counted(whole, "dataset") if datasets == whole else f"{datasets} of {counted(whole, 'dataset')}"
     text = (
-        f"{len(contest.methods)} methods with their default options on {of}, preset {contest.preset}. "
+        f"{len(contest.methods)} methods with their default options on {of}, preset {contest.preset}{rays}. "
         "A method wins if its lead on every other is significant: Student's t over datasets (scenes of fewer "
         "than three) and seeds, with Holm's correction over all leads of this page (answers, races, rates). "
         "An interval is of one lead alone, without the correction. Robustness and edits are counts without a "
@@ -248,12 +257,25 @@ def measured(criterion: Criterion, contest: Contest, family: Family) -> Answer:
     text += (
         f"{'; '.join(filter(None, remarks))}), better on {lead.wins} of {counted(lead.datasets, 'dataset')}; "
     )
-    text += f"{_seeds(lead)}{_caution(values)}."
+    near_floor = (
+        _closeness(contest, [cells[first.method], cells[rival.method]]) if criterion.column == "psnr" else ""
+    )
+    text += f"{_seeds(lead)}{near_floor}{_caution(values)}."
     if criterion.column == "fps" and (
         condition := decoding(row for row in contest.rows if row["method"] in means)
     ):
         text += f" {condition}"
     return Answer(criterion.title, places, "" if near else order[0], text, len(scenes), level)
+
+
+def _closeness(contest: Contest, pair: Sequence[Cells]) -> str:
+    """Where the better one of two methods comes near to the noise floor of the truth; "" nowhere."""
+    near = floors.closeness(
+        (contest.floors[dataset][scene], max(fmean(one[dataset][scene].values()) for one in pair))
+        for dataset, scenes in pair[0].items()
+        for scene in scenes
+    )
+    return f"; {near}" if near else ""
 
 
 def standing(data: Mapping[str, Iterable[Answer]], method: str) -> str:

@@ -17,6 +17,7 @@ from reports.comparability import (
     kind_of,
     usual_place,
 )
+from reports.floors import Floor, by_scene
 from reports.schema import records
 from reports.style import absent
 from reports.tables.protocols import GROUPING, ORIGIN, contestants
@@ -128,6 +129,14 @@ class Contest:
             if row["method"] in self.methods and not absent(row["stale"]) and row["stale"]:
                 counts[row["method"]] = counts.get(row["method"], 0) + 1
         return counts
+
+    @cached_property
+    def floors(self) -> dict[str, dict[str, Floor | None]]:
+        """Dataset -> scene -> noise floor of its truth."""
+        rows: dict[str, list[dict[str, Any]]] = {}
+        for row in self.rows:
+            rows.setdefault(row["dataset"], []).append(row)
+        return {dataset: by_scene(own) for dataset, own in rows.items()}
 
     def values(self, column: str) -> Values:
         """The values of a column on the datasets where all ranked methods have the scenes that all tried.

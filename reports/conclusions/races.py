@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from statistics import geometric_mean
+from statistics import fmean, geometric_mean
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from reports import floors
 from reports.conclusions.contest import Cells
 from reports.conclusions.effects import Effect, effect
 from reports.conclusions.family import Family, largest
+from reports.floors import Floor
 from reports.fronts import interpolated, pareto
 from reports.schema import records
 from reports.style import MIB, MISSING, absent, counted, label, mib, seconds
@@ -144,12 +146,14 @@ class Race:
         discipline: what is equal.
         fronts: method -> its models; only methods that have all scenes.
         expenses: method, scene, seed and model -> what else it took.
+        floors: scene -> noise floor of its truth, where it is known.
     """
 
     dataset: str
     discipline: Discipline
     fronts: dict[str, Fronts]
     expenses: dict[tuple[str, str, Any, Spot], Expense]
+    floors: dict[str, Floor | None] = field(default_factory=dict)
 
     def costs(self, method: str) -> list[float]:
         """Costs of a method's models, from the least at which it has one of every scene and seed."""
@@ -204,6 +208,16 @@ class Race:
         assert len(known) == len(rivals)  # all have this dataset's scenes
         best = order[0]
         return Lead(limit, best, means[best], self._expense(best, limit), known)
+
+    def closeness(self, lead: Lead, family: Family) -> str:
+        """Where the leader, or who is next to it, comes near to the noise floor of the truth; "" nowhere."""
+        nearest = lead.nearest(family)
+        if nearest is None:
+            return ""
+        pair = [self._cells(name, lead.limit)[self.dataset] for name in (lead.method, nearest[0])]
+        return floors.closeness(
+            (self.floors.get(scene), max(fmean(one[scene].values()) for one in pair)) for scene in pair[0]
+        )
 
     def _expense(self, method: str, limit: float) -> Expense:
         """Geometric means over a method's largest models within a limit."""
@@ -289,16 +303,20 @@ def _race(dataset: str, discipline: Discipline, rows: Sequence[dict[str, Any]]) 
     several = any(
         len(every) > 1 for own in spots.values() for seeds in own.values() for every in seeds.values()
     )
-    return Race(dataset, discipline, fronts, expenses) if len(fronts) > 1 and several else None
+    if len(fronts) < 2 or not several:
+        return None
+    return Race(dataset, discipline, fronts, expenses, floors.by_scene(rows))
 
 
-def _limit(race: Race, lead: Lead) -> str:
-    """A limit, with how many methods have a model within it where not all have, and a single seed."""
+def _limit(race: Race, lead: Lead, family: Family) -> str:
+    """A limit: how many methods have a model within it where not all have, a single seed, a near floor."""
     remarks = []
     if lead.starters < len(race.fronts):
         remarks.append(f"{lead.starters} of {len(race.fronts)} methods")
     if lead.rivals and max(ahead.seeds[1] for _, ahead in lead.rivals) == 1:
         remarks.append("one seed")
+    if near := race.closeness(lead, family):
+        remarks.append(near)
     return race.discipline.text(lead.limit) + (f" [{', '.join(remarks)}]" if remarks else "")
 
 
@@ -319,7 +337,7 @@ def conclusion(found: Sequence[Race], family: Family) -> list[str]:
         for race, lead in leads:
             if family.significant(lead.p):
                 where = won.setdefault(lead.method, {}).setdefault(race.dataset, [])
-                where.append(_limit(race, lead))
+                where.append(_limit(race, lead, family))
         parts: list[str] = []
         for name in sorted(won, key=lambda name: (-sum(map(len, won[name].values())), name)):
             places = (f"{dataset} ({', '.join(at)})" for dataset, at in won[name].items())
@@ -369,4 +387,5 @@ def row(race: Race, lead: Lead, family: Family) -> list[str]:
     )
     least, most = ahead.seeds
     seeds = str(least) if least == most else f"{least} to {most}"
-    return [*cells, label(rival), f"{ahead.mean:.2f}", ends, family.text(lead.p), seeds, starters]
+    gap = ", ".join(filter(None, [f"{ahead.mean:.2f}", race.closeness(lead, family)]))
+    return [*cells, label(rival), gap, ends, family.text(lead.p), seeds, starters]

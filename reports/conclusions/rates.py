@@ -5,19 +5,21 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from reports import rate_intervals
+from reports import floors, rate_intervals
 from reports.conclusions.family import Family, largest
+from reports.floors import Floor
+from reports.schema import records
 from reports.style import MISSING, mib
 from reports.tables import confidence
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.curves import Curve
+    from reports.curves import Curve, Point
     from reports.statistics import Views
 
 LEAST_OVERLAP = 0.5
@@ -49,6 +51,7 @@ class Difference:
         beaten: the method all of whose models are larger and worse than one of the other's; "" if neither.
         warnings: what makes the numbers doubtful, or why one is not there.
         refused: why neither is there.
+        scenes: scene -> noise floor of its truth, and the highest PSNR of both fronts, dB.
     """
 
     dataset: str
@@ -67,6 +70,7 @@ class Difference:
     beaten: str = ""
     warnings: tuple[str, ...] = ()
     refused: str = ""
+    scenes: dict[str, tuple[Floor | None, float]] = field(default_factory=dict)
 
 
 def difference(
@@ -142,7 +146,21 @@ def difference(
         overlap,
         beaten,
         tuple(doubts),
+        scenes={} if results is None else _heights(fronts, results),
     )
+
+
+def _heights(
+    fronts: Sequence[Sequence[Point]], results: pd.DataFrame
+) -> dict[str, tuple[Floor | None, float]]:
+    """Scene -> its floor, and the highest PSNR of any model, mean over seeds."""
+    points = [point for front in fronts for point in front]
+    place = {job: i for i, point in enumerate(points) for job in point.row["jobs"]}
+    rows = results[results["job"].isin(place.keys())]
+    found = floors.by_scene(records(rows))
+    means = rows["psnr"].astype(float).groupby([rows["scene"], rows["job"].map(place)]).mean()
+    best = means.groupby(level=0).max()
+    return {str(scene): (found[str(scene)], float(psnr)) for scene, psnr in best.items()}
 
 
 def _beats(curve: Curve, other: Curve) -> bool:
@@ -354,7 +372,18 @@ def _verdict(pairs: Sequence[Difference], question: _Question, family: Family) -
     parts = [question.words(lead, rival) + remark for lead, rival, remark in leads]
     if beaten := sorted(gap.rival for gap in first.gaps if gap.lead is None):
         parts.append(f"one model of it is smaller and better than all of {' and '.join(beaten)}")
+    if question is _PICTURE and (near := _closeness(pairs, first.name)):
+        parts.append(near)
     return f"{question.where}, {first.name} significantly {question.feat}: {'; '.join(parts)}"
+
+
+def _closeness(pairs: Sequence[Difference], name: str) -> str:
+    """Where a method, or one that it is ahead of, comes near to the noise floor of the truth; "" nowhere."""
+    scenes: dict[str, tuple[Floor | None, float]] = {}
+    for pair in pairs:
+        for scene, (floor, best) in pair.scenes.items() if name in (pair.test, pair.reference) else ():
+            scenes[scene] = floor, max(best, scenes.get(scene, (None, best))[1])
+    return floors.closeness(scenes.values())
 
 
 def _by_dataset(differences: Iterable[Difference]) -> dict[str, list[Difference]]:

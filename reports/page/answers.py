@@ -12,8 +12,10 @@ from reports.charts import svg
 from reports.charts.decision import decisions
 from reports.charts.elements import Section
 from reports.charts.notes import noted
-from reports.conclusions.answers import scope
-from reports.style import Model, label, look, model_named
+from reports.conclusions.answers import BEST_PICTURE, scope
+from reports.floors import mean
+from reports.schema import COLUMNS
+from reports.style import Model, counted, label, look, model_named
 
 if TYPE_CHECKING:
     from reports.charts.chart import Chart
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from reports.conclusions.contest import Contest
 
 _EVIDENCE = {
-    "Smallest": ["ledger"], "Best picture": ["confidence"], "Fastest to train": ["anytime"],
+    "Smallest": ["ledger"], BEST_PICTURE: ["confidence"], "Fastest to train": ["anytime"],
     "Fastest to draw": ["timing"], "Least memory": ["tradeoffs"], "Most robust": ["ladders", "stability"],
     "Can be edited": ["editing"],
 }  # fmt: skip
@@ -94,12 +96,28 @@ def _matrix(answers: list[Answer], contest: Contest, models: list[Model], anchor
     for method in contest.methods:
         cells = "".join(_cell(answer, method) for answer in answers)
         lines.append(f'<tr><th scope="row">{_dot(method, models)}{escape(label(method))}</th>{cells}</tr>')
+    lines += _floor(answers, contest)
     return (
         '<div class="wide" role="region" tabindex="0" aria-label="Methods by criteria"><table class="matrix">'
         "<caption>Methods by criteria: means per scene, shaded from best to worst, and on how many scenes a "
         "method is first; a criterion leads to its "
         f"evidence.</caption><thead><tr>{''.join(heads)}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
     )
+
+
+def _floor(answers: list[Answer], contest: Contest) -> list[str]:
+    """A row with the noise floor under the criterion of PSNR; none where no scene has one."""
+    cells = next(iter(contest.values("psnr").cells.values()))
+    every = [[contest.floors[dataset][scene] for scene in scenes] for dataset, scenes in cells.items()]
+    known = [floor.truth for own in every for floor in own if floor is not None]
+    if not known:
+        return []
+    text = f"<small>{min(known):.1f} to {max(known):.1f} dB on {len(known)} of "
+    text += f"{counted(sum(map(len, every)), 'scene')}</small>"
+    whole = mean(mean(own) for own in every)
+    text = text if whole is None else f"{COLUMNS['floor'].text(whole.truth)} dB<br>{text}"
+    row = "".join(f"<td>{text if answer.title == BEST_PICTURE else ''}</td>" for answer in answers)
+    return [f'<tr class="soft"><th scope="row">Floor of the truth</th>{row}</tr>']
 
 
 def _cell(answer: Answer, method: str) -> str:

@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 
 DETAILS = (
     "job", "commit", "machine", "processor", "fit_processor", "device", "threads", "variant", "rate",
-    "preset", "split", "seed", "group", "iterations", "train_views", "width", "height", "group_seconds",
-    "cpu_seconds", "encode_seconds", "group_bytes", "standalone_bytes", "group_peak_host_bytes", "fps_p05",
-    "fps_p95", "reference_seconds", "identical_views", "stage", "reason", "scenes", "seeds", "note",
+    "preset", "split", "seed", "group", "iterations", "train_views", "width", "height", "samples", "one_ray",
+    "group_seconds", "cpu_seconds", "encode_seconds", "group_bytes", "standalone_bytes",
+    "group_peak_host_bytes", "fps_p05", "fps_p95", "reference_seconds", "identical_views", "stage", "reason",
+    "scenes", "seeds", "note",
 )  # fmt: skip
 """Columns of a row's details."""
 

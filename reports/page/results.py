@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 from reports import markup
-from reports.comparability import kind_of, reason, replaced
+from reports.comparability import kind_of, rays_a_pixel, reason, replaced
 from reports.page.provenance import DETAILS, details
-from reports.schema import COLUMNS, by_name, records
+from reports.schema import COLUMNS, METRICS, by_name, frame, records
 from reports.style import MISSING, absent, label, mean_key, models
 from reports.tables.columns import axes, cell, numbers
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
@@ -52,7 +52,7 @@ def section(report: Report) -> str:
         "A row opens to show the origin of its numbers.</caption>"
         f"<thead><tr>{heads}</tr></thead>{''.join(bodies)}</table></div>"
         f"{markup.data(_interned(writer.details), anchor='details')}"
-        f"{_notes(report, names, writer)}{_failures(report)}"
+        f"{_notes(report, names, writer)}{_floors(report)}{_failures(report)}"
     )
 
 
@@ -210,6 +210,35 @@ def _notes(report: Report, names: list[str], writer: _Rows) -> str:
         f'<p class="note">{note}</p>'
         f'<details class="note"><summary>What the columns mean</summary><dl>{meanings}</dl></details>'
     )
+
+
+def _floors(report: Report) -> str:
+    """What the truth and one ray a pixel reach in each metric, folded; "" where that is not known."""
+    table = report.stored["floors"] if "floors" in report.stored else frame("floors")
+    names = [name for name in METRICS if table[name].notna().any()]
+    lines = dict.fromkeys(
+        (
+            f"{row['dataset']} / {row['scene']}",
+            _picture(row),
+            *(cell(name, row[name]) for name in names),
+        )
+        for _, row in _records(table)
+    )
+    if not lines:
+        return ""
+    heads = ("Scene", "Picture", *(by_name(name).header for name in names))
+    title = "What the truth itself reaches"
+    return (
+        f'<details class="note"><summary>{title}</summary>'
+        "<p>The truth of each scene, and one ray a pixel, against the same views rendered with other, more "
+        "rays: the floor. At 3 dB below it, half of a model's squared error is that of the truth.</p>"
+        f"{markup.table(title, heads, ([escape(text) for text in line] for line in lines))}</details>"
+    )
+
+
+def _picture(row: Mapping[str, Any]) -> str:
+    known = row["picture"] == "truth" and not absent(row["samples"])
+    return f"truth, {rays_a_pixel(int(row['samples']))}" if known else str(row["picture"])
 
 
 def _failures(report: Report) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from reports.clocks import Clocks
-from reports.comparability import compared, judged, reason, remarks, replaced
+from reports.comparability import compared, fixed_rays, judged, reason, remarks, replaced
 from reports.paper.layouts import layouts, published_as, reference, rivals, sole_dataset, takes
 from reports.paper.marks import marks
 from reports.paper.values import (
@@ -176,6 +176,7 @@ def _block(
     count = results.loc[results["kind"] == "basic", "scene"].nunique()
     scenes = f"{count} {'scene' if count == 1 else 'scenes'}, preset {first['preset']}, "
     scenes += f"{first['split']} views of {first['width']} \N{MULTIPLICATION SIGN} {first['height']}"
+    scenes += "".join(f", {rays}" for rays in [fixed_rays(records(results))] if rays)
     protocol = [str(first["preset"])] + ([str(first["split"])] if first["split"] != "test" else [])
     if not _by_views(layout) and not absent(first["requested_views"]):
         scenes += f", {first['requested_views']} training views"

@@ -37,7 +37,7 @@ def numbers(results: pd.DataFrame) -> tuple[str, ...]:
     """The numbers of `results` that people read, in order of display: what decides comes first."""
     first, *others = sorted(quality(results), key=lambda name: name != "psnr")
     return (
-        first, "size_bytes", "train_seconds", "fps", "peak_host_bytes", "peak_device_bytes", *others,
+        first, "floor", "size_bytes", "train_seconds", "fps", "peak_host_bytes", "peak_device_bytes", *others,
         "primitives", "load_seconds",
     )  # fmt: skip
 

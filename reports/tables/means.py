@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _KEYS = ("dataset", "method", "variant", "rate", "preset", "split")
-_MEAN = (*METRICS, "fps")
+_MEAN = (*METRICS, "floor", "one_ray", "fps")
 _SUM = ("size_bytes", "train_seconds", "load_seconds", "primitives")
 _MAX = ("peak_host_bytes", "peak_device_bytes")
 _NUMBERS = (*_MEAN, *_SUM, *_MAX)

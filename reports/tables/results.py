@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from reports import comparability
-from reports.schema import COLUMNS, by_name
+from reports.schema import COLUMNS, by_name, records
 from reports.style import absent, label
 from reports.tables.columns import axes, cell, is_results, numbers
 
@@ -32,9 +32,11 @@ def display(results: pd.DataFrame) -> pd.DataFrame:
 
 
 def notes(results: pd.DataFrame) -> list[str]:
-    """Reasons why finished rows lack a metric, each once, and what is not compared and why."""
+    """A fixed number of rays of the truth, reasons why finished rows lack a metric, what is not compared."""
     reasons = results.loc[results["status"] == "ok", "reason"].dropna().astype(str)
-    return [note for note in dict.fromkeys([*reasons, *comparability.notes(results)]) if note]
+    rays = comparability.fixed_rays(records(results))
+    every = [rays and f"Ground truth: {rays}.", *reasons, *comparability.notes(results)]
+    return [note for note in dict.fromkeys(every) if note]
 
 
 def omissions(text: Any) -> dict[str, str]:
@@ -68,6 +70,7 @@ def marked(text: str, left_out: bool) -> str:
 
 _OPTIONAL = (
     "reason", "load_seconds", "peak_device_bytes", "peak_host_bytes", "primitives", "delta_e_uv", "psnr_fg",
+    "floor",
 )  # fmt: skip
 """Columns that a narrow terminal omits, in this order."""
 _GAP = 2

@@ -188,7 +188,8 @@ def measured(rng, curves, *, views=48, seeds=1, view_noise=0.4, seed_noise=0.0, 
             jobs = tuple(f"{name}{i}-{seed}" for seed in range(seeds))
             values = psnr + common + own + 0.2 * rng.normal(0, view_noise, (seeds, views)) + shifts[:, None]
             for seed, job in enumerate(jobs):
-                fits.append({"job": job, "seed": seed, "size_bytes": size * sizes_of[seed]})
+                fit = {"job": job, "scene": "s", "seed": seed, "psnr": values[seed].mean()}
+                fits.append(fit | {"size_bytes": size * sizes_of[seed]})
                 for view in range(views):
                     rows.append(
                         {
