@@ -70,6 +70,7 @@ PLANTS = {
     "one view less": Planted(of(views=tuple(range(VIEWS - 1))), f"{VIEWS - 1} test views"),
     "other views": Planted(of(test_views=7, views=tuple(range(1, 7))), "another truth"),
     "resolution": Planted(of(size=100), "100 .{1,9} 100"),
+    "samples": Planted(of(samples=1), "one ray a pixel"),
     "metric version": Planted(of(metrics={"psnr": "2", "ssim": "1"}), "another metric: version", times=True),
     "ruler": Planted(of(ruler=1), "another ruler", pictures=True),
     "processor": Planted(of(cpu="Xeon"), "elsewhere: .*Xeon", pictures=True),
