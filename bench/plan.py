@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 from types import MappingProxyType
 from typing import Any
 
@@ -26,7 +25,7 @@ from datasets.edits import changes_transfer
 from datasets.names import unknown
 from datasets.unseen import recipe
 from methods.interface import CLOUD_POINTS, MethodSpec
-from methods.options import ITERATIONS, Settings, resolve
+from methods.options import ITERATIONS, SAMPLES, Settings, resolve
 from methods.registry import Registry
 from reports import schema
 
@@ -111,9 +110,10 @@ class Planner:
         for spec in self._specs:
             for variant in self._selection.suite.variants:
                 overrides = {**variant.get(spec.name, {}), **self._selection.overrides.get(spec.name, {})}
-                for settings, rates in chain(
-                    self._with_rates(spec, overrides), self._with_lengths(spec, overrides)
-                ):
+                choices = [*self._with_rates(spec, overrides), *self._with_lengths(spec, overrides)]
+                if SAMPLES in overrides:  # the same model, drawn otherwise: at its own size alone
+                    choices = [(resolve(spec, self._like, overrides), [None])]
+                for settings, rates in choices:
                     if (spec.name, settings.variant) not in variants:
                         variants.add((spec.name, settings.variant))
                         yield spec, settings, rates
@@ -245,7 +245,7 @@ class Planner:
             yield from tested.values()
         for spec, settings, rates in case.choices:
             for seed in seeds:
-                training = partial(self._training, case, spec, settings, seed, views)
+                training = partial(self._training, case, spec, settings.fitted, seed, views)
                 groups, partition = [[scene] for scene in subset.hashes], None
                 if spec.joint:
                     partition = training("partition", list(subset.hashes))
@@ -255,7 +255,8 @@ class Planner:
                 after = {"partition": partition.key if partition else None}
                 needs = (partition.id,) if partition else ()
                 fits = [training("fit", group, needs, after) for group in groups]
-                yield from self._of_fits(spec, fits, replace(case, subset=subset), tested, edited, rates)
+                jobs = self._of_fits(spec, fits, replace(case, subset=subset), tested, edited, rates)
+                yield from (_drawn(job, settings) for job in jobs)
 
     def _of_fits(
         self,
@@ -489,6 +490,14 @@ def _of(
 ) -> list[Job]:
     """The models at a rate that hold some scenes, each once."""
     return list({encodes[scene, rate].id: encodes[scene, rate] for scene in scenes}.values())
+
+
+def _drawn(job: Job, settings: Settings) -> Job:
+    """A measurement by the settings that decide drawing alone; other jobs as they are."""
+    if job.kind != "measure" or settings.samples == 1:
+        return job
+    identity = {**job.identity, SAMPLES: settings.samples}
+    return _after(job, identity, variant=settings.variant, overrides=settings.overrides)
 
 
 def _after(job: Job, identity: dict[str, Any], **changes: Any) -> Job:

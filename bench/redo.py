@@ -30,6 +30,7 @@ from bench.records import Job, Record
 from bench.runner import Runner
 from bench.store import Store, read_record, write_text
 from bench.stress import stress_of
+from bench.supersampling import drawn_as
 from bench.timing import available_cores
 from bench.worker import log_tail
 from datasets.catalogue import open_dataset
@@ -357,9 +358,8 @@ def _measured(store: Store, folder: Path, request: dict[str, Any]) -> dict[str, 
     edit = edits_of(job.scenes, job.edit)
     if job.recipe:
         edit = {scene: one for name, text in job.recipe.items() for scene, one in edit_of(name, text).items()}
-    model = load_models(
-        method, [context.path_of(one) / "model" for one in context.inputs("encode")], job.device
-    )
+    folders = [context.path_of(one) / "model" for one in context.inputs("encode")]
+    model = drawn_as(job, load_models(method, folders, job.device))
     assert record.measure is not None
     recorded = {name: job.metrics.get(name, "1") for name in record.measure.metrics}
     names = [name for name, version in recorded.items() if _is_todays(name, version)]

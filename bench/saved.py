@@ -27,6 +27,7 @@ def load(
         DataError: there is no such job, or its method refuses to compose its groups or the device.
     """
     from bench.jobs.measure import load_models
+    from bench.supersampling import drawn_as
     from bench.worker import prepare_device
     from methods.interface import Refused
     from methods.registry import Registry, load_method
@@ -48,7 +49,7 @@ def load(
     folders = [store.jobs / encode.job.id / "model" for encode in encodes if encode is not None]
     try:
         prepare_device(device, spec)
-        model = load_models(load_method(spec), folders, device)
+        model = drawn_as(record.job, load_models(load_method(spec), folders, device))
     except Refused as error:
         raise DataError(job_id, str(error), "Render another model, or on another device") from error
     count = sum(file.stat().st_size for folder in folders for file in folder.rglob("*") if file.is_file())

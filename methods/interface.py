@@ -140,6 +140,8 @@ class MethodSpec:
         edits: which parts of :class:`Edit` it honours.
         needs_volume: reads the volume itself, not only views and cloud.
         volume_scenes: kinds of scenes that a method which reads the volume takes; it must refuse the others.
+        point_sampled: draws what is at the centre of a pixel; ``--set name.samples=16`` draws the mean over
+            16 points of it, the model being the same.
         uses_alpha: how it uses the alpha of training views, for people.
         devices: "cpu", "cuda".
         iterations: preset name -> training iterations of one scene; every one of :data:`PRESETS`, at least. A
@@ -164,6 +166,7 @@ class MethodSpec:
     edits: frozenset[Literal["palette", "opacity", "light", "shading", "transfer"]] = frozenset()
     needs_volume: bool = False
     volume_scenes: frozenset[Literal["transfer", "isosurfaces"]] = frozenset({"transfer", "isosurfaces"})
+    point_sampled: bool = False
     devices: tuple[str, ...] = ("cpu", "cuda")
     options: type[Any] = NoOptions
     presets: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)

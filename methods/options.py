@@ -19,6 +19,9 @@ GROUP_BUDGET = "group_budget"
 """An option of this name of a method that trains scenes together: a group of n scenes has n to this power
 times the iterations of one scene. Without such an option every group has those of one scene."""
 
+SAMPLES = "samples"
+"""Settable like an option where a method is point-sampled: rays a pixel when its model is drawn."""
+
 CONFIGURATION = "configuration"
 """Settable like an option where a method has configurations: the name of one."""
 
@@ -35,12 +38,19 @@ class Settings:
         iterations: training iterations of a group of one scene.
         overrides: options that differ from the preset's, with "iterations" and "configuration".
         knob: the rate knob among them that needs a fit for each value; "" if there is none.
+        samples: rays a pixel when the model is drawn; they decide no fit.
     """
 
     options: Any
     iterations: int
     overrides: dict[str, OptionValue]
     knob: str
+    samples: int = 1
+
+    @property
+    def fitted(self) -> Settings:
+        """The settings of the fit alone."""
+        return replace(self, overrides={k: v for k, v in self.overrides.items() if k != SAMPLES}, samples=1)
 
     def budget(self, scenes: int, share: float = 1.0) -> int:
         """Training iterations of a group of that many scenes, or a share of them, at least one.
@@ -129,6 +139,14 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
             if value != iterations:
                 changed[name] = value
                 iterations = int(value)
+        elif name == SAMPLES and spec.point_sampled:
+            about = Option(1, "rays a pixel when the model is drawn: 1, 4, 9, 16 ...", 1, 1024)
+            samples = int(check(spec.name, name, about, text))
+            if math.isqrt(samples) ** 2 != samples:
+                near = f"{math.isqrt(samples) ** 2} or {(math.isqrt(samples) + 1) ** 2}"
+                raise DataError(f"option {spec.name}.{name} = {samples}", "is no square", f"Take {near}, say")
+            if samples != 1:
+                changed[name] = samples
         elif name in declarations:
             value = check(spec.name, name, declarations[name], text)
             if value != options[name]:
@@ -136,9 +154,10 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
                 options[name] = value
         else:
             names = [*declarations, ITERATIONS, *([CONFIGURATION] if spec.configurations else [])]
+            names += [SAMPLES] if spec.point_sampled else []
             raise unknown("option", name, names, of=f"method {spec.name}")
     knob = next((knob.name for knob in spec.rate_knobs if knob.refit and knob.name in changed), "")
-    return Settings(spec.options(**options), iterations, changed, knob)
+    return Settings(spec.options(**options), iterations, changed, knob, int(changed.get(SAMPLES, 1)))
 
 
 def parse_assignments(texts: Iterable[str]) -> dict[str, dict[str, OptionValue]]:

@@ -16,6 +16,7 @@ from bench.jobs import answers
 from bench.jobs.context import Context
 from bench.records import FrameTimes, MeasureResult, PruningResult, ViewResult
 from bench.stress import stress_of
+from bench.supersampling import drawn_as
 from bench.timing import MEASURE_SECONDS, RULERS, median_timings, peak_device_bytes, synchronise, time_frames
 from datasets.memory import peak_host_bytes
 from datasets.units import camera_in_units
@@ -63,6 +64,7 @@ def run(context: Context) -> MeasureResult:
     context.report(stage="load")
     start = time.perf_counter()
     model = load_models(method, [context.path_of(encode) / "model" for encode in encodes], job.device)
+    model = drawn_as(job, model)
     synchronise(job.device)
     load_seconds = time.perf_counter() - start
     if absent := [scene for scene in scenes if scene not in model.scenes]:

@@ -76,6 +76,7 @@ SPEC = MethodSpec(
     implementation="methods.ccnerf.method:CcNerf",
     source=SHARED_SOURCE,
     composable=True,
+    point_sampled=True,
     edits=frozenset({"opacity"}),
     uses_alpha="views are composited on the training background; alpha is also a target of its own",
     options=CpOptions,

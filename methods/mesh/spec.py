@@ -31,6 +31,7 @@ SPEC = MethodSpec(
     implementation="methods.mesh.method:MeshMethod",
     source=SHARED_SOURCE,
     composable=True,
+    point_sampled=True,
     edits=frozenset({"palette", "opacity", "light", "shading"}),
     needs_volume=True,
     volume_scenes=frozenset({"isosurfaces"}),

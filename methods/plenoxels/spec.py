@@ -65,6 +65,7 @@ SPEC = MethodSpec(
     implementation="methods.plenoxels.method:Plenoxels",
     source=SHARED_SOURCE,
     composable=True,
+    point_sampled=True,
     edits=frozenset({"opacity"}),
     uses_alpha="it bounds the first voxels; views are composited on the background; alpha is a target too",
     options=PlenoxelsOptions,

@@ -26,6 +26,7 @@ SPEC = MethodSpec(
     source=("datasets", *SHARED_SOURCE),
     joint=True,
     composable=True,
+    point_sampled=True,
     edits=frozenset({"palette", "opacity", "light", "shading", "transfer"}),
     needs_volume=True,
     uses_alpha="not at all: nothing is learned from views",
