@@ -2,6 +2,8 @@
 
 import re
 
+import pytest
+
 from reports.charts.report import Report
 from reports.comparability import judged
 from reports.conclusions.answers import to_text
@@ -48,3 +50,45 @@ def test_disturbed_times_are_marked(maker):
     page = write_report(tables, maker.root, maker.root / "r.html").read_text(encoding="utf-8")
     marks = re.findall(r'(\S+) <abbr title="[^"]* 2.0 times its quiet time[^"]*">disturbed</abbr>', page)
     assert marks == ["data-v=120>(120)", "ms)"], "loading was timed beside"
+
+
+@pytest.mark.parametrize(
+    ("floors", "texts"),
+    [
+        ((50.0, 54.0), ["52.00 dB", "50.0 to 54.0 dB on 2 of 2 scenes"]),
+        ((50.0, None), ["50.0 to 50.0 dB on 1 of 2 scenes"]),
+        ((None, None), []),
+    ],
+)
+def test_the_first_table_has_the_floor_of_the_truth(maker, floors, texts):
+    for scene, floor in zip(("a", "b"), floors, strict=True):
+        for method in ("3dgs", "econgs"):
+            maker.run("d", scene, method, floor=floor, views=0)
+    page = write_report(maker.tables(), maker.root, maker.root / "r.html").read_text(encoding="utf-8")
+    matrix = re.search(r'<table class="matrix">.*?</table>', page)[0]
+    heads = [re.sub("<.*?>", "", head) for head in re.findall("<th scope=.col.>(.*?)</th>", matrix)]
+    lines = re.findall(r'<tr class="soft">(.*?)</tr>', matrix)
+    assert bool(lines) == bool(texts)
+    for line in lines:
+        cells = [re.sub("<[^>]*>", "|", cell).strip("|") for cell in re.findall("<td>(.*?)</td>", line)]
+        assert len(cells) == len(heads) - 1
+        place = heads.index("Best picture") - 1
+        assert [text for text in cells[place].split("|") if text] == texts
+        assert not any(cells[:place] + cells[place + 1 :])
+
+
+def test_the_page_has_what_the_truth_reaches_in_each_metric(maker):
+    maker.run("d", "a", floor=54.12, one_ray=30.81, samples=0, views=0)
+    axes = {"dataset": "d", "scene": "a", "kind": "basic", "samples": 0}
+    for job in ("views-1", "views-2"):  # of two splits, say
+        maker.rows["floors"] += [
+            axes | {"job": job, "picture": "truth", "psnr": 54.12, "ssim": 0.9991},
+            axes | {"job": job, "picture": "one ray", "psnr": 30.81, "ssim": 0.95},
+        ]
+    page = write_report(maker.tables(), maker.root, maker.root / "r.html").read_text(encoding="utf-8")
+    table = re.search(r"<caption>What the truth itself reaches</caption>.*?</table>", page)[0]
+    rows = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", line) for line in re.findall("<tr>(.*?)</tr>", table)]
+    assert rows[0][2:] == ["PSNR [dB]", "SSIM"]
+    assert [line[2:] for line in rows[1:]] == [["54.12", "0.9991"], ["30.81", "0.9500"]]
+    assert "rays as needed" in rows[1][1]
+    assert "54.12" in re.search(r"<tr class=\"row scene\".*?</tr>", page)[0]
