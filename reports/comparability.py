@@ -101,25 +101,26 @@ def rays_a_pixel(samples: int) -> str:
 def fixed_rays(rows: Iterable[Mapping[str, Any]]) -> str:
     """As "one ray a pixel" where the truth of rows has a fixed number of rays; else "".
 
-    Datasets are named where others have as many as needed or were rendered elsewhere, but for those whose
-    names have the number.
+    Datasets are named where others that are rendered here have other numbers, but for those whose names have
+    the number.
 
     Args:
         rows: with the columns `dataset` and `samples`.
     """
-    numbers: dict[str, int] = {}
+    numbers: dict[str, int | None] = {}
     for row in rows:
-        samples = 0 if absent(row.get("samples")) else int(row["samples"])
-        numbers[str(row["dataset"])] = samples or numbers.get(str(row["dataset"]), 0)
+        dataset, samples = str(row["dataset"]), row.get("samples")
+        numbers[dataset] = numbers.get(dataset) if absent(samples) else int(samples)  # type: ignore[arg-type]
     sets: dict[str, list[str]] = defaultdict(list)
-    for dataset, samples in numbers.items():
-        words = rays_a_pixel(samples) if samples else ""
-        sets["" if words in dataset else words].append(dataset)
-    everywhere = len(sets) == 1
-    sets.pop("", None)
-    return "; ".join(
-        words if everywhere else f"{words} ({', '.join(names)})" for words, names in sets.items()
-    )
+    for dataset, number in numbers.items():
+        if number is not None:
+            sets[rays_a_pixel(number)].append(dataset)
+    fixed = {words: names for words, names in sets.items() if words != rays_a_pixel(0)}
+    if len(sets) == 1:
+        where = " where rendered here" if None in numbers.values() else ""
+        return "".join(f"{words}{where}" for words in fixed)
+    unnamed = {words: [name for name in names if words not in name] for words, names in fixed.items()}
+    return "; ".join(f"{words} ({', '.join(names)})" for words, names in unnamed.items() if names)
 
 
 def _column(like: pd.DataFrame, name: str, values: Sequence[Any]) -> pd.Series:

@@ -50,6 +50,8 @@ def row(dataset, samples):
     [
         ([("a", 1), ("b", 1)], "one ray a pixel"),
         ([("a", 16), ("a", None)], "16 rays a pixel"),
+        ([("a", 1), ("b", None), ("c", 1)], "one ray a pixel where rendered here"),
+        ([("a", None)], ""),
         ([("a", 0), ("b", None)], ""),
         ([("a", 1), ("b", 0), ("c", 1), ("d", None)], "one ray a pixel (a, c)"),
         ([("a", 1), ("b", 16)], "one ray a pixel (a); 16 rays a pixel (b)"),
