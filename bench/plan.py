@@ -109,10 +109,11 @@ class Planner:
         variants = set()
         for spec in self._specs:
             for variant in self._selection.suite.variants:
-                overrides = {**variant.get(spec.name, {}), **self._selection.overrides.get(spec.name, {})}
+                own = variant.get(spec.name, {})
+                overrides = {**own, **self._selection.overrides.get(spec.name, {})}
                 choices = [*self._with_rates(spec, overrides), *self._with_lengths(spec, overrides)]
-                if SAMPLES in overrides:  # the same model, drawn otherwise: at its own size alone
-                    choices = [(resolve(spec, self._like, overrides), [None])]
+                if SAMPLES in own and (usual := resolve(spec, self._like, overrides)).samples != 1:
+                    choices = [(usual, [None])]  # a suite's second drawing, at the method's own size alone
                 for settings, rates in choices:
                     if (spec.name, settings.variant) not in variants:
                         variants.add((spec.name, settings.variant))

@@ -3,45 +3,78 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.timing import synchronise
 from methods.options import SAMPLES
 
 if TYPE_CHECKING:
     from bench.records import Job
     from datasets.camera import Camera
+    from datasets.edits import Edit
+    from datasets.scene import RGB
     from methods.interface import Model
 
 
-def drawn_as(job: Job, model: Model) -> Any:
-    """The model as a measurement draws it."""
+def drawn_as(job: Job, model: Model) -> Model:
+    """The model as a measurement draws it: itself, or as means over pixels."""
     samples = int(job.overrides.get(SAMPLES, 1))
-    return model if samples == 1 else Supersampled(model, math.isqrt(samples))
+    return model if samples == 1 else Supersampled(model, math.isqrt(samples), job.device)
 
 
 class Supersampled:
     """A :class:`methods.interface.Model` whose pixels are means over k x k of a larger picture.
 
+    It draws; what a model can do beside that, such as ``decoding``, is asked of the model itself.
+
     Args:
-        model: draws the larger picture; all that is not about drawing is its own.
+        model: draws the larger picture, on a background of one color, so that means are those of
+            premultiplied colors.
         k: factor on width and height.
+        device: on which it draws.
     """
 
-    def __init__(self, model: Model, k: int) -> None:
-        self._model, self._k = model, k
+    def __init__(self, model: Model, k: int, device: str = "cpu") -> None:
+        self._model, self._k, self._device = model, k, device
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._model, name)
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Those of the model."""
+        return self._model.scenes
 
-    def render(self, camera: Camera, **request: Any) -> tuple[Any, Any]:
+    def primitives(self, scene: str | None = None) -> int:
+        """Those of the model."""
+        return self._model.primitives(scene)
+
+    def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
+        """Write the model, which is the same however it is drawn."""
+        return self._model.save(folder, rate)
+
+    def render(
+        self,
+        camera: Camera,
+        scenes: Sequence[str] | None = None,
+        edit: Mapping[str, Edit] | None = None,
+        background: RGB | None = None,
+    ) -> tuple[Any, Any]:
         """Color (height, width, 3) and alpha (height, width), as the model's own ``render`` has them."""
-        rgb, alpha = self._model.render(self._larger(camera), **request)
+        rgb, alpha = self._model.render(self._larger(camera), scenes, edit, background)
         return self._means(rgb, camera), self._means(alpha, camera)
 
     def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:
-        """Seconds of one frame by part."""
-        return self._model.timings(self._larger(camera), scenes=scenes)
+        """Seconds of one frame by part: those of the larger picture, and ``average``."""
+        larger = self._larger(camera)
+        parts = self._model.timings(larger, scenes)
+        picture = self._model.render(larger, scenes)
+        synchronise(self._device)
+        start = time.perf_counter()
+        for channels in picture:
+            self._means(channels, camera)
+        synchronise(self._device)
+        return {**parts, "average": time.perf_counter() - start}
 
     def _larger(self, camera: Camera) -> Camera:
         return camera.resized(self._k * camera.width, self._k * camera.height)

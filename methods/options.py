@@ -20,7 +20,9 @@ GROUP_BUDGET = "group_budget"
 times the iterations of one scene. Without such an option every group has those of one scene."""
 
 SAMPLES = "samples"
-"""Settable like an option where a method is point-sampled: rays a pixel when its model is drawn."""
+"""Settable like an option where a method is point-sampled; :data:`DRAWING` declares it."""
+
+DRAWING = Option(1, "rays a pixel when a model is drawn: a square, as 1, 4, 9, 16", 1, 1024)
 
 CONFIGURATION = "configuration"
 """Settable like an option where a method has configurations: the name of one."""
@@ -36,7 +38,7 @@ class Settings:
     Attributes:
         options: an instance of the spec's dataclass of options.
         iterations: training iterations of a group of one scene.
-        overrides: options that differ from the preset's, with "iterations" and "configuration".
+        overrides: options that differ from the preset's, with "iterations", "configuration" and "samples".
         knob: the rate knob among them that needs a fit for each value; "" if there is none.
         samples: rays a pixel when the model is drawn; they decide no fit.
     """
@@ -140,8 +142,7 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
                 changed[name] = value
                 iterations = int(value)
         elif name == SAMPLES and spec.point_sampled:
-            about = Option(1, "rays a pixel when the model is drawn: 1, 4, 9, 16 ...", 1, 1024)
-            samples = int(check(spec.name, name, about, text))
+            samples = int(check(spec.name, name, DRAWING, text))
             if math.isqrt(samples) ** 2 != samples:
                 near = f"{math.isqrt(samples) ** 2} or {(math.isqrt(samples) + 1) ** 2}"
                 raise DataError(f"option {spec.name}.{name} = {samples}", "is no square", f"Take {near}, say")

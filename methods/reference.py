@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from methods.interface import MethodSpec, Option
-from methods.options import declared, written
+from methods.options import DRAWING, SAMPLES, declared, written
 from methods.registry import Registry
 
 _HEAD = """# Options of the methods
@@ -24,9 +24,10 @@ def page() -> str:
 
 def _section(spec: MethodSpec) -> Iterator[str]:
     yield f"## {spec.name}"
+    options = declared(spec.options) | ({SAMPLES: DRAWING} if spec.point_sampled else {})
     rows = [
         f"| `{name}` | {written(option.default)} | {_values(option)} | {option.doc} |"
-        for name, option in declared(spec.options).items()
+        for name, option in options.items()
     ]
     yield "\n".join(["| option | default | values | meaning |", "|---|---|---|---|", *rows])
     lines = [

@@ -21,7 +21,7 @@ import methods
 from datasets.errors import DataError, printable, text_of
 from datasets.names import unknown
 from methods.interface import PRESETS, Configuration, MethodSpec, RateKnob
-from methods.options import CONFIGURATION, ITERATIONS, check, declared
+from methods.options import CONFIGURATION, ITERATIONS, SAMPLES, check, declared
 
 if TYPE_CHECKING:
     from methods.interface import Method
@@ -190,7 +190,7 @@ _TEXT = ("a text", lambda value: isinstance(value, str))
 _TRUTH = ("True or False", lambda value: isinstance(value, bool))
 _FIELDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     **dict.fromkeys(("name", "title", "reference", "version", "implementation", "uses_alpha"), _TEXT),
-    **dict.fromkeys(("joint", "composable", "needs_volume"), _TRUTH),
+    **dict.fromkeys(("joint", "composable", "needs_volume", "point_sampled"), _TRUTH),
     "source": ("a tuple of names of modules", _all(str)),
     "tunable": ("a tuple of names of options", _all(str)),
     "devices": (
@@ -238,6 +238,8 @@ def check_spec(spec: Any, origin: str) -> None:
         raise wrong(f"an option called {ITERATIONS!r}", "Leave it out: the budget is settable as it is")
     if CONFIGURATION in options:
         raise wrong(f"an option called {CONFIGURATION!r}", "Declare MethodSpec.configurations")
+    if SAMPLES in options and spec.point_sampled:
+        raise wrong(f"an option called {SAMPLES!r}", "Rename it: rays a pixel are settable as they are")
     for name, option in options.items():
         check(spec.name, name, option, option.default)
         if option.search is not None:

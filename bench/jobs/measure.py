@@ -64,7 +64,6 @@ def run(context: Context) -> MeasureResult:
     context.report(stage="load")
     start = time.perf_counter()
     model = load_models(method, [context.path_of(encode) / "model" for encode in encodes], job.device)
-    model = drawn_as(job, model)
     synchronise(job.device)
     load_seconds = time.perf_counter() - start
     if absent := [scene for scene in scenes if scene not in model.scenes]:
@@ -73,15 +72,16 @@ def run(context: Context) -> MeasureResult:
     context.report(stage="timing")
 
     def timed(model: Model, seconds: float = MEASURE_SECONDS) -> FrameTimes:
+        drawing = drawn_as(job, model)
         return time_frames(
-            lambda camera: model.render(camera, scenes=scenes, edit=edit, background=background),
+            lambda camera: drawing.render(camera, scenes=scenes, edit=edit, background=background),
             cameras,
             job.device,
             seconds,
         )
 
-    frames = timed(model)
-    parts = median_timings(lambda camera: answers.timings(model.timings(camera, scenes=scenes)), cameras)
+    frames, drawing = timed(model), drawn_as(job, model)
+    parts = median_timings(lambda camera: answers.timings(drawing.timings(camera, scenes=scenes)), cameras)
     context.peak_host_bytes, context.peak_device_bytes = peak_host_bytes(), peak_device_bytes(job.device)
     decoding, decoded_seconds = _decoding(
         model, scenes, lambda each_frame: timed(each_frame, DECODING_SECONDS).frame_seconds
@@ -101,7 +101,7 @@ def run(context: Context) -> MeasureResult:
     metrics = list(dict.fromkeys([*job.metrics, *COVERAGE]))
     flicker = Flicker() if is_dense(cameras) else None
     for index, camera in enumerate(cameras):
-        answer = model.render(camera, scenes=scenes, edit=edit, background=background)
+        answer = drawing.render(camera, scenes=scenes, edit=edit, background=background)
         rgb, alpha = answers.picture(answer, camera)
         values, reasons = evaluate(views.images[index], rgb, alpha, background, metrics)
         missing.update(reasons)

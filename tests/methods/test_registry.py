@@ -137,6 +137,13 @@ def test_a_plugin_hidden_by_another_module_is_refused(folder):
             {"extra": f"{AGAIN}@dataclass(frozen=True)\nclass A:\n    a: float = option(1, '')\n{SO}"},
             "not of its type",
         ),
+        (
+            {
+                "extra": f"{AGAIN}@dataclass(frozen=True)\nclass A:\n    samples: int = option(1, '')\n"
+                "SPEC = replace(SPEC, options=A, point_sampled=True)\n"
+            },
+            "an option called 'samples'",
+        ),
         ({"extra": "import no_such_module_here\n"}, "no_such_module_here"),
         ({"extra": "import sys\nsys.exit(0)\n"}, "SystemExit"),
         *(
@@ -146,6 +153,7 @@ def test_a_plugin_hidden_by_another_module_is_refused(folder):
                 ("version", 1),
                 ("title", 3),
                 ("joint", 2),
+                ("point_sampled", "'yes'"),
                 ("source", "'toy'"),
                 ("devices", "()"),
                 ("devices", "'cpu'"),
