@@ -240,6 +240,20 @@ def test_the_larger_picture_has_the_edges_of_the_picture():
         np.testing.assert_allclose(here, there, atol=1e-12)
 
 
+def test_parts_are_timed_without_a_picture_each():
+    sizes = []
+
+    class Counted(Ramp):
+        def render(self, camera, *more):
+            sizes.append((camera.width, camera.height))
+            return super().render(camera)
+
+    model, camera = Supersampled(Counted(), 2), Camera.with_fov(np.eye(4), 0.5, 6, 4)
+    for one in (camera, camera, camera.resized(3, 2), camera.resized(3, 2)):
+        assert model.timings(one)["rasterise"] == 2.0 * one.width
+    assert sizes == [(12, 8), (6, 4)]
+
+
 def test_what_is_drawn_larger_can_draw_and_nothing_else():
     """What a model can do is the same on every Python: 3.12 asks no ``__getattr__`` for a protocol."""
 
