@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import textwrap
+from collections import Counter
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -24,6 +26,7 @@ from methods import reference
 from methods.interface import HasAttributes, HasDecoders
 from methods.options import resolve
 from methods.registry import Registry
+from reports.charts.report import Report
 
 from .conftest import SMALL, suite_file
 
@@ -49,8 +52,10 @@ STRIPES = """
     class Stripes:
         scenes = ("a",)
 
-        def __init__(self, least=0):
-            self.least = least
+        widths = set()  # of all pictures so far
+
+        def __init__(self, each_frame=False):
+            self.each_frame = each_frame
 
         def primitives(self, scene=None):
             return 1
@@ -60,7 +65,8 @@ STRIPES = """
             return {"a": {"one": 1}}
 
         def render(self, camera, scenes=None, edit=None, background=None):
-            assert camera.width >= self.least, "frames with decoding are those of another picture"
+            assert camera.width in self.widths or not self.each_frame, "decoding is timed on another size"
+            self.widths.add(camera.width)
             x = (np.arange(camera.width) + 0.5) / camera.width
             row = (np.floor(13.0 * x + camera.camera_to_world[0, 3]) % 2).astype(np.float32)
             rows = np.broadcast_to(row, (camera.height, camera.width)).copy()
@@ -76,7 +82,7 @@ STRIPES = """
             return "once"
 
         def decoding_each_frame(self):
-            return Stripes(least=32)
+            return Stripes(each_frame=True)
 
     class Toy:
         def partition(self, scenes, options):
@@ -301,7 +307,7 @@ def test_a_measurement_times_and_describes_the_model_that_it_draws(measured):
     assert record.job.variant == "samples=16"
     assert of_kind(store, "fit").job.variant == ""
     assert set(record.measure.timing) == {"frame", "rasterise", "average"}
-    assert record.measure.decoding == "once"  # its frames with decoding are of 32 x 32 pixels, or it fails
+    assert record.measure.decoding == "once"  # it fails where frames with decoding have another size
     assert record.measure.frame_seconds_decoding is not None
     assert set(record.measure.features) == {"place"}
 
@@ -325,6 +331,27 @@ def test_a_bundle_is_verified_as_it_was_drawn(measured, tmp_path):
     redone = redo(store, bundle, 1, datasets=[str(data)], plugins=[plugins])
     assert (redone.problems, redone.unverified) == ([], [])
     assert list(redone.views) == [of_kind(store, "measure").job.id]
+
+
+def test_both_drawings_of_one_model_are_rows_beside_each_other(measured, tmp_path):
+    store, plugins, data = measured
+    shutil.copytree(store.root, tmp_path / "runs")
+    suite = suite_file(tmp_path, f'"{data}" = ["a"]')
+    runs = api.run(suite, out=tmp_path / "runs", methods=["drawn-toy"], plugins=[plugins], quiet=True)
+    kinds = Counter(record.job.kind for record in Store(runs.path).records())
+    assert (kinds["fit"], kinds["encode"], kinds["measure"]) == (1, 1, 2)
+    rows = {row["variant"]: row for _, row in runs.results.iterrows()}
+    assert rows.keys() == {"", "samples=16"}
+    assert runs.tables["superseded"].empty
+    report = Report(runs.tables)
+    assert {one.title for one in report.models} == {"drawn-toy", "drawn-toy [samples=16]"}
+    assert list(report.of_defaults.results["variant"]) == [""]
+    records = [record for record in Store(runs.path).records() if record.measure is not None]
+    measurements = {record.job.variant: record.measure for record in records}
+    for variant, row in rows.items():
+        assert row["fps"] == pytest.approx(1.0 / measurements[variant].frame_seconds)
+        assert row["psnr"] == pytest.approx(measurements[variant].metrics["psnr"])
+    assert rows[""]["psnr"] != rows["samples=16"]["psnr"]
 
 
 @pytest.mark.slow
