@@ -47,7 +47,16 @@ _PICTURES = (*METRICS, *COVERAGE)
 PARTS = "parts"
 """Key of `differences` for the times of the parts of a frame."""
 _CLOCKED = {
-    "fps": ("fps", "fps_p05", "fps_p95", "load_seconds", "frame_ms", "decode_ms", "rasterise_ms"),
+    "fps": (
+        "fps",
+        "fps_p05",
+        "fps_p95",
+        "fps_decoding",
+        "load_seconds",
+        "frame_ms",
+        "decode_ms",
+        "rasterise_ms",
+    ),
     PARTS: ("decode_ms", "rasterise_ms"),
     "train_seconds": ("train_seconds", "group_seconds", "partition_seconds", "encode_seconds"),
 }

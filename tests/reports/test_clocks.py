@@ -1,10 +1,13 @@
 """Which times count, on hand-made rows."""
 
+import json
 import re
 
 import pytest
 
 from reports.clocks import BUSY, SPREAD, Clocks, decoding
+from reports.comparability import compared
+from reports.schema import frame
 from tests.reports.conclusions.test_answers import DRAWING, TRAINING, contest, measured, pair, row, table
 
 EVEN = {"fps_p05": 80.0, "fps_p95": 120.0}
@@ -62,3 +65,15 @@ def test_a_sentence_on_drawing_names_what_frames_contain():
     assert re.search(r"once.* a \(0\.81 times .*frame: b\.$", condition)
     assert measured(DRAWING, contest(*rows)).sentence == f"{before} {condition}"
     assert condition not in measured(TRAINING, contest(*rows)).sentence
+
+
+def test_what_a_disturbed_clock_measured_is_left_out_with_it():
+    """Both rates of a model that is decoded once; else a rate with decoding has nothing to be a share of."""
+    rows = [*pair([0.0] * 4)]
+    for one in rows:
+        one |= {"decoding": "once", "fps_decoding": 81.0, "differences": ""}
+    rows[0]["differences"] = json.dumps({"fps": "disturbed: the machine was busy"})
+    left = compared({"results": frame("results", rows)})["results"]
+    for name in ("fps", "fps_decoding"):
+        assert left[name].isna().tolist() == [True, *[False] * (len(rows) - 1)]
+    assert "a (" in decoding(left.to_dict("records"))
