@@ -18,10 +18,10 @@ def samples(options: Namespace) -> int:
     import pandas as pd
 
     from bench.commands.results import print_as
-    from bench.metrics import evaluate
+    from bench.metrics import mean_scores
     from datasets.catalogue import open_dataset
     from datasets.render_views import FLOOR_VIEWS, finer_views, live_renderer
-    from datasets.views import ViewRequest, over
+    from datasets.views import ViewRequest
     from reports.schema import rays
 
     dataset = open_dataset(options.dataset)
@@ -39,13 +39,7 @@ def samples(options: Namespace) -> int:
             start = time.perf_counter()
             images = [live.render(camera) for camera in live.cameras]
             seconds = time.perf_counter() - start
-            scores = [
-                evaluate(fine, over(image, background), image[..., 3], background, METRICS).values
-                for fine, image in zip(truth.finer, images, strict=True)
-            ]
-            means = {
-                metric: sum(score[metric] or 0.0 for score in scores) / len(scores) for metric in METRICS
-            }
+            means = mean_scores(truth.finer, images, background, METRICS)
             rows.append(
                 {
                     "scene": name,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -88,7 +87,7 @@ def run(context: Context) -> MeasureResult:
     )
 
     context.report(stage="metrics")
-    from bench.metrics import evaluate
+    from bench.metrics import evaluate, mean
     from bench.metrics.flicker import Flicker, is_dense
     from bench.metrics.image import to_8bit
     from datasets.png import write_png
@@ -128,7 +127,7 @@ def run(context: Context) -> MeasureResult:
         frame_seconds_decoding=decoded_seconds,
         parts_ruler=RULERS["parts"],
         primitives=sum(answers.primitives(model.primitives(scene)) for scene in scenes),
-        metrics={name: _mean([row.metrics[name] for row in rows]) for name in metrics},
+        metrics={name: mean([row.metrics[name] for row in rows]) for name in metrics},
         missing=missing,
         views=rows,
         flicker=None if flicker is None else flicker.mean,
@@ -197,12 +196,6 @@ def load_models(method: Method, folders: Sequence[Path], device: str) -> Model:
     """
     models = [method.load(folder, device) for folder in folders]
     return models[0] if len(models) == 1 else method.compose(models)
-
-
-def _mean(values: list[float | None]) -> float | None:
-    """Mean over all views; None if any of them is missing (no average over an incomplete set)."""
-    numbers = [value for value in values if value is not None]
-    return math.fsum(numbers) / len(numbers) if numbers and len(numbers) == len(values) else None
 
 
 def premultiplied(rgb: np.ndarray, alpha: np.ndarray, background: RGB) -> np.ndarray:

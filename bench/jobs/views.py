@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterable
-
-import numpy as np
-from numpy.typing import NDArray
 
 from bench.inputs import edit_distance, finer, stressed, transfer_summary, views
 from bench.jobs.context import Context
 from bench.jobs.truth import write_truth
+from bench.metrics import mean_scores
 from bench.records import ViewsResult
 from bench.stress import part_of
 from datasets.catalogue import open_dataset
 from datasets.cloud import cloud_source
 from datasets.errors import DataError
 from datasets.png import write_png
-from datasets.views import Split, ViewSet, over
+from datasets.views import Split, ViewSet
 
 FLOORS = ("psnr", "psnr_fg", "ssim", "flip", "delta_e_uv")
 """Metrics whose noise floor is measured: all but LPIPS, whose networks are loaded for models alone."""
@@ -58,7 +55,9 @@ def run(context: Context) -> ViewsResult:
         start = time.perf_counter()
         other = finer(dataset, job.subject, job.request, job.split, job.edit, stress)
         own = [measured.images[place] for place in other.places]
-        floor, one_ray = (_against(measured, other.finer, images) for images in (own, other.one_ray))
+        floor, one_ray = (
+            mean_scores(other.finer, images, measured.background, FLOORS) for images in (own, other.one_ray)
+        )
         floor_seconds = time.perf_counter() - start
         if (reached := floor["psnr"]) is not None and reached < CONVERGED:
             _log.warning(
@@ -98,22 +97,3 @@ def run(context: Context) -> ViewsResult:
         one_ray=one_ray,
         floor_seconds=floor_seconds,
     )
-
-
-def _against(
-    views: ViewSet, finer: Iterable[NDArray[np.float32]], images: Iterable[NDArray[np.float32]]
-) -> dict[str, float | None]:
-    """Metrics of premultiplied pictures against finer ones, over the background of the views: means."""
-    from bench.metrics import evaluate
-
-    back = views.background
-    rows = [
-        evaluate(truth, over(image, back), image[..., 3], back, FLOORS).values
-        for truth, image in zip(finer, images, strict=True)
-    ]
-    means: dict[str, float | None] = {}
-    for name in FLOORS:
-        values = [row[name] for row in rows]
-        numbers = [value for value in values if value is not None]
-        means[name] = sum(numbers) / len(values) if len(numbers) == len(values) else None
-    return means

@@ -8,7 +8,8 @@ rounded likewise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,6 +18,8 @@ from reports.schema import COLUMNS, Column
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    from datasets.scene import RGB
 
 
 @dataclass(frozen=True)
@@ -99,3 +102,32 @@ def evaluate(
         if name not in METRICS:
             raise unknown("metric", name, METRICS)
     return Scores(*scores(Pair.composite(truth, rgb, alpha, background), names))
+
+
+def mean(values: Sequence[float | None]) -> float | None:
+    """Mean over all views; None if any of them is missing (no average over an incomplete set)."""
+    numbers = [value for value in values if value is not None]
+    return math.fsum(numbers) / len(numbers) if numbers and len(numbers) == len(values) else None
+
+
+def mean_scores(
+    truths: Iterable[NDArray[np.float32]],
+    images: Iterable[NDArray[np.float32]],
+    background: RGB,
+    names: Sequence[str],
+) -> dict[str, float | None]:
+    """Means of metrics over views of premultiplied pictures.
+
+    Args:
+        truths: (height, width, 4) RGBA in [0, 1], premultiplied, background-free.
+        images: of the same views, likewise.
+        background: on which both are composited.
+        names: metrics to compute.
+    """
+    from datasets.views import over
+
+    rows = [
+        evaluate(truth, over(image, background), image[..., 3], background, names).values
+        for truth, image in zip(truths, images, strict=True)
+    ]
+    return {name: mean([row[name] for row in rows]) for name in names}
