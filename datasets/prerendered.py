@@ -83,7 +83,9 @@ def _selection(scene: BasicScene, request: ViewRequest) -> tuple[Path, list[tupl
     return path, selection
 
 
-def area_average(image: NDArray[np.float32], width: int, height: int, file: Path) -> NDArray[np.float32]:
+def area_average(
+    image: NDArray[np.float32], width: int, height: int, what: Path | str
+) -> NDArray[np.float32]:
     """Mean over blocks of a premultiplied picture.
 
     Raises:
@@ -95,7 +97,7 @@ def area_average(image: NDArray[np.float32], width: int, height: int, file: Path
     if min(width, height) < 1 or columns % width or rows % height or columns // width != rows // height:
         sizes = [f"{columns // k}x{rows // k}" for k in (1, 2, 4, 5, 8) if columns % k == 0 and rows % k == 0]
         reason = f"{columns}x{rows} pixels do not divide evenly into {width}x{height}"
-        raise DataError(file, reason, f"Pre-rendered views can be had at {', '.join(sizes)}")
+        raise DataError(what, reason, f"Pre-rendered views can be had at {', '.join(sizes)}")
     factor = columns // width
     blocks = image.reshape(height, factor, width, factor, image.shape[2])
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64).astype(np.float32))

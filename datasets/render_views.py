@@ -148,6 +148,8 @@ def finer_views(
     Raises:
         UnknownName, DataError: as :func:`views_of`.
     """
+    from datasets.prerendered import area_average
+
     work = _Work(dataset, _edited(dataset.parts(scene_name), edit), request, renderer)
     places = evenly_spaced(len(work.places), count)
     cameras = tuple(work.cameras[work.places[i]] for i in places)
@@ -155,10 +157,8 @@ def finer_views(
     marcher = _marcher(work.volumes, work.backend)
     one_ray = marcher.prepare(work.layers, 1)(cameras)
     finer = marcher.prepare(work.layers, ADAPTIVE)(double)
-    means = finer.reshape(len(places), request.height, 2, request.width, 2, 4).mean(
-        axis=(2, 4), dtype=np.float64
-    )
-    return Finer(tuple(places), one_ray, means.astype(np.float32))
+    means = [area_average(image, request.width, request.height, scene_name) for image in finer]
+    return Finer(tuple(places), one_ray, np.stack(means))
 
 
 @dataclass(frozen=True)
@@ -282,15 +282,14 @@ class _Work:
                 "every tenth view is validation and there are fewer than ten",
                 "Use 12 or more training views",
             )
-        samples = checked(request.samples, f"{dataset.name}/{names}")
-        self.settings = MarchSettings(samples=samples)
+        self.samples = checked(request.samples, f"{dataset.name}/{names}")
         self.backend = _backend(renderer)
         self.key = self._key()
 
     def set_up(self) -> tuple[Draw, float]:
         """The function that draws views of this scene, and the seconds until it was ready."""
         start = time.perf_counter()
-        draw = _marcher(self.volumes, self.backend).prepare(self.layers, self.settings.samples)
+        draw = _marcher(self.volumes, self.backend).prepare(self.layers, self.samples)
         if self.backend.name != "none":
             draw(self.cameras[:1])  # compiles the kernel
         return draw, time.perf_counter() - start
@@ -325,11 +324,9 @@ class _Work:
 
     def _key(self) -> str:
         parts = [_ingredients(layer) for layer in self.layers]
-        settings = asdict(self.settings)
-        if settings["samples"] == 1:
-            del settings["samples"]  # as keys were before there was a choice
-        else:
-            settings["sampling"] = SAMPLING_VERSION
+        settings = asdict(MarchSettings())
+        if self.samples != 1:  # keys of one ray are those of before there was a choice
+            settings |= {"samples": self.samples, "sampling": SAMPLING_VERSION}
         ingredients = {
             "model": MODEL_VERSION,
             "cameras": hashlib.sha256(b"".join(_bytes(c) for c in self.cameras)).hexdigest(),

@@ -22,7 +22,7 @@ from datasets.ground_truth.field import Field, aligned
 from datasets.ground_truth.kernel import SceneData, march
 from datasets.ground_truth.model import Layer, Marcher, MarchSettings, index_transform
 from datasets.ground_truth.occlusion import bake
-from datasets.ground_truth.sampling import Tracer
+from datasets.ground_truth.sampling import Places, Tracer
 from datasets.volume import Volume
 
 _TILE = 16
@@ -110,43 +110,26 @@ class _Rays:
     def centres(self, cameras: Sequence[Camera]) -> NDArray[np.float32]:
         """One ray a pixel, tile by tile."""
         width, height = cameras[0].width, cameras[0].height
-        view, x, y, place = _centres(len(cameras), width, height)
-        return self._traced(cameras, view, x, y, place).reshape(-1, height, width, 4)
+        places, pixel = _centres(len(cameras), width, height)
+        return self._traced(cameras, places, pixel).reshape(-1, height, width, 4)
 
-    def rays(
-        self,
-        cameras: Sequence[Camera],
-        view: NDArray[np.uint32],
-        x: NDArray[np.float32],
-        y: NDArray[np.float32],
-    ) -> NDArray[np.float32]:
+    def rays(self, cameras: Sequence[Camera], places: Places) -> NDArray[np.float32]:
         """Rays in the order that they are in: neighbours share their fetches."""
-        return self._traced(cameras, view, x, y, np.arange(len(view), dtype=np.uint32))
+        return self._traced(cameras, places, np.arange(len(places.view), dtype=np.uint32))
 
     def _traced(
-        self,
-        cameras: Sequence[Camera],
-        view: NDArray[np.uint32],
-        x: NDArray[np.float32],
-        y: NDArray[np.float32],
-        place: NDArray[np.uint32],
+        self, cameras: Sequence[Camera], places: Places, row: NDArray[np.uint32]
     ) -> NDArray[np.float32]:
-        """(R, 4) values of rays, each at its place."""
+        """(R, 4) values of rays, each in its row."""
         with dr.suspend_grad():
-            color, transmitted = march(self._data, *self._set_up(cameras, view, x, y))
+            color, transmitted = march(self._data, *self._set_up(cameras, places))
             # The kernel scatters pixels: in NumPy this takes longer than the rays of a sparse scene.
-            picture = dr.zeros(mi.Float, 4 * len(view))
+            picture = dr.zeros(mi.Float, 4 * len(row))
             rgba = mi.Vector4f(color.x, color.y, color.z, 1.0 - transmitted)
-            dr.scatter(picture, rgba, mi.UInt32(aligned(place)))
+            dr.scatter(picture, rgba, mi.UInt32(aligned(row)))
             return np.array(picture).reshape(-1, 4)
 
-    def _set_up(
-        self,
-        cameras: Sequence[Camera],
-        view: NDArray[np.uint32],
-        x: NDArray[np.float32],
-        y: NDArray[np.float32],
-    ) -> tuple[Any, ...]:
+    def _set_up(self, cameras: Sequence[Camera], places: Places) -> tuple[Any, ...]:
         """Rays in grid indices.
 
         Returns:
@@ -154,10 +137,10 @@ class _Rays:
             misses); rest: remaining part of a step; view: unit vector to the camera.
         """
         camera = mi.Float64(aligned(np.stack([_pack(c) for c in cameras])))
-        number = mi.UInt32(aligned(view))
+        number = mi.UInt32(aligned(places.view))
         entry = [dr.gather(mi.Float64, camera, number * _CAMERA_WIDTH + k) for k in range(_CAMERA_WIDTH)]
-        right = (mi.Float64(mi.Float(aligned(x))) - entry[14]) / entry[12]
-        down = (mi.Float64(mi.Float(aligned(y))) - entry[15]) / entry[13]
+        right = (mi.Float64(mi.Float(aligned(places.x))) - entry[14]) / entry[12]
+        down = (mi.Float64(mi.Float(aligned(places.y))) - entry[15]) / entry[13]
         direction = [entry[3 + 3 * a] * right + entry[4 + 3 * a] * down + entry[5 + 3 * a] for a in range(3)]
         length = dr.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
         direction = [d / length for d in direction]
@@ -203,8 +186,8 @@ _ORDER = _tile_order()
 
 
 @lru_cache(maxsize=2)  # a full launch, and the last one of a set
-def _centres(views: int, width: int, height: int) -> tuple[NDArray[Any], ...]:
-    """View, x, y and place of the rays of all pixel centres, tile by tile."""
+def _centres(views: int, width: int, height: int) -> tuple[Places, NDArray[np.uint32]]:
+    """Places of all pixel centres, tile by tile, and the numbers of their pixels."""
     down, across = -(-height // _TILE), -(-width // _TILE)
     row = (np.arange(down)[:, None] * _TILE + _ORDER // _TILE)[:, None]
     column = np.arange(across)[:, None] * _TILE + _ORDER % _TILE
@@ -212,6 +195,6 @@ def _centres(views: int, width: int, height: int) -> tuple[NDArray[Any], ...]:
     inside = (row < height) & (column < width)
     row, column = row[inside], column[inside]
     view = np.repeat(np.arange(views, dtype=np.uint32), height * width)
-    place = np.tile((row * width + column).astype(np.uint32), views) + view * np.uint32(height * width)
+    pixel = np.tile((row * width + column).astype(np.uint32), views) + view * np.uint32(height * width)
     x, y = (np.tile((one + 0.5).astype(np.float32), views) for one in (column, row))
-    return view, x, y, place
+    return Places(view, x, y), pixel

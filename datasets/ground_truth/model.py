@@ -104,13 +104,10 @@ class MarchSettings:
             differs from view to view (no method can learn it); 0.5 reaches 46-55 dB in 1.6-2 times the time.
         table_size: entries of the transfer function's table (linear in between). 16384 leaves an error of
             about 1.5e-5, 1024 an error of 8e-4.
-        samples: rays a pixel (:mod:`datasets.ground_truth.sampling`): 1 goes through its centre, 0 are as
-            many as it needs.
     """
 
     step_voxels: float = 0.5
     table_size: int = 16384
-    samples: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,15 +186,15 @@ class Marcher:
         """
         raise NotImplementedError
 
-    def prepare(self, layers: Sequence[Layer], samples: int | None = None) -> Draw:
+    def prepare(self, layers: Sequence[Layer], samples: int = 1) -> Draw:
         """Set up the drawing of a scene's views; several small ones share a launch.
 
         Args:
             layers: layers on the marcher's own volumes; several make a composition.
-            samples: rays a pixel; default: those of the settings.
+            samples: rays a pixel (:mod:`datasets.ground_truth.sampling`): 1 goes through its centre, 0 are as
+                many as it needs.
         """
         tracer = self.tracer(layers)
-        rays = self._settings.samples if samples is None else samples
 
         def draw(cameras: tuple[Camera, ...], progress: Progress | None = None) -> NDArray[np.float32]:
             width, height = cameras[0].width, cameras[0].height
@@ -205,7 +202,7 @@ class Marcher:
             batch = max(1, self.rays_at_once // (width * height))
             for start in range(0, len(cameras), batch):
                 part = cameras[start : start + batch]
-                images[start : start + batch] = pictures(tracer, part, rays)
+                images[start : start + batch] = pictures(tracer, part, samples)
                 if progress:
                     progress(start + len(part), len(cameras))
             return images
@@ -217,10 +214,14 @@ class Marcher:
         return [next(i for i, v in enumerate(self._volumes) if v is layer.volume) for layer in layers]
 
     def compose(
-        self, cameras: tuple[Camera, ...], layers: Sequence[Layer], progress: Progress | None = None
+        self,
+        cameras: tuple[Camera, ...],
+        layers: Sequence[Layer],
+        progress: Progress | None = None,
+        samples: int = 1,
     ) -> NDArray[np.float32]:
         """:meth:`prepare` and draw."""
-        return self.prepare(layers)(cameras, progress)
+        return self.prepare(layers, samples)(cameras, progress)
 
     def render(
         self,
@@ -228,9 +229,10 @@ class Marcher:
         transfer: TransferFunction,
         light: Light | None,
         progress: Progress | None = None,
+        samples: int = 1,
     ) -> NDArray[np.float32]:
         """:meth:`compose` of one layer on the first volume."""
-        return self.compose(cameras, (Layer(self._volumes[0], transfer, light),), progress)
+        return self.compose(cameras, (Layer(self._volumes[0], transfer, light),), progress, samples)
 
 
 def same_grid(volumes: Sequence[Volume], what: str = "composition") -> tuple[Volume, ...]:

@@ -23,7 +23,7 @@ from datasets.ground_truth.model import (
     index_transform,
 )
 from datasets.ground_truth.occlusion import bake
-from datasets.ground_truth.sampling import Tracer
+from datasets.ground_truth.sampling import Places, Tracer
 from datasets.scene import Light
 from datasets.volume import Volume
 
@@ -257,19 +257,12 @@ class _Rays:
     def centres(self, cameras: Sequence[Camera]) -> NDArray[np.float32]:
         return np.stack([_float32(self._marcher._image(camera, self._scene)) for camera in cameras])
 
-    def rays(
-        self,
-        cameras: Sequence[Camera],
-        view: NDArray[np.uint32],
-        x: NDArray[np.float32],
-        y: NDArray[np.float32],
-    ) -> NDArray[np.float32]:
-        values = np.empty((len(view), 4), dtype=np.float32)
-        for number in np.unique(view):
-            own = np.flatnonzero(view == number)
-            origin, directions = (
-                self._marcher._tensor(a) for a in cameras[number].rays_through(x[own], y[own])
-            )
+    def rays(self, cameras: Sequence[Camera], places: Places) -> NDArray[np.float32]:
+        values = np.empty((len(places.view), 4), dtype=np.float32)
+        for number in np.unique(places.view):
+            own = np.flatnonzero(places.view == number)
+            rays = cameras[number].rays_through(places.x[own], places.y[own])
+            origin, directions = (self._marcher._tensor(a) for a in rays)
             values[own] = _float32(self._marcher._traced(origin, directions, self._scene))
         return values
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from numbers import Integral
-from typing import Any, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,20 @@ _FACES = ((0, -1, (2, 5, 8), (0, 3, 6)), (0, 1, (0, 3, 6), (2, 5, 8)), (-1, 0, (
 """A neighbour's place (down, right), those of its cells that touch the pixel, and the pixel's own there."""
 
 
+class Places(NamedTuple):
+    """Where rays cross pictures.
+
+    Attributes:
+        view: (R,) number of each ray's view.
+        x: (R,) pixels from the left border.
+        y: (R,) pixels from the upper border.
+    """
+
+    view: NDArray[np.uint32]
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+
+
 class Tracer(Protocol):
     """The rays of a scene."""
 
@@ -60,21 +74,8 @@ class Tracer(Protocol):
         """(n, height, width, 4) premultiplied RGBA along the rays of all pixel centres."""
         ...
 
-    def rays(
-        self,
-        cameras: Sequence[Camera],
-        view: NDArray[np.uint32],
-        x: NDArray[np.float32],
-        y: NDArray[np.float32],
-    ) -> NDArray[np.float32]:
-        """(R, 4) premultiplied RGBA along rays.
-
-        Args:
-            cameras: views of one size.
-            view: (R,) place of each ray's camera among them.
-            x: (R,) where it crosses the picture, in pixels from the left border.
-            y: (R,) the same from the upper border.
-        """
+    def rays(self, cameras: Sequence[Camera], places: Places) -> NDArray[np.float32]:
+        """(R, 4) premultiplied RGBA along rays through places of views of one size."""
         ...
 
 
@@ -311,9 +312,8 @@ def _traced(
             (number[:, None] + (within if within.ndim == 1 else within[part])).astype(np.float32).ravel()
             for number, within in ((column, x), (row, y))
         )
-        values[part] = tracer.rays(cameras, np.repeat(view.astype(np.uint32), k), right, down).reshape(
-            -1, k, 4
-        )
+        places = Places(np.repeat(view.astype(np.uint32), k), right, down)
+        values[part] = tracer.rays(cameras, places).reshape(-1, k, 4)
     return values
 
 

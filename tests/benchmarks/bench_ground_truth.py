@@ -86,8 +86,8 @@ def seconds(work: Callable[[], object]) -> float:
 def ours(
     volume: Volume, tf: TransferFunction, light: Light | None, step: float = 1.0, samples: int = 1
 ) -> Draw:
-    marcher = marching.mitsuba(volume, MarchSettings(step_voxels=step, samples=samples))
-    return marcher.prepare((Layer(volume, tf, light),))
+    marcher = marching.mitsuba(volume, MarchSettings(step_voxels=step))
+    return marcher.prepare((Layer(volume, tf, light),), samples)
 
 
 def against_vtk(size: int, pixels: int, turns: int) -> None:

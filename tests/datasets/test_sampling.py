@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -38,7 +39,8 @@ class Picture:
         self.formula = formula
         self.count = 0
 
-    def rays(self, cameras, view, x, y):
+    def rays(self, cameras, places):
+        view, x, y = places
         self.count += len(view)
         return self.formula(x.astype(np.float64), y.astype(np.float64), view).astype(np.float32)
 
@@ -144,7 +146,7 @@ ASIDE = replace(Camera.with_fov(look_at_origin(np.array([1.3, -1.0, 1.6])), 0.5,
 @pytest.mark.parametrize("samples", [16, ADAPTIVE])
 def test_the_silhouette_of_a_solid_box_is_a_polygon(marcher, samples):
     """Whatever crosses the box is opaque, so the picture is the projection of its corners."""
-    images = marcher(BOX, MarchSettings(samples=samples)).render((ASIDE,), SOLID, None)
+    images = marcher(BOX).render((ASIDE,), SOLID, None, samples=samples)
     corners = np.array([[BOX.box[number >> axis & 1][axis] for axis in range(3)] for number in range(8)])
     local = (corners - ASIDE.position) @ ASIDE.camera_to_world[:3, :3]
     place = ASIDE.fx * local[:, :2] / local[:, 2:] + (ASIDE.cx, ASIDE.cy)
@@ -161,7 +163,7 @@ def test_the_silhouette_of_a_sphere_is_a_disk(marcher, samples):
     camera = replace(
         Camera.with_fov(look_at_origin(np.array([0.9, -1.5, 1.1])), 0.6, 40, 32), cx=18.4, cy=16.7
     )
-    images = marcher(v, MarchSettings(samples=samples)).compose((camera,), (ball,))
+    images = marcher(v).compose((camera,), (ball,), samples=samples)
     distance = float(np.linalg.norm(camera.position))
     seen = camera.fx * np.tan(np.arcsin(radius / distance))
     check_areas(images[0], disk(camera.cx, camera.cy, seen, 40, 32), samples)
@@ -275,8 +277,8 @@ def exact():
 def test_as_many_rays_as_needed_reach_256_rays_in_float64(exact, name):
     layers, cameras, values = SCENES[name], around(A, size=20, pick=(0,)), {}
     for samples in (1, 25, ADAPTIVE):
-        fast = mitsuba(volumes_of(layers), MarchSettings(samples=samples))
-        values[samples] = decibels(fast.compose(cameras, layers)[0], exact(name))
+        image = mitsuba(volumes_of(layers)).compose(cameras, layers, samples=samples)[0]
+        values[samples] = decibels(image, exact(name))
     print(name, {samples: round(value, 1) for samples, value in values.items()})
     assert values[ADAPTIVE] >= min(50.0, values[25])
     assert values[ADAPTIVE] >= values[1] + 15.0
@@ -285,9 +287,9 @@ def test_as_many_rays_as_needed_reach_256_rays_in_float64(exact, name):
 @pytest.mark.parametrize("samples", [1, 4, 16, ADAPTIVE])
 @pytest.mark.parametrize("name", SCENES)
 def test_both_renderers_have_the_same_rays(name, samples):
-    layers, cameras, settings = SCENES[name], around(A, size=24), MarchSettings(samples=samples)
+    layers, cameras = SCENES[name], around(A, size=24)
     fast, plain = (
-        marcher(volumes_of(layers), settings).compose(cameras, layers)
+        marcher(volumes_of(layers)).compose(cameras, layers, samples=samples)
         for marcher in (mitsuba, ReferenceMarcher)
     )
     error = np.abs(fast - plain).max(axis=-1)
@@ -310,8 +312,8 @@ def test_means_agree_with_vtk_drawn_larger_and_averaged(theirs):
     cameras = views(STRETCHED, 48)
 
     def ours(samples):
-        settings = MarchSettings(step_voxels=0.5, samples=samples)
-        return decibels(mitsuba(STRETCHED, settings).render(cameras, SKIN_AND_CORE, None), theirs)
+        marcher = mitsuba(STRETCHED, MarchSettings(step_voxels=0.5))
+        return decibels(marcher.render(cameras, SKIN_AND_CORE, None, samples=samples), theirs)
 
     found = {samples: ours(samples) for samples in (1, 16, 64, ADAPTIVE)}
     print({samples: round(value, 1) for samples, value in found.items()})
@@ -329,7 +331,7 @@ PINS = {  # computed with commit 94dde38, which had one ray a pixel only
 @pytest.mark.parametrize("name", PINS)
 def test_one_ray_a_pixel_has_the_pictures_of_before(name):
     """Sums of all values with random weights: a value that moves by 1e-4 moves them by as much."""
-    image = mitsuba(A, MarchSettings(samples=1)).compose(around(A, size=48), SCENES[name])
+    image = mitsuba(A).compose(around(A, size=48), SCENES[name], samples=1)
     weights = np.random.default_rng(57).standard_normal((4, image.size))
     np.testing.assert_allclose(weights @ image.ravel().astype(np.float64), PINS[name], atol=5e-5)
 
@@ -338,15 +340,16 @@ def test_one_ray_a_pixel_has_the_pictures_of_before(name):
 @pytest.mark.parametrize("name", ["transfer function", "isosurfaces"])
 def test_a_picture_does_not_depend_on_those_drawn_with_it(monkeypatch, name, samples):
     layers, cameras = SCENES[name], around(A, size=40, pick=(0, 3, 5, 8, 11))
-    fast = mitsuba(A, MarchSettings(samples=samples))
-    together = fast.compose(cameras, layers)
-    backwards = fast.compose(cameras[::-1], layers)[::-1]
+    fast = mitsuba(A)
+    drawn = partial(fast.compose, layers=layers, samples=samples)
+    together = drawn(cameras)
+    backwards = drawn(cameras[::-1])[::-1]
     np.testing.assert_array_equal(together, backwards)
     for at_once in (1, 2 * 40 * 40):
         monkeypatch.setattr(type(fast), "rays_at_once", at_once)
-        np.testing.assert_array_equal(together, fast.compose(cameras, layers))
+        np.testing.assert_array_equal(together, drawn(cameras))
     monkeypatch.setattr(sampling, "RAYS_AT_ONCE", 700)
-    np.testing.assert_array_equal(together, fast.compose(cameras, layers))
+    np.testing.assert_array_equal(together, drawn(cameras))
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (40, 1), (1, 32), (2, 2), (40, 32), (3, 32)])
