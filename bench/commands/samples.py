@@ -45,7 +45,7 @@ def samples(options: Namespace) -> int:
                     "scene": name,
                     "rays a pixel": rays(number),
                     **means,
-                    "ms a view": 1e3 * seconds / len(images),
+                    "time a view [ms]": round(1e3 * seconds / len(images), 1),
                 }
             )
     print_as(pd.DataFrame(rows), options.format)
