@@ -10,9 +10,11 @@ the picture, at first one a pixel:
   row or the column. One that bends by more than :data:`BEND` is cut into 3 x 3, of which the middle one has
   its ray already. So is one that bends so against a cell of the pixel beside it.
 * Of all these cells, those that bend most get four rays more, a third of their side from the middle along
-  both diagonals, until the error of the picture is under :data:`GOAL`, if the others err in proportion to
-  their bends as the least bent of those did. With a quarter of the middle and three of the others, the mean
-  is exact for what is cubic in both directions.
+  both diagonals. With a quarter of the middle and three of the others, the mean is exact for what is cubic in
+  both directions. Of those again, the ones whose rays differ most get the four that make them 3 x 3. Both
+  go on until the error of the picture is under :data:`GOAL`, if the others err in proportion to their bends,
+  or differences, as the least of those did. A cell beside one of great differences bends at least by a part
+  of them: an edge that no line between cells shows ends there.
 
 Why a regular grid: most of what a pixel hides is smooth, and for that the midpoint rule errs with the square
 of the cell's side. Points of low discrepancy, shifted at random, have 4 to 12 dB less at 16 rays.
@@ -21,7 +23,7 @@ of the cell's side. Points of low discrepancy, shifted at random, have 4 to 12 d
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from numbers import Integral
 from typing import Any, NamedTuple, Protocol, cast
 
@@ -31,7 +33,7 @@ from numpy.typing import NDArray
 from datasets.camera import Camera
 from datasets.errors import DataError
 
-SAMPLING_VERSION = 1
+SAMPLING_VERSION = 2
 """Raised with every change of a picture of more than one ray a pixel; part of the key of cached views."""
 ADAPTIVE = 0
 """Number of samples that means: as many as each pixel needs."""
@@ -44,9 +46,13 @@ GOAL = 57.0
 RAYS_AT_ONCE = 2**20
 """Rays of a launch."""
 
-_FIRST_RATIO = 0.035
-"""Squared error of a cell over its squared bend, before any is known: 0.02 where all is smooth, to 0.14."""
-_ROUNDS = 3
+_FIRST_RATIOS = (0.035, 0.004)
+"""Squared error of a cell over its squared bend (one ray) or difference (five rays), before any is known.
+
+Over the bend it is 0.02 where all is smooth, to 0.14."""
+_BESIDE = 0.05
+"""Least squared bend of a cell, in parts of the squared differences of the cells around it in its pixel."""
+_ROUNDS = 5
 _PIXELS_AT_ONCE = 2**18
 _FACES = ((0, -1, (2, 5, 8), (0, 3, 6)), (0, 1, (0, 3, 6), (2, 5, 8)), (-1, 0, (6, 7, 8), (0, 1, 2)),
           (1, 0, (0, 1, 2), (6, 7, 8)))  # fmt: skip
@@ -202,34 +208,80 @@ def _refined(
         found = np.unique(np.concatenate(more))
     if not len(pixels):
         return image
-    squares = _bends(pixels, cells, slot, flat, rows, width).astype(np.float64) ** 2
-    owner = pixels // (rows * width)
-    allowed = 10.0 ** (-GOAL / 10.0) * rows * width * 81
-    ratios = np.full(views, _FIRST_RATIO)
-    cut = np.zeros_like(squares, dtype=bool)
-    seen = [(owner == view)[:, None] for view in range(views)]
-    for _ in range(_ROUNDS):
-        limits = np.array(
-            [
-                _limit(squares[owners & ~cut], allowed / ratio)
-                for owners, ratio in zip(seen, ratios, strict=True)
-            ]
-        )
-        number, cell = np.nonzero(~cut & (squares >= limits[owner, None]))
-        if not len(number):
-            break
-        x, y = (one[cell, None] + corners / 9 for one, corners in zip(_NINE, _CORNERS, strict=True))
-        change = 0.75 * (_mean(traced(pixels[number], x, y)) - cells[number, cell])
-        cells[number, cell] += change
-        cut[number, cell] = True
-        for view in range(views):
-            own = owner[number] == view
-            bends = squares[number, cell][own]
-            least = bends <= np.median(bends) if len(bends) else own[:0]
-            if bends[least].sum() > 0.0:
-                ratios[view] = (change[own][least] ** 2).mean(axis=1).sum() / bends[least].sum()
+    bends = _bends(pixels, cells, slot, flat, rows, width)
+    _refine(cells, bends, pixels // (rows * width), rows * width, lambda n, x, y: traced(pixels[n], x, y))
     flat[pixels] = _mean(cells)
     return image
+
+
+def _refine(
+    cells: NDArray[np.float32],
+    bends: NDArray[np.float32],
+    view: NDArray[np.int64],
+    size: int,
+    traced: Callable[[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]], NDArray[np.float32]],
+) -> None:
+    """Give cells five rays, or nine, where they need them.
+
+    Args:
+        cells: (P, 9, 4) values along one ray each; those with more become their means.
+        bends: (P, 9) of the cells.
+        view: (P,) number of each pixel's view, from 0.
+        size: pixels of a view.
+        traced: (R, k, 4) values along rays through pixels, by numbers (R,) and places x, y (R, k).
+    """
+    allowed = 10.0 ** (-GOAL / 10.0) * size * 81
+    errors = bends.astype(np.float64) ** 2  # but for their ratio
+    totals, rays = cells.astype(np.float64), np.ones(bends.shape, dtype=np.int64)
+    seen = [view == one for one in range(int(view.max()) + 1)]
+    ratios = np.tile(_FIRST_RATIOS, (len(seen), 1))
+    for _ in range(_ROUNDS):
+        around = _BESIDE * _largest_around(np.where(rays > 1, errors, 0.0))
+        errors = np.where(rays == 1, np.maximum(errors, around), errors)
+        expected = errors * np.where(rays == 1, ratios[view, :1], ratios[view, 1:])
+        limits = np.array([_limit(expected[own][rays[own] < 9], allowed) for own in seen])
+        chosen = (rays < 9) & (expected >= limits[view, None])
+        if not chosen.any():
+            return
+        for level, places in ((1, _SIDES), (0, _CORNERS)):
+            number, cell = np.nonzero(chosen & (rays == 1 + 4 * level))
+            if not len(number):
+                continue
+            x, y = (one[cell, None] + away / 9 for one, away in zip(_NINE, places, strict=True))
+            more, before = traced(number, x, y), cells[number, cell]
+            totals[number, cell] += 4.0 * _mean(more)
+            if level:
+                after = (totals[number, cell] / 9.0).astype(np.float32)
+            else:
+                after = before + 0.75 * (_mean(more) - before)
+            change = ((after - before) ** 2).mean(axis=1)
+            for one, own in enumerate(seen):
+                _learn(ratios[one], level, change, errors[number, cell], own[number])
+            if not level:
+                errors[number, cell] = _largest(np.abs(more - before[:, None])).max(axis=1) ** 2
+            cells[number, cell] = after
+            rays[number, cell] += 4
+
+
+def _learn(
+    ratios: NDArray[np.float64],
+    level: int,
+    change: NDArray[np.float64],
+    expected: NDArray[np.float64],
+    own: NDArray[np.bool_],
+) -> None:
+    """Set a view's ratio to the change over the expectation, of the half expected to change least."""
+    mine = expected[own]
+    least = mine <= np.median(mine) if len(mine) else own[:0]
+    if mine[least].sum() > 0.0:
+        ratios[level] = change[own][least].sum() / mine[least].sum()
+
+
+def _largest_around(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(P, 9) largest value of each cell and those beside it in its pixel, corners too."""
+    block = np.pad(values.reshape(-1, 3, 3), ((0, 0), (1, 1), (1, 1)))
+    rows = np.maximum(np.maximum(block[:, :3], block[:, 1:4]), block[:, 2:])
+    return np.maximum(np.maximum(rows[..., :3], rows[..., 1:4]), rows[..., 2:]).reshape(-1, 9)
 
 
 def _limit(squares: NDArray[np.float64], allowed: float) -> float:
@@ -347,5 +399,7 @@ _NINE = _square((np.arange(3) + 0.5) / 3)
 """x and y of the middles of the 3 x 3 cells of a pixel."""
 _CORNERS = (np.array([-1.0, 1.0, -1.0, 1.0]), np.array([-1.0, -1.0, 1.0, 1.0]))
 """x and y of four rays, in thirds of a cell from its middle."""
+_SIDES = (np.array([0.0, -1.0, 1.0, 0.0]), np.array([-1.0, 0.0, 0.0, 1.0]))
+"""The same of four more, which make a cell with those 3 x 3."""
 _AROUND = tuple(np.delete(one, 4) for one in _NINE)
-"""The same without the middle one."""
+"""x and y of the middles of the cells, without the middle one."""

@@ -132,7 +132,7 @@ def test_areas_of_formulas(shape, samples):
     tracer = Picture(opaque(inside))
     image = pictures(tracer, (flat(40, 32),), samples)[0]
     check_areas(image, areas, samples)
-    assert tracer.count == 40 * 32 * samples if samples else tracer.count < 4 * 40 * 32
+    assert tracer.count == 40 * 32 * samples if samples else tracer.count < 6 * 40 * 32
     if samples == ADAPTIVE:
         more = pictures(tracer, (flat(40, 32),), 25)[0]
         assert decibels(image[..., 3], areas) >= decibels(more[..., 3], areas)
@@ -188,9 +188,10 @@ def test_a_grid_of_rays_is_the_midpoint_rule(k):
     np.testing.assert_allclose(images, exact - error, atol=1e-5)
 
 
-def test_pixels_that_are_cut_twice_are_exact_for_cubics(monkeypatch):
+def test_cells_of_five_rays_are_exact_for_cubics(monkeypatch):
+    monkeypatch.setattr(sampling, "_FIRST_RATIOS", (0.035, 0.0))  # none has nine
     cut = pictures(Picture(smooth), (flat(8),), ADAPTIVE)[0]
-    monkeypatch.setattr(sampling, "GOAL", 200.0)  # cut all
+    monkeypatch.setattr(sampling, "GOAL", 200.0)  # all have five
     twice = pictures(Picture(smooth), (flat(8),), ADAPTIVE)[0]
     nodes, weights = np.polynomial.legendre.leggauss(2)  # exact for cubics
     x, y, view = (one.ravel() for one in np.meshgrid(*[np.arange(8.0)] * 2, [0], indexing="xy"))
@@ -422,26 +423,21 @@ def test_keys_of_views_hold_the_number_and_the_rule_of_samples(cache, monkeypatc
     assert len({*before, *after}) == 5
 
 
-WORST = ["vortices/cores", "vortices/walls"]
-SHORT = {"jet_flame_iso/middle": 49.5, "extremes/hairs": 45.1}
-"""Scenes that miss 50 dB, and what they reach."""
+WORST = ["vortices/cores", "vortices/walls", "jet_flame_iso/middle", "jet_flame/oh_6", "extremes/hairs"]
 
 
 def against_64_rays(dataset, scene):
-    """PSNR of as many rays as needed, and of one, against 64, at 64 x 64 pixels."""
-    request = ViewRequest("test", 12, 3, 64, 64)
+    """PSNR of as many rays as needed, and of one, against 64.
+
+    At 64 x 64 pixels 64 rays are no reference: of hard edges they have 50 to 54 dB against 256.
+    """
+    request = ViewRequest("test", 12, 3, 128, 128)
     live = {n: live_renderer(dataset, scene, replace(request, samples=n)) for n in (1, ADAPTIVE, 64)}
     images = {n: np.stack([one.render(camera) for camera in one.cameras]) for n, one in live.items()}
     return decibels(images[ADAPTIVE], images[64]), decibels(images[1], images[64])
 
 
-MISSED = [
-    pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=f"{reached} dB"))
-    for name, reached in SHORT.items()
-]
-
-
-@pytest.mark.parametrize("name", [*WORST, *MISSED])
+@pytest.mark.parametrize("name", WORST)
 def test_hard_scenes_have_converged(name):
     dataset, scene = name.split("/")
     needed, one = against_64_rays(open_dataset(dataset), scene)
@@ -455,8 +451,8 @@ def test_hard_scenes_have_converged(name):
 def test_every_scene_of_the_catalogue_has_converged(name):
     try:
         dataset = open_dataset(name)
-        scenes = [scene.name for scene in dataset.scenes if f"{name}/{scene.name}" not in SHORT]
-        reached = {scene: against_64_rays(dataset, scene) for scene in scenes if dataset.kind == "volume"}
+        scenes = [scene.name for scene in dataset.scenes if dataset.kind == "volume"]
+        reached = {scene: against_64_rays(dataset, scene) for scene in scenes}
     except DataError as error:
         pytest.skip(f"{name} is not here: {error}")
     for scene, (needed, one) in reached.items():
