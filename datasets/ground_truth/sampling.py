@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from numbers import Integral
 from typing import Any, NamedTuple, Protocol, cast
 
@@ -54,6 +55,7 @@ _BESIDE = 0.05
 """Least squared bend of a cell, in parts of the squared differences of the cells around it in its pixel."""
 _ROUNDS = 5
 _PIXELS_AT_ONCE = 2**18
+_IN_CACHE = 2**13  # pixels
 _FACES = ((0, -1, (2, 5, 8), (0, 3, 6)), (0, 1, (0, 3, 6), (2, 5, 8)), (-1, 0, (6, 7, 8), (0, 1, 2)),
           (1, 0, (0, 1, 2), (6, 7, 8)))  # fmt: skip
 """A neighbour's place (down, right), those of its cells that touch the pixel, and the pixel's own there."""
@@ -208,6 +210,9 @@ def _refined(
         found = np.unique(np.concatenate(more))
     if not len(pixels):
         return image
+    order = np.argsort(pixels)
+    pixels, cells = pixels[order], cells[order]
+    slot[pixels] = np.arange(len(pixels))
     bends = _bends(pixels, cells, slot, flat, rows, width)
     _refine(cells, bends, pixels // (rows * width), rows * width, lambda n, x, y: traced(pixels[n], x, y))
     flat[pixels] = _mean(cells)
@@ -226,68 +231,86 @@ def _refine(
     Args:
         cells: (P, 9, 4) values along one ray each; those with more become their means.
         bends: (P, 9) of the cells.
-        view: (P,) number of each pixel's view, from 0.
+        view: (P,) number of each pixel's view, from 0, ascending.
         size: pixels of a view.
         traced: (R, k, 4) values along rays through pixels, by numbers (R,) and places x, y (R, k).
     """
     allowed = 10.0 ** (-GOAL / 10.0) * size * 81
-    errors = bends.astype(np.float64) ** 2  # but for their ratio
-    totals, rays = cells.astype(np.float64), np.ones(bends.shape, dtype=np.int64)
-    seen = [view == one for one in range(int(view.max()) + 1)]
-    ratios = np.tile(_FIRST_RATIOS, (len(seen), 1))
-    for _ in range(_ROUNDS):
-        around = _BESIDE * _largest_around(np.where(rays > 1, errors, 0.0))
-        errors = np.where(rays == 1, np.maximum(errors, around), errors)
-        expected = errors * np.where(rays == 1, ratios[view, :1], ratios[view, 1:])
-        limits = np.array([_limit(expected[own][rays[own] < 9], allowed) for own in seen])
-        chosen = (rays < 9) & (expected >= limits[view, None])
+    errors = bends * bends  # but for their ratio
+    totals, rays = np.zeros_like(cells), np.ones(bends.shape, dtype=np.int8)
+    starts = np.searchsorted(view, np.arange(int(view[-1]) + 2))
+    seen = [slice(*pair) for pair in pairwise(starts)]
+    ratios = np.tile(np.array(_FIRST_RATIOS, dtype=np.float32), (len(seen), 1))
+    for around in range(_ROUNDS):
+        if around:
+            _raise_beside(errors, rays)
+        chosen = np.empty_like(rays)
+        for own, ratio in zip(seen, ratios, strict=True):
+            chosen[own] = _chosen(errors[own], rays[own], ratio, allowed)
         if not chosen.any():
             return
         for level, places in ((1, _SIDES), (0, _CORNERS)):
-            number, cell = np.nonzero(chosen & (rays == 1 + 4 * level))
+            number, cell = np.nonzero(chosen == 1 + level)
             if not len(number):
                 continue
             x, y = (one[cell, None] + away / 9 for one, away in zip(_NINE, places, strict=True))
             more, before = traced(number, x, y), cells[number, cell]
-            totals[number, cell] += 4.0 * _mean(more)
+            mean = _mean(more)
             if level:
-                after = (totals[number, cell] / 9.0).astype(np.float32)
+                after = (totals[number, cell] + 4.0 * mean) / 9.0
             else:
-                after = before + 0.75 * (_mean(more) - before)
+                after = before + 0.75 * (mean - before)
+                totals[number, cell] = before + 4.0 * mean
             change = ((after - before) ** 2).mean(axis=1)
-            for one, own in enumerate(seen):
-                _learn(ratios[one], level, change, errors[number, cell], own[number])
+            parts = np.searchsorted(number, starts)
+            for one, part in enumerate(pairwise(parts)):
+                mine = slice(*part)
+                _learn(ratios[one], level, change[mine], errors[number[mine], cell[mine]])
             if not level:
                 errors[number, cell] = _largest(np.abs(more - before[:, None])).max(axis=1) ** 2
             cells[number, cell] = after
             rays[number, cell] += 4
 
 
+def _chosen(
+    errors: NDArray[np.float32], rays: NDArray[np.int8], ratio: NDArray[np.float32], allowed: float
+) -> NDArray[np.int8]:
+    """(P, 9) cells of a view that get four rays more: 1 those that have one, 2 those that have five; others 0."""
+    expected = errors * ratio[rays >> 2 & 1]
+    expected[rays == 9] = 0.0
+    limit = _limit(expected.ravel(), allowed)
+    return ((rays >> 2) + 1) * (expected >= limit)
+
+
+def _raise_beside(errors: NDArray[np.float32], rays: NDArray[np.int8]) -> None:
+    """Raise errors of cells with one ray to a part of the largest around them, of those with more."""
+    several = rays > 1
+    pixels = np.flatnonzero(several.any(axis=1))
+    block = np.zeros((len(pixels), 5, 5), dtype=np.float32)
+    block[:, 1:4, 1:4] = np.where(several[pixels], errors[pixels], 0.0).reshape(-1, 3, 3)
+    rows = np.maximum(np.maximum(block[:, :3], block[:, 1:4]), block[:, 2:])
+    largest = np.maximum(np.maximum(rows[..., :3], rows[..., 1:4]), rows[..., 2:]).reshape(-1, 9)
+    errors[pixels] = np.maximum(errors[pixels], np.where(several[pixels], 0.0, _BESIDE * largest))
+
+
 def _learn(
-    ratios: NDArray[np.float64],
-    level: int,
-    change: NDArray[np.float64],
-    expected: NDArray[np.float64],
-    own: NDArray[np.bool_],
+    ratios: NDArray[np.float32], level: int, change: NDArray[np.float32], expected: NDArray[np.float32]
 ) -> None:
     """Set a view's ratio to the change over the expectation, of the half expected to change least."""
-    mine = expected[own]
-    least = mine <= np.median(mine) if len(mine) else own[:0]
-    if mine[least].sum() > 0.0:
-        ratios[level] = change[own][least].sum() / mine[least].sum()
+    if len(expected):
+        least = expected <= np.median(expected)
+        total = expected[least].sum(dtype=np.float64)
+        if total > 0.0:
+            ratios[level] = change[least].sum(dtype=np.float64) / total
 
 
-def _largest_around(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(P, 9) largest value of each cell and those beside it in its pixel, corners too."""
-    block = np.pad(values.reshape(-1, 3, 3), ((0, 0), (1, 1), (1, 1)))
-    rows = np.maximum(np.maximum(block[:, :3], block[:, 1:4]), block[:, 2:])
-    return np.maximum(np.maximum(rows[..., :3], rows[..., 1:4]), rows[..., 2:]).reshape(-1, 9)
-
-
-def _limit(squares: NDArray[np.float64], allowed: float) -> float:
-    """The value from which cells are cut, so that those below sum to what is allowed; inf if all may stay."""
-    order = np.sort(squares)
-    left = int(np.searchsorted(np.cumsum(order), allowed, side="right"))
+def _limit(errors: NDArray[np.float32], allowed: float) -> float:
+    """The value from which cells get more rays, so that those below sum to what is allowed; inf if all may stay."""
+    # Few decide: those so small that they cannot reach half of what is allowed together are not sorted.
+    large = errors[errors > 0.5 * allowed / max(1, len(errors))]
+    allowed -= float(errors.sum(dtype=np.float64) - large.sum(dtype=np.float64))
+    order = np.sort(large)
+    left = int(np.searchsorted(np.cumsum(order, dtype=np.float64), allowed, side="right"))
     return float(order[left]) if left < len(order) else math.inf
 
 
@@ -300,17 +323,29 @@ def _bends(
     width: int,
 ) -> NDArray[np.float32]:
     """(P, 9) bend of each cell."""
-    block = np.empty((len(pixels), 5, 5, 4), dtype=np.float32)
-    block[:, 1:4, 1:4] = cells.reshape(-1, 3, 3, 4)
-    edges: tuple[Any, ...] = (np.s_[:, 1:4, 0], np.s_[:, 1:4, 4], np.s_[:, 0, 1:4], np.s_[:, 4, 1:4])
-    for (down, right, touching, _), edge in zip(_FACES, edges, strict=True):
-        beside = _beside(pixels, rows, width, down, right)
-        other = slot[beside]
-        block[edge] = np.where(other[:, None, None] < 0, flat[beside, None], cells[other][:, touching])
-    middle = block[:, 1:4, 1:4]
-    across = 0.5 * (block[:, 1:4, :3] + block[:, 1:4, 2:]) - middle
-    along = 0.5 * (block[:, :3, 1:4] + block[:, 2:, 1:4]) - middle
-    return _largest(np.maximum(np.abs(across), np.abs(along))).reshape(-1, 9)
+    bends = np.empty((len(pixels), 3, 3), dtype=np.float32)
+    for first in range(0, len(pixels), _IN_CACHE):
+        part = slice(first, first + _IN_CACHE)
+        middle = cells[part].reshape(-1, 3, 3, 4)
+        facing = []
+        for down, right, touching, _ in _FACES:
+            beside = _beside(pixels[part], rows, width, down, right)
+            other = slot[beside]
+            touched = cells[other[:, None], touching]
+            facing.append(np.where(other[:, None, None] < 0, flat[beside, None], touched))
+        before, after, above, below = facing
+        off = np.empty((2, *middle.shape), dtype=np.float32)
+        off[0, :, :, 0] = before + middle[:, :, 1]
+        off[0, :, :, 1] = middle[:, :, 0] + middle[:, :, 2]
+        off[0, :, :, 2] = middle[:, :, 1] + after
+        off[1, :, 0] = above + middle[:, 1]
+        off[1, :, 1] = middle[:, 0] + middle[:, 2]
+        off[1, :, 2] = middle[:, 1] + below
+        off *= 0.5
+        off -= middle
+        np.abs(off, out=off)
+        bends[part] = _largest(np.maximum(off[0], off[1]))
+    return bends.reshape(-1, 9)
 
 
 def _bent(image: NDArray[np.float32]) -> NDArray[np.bool_]:
