@@ -26,7 +26,7 @@ import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from numbers import Integral
-from typing import Any, NamedTuple, Protocol, cast
+from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -275,11 +275,11 @@ def _refine(
 def _chosen(
     errors: NDArray[np.float32], rays: NDArray[np.int8], ratio: NDArray[np.float32], allowed: float
 ) -> NDArray[np.int8]:
-    """(P, 9) cells of a view that get four rays more: 1 those that have one, 2 those that have five; others 0."""
+    """(P, 9) cells of a view that get four rays more: 1 where they have one, 2 where they have five; others 0."""
     expected = errors * ratio[rays >> 2 & 1]
     expected[rays == 9] = 0.0
-    limit = _limit(expected.ravel(), allowed)
-    return ((rays >> 2) + 1) * (expected >= limit)
+    chosen: NDArray[np.int8] = ((rays >> 2) + 1) * (expected >= _limit(expected.ravel(), allowed))
+    return chosen
 
 
 def _raise_beside(errors: NDArray[np.float32], rays: NDArray[np.int8]) -> None:
@@ -305,7 +305,7 @@ def _learn(
 
 
 def _limit(errors: NDArray[np.float32], allowed: float) -> float:
-    """The value from which cells get more rays, so that those below sum to what is allowed; inf if all may stay."""
+    """The error from which cells get more rays, so that smaller ones sum to what is allowed; inf: none does."""
     # Few decide: those so small that they cannot reach half of what is allowed together are not sorted.
     large = errors[errors > 0.5 * allowed / max(1, len(errors))]
     allowed -= float(errors.sum(dtype=np.float64) - large.sum(dtype=np.float64))
