@@ -275,7 +275,7 @@ def _refine(
 def _chosen(
     errors: NDArray[np.float32], rays: NDArray[np.int8], ratio: NDArray[np.float32], allowed: float
 ) -> NDArray[np.int8]:
-    """(P, 9) cells of a view that get four rays more: 1 where they have one, 2 where they have five; others 0."""
+    """(P, 9) cells of a view that get four rays more: 1 if they have one, 2 if they have five; others 0."""
     expected = errors * ratio[rays >> 2 & 1]
     expected[rays == 9] = 0.0
     chosen: NDArray[np.int8] = ((rays >> 2) + 1) * (expected >= _limit(expected.ravel(), allowed))
@@ -305,7 +305,7 @@ def _learn(
 
 
 def _limit(errors: NDArray[np.float32], allowed: float) -> float:
-    """The error from which cells get more rays, so that smaller ones sum to what is allowed; inf: none does."""
+    """The error from which cells get more rays, so that smaller ones sum to what is allowed; inf: none."""
     # Few decide: those so small that they cannot reach half of what is allowed together are not sorted.
     large = errors[errors > 0.5 * allowed / max(1, len(errors))]
     allowed -= float(errors.sum(dtype=np.float64) - large.sum(dtype=np.float64))
