@@ -111,9 +111,10 @@ class Planner:
             for variant in self._selection.suite.variants:
                 own = variant.get(spec.name, {})
                 overrides = {**own, **self._selection.overrides.get(spec.name, {})}
-                choices = [*self._with_rates(spec, overrides), *self._with_lengths(spec, overrides)]
-                if SAMPLES in own and (usual := resolve(spec, self._like, overrides)).samples != 1:
-                    choices = [(usual, [None])]  # a suite's second drawing, at the method's own size alone
+                curve = list(self._with_rates(spec, overrides))
+                if SAMPLES in own and curve[0][0].samples != 1:
+                    del curve[1:]  # a suite's second drawing, of models that the first one has
+                choices = [*curve, *self._with_lengths(spec, overrides)]
                 for settings, rates in choices:
                     if (spec.name, settings.variant) not in variants:
                         variants.add((spec.name, settings.variant))

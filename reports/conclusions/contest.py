@@ -20,7 +20,7 @@ from reports.comparability import (
 from reports.floors import Floor, by_scene
 from reports.schema import records
 from reports.style import absent
-from reports.tables.protocols import GROUPING, ORIGIN, contestants
+from reports.tables.protocols import GROUPING, ORIGIN, contestants, drawn_as_means, without_drawing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -202,9 +202,9 @@ def contests(results: pd.DataFrame) -> list[Contest]:
         results: the table `results` of :func:`reports.tables.protocols.by_protocol`.
     """
     grouping = results.get(GROUPING, "")
-    default = (results["kind"] == "basic") & (results["variant"].fillna("") == grouping)
+    default = (results["kind"] == "basic") & (results["variant"].fillna("").map(without_drawing) == grouping)
     rows = results[default & results["rate"].isna() & ~results["dataset"].str.endswith(UNKNOWN)]
-    rows = contestants(rows)
+    rows = contestants(drawn_as_means(rows))
     contests = []
     for (preset, split), every in rows.groupby(["preset", "split"], dropna=False, sort=False):
         # Datasets with one method compare nothing.

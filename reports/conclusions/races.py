@@ -24,7 +24,13 @@ from reports.floors import Floor
 from reports.fronts import interpolated, pareto
 from reports.schema import records
 from reports.style import MIB, MISSING, absent, counted, label, mib, seconds
-from reports.tables.protocols import GROUPING, comparable, contestants
+from reports.tables.protocols import (
+    GROUPING,
+    comparable,
+    contestants,
+    drawn_as_means,
+    without_drawing,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -250,10 +256,10 @@ def races(results: pd.DataFrame) -> list[Race]:
         return []
     words = rows[GROUPING] if GROUPING in rows else [""] * len(rows)
     bases = [
-        str(base or "").removesuffix(text).removesuffix(",")
+        without_drawing(str(base or "").removesuffix(text).removesuffix(","))
         for base, text in zip(rows["base"].fillna(""), words, strict=True)
     ]
-    rows = contestants(rows[[_LENGTH.fullmatch(base) is not None for base in bases]])
+    rows = contestants(drawn_as_means(rows[[_LENGTH.fullmatch(base) is not None for base in bases]]))
     datasets = [(title, records(group)) for title, group in comparable(rows)]
     found = []
     for discipline in DISCIPLINES:

@@ -51,12 +51,12 @@ class Verdict:
 
 
 def verdicts(curves: dict[str, list[Curve]]) -> list[Verdict]:
-    """Of every model against every compressed volume of its dataset."""
+    """Of every model against every compressed volume of its dataset, in the drawing nearest the truth."""
     return [
-        _verdict(dataset, volume, model)
+        _verdict(dataset, max(drawings, key=lambda one: max(point.psnr for point in one.points)), model)
         for dataset, rows in curves.items()
-        for volume in rows
-        if volume.model.method in VOLUMES
+        for method in VOLUMES
+        if (drawings := [one for one in rows if one.model.method == method])
         for model in rows
         if model.model.method not in VOLUMES
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,8 @@ ORIGIN = "whole_dataset"
 GROUPING = "grouping"
 """Column of tables by protocol: words on the scenes that were learned together, where others are usual."""
 _CONDITIONS = ("preset", "split")
+_DRAWING = re.compile(r"(?:^|,)(samples=\d+)(?=,|$)")
+_MODEL = ("dataset", "scene", "preset", "split", "requested_views", "seed", "rate")
 
 
 def comparable(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -95,6 +98,43 @@ def _with_names(table: pd.DataFrame, words: list[str]) -> list[str]:
         f"{word}: {names}" if "together" in word and len(several[str(dataset), word]) > 1 else word
         for dataset, word, names in zip(table["dataset"], words, fitted, strict=True)
     ]
+
+
+def without_drawing(variant: str) -> str:
+    """Options of a row but for the number of points that a pixel is drawn by."""
+    return _DRAWING.sub("", variant).removeprefix(",")
+
+
+def drawn_as_means(results: pd.DataFrame) -> pd.DataFrame:
+    """Results with one row per model: of a method that draws points, the drawing that the truth has.
+
+    Such a method has a row whose pixels are means beside the one as published (``samples=16``). Where all of
+    its models have both, the means take part in conclusions, under their name, with their quality and their
+    frames per second; else those as published do.
+    """
+    variants = ["" if absent(text) else str(text) for text in results["variant"]]
+    drawings = [match[1] if (match := _DRAWING.search(text)) else "" for text in variants]
+    if not any(drawings):
+        return results
+    models: dict[str, dict[str, set[tuple[Any, ...]]]] = {}
+    keys = [
+        (*("" if absent(cell) else cell for cell in cells), without_drawing(variant))
+        for variant, *cells in zip(variants, *(results[name] for name in _MODEL), strict=True)
+    ]
+    for method, drawing, key in zip(results["method"], drawings, keys, strict=True):
+        models.setdefault(str(method), {}).setdefault(drawing, set()).add(key)
+    chosen = {
+        method: max(
+            (one for one, drawn in own.items() if drawn >= own.get("", set())),
+            key=lambda one: int(one.removeprefix("samples=") or 1),
+        )
+        for method, own in models.items()
+    }
+    pairs = list(zip(results["method"], drawings, strict=True))
+    names = [label(method, drawing) if drawing else method for method, drawing in pairs]
+    named = results.assign(method=names).astype({"method": results["method"].dtype})
+    kept: pd.DataFrame = named[[chosen[str(method)] == drawing for method, drawing in pairs]]
+    return kept
 
 
 def contestants(results: pd.DataFrame) -> pd.DataFrame:

@@ -150,10 +150,15 @@ def models(variants, **overrides):
     return {(job.variant, job.rate) for job in Planner(selection).jobs(None) if job.kind == "measure"}
 
 
-def test_a_second_drawing_has_its_own_size_alone():
+def test_a_second_drawing_is_of_every_model_that_the_first_one_has():
     usual = models([{}])
     assert len(usual) > 2
-    assert models(BOTH) == usual | {("samples=16", None)}
+    drawn = models(BOTH) - usual
+    lengths = {variant for variant, _ in usual} - {""}
+    assert lengths
+    assert drawn == {("samples=16", rate) for variant, rate in usual if not variant} | {
+        (f"{variant},samples=16", None) for variant in lengths
+    }
 
 
 def test_a_drawing_that_the_user_sets_has_all_rates_and_lengths():

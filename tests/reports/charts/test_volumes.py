@@ -13,9 +13,9 @@ from reports.curves import Curve, Point
 from reports.style import MIB, Model
 
 
-def curve(method, size, psnr):
+def curve(method, size, psnr, options=""):
     points = (Point("", b, q, {}) for b, q in zip(size, psnr, strict=True))
-    return Curve("d", Model(method), tuple(points))
+    return Curve("d", Model(method, options), tuple(points))
 
 
 VOLUME = curve("sz3", [1e3, 1e4, 1e5], [20.0, 40.0, 90.0])
@@ -35,6 +35,17 @@ def test_bytes_of_the_volume_at_the_psnr_of_a_model(size, psnr, needed, bound, p
     (one,) = verdicts({"d": [VOLUME, curve("3dgs", [size], [psnr])]})
     assert one.needed == pytest.approx(needed)
     assert (one.bound, one.pays, one.meeting) == (bound, pays, None)
+
+
+def test_a_volume_is_judged_in_the_drawing_nearest_the_truth():
+    """A ray through the centre of a pixel cannot reach a truth of means, however many bytes it has."""
+    points = curve("sz3", [1e3, 1e4, 1e5], [20.0, 29.0, 29.0])
+    means = curve("sz3", [1e3, 1e4, 1e5], [20.0, 40.0, 55.0], "samples=16")
+    for volumes in ([points, means], [means, points]):
+        (one,) = verdicts({"d": [*volumes, curve("3dgs", [1e4], [30.0])]})
+        assert one.volume is means
+        assert one.needed == pytest.approx(10**3.5)
+        assert not one.pays
 
 
 def test_curves_meet_where_dense_samples_of_them_do():

@@ -385,3 +385,34 @@ def test_the_standing_of_a_method_names_what_it_wins_and_what_it_shares():
     assert standing({"views": won, "others": won}, "a") == "Wins: Best picture (views, others)."
     robust = [of(answers(contest(*pair([3.0])), table(*pair([3.0])), NO_LADDERS), ROBUST)]
     assert standing({"views": robust}, "a") == "Is first, without a test: Most robust (views)."
+
+
+def drawings(method="plenoxels", **drawn):
+    """A method on two datasets, as published and as means over 16 points, beside another."""
+    for dataset in ("d", "e"):
+        yield row("3dgs", 35.0, dataset)
+        yield row(method, 30.0, dataset, fps=64.0)
+        yield row(method, 36.0, dataset, fps=4.0, variant="samples=16", **drawn)
+
+
+def test_the_drawing_of_means_stands_for_a_method_with_its_speed():
+    contest_ = contest(*drawings())
+    assert contest_.methods == ["3dgs", "Plenoxels [samples=16]"]
+    assert "Plenoxels [samples=16], 36.00 dB" in measured(PICTURE, contest_).sentence
+    assert {place.method: place.text for place in measured(DRAWING, contest_).places} == {
+        "3dgs": "100 FPS",
+        "Plenoxels [samples=16]": "4.0 FPS",
+    }
+
+
+def test_a_drawing_of_means_that_lacks_a_model_takes_no_part():
+    *rows, _ = drawings()
+    contest_ = contest(*rows)
+    assert contest_.methods == ["3dgs", "plenoxels"]
+    assert compare(PICTURE, contest_).means == {"3dgs": 35.0, "plenoxels": 30.0}
+
+
+def test_other_options_beside_a_drawing_take_no_part():
+    rows = drawings(options="{}")
+    changed = [one | {"variant": "resolution=64,samples=16"} if one["variant"] else one for one in rows]
+    assert contest(*changed).methods == ["3dgs", "plenoxels"]
