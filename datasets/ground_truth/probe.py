@@ -1,8 +1,9 @@
 """The Mitsuba backend that works here, by trials in subprocesses.
 
-Dr.Jit compiles through libLLVM, which no pip wheel brings. Versions 15 and 16 load but abort the whole
-process at the first float minimum or maximum, which Python cannot catch. So every candidate library has a
-trial in a process of its own, newest first, and the verdict is kept for that file.
+Dr.Jit compiles through libLLVM. On Linux x86-64 a wheel among the dependencies brings one into the
+environment; elsewhere it is the system's. Versions 15 and 16 load but abort the whole process at the first
+float minimum or maximum, which Python cannot catch. So every candidate library has a trial in a process of
+its own, the environment's first, then the system's from the newest on, and the verdict is kept for that file.
 """
 
 from __future__ import annotations
@@ -14,8 +15,11 @@ import json
 import os
 import re
 import signal
+import site
 import subprocess
 import sys
+import sysconfig
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -112,17 +116,29 @@ def activate(backend: Backend) -> None:
 
 
 def libllvm_candidates() -> list[str]:
-    """Shared libraries of LLVM 15 and newer in the usual places, newest first, each file once."""
-    versions: dict[str, tuple[int, ...]] = {}
-    folders = [sys.prefix, *os.environ.get("LD_LIBRARY_PATH", "").split(":")]
-    patterns = [*_PATTERNS, *(f"{f}/{lib}libLLVM*.so*" for f in folders if f for lib in ("", "lib/"))]
-    for path in (p for pattern in patterns for p in glob.glob(pattern)):
-        real = os.path.realpath(path)
-        digits = re.search(r"libLLVM-?(?:\.so\.|\.dylib)?(\d+(?:\.\d+)*)", os.path.basename(real))
-        number = tuple(int(d) for d in digits[1].split(".")) if digits else (0,)
-        if os.path.isfile(real) and (number[0] >= 15 or not digits):
-            versions[real] = number
+    """Shared libraries of LLVM 15 and newer, each file once: the environment's, then those in usual places.
+
+    The newest is first among each.
+    """
+    own = [
+        sys.prefix,
+        sysconfig.get_path("data"),
+        site.getuserbase(),
+    ]  # of an environment, of pip install --user
+    others = os.environ.get("LD_LIBRARY_PATH", "").split(":")
+    versions: dict[str, tuple[bool, tuple[int, ...]]] = {}
+    for ours, patterns in ((True, _in_folders(own)), (False, [*_PATTERNS, *_in_folders(others)])):
+        for path in (found for pattern in patterns for found in glob.glob(pattern)):
+            real = os.path.realpath(path)
+            digits = re.search(r"libLLVM-?(?:\.so\.|\.dylib)?(\d+(?:\.\d+)*)", os.path.basename(real))
+            number = tuple(int(d) for d in digits[1].split(".")) if digits else (0,)
+            if os.path.isfile(real) and (number[0] >= 15 or not digits):
+                versions.setdefault(real, (ours, number))
     return sorted(versions, key=lambda path: (versions[path], path), reverse=True)
+
+
+def _in_folders(folders: Iterable[str]) -> list[str]:
+    return [f"{folder}/{lib}libLLVM*.so*" for folder in folders if folder for lib in ("", "lib/")]
 
 
 def _has_cuda_driver() -> bool:
@@ -133,7 +149,9 @@ def _trial_failure(backend: str, library: str) -> str:
     """Empty if a kernel ran, else what happened; remembered per library file and Dr.Jit version."""
     if library and not os.path.isfile(library):
         return "does not exist"
-    stamp = os.stat(library).st_mtime_ns if library else 0
+    # The folder's time too: the wheel's library needs links beside it, which the first start of Python lays.
+    files = [library, os.path.dirname(library) or "."] if library else []
+    stamp = [os.stat(path).st_mtime_ns for path in files]
     device = os.environ.get("CUDA_VISIBLE_DEVICES", "") if backend == "cuda" else ""
     key = f"{backend} {library} {stamp} {device} drjit {version('drjit')}"
     record = cache_root() / "probe" / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.json"

@@ -319,7 +319,10 @@ def test_a_libllvm_that_aborts_is_survived(tmp_path):
     assert trial(found[0], tmp_path).startswith("none 1 ")
 
 
-def test_the_newest_libllvm_is_tried_first(monkeypatch, tmp_path):
+def test_the_libllvm_of_the_environment_is_tried_first_then_the_newest(monkeypatch, tmp_path):
+    system, own = tmp_path / "system", tmp_path / "environment"
+    (own / "lib").mkdir(parents=True)
+    system.mkdir()
     for name in (
         "libLLVM-15.so.1",
         "libLLVM.so.19.1",
@@ -327,13 +330,33 @@ def test_the_newest_libllvm_is_tried_first(monkeypatch, tmp_path):
         "libLLVM-14.so.1",
         "libLLVM.so.22.0",
     ):
-        (tmp_path / name).write_text("")
-    (tmp_path / "libLLVM-19.so").symlink_to(tmp_path / "libLLVM.so.19.1")
-    monkeypatch.setattr(probe, "_PATTERNS", (f"{tmp_path}/libLLVM*.so*",))
-    monkeypatch.setattr(sys, "prefix", str(tmp_path / "none"))
+        (system / name).write_text("")
+    (system / "libLLVM-19.so").symlink_to(system / "libLLVM.so.19.1")
+    (own / "lib" / "libLLVM.so.18.1").write_text("")
+    (own / "lib" / "libLLVM.so").symlink_to("libLLVM.so.18.1")
+    monkeypatch.setattr(probe, "_PATTERNS", (f"{system}/libLLVM*.so*",))
+    monkeypatch.setattr(sys, "prefix", str(own))
+    monkeypatch.setattr(probe.sysconfig, "get_path", lambda name: str(own))
+    monkeypatch.setattr(probe.site, "getuserbase", lambda: str(tmp_path / "none"))
     monkeypatch.delenv("LD_LIBRARY_PATH", raising=False)
     names = [os.path.basename(p) for p in probe.libllvm_candidates()]
-    assert names == ["libLLVM.so.22.0", "libLLVM.so.19.1", "libLLVM-17.so.1", "libLLVM-15.so.1"]
+    newest_first = ["libLLVM.so.22.0", "libLLVM.so.19.1", "libLLVM-17.so.1", "libLLVM-15.so.1"]
+    assert names == ["libLLVM.so.18.1", *newest_first]
+
+
+def test_a_libllvm_that_failed_is_tried_again_when_files_come_beside_it(monkeypatch, tmp_path):
+    """The wheel's library needs links to libc++, which may come after it."""
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
+    library = tmp_path / "lib" / "libLLVM.so.23.1"
+    library.parent.mkdir()
+    library.write_text("")
+    answers = ["aborts", ""]
+    monkeypatch.setattr(probe, "_try", lambda *_: answers.pop(0))
+    assert probe._trial_failure("llvm", str(library)) == "aborts"
+    assert probe._trial_failure("llvm", str(library)) == "aborts"
+    (library.parent / "libc++.so.1").write_text("")
+    os.utime(library.parent, ns=(1, 1))  # clocks of file systems are coarse
+    assert probe._trial_failure("llvm", str(library)) == ""
 
 
 def test_a_cached_view_needs_neither_mitsuba_nor_torch(tmp_path):
