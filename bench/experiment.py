@@ -72,6 +72,8 @@ def execute(
         DataError: the selection or the store cannot be used.
     """
     run_on = _executor(executor, scheduler, workers)
+    if not scheduler:
+        check_device(selection.device)
     check_locks()
     given = resolved(os.fspath(folder) for folder in plugins)
     folders = plugin_folders(given, out)
@@ -83,6 +85,27 @@ def execute(
     threads = selection.suite.threads
     run = run_on(store, planner, display, retry=retry, limits=limits, plugins=folders, threads=threads)
     return Experiment(store, planner, folders, run.run())
+
+
+def check_device(device: str) -> None:
+    """Before any truth is rendered for models that this machine cannot train.
+
+    Raises:
+        DataError: it has no such device.
+    """
+    kind, _, number = device.partition(":")
+    if kind != "cuda":
+        return
+    import torch
+
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if count <= int(number or 0):
+        found = f"sees {count} CUDA devices, numbered from 0," if count else "sees no CUDA device"
+        raise DataError(
+            f"--device {device}",
+            f"torch {torch.__version__} {found} here",
+            "Leave it out to run on the CPU; bench doctor says what a GPU needs",
+        )
 
 
 def _executor(name: str, scheduler: str, workers: int | None) -> Callable[..., Executor]:
