@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bench.experiment import check_device, run
+from bench.display import Display
+from bench.experiment import check_device, execute
 from bench.selection import Selection
 from bench.suites import load_suite
 from datasets.errors import DataError
@@ -28,5 +29,5 @@ def test_devices_of_a_machine(monkeypatch, device, count, there):
 def test_a_run_makes_no_store_for_a_device_that_is_not_there(monkeypatch, tmp_path):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(DataError, match="--device cuda"):
-        run(Selection(load_suite("quick"), device="cuda"), tmp_path / "store")
+        execute(Selection(load_suite("quick"), device="cuda"), tmp_path / "store", (), Display())
     assert not (tmp_path / "store").exists()
