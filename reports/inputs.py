@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import csv
 import difflib
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from reports.comparability import judged
 from reports.schema import COLUMNS, TABLES, Column, frame
+from reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd
 
 NEEDED = ("dataset", "scene", "method", "psnr", "size_bytes")
 """Columns that a table of results must have."""
-_KEYS = ("dataset", "scene", "method", "variant", "rate", "preset", "requested_views", "split", "seed")
-_OWN = ("job", "stale", "fitted_scenes", "omissions", "differences")
+_KEYS = (
+    "dataset", "scene", "kind", "edit", "recipe", "scenes_together", "method", "variant", "rate", "preset",
+    "requested_views", "split", "seed",
+)  # fmt: skip
+_OWN = ("job", "stale", "omissions", "differences")
 """Columns of `results` that are not read from a foreign table."""
 
 
@@ -65,6 +70,10 @@ def _values(path: Path, table: pd.DataFrame, name: str) -> pd.Series:
         values = pd.Series(pd.NA, table.index, dtype=column.dtype)
     elif column.dtype == "string":
         values = table[name].astype("string")
+        if name == "fitted_scenes":
+            _check_lists(path, values)
+    elif column.dtype == "boolean":
+        values = _truths(path, table[name], column)
     else:
         values = _numbers(path, table[name], column)
     return values if column.default is None else values.fillna(column.default)
@@ -109,6 +118,31 @@ def _lacks(missing: list[str], columns: list[str]) -> str:
     near = [f"{match} -> {name}" for name, matches in similar for match in matches]
     hint = f"rename {', '.join(near)}" if near else f"a table needs {', '.join(NEEDED)}"
     return f"it lacks the columns {', '.join(missing)}; {hint}"
+
+
+def _check_lists(path: Path, texts: pd.Series) -> None:
+    for i, text in enumerate(texts):
+        try:
+            good = absent(text) or all(isinstance(name, str) for name in json.loads(text))
+        except (ValueError, TypeError, RecursionError):
+            good = False
+        if not good:
+            reason = f"{_line(i)} has {texts.name} = {text}, not a JSON list of names"
+            raise Unusable(f"{path}: {reason}; leave it empty if missing")
+
+
+def _truths(path: Path, texts: pd.Series, column: Column) -> pd.Series:
+    import pandas as pd
+
+    known = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
+    values: list[bool | None] = []
+    for i, text in enumerate(texts):
+        value = None if pd.isna(text) else known.get(str(text).strip().lower())
+        if value is None and not pd.isna(text):
+            reason = f"{_line(i)} has {column.name} = {text}, neither true nor false"
+            raise Unusable(f"{path}: {reason}; leave it empty if missing")
+        values.append(value)
+    return pd.Series(values, texts.index, dtype="boolean")
 
 
 def _numbers(path: Path, texts: pd.Series, column: Column) -> pd.Series:

@@ -9,11 +9,12 @@ import pytest
 
 from reports.__main__ import main
 from reports.files import write_files
-from reports.inputs import Unusable, read_results
+from reports.inputs import NEEDED, Unusable, read_results
 from reports.paper import documents as paper_documents
 from reports.paper import tables as papers
 from reports.paper.values import NOT_MEASURED
-from reports.tables.documents import tex, to_latex
+from reports.schema import COLUMNS, TABLES, frame
+from reports.tables.documents import tex, to_csv, to_latex
 from reports.tables.ranks import UNDECIDED_NOTE
 from tests.reports.conftest import fill
 from tests.reports.page.test_page import content
@@ -212,9 +213,40 @@ def test_parquet_is_read(tmp_path):
     assert read_results(tmp_path / "r.parquet")["results"]["size_bytes"].tolist() == [7]
 
 
+EXAMPLES = {"string": 'text, with "quotes"', "boolean": True, "Float64": 0.1 + 0.2, "Int64": 2**40 + 1}
+COMPUTED = {"job", "stale", "omissions", "differences"}
+"""Columns that a report makes itself."""
+
+
+@pytest.mark.parametrize("filled", [True, False])
+def test_every_column_comes_back_as_it_was_written(tmp_path, filled):
+    """As `bench results` writes them: with a value, and empty where it may be."""
+    given = {"fitted_scenes": '["a", "b"]', "kind": "basic", "status": "ok", "psnr": 30.125, "split": "test"}
+    given |= dict.fromkeys(("contents", "metric_versions", "options"), '{"a": "b, c"}')
+    examples = {name: EXAMPLES[COLUMNS[name].dtype] for name in TABLES["results"].columns}
+    rows = [{**examples, **given}, {**examples, **given, "scene": "b", "procedural": False}]
+    if not filled:
+        rows = [{name: row[name] for name in NEEDED} for row in rows]
+    table = frame("results", rows)
+    (tmp_path / "r.csv").write_text(to_csv(table), encoding="utf-8")
+    back = read_results(tmp_path / "r.csv")["results"]
+    for name in sorted(set(table.columns) - COMPUTED):
+        if filled or name in NEEDED:
+            assert back[name].dtype == COLUMNS[name].dtype
+            pd.testing.assert_series_equal(back[name], table[name], check_exact=True, check_dtype=False)
+
+
+@pytest.mark.parametrize(("cell", "value"), [("true", True), ("FALSE", False), ("1", True), ("0", False)])
+def test_truths_of_other_tools_are_read(tmp_path, cell, value):
+    text = f"dataset,scene,method,psnr,size_bytes,procedural\nd,a,x,30,10,{cell}\n"
+    assert read_results(csv(tmp_path, text))["results"]["procedural"].tolist() == [value]
+
+
 @pytest.mark.parametrize(
     ("text", "facts"),
     [
+        ("dataset,scene,method,psnr,size_bytes,procedural\nd,a,x,30,1,maybe\n", ["line 2", "true nor false"]),
+        ("dataset,scene,method,psnr,size_bytes,fitted_scenes\nd,a,x,30,1,[\n", ["line 2", "JSON list"]),
         ("", ["header"]),
         ("dataset,scene,method,psnr,size_bytes\n", ["rows"]),
         ("dataset,scene,method,PSNR,size\n", ["psnr, size_bytes", "psnr -> psnr, size -> size_bytes"]),
