@@ -3,20 +3,22 @@
 Each command imports only what it needs: ``bench list`` starts without torch.
 
 Exit codes: 0 all done; 1 some job failed or was not finished (its row says why); 2 the request or its
-input cannot be used; 130 stopped by Ctrl-C (run again to resume).
+input cannot be used; 130 stopped by Ctrl-C (run again to resume); 141 all done, but not all of its output
+could be written (a closed pipe, a full disk).
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import string
 import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from reports.schema import TABLES
+from reports.terminal import terminal
+from reports.text import one_line
 
 COMMANDS = {
     "run": "bench.commands.run:run",
@@ -51,6 +53,12 @@ RETRIES = ("failed", "busy")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code."""
+    with terminal() as streams:
+        code = _run(arguments)
+    return streams.code(code)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments:
         parser().print_help()
@@ -64,20 +72,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except DataError as error:
         if options.debug:
             raise
-        print(f"bench: {error}", file=sys.stderr)
+        print(f"bench: {one_line(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("bench: stopped", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # the reader (head, less) had enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except OSError as error:
         if options.debug:
             raise
         what = error.filename or type(error).__name__
         remedy = "Check that it exists, that you may use it and that the disk has room"
-        print(f"bench: {what}: {error.strerror or error}. {remedy}", file=sys.stderr)
+        print(f"bench: {one_line(f'{what}: {error.strerror or error}')}. {remedy}", file=sys.stderr)
         return 2
 
 
@@ -110,7 +115,8 @@ def parser() -> _Parser:
     parser = _Parser(
         prog="bench",
         description="Benchmark of compressed scene representations of volume visualisation.",
-        epilog="Exit codes: 0 done, 1 a job failed or is unfinished, 2 unusable input, 130 stopped (Ctrl-C).",
+        epilog="Exit codes: 0 done, 1 a job failed or is unfinished, 2 unusable input, 130 stopped (Ctrl-C), "
+        "141 done, but the output could not be written.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     common = _Parser(add_help=False)

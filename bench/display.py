@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from bench.records import Job, Record
+from reports.text import one_line
 
 PLAIN_SECONDS = 10.0
 _CLOCK = 12
@@ -59,15 +60,15 @@ class LiveDisplay(Display):
     """One live line per running job (rich), a line that stays for each finished one."""
 
     def __init__(self) -> None:
-        from rich.console import Console
+        from reports.terminal import console
 
         super().__init__()
-        self._console = Console(stderr=True)
+        self._console = console("stderr")
         self._live: Any = None
         self._lines: dict[str, Any] = {}
 
     def note(self, text: str) -> None:
-        self._console.print(f"bench: {text}", highlight=False, markup=False)
+        self._console.print(f"bench: {one_line(text)}", highlight=False, markup=False)
 
     def begin(self, job: Job, number: int, total: int) -> None:
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -78,13 +79,13 @@ class LiveDisplay(Display):
             columns = (SpinnerColumn(), TimeElapsedColumn(), text)
             self._live = Progress(*columns, console=self._console, transient=True)
             self._live.start()
-        title = f"{number}/{total} {job.title}"
+        title = one_line(f"{number}/{total} {job.title}")
         self._begun[job.id] = title, time.monotonic()
         self._lines[job.id] = self._live.add_task(title, total=None)
 
     def state(self, job: Job, state: dict[str, Any]) -> None:
         line = status_line(self._begun[job.id][0], state, self._console.width - _CLOCK)
-        self._live.update(self._lines[job.id], description=line)
+        self._live.update(self._lines[job.id], description=one_line(line))
 
     def end(self, job: Job, record: Record | None, note: str = "") -> None:
         title, start = self._begun.pop(job.id)
@@ -94,7 +95,7 @@ class LiveDisplay(Display):
         color = "green" if record is not None and record.ok else "yellow" if record is None else "red"
         self._console.print(title, style="bold", end=": ", highlight=False, markup=False)
         self._console.print(
-            f"{ending(record, note)}, {time.monotonic() - start:.1f} s",
+            f"{one_line(ending(record, note))}, {time.monotonic() - start:.1f} s",
             style=color,
             highlight=False,
             markup=False,

@@ -257,6 +257,7 @@ def _environment(threads: int) -> dict[str, str]:
     # 3DGS took 75 to 180 ms instead of 18 on a busy machine.
     environment.setdefault("OMP_WAIT_POLICY", "passive")
     environment["PYTHONSAFEPATH"] = "1"
+    environment["PYTHONIOENCODING"] = "utf-8:backslashreplace"  # of logs, whatever this terminal has
     root = str(Path(__file__).resolve().parent.parent)
     if root not in site.getsitepackages():
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))

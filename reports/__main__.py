@@ -7,10 +7,18 @@ import sys
 from pathlib import Path
 
 from reports.inputs import NEEDED, Unusable, read_results
+from reports.terminal import terminal
+from reports.text import one_line
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the page, charts and tables; returns 0, or 2 for an unusable input or output."""
+    with terminal() as streams:
+        code = _run(arguments)
+    return streams.code(code)
+
+
+def _run(arguments: list[str] | None) -> int:
     parser = argparse.ArgumentParser(prog="python -m reports", description="A report of a table of results.")
     columns = ", ".join(NEEDED)
     parser.add_argument(
@@ -21,7 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         tables = read_results(options.table)
     except Unusable as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {one_line(str(error))}", file=sys.stderr)
         return 2
     from reports.page.document import write_report
 
@@ -29,7 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = f"the folder cannot be created ({error.strerror}); name another with --out"
-        print(f"error: {options.out}: {reason}", file=sys.stderr)
+        print(f"error: {one_line(str(options.out))}: {reason}", file=sys.stderr)
         return 2
     print(write_report(tables, options.table.parent, options.out / "report.html"))
     return 0

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from reports.comparability import judged
 from reports.schema import COLUMNS, TABLES, Column, frame
 from reports.style import absent
+from reports.text import csv_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -107,7 +108,7 @@ def _read_csv(path: Path) -> pd.DataFrame:
         if len(row) != len(header):
             cells = f"{len(row)} cells, the header {len(header)}"
             raise Unusable(f"{path}: {_line(i)} has {cells}; write decimal points, quote texts with commas")
-    table = pd.DataFrame(rows, columns=header, dtype="string")
+    table = pd.DataFrame([map(csv_text, row) for row in rows], columns=header, dtype="string")
     return table.mask(table == "")
 
 

@@ -139,7 +139,6 @@ def _bar(name: str) -> Iterator[Callable[[int, int | None], None]]:
     if not sys.stderr.isatty():
         yield lambda count, total: None
         return
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
         DownloadColumn,
@@ -148,13 +147,15 @@ def _bar(name: str) -> Iterator[Callable[[int, int | None], None]]:
         TimeRemainingColumn,
     )
 
+    from reports.terminal import console
+
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=None),
         DownloadColumn(binary_units=True),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True, expand=True) as bar:
+    with Progress(*columns, console=console("stderr"), transient=True, expand=True) as bar:
 
         def update(count: int, total: int | None) -> None:
             if bar.tasks:

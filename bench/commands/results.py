@@ -12,6 +12,7 @@ from bench.plugins import plugin_folders
 from bench.store import Store
 from bench.tables import build_tables
 from datasets.errors import DataError
+from reports.text import one_line
 
 _MOST_NOTES = 12
 
@@ -147,9 +148,9 @@ def print_table(table: pd.DataFrame) -> None:
 
 
 def _console() -> Any:
-    from rich.console import Console
+    from reports.terminal import console
 
-    return Console(width=None if sys.stdout.isatty() else 200)
+    return console(width=None if sys.stdout.isatty() else 200)
 
 
 def print_grid(header: list[str], lines: list[list[str]]) -> None:
@@ -167,7 +168,7 @@ def print_grid(header: list[str], lines: list[list[str]]) -> None:
             no_wrap=True,
         )
     for line in lines:
-        grid.add_row(*line)
+        grid.add_row(*map(one_line, line))
     console.print(grid, markup=False, highlight=False)
 
 

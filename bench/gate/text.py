@@ -9,12 +9,13 @@ from pathlib import Path
 from bench.gate.baseline import Baseline
 from bench.gate.verdict import LEVEL, Finding, Verdict
 from bench.store import write_text
+from reports.text import markdown_cell, one_line, xml_text
 
 
 def lines(verdict: Verdict) -> Iterator[str]:
     """A line per finding, then the summary."""
     for finding in verdict.findings:
-        yield f"{finding.kind:<12}  {finding.cell}: {finding.text}"
+        yield one_line(f"{finding.kind:<12}  {finding.cell}: {finding.text}")
     yield f"{verdict.word}: {summary(verdict)}"
 
 
@@ -46,12 +47,12 @@ def markdown(verdict: Verdict, baseline: Baseline) -> str:
     parts = [
         f"### {sign} Quality gate: {verdict.word}",
         f"{summary(verdict)}.",
-        f"Baseline: {last.reason} ({last.date[:10]}, {last.commit or last.version}).",
+        markdown_cell(f"Baseline: {last.reason} ({last.date[:10]}, {last.commit or last.version})."),
     ]
     for kind in ("worse", "not measured", "better", "note"):
         rows = verdict.of(kind)  # type: ignore[arg-type]
         if rows:
-            table = "\n".join(f"| {_cell(row.cell)} | {_cell(row.text)} |" for row in rows)
+            table = "\n".join(f"| {markdown_cell(row.cell)} | {markdown_cell(row.text)} |" for row in rows)
             title = f"{kind.capitalize()} ({len(rows)})"
             table = f"| result | difference |\n|---|---|\n{table}"
             parts.append(
@@ -60,10 +61,6 @@ def markdown(verdict: Verdict, baseline: Baseline) -> str:
                 else f"<details><summary>{title}</summary>\n\n{table}\n\n</details>"
             )
     return "\n\n".join(parts) + "\n"
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ").replace("<", "&lt;")
 
 
 def write_junit(path: Path, verdict: Verdict) -> None:
@@ -85,7 +82,7 @@ def write_junit(path: Path, verdict: Verdict) -> None:
         if others:
             ElementTree.SubElement(case, "system-out").text = "\n".join(others)
     document = ElementTree.tostring(suite, encoding="unicode", xml_declaration=True)
-    write_text(path, document + "\n")
+    write_text(path, xml_text(document) + "\n")
 
 
 def findings_by_cell(verdict: Verdict) -> dict[str, list[Finding]]:

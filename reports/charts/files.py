@@ -1,11 +1,13 @@
 """Charts as files for papers: SVG and PDF.
 
-Run as a program, it reads paths of SVG files, a line each, and writes the PDF of each beside it.
+Run as a program, it reads paths of SVG files, a JSON text on a line each, and writes the PDF of each beside
+it.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 import subprocess
 import sys
@@ -49,7 +51,7 @@ def output(folder: Path) -> Iterator[Callable[[Mapping[str, Chart]], None]]:
                 path = folder / f"{name}.svg"
                 path.write_text(svg.file(chart), encoding="utf-8")
                 with suppress(BrokenPipeError):  # its message follows at the end
-                    print(path.resolve(), file=processes[0].stdin, flush=True)
+                    print(json.dumps(str(path.resolve())), file=processes[0].stdin, flush=True)
 
         try:
             yield write
@@ -92,5 +94,5 @@ def pdf(document: str) -> bytes:
 
 if __name__ == "__main__":
     for line in sys.stdin:
-        file = Path(line.rstrip("\n"))
+        file = Path(json.loads(line))
         file.with_suffix(".pdf").write_bytes(pdf(file.read_text(encoding="utf-8")))

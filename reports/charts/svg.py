@@ -12,6 +12,7 @@ from reports import markup
 from reports.charts.chart import INK, WIDTH, Axis, Chart, Panel
 from reports.charts.labels import LINE, SIZE, text_width
 from reports.style import DARK, Look
+from reports.text import xml_text
 
 FONT = "Liberation Sans, Arial, Helvetica, sans-serif"
 """Fonts of the same metrics, which label places are computed for."""
@@ -133,7 +134,7 @@ def _document(width: float, height: float, content: str, attributes: str) -> str
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{_n(width)}" height="{_n(height)}"'
         f' viewBox="0 0 {_n(width)} {_n(height)}" font-family="{FONT}" font-size="{_n(SIZE)}"{attributes}>'
-        f"{content}</svg>"
+        f"{xml_text(content)}</svg>"
     )
 
 

@@ -21,6 +21,7 @@ from reports.paper import verdicts
 from reports.paper.evidence import of_report
 from reports.paper.tables import paper_tables
 from reports.style import absent, counted, label
+from reports.text import xml_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,7 +87,7 @@ def write_report(
         write_files(report, out.parent, paper)
         name = _name(dvr if results.empty else results)
         head = _head(name, report.measured, sections, [one.sentence for one in report.remarks])
-        write_text(out, _document(name, head, sections))
+        write_text(out, xml_text(_document(name, head, sections)))
     return out
 
 

@@ -9,6 +9,7 @@ from reports.paper.values import NOT_MEASURED, QUANTITIES, Block, PaperTable, Qu
 from reports.style import MISSING
 from reports.tables.documents import MARKDOWN_MARKS, TEX_MARKS, tex, tex_notes
 from reports.tables.ranks import UNDECIDED, UNDECIDED_SIGN
+from reports.text import markdown_cell
 
 
 def measured_text(value: Value, quantity: Quantity) -> str:
@@ -41,14 +42,15 @@ def _heading(block: Block) -> str:
 
 def to_markdown(table: PaperTable) -> str:
     """A pipe table per block; best in bold, second best in italics."""
-    lines = [f"### {table.title}"]
+    lines = [f"### {markdown_cell(table.title)}"]
     for block in table.blocks:
-        lines += ["", _heading(block), "", f"| {' | '.join(_heads(table))} |"]
+        heads = " | ".join(map(markdown_cell, _heads(table)))
+        lines += ["", markdown_cell(_heading(block)), "", f"| {heads} |"]
         lines.append("|---|" + "---:|" * len(table.columns))
-        for label, measured, published in _rows(table, block, MARKDOWN_MARKS, str):
+        for label, measured, published in _rows(table, block, MARKDOWN_MARKS, markdown_cell):
             cells = (f"{m}<br>{p}" if p else m for m, p in zip(measured, published, strict=True))
             lines.append(f"| {' | '.join([label, *cells])} |")
-        lines += [line for text in _remarks(block) for line in ("", text)]
+        lines += [line for text in _remarks(block) for line in ("", markdown_cell(text))]
     return "\n".join(lines) + "\n"
 
 

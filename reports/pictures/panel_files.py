@@ -11,6 +11,7 @@ from reports.pictures.difference import DELTA_E_MAX, scale
 from reports.pictures.panels import Panel, Shot
 from reports.style import row_label
 from reports.tables.columns import cell
+from reports.text import printable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -141,7 +142,7 @@ def _frame(axes: Axes, left: float, top: float, width: float, height: float, col
 
 def caption(axes: Axes, left: float, top: float, text: str, **style: Any) -> None:
     """Text from an upper left corner, in inches; a dollar sign is one."""
-    axes.text(left, top, text, **{"fontsize": 6.5, "va": "top", "parse_math": False, **style})
+    axes.text(left, top, printable(text), **{"fontsize": 6.5, "va": "top", "parse_math": False, **style})
 
 
 def _name(shot: Shot) -> str:

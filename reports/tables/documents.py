@@ -13,6 +13,7 @@ from reports.style import MISSING, absent, row_label
 from reports.tables.columns import cell, is_results
 from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
 from reports.tables.results import marked, with_notes
+from reports.text import csv_cell, markdown_cell, one_line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,7 +26,7 @@ TEX_MARKS = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", UNDECIDED: r"{}\rlap{{
 
 
 def to_csv(table: pd.DataFrame) -> str:
-    """All columns with raw values; a missing value is empty.
+    """All columns with raw values, texts as :func:`reports.text.csv_cell`; a missing value is empty.
 
     Numbers have Python's digits. NumPy's would be fewer after any library in the process has set its print
     options (colour-science does).
@@ -37,6 +38,8 @@ def to_csv(table: pd.DataFrame) -> str:
         if plain[name].dtype.kind == "f":
             values = plain[name].to_numpy(float, na_value=np.nan).tolist()
             plain[name] = pd.Series([None if v != v else v for v in values], plain.index, dtype=object)
+        elif plain[name].dtype.kind not in "iub":
+            plain[name] = plain[name].map(lambda value: csv_cell(value) if isinstance(value, str) else value)
     return plain.to_csv(index=False, lineterminator="\n")
 
 
@@ -53,15 +56,15 @@ def to_markdown(table: pd.DataFrame, marks: Marks | None = None, remark: str = "
     table, notes = with_notes(table)
     columns = [by_name(name) for name in table.columns]
     lines = [
-        "| " + " | ".join(_md(column.header) for column in columns) + " |",
+        "| " + " | ".join(markdown_cell(column.header) for column in columns) + " |",
         "|" + "|".join("---:" if column.numeric else "---" for column in columns) + "|",
     ]
     for row in _rows(table, marks, out):
-        texts = (MARKDOWN_MARKS.get(mark, "{}").format(_md(text)) for text, mark in row)
+        texts = (MARKDOWN_MARKS.get(mark, "{}").format(markdown_cell(text)) for text, mark in row)
         lines.append("| " + " | ".join(texts) + " |")
     notes += [remark] if remark else []
     notes += [UNDECIDED_NOTE] if UNDECIDED in marks.values() else []
-    return "\n".join([*lines, *(f"\n{_md(note)}" for note in notes)]) + "\n"
+    return "\n".join([*lines, *(f"\n{markdown_cell(note)}" for note in notes)]) + "\n"
 
 
 def to_latex(table: pd.DataFrame, marks: Marks | None = None, remark: str = "") -> str:
@@ -119,10 +122,6 @@ def tex_notes(notes: Iterable[str]) -> list[str]:
     return [rf"\par\noindent{{\footnotesize {tex(note)}\par}}" for note in notes]
 
 
-def _md(text: str) -> str:
-    return text.replace("\\", "\\\\").replace("|", "\\|").replace("*", "\\*").replace("\n", " ")
-
-
 _TEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{",
     "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\n": " ", "Δ": r"$\Delta$",
@@ -134,4 +133,4 @@ _TEX = {
 
 def tex(text: str) -> str:
     """Text with the characters escaped that are commands in LaTeX."""
-    return "".join(_TEX.get(sign, sign) for sign in text)
+    return "".join(_TEX.get(sign, sign) for sign in one_line(text.replace("\n", " ")))

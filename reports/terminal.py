@@ -1,0 +1,146 @@
+"""Standard output and error of a command: any encoding, closed or broken, and labels that are data.
+
+Signs that the encoding lacks are replaced; control characters are escaped; and once the reader is gone (a
+closed pipe, a full disk) the rest is dropped, so that a command still writes its files and ends with its own
+exit code, or :data:`LOST`.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, TextIO, cast
+
+from reports.text import printable
+
+LOST = 141
+"""Exit code of a command that did its work but whose output could not be written: that of SIGPIPE."""
+
+
+class Stream:
+    """A text stream in the place of ``sys.stdout`` or ``sys.stderr``; all else is the stream's own.
+
+    Attributes:
+        lost: whether something could not be written.
+        styled: the stream for writers that send commands to the terminal on purpose (rich).
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self.lost = False
+        self.styled = _Styled(self)
+
+    def write(self, text: str) -> int:
+        self.write_raw(printable(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        for line in lines:
+            self.write(line)
+
+    def write_raw(self, text: str) -> None:
+        """Write control characters as they are."""
+        encoding = self._stream.encoding or "utf-8"
+        with self._noticed():
+            self._stream.write(text.encode(encoding, "replace").decode(encoding))
+
+    def flush(self) -> None:
+        with self._noticed():
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    @contextmanager
+    def _noticed(self) -> Iterator[None]:
+        """Notice that nobody reads; what the stream still holds then goes nowhere, also at Python's end."""
+        try:
+            yield
+        except OSError:
+            self.lost = True
+            with suppress(OSError, ValueError):
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, self._stream.fileno())
+                os.close(nowhere)
+
+
+class _Styled:
+    """A :class:`Stream` that leaves control characters as they are."""
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        self._stream.write_raw(text)
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+class _Closed(io.TextIOBase):
+    """The stream of a descriptor that was closed before Python began."""
+
+    encoding = "utf-8"
+
+    def write(self, text: str) -> int:
+        raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+
+
+class Terminal:
+    """The standard streams of a command."""
+
+    def __init__(self) -> None:
+        self.streams = [Stream(sys.stdout or _closed(1)), Stream(sys.stderr or _closed(2))]
+
+    def flush(self) -> None:
+        for stream in self.streams:
+            stream.flush()
+
+    def code(self, code: int) -> int:
+        """The exit code of a command that ended with ``code``: :data:`LOST` where 0 would hide a loss."""
+        return LOST if code == 0 and any(stream.lost for stream in self.streams) else code
+
+
+@contextmanager
+def terminal() -> Iterator[Terminal]:
+    """Print through a :class:`Terminal` for as long as the context lasts."""
+    before = sys.stdout, sys.stderr
+    state = Terminal()
+    sys.stdout, sys.stderr = (cast(TextIO, stream) for stream in state.streams)
+    try:
+        yield state
+    except SystemExit as end:  # of argparse, which has printed a help or a version
+        state.flush()
+        raise SystemExit(end.code or state.code(0)) from None
+    finally:
+        state.flush()
+        sys.stdout, sys.stderr = before
+
+
+def _closed(number: int) -> TextIO:
+    """A stream for a closed descriptor, which no file may take: children would print into that file."""
+    opened = os.open(os.devnull, os.O_WRONLY)
+    if opened != number:
+        os.dup2(opened, number)
+        os.close(opened)
+    return cast(TextIO, _Closed())
+
+
+def console(name: str = "stdout", **options: Any) -> Any:
+    """A console of rich on a standard stream, whose colors and live lines a terminal takes as commands.
+
+    Args:
+        name: "stdout" or "stderr".
+        options: of ``rich.console.Console``.
+
+    Labels that it prints pass :func:`reports.text.one_line` first.
+    """
+    from rich.console import Console
+
+    stream = getattr(sys, name)
+    return Console(file=getattr(stream, "styled", stream), **options)
