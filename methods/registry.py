@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 GROUP = "econgs_bench.methods"
 BUILT_IN = "built in: methods."
+_SPEC = re.compile(rb"^(?:\xef\xbb\xbf)?SPEC\b\s*[:=]", re.MULTILINE)
+"""In bytes: a source has the encoding that it declares (PEP 263), and what is no source may have any."""
 """How the origins of the methods that come with the harness begin."""
 
 
@@ -324,7 +326,7 @@ def _spec_module(path: Path) -> str | None:
         if not (path / "__init__.py").is_file():
             return None
     for file, module in options:
-        if file.is_file() and re.search(r"^SPEC\b\s*[:=]", file.read_text(encoding="utf-8"), re.MULTILINE):
+        if file.is_file() and _SPEC.search(file.read_bytes()):
             return module
     return None
 

@@ -216,3 +216,44 @@ def test_an_implementation_that_is_not_there(folder):
     (folder / "toy_hollow" / "method.py").write_text("")
     with pytest.raises(DataError, match="cannot be imported"):
         load_method(Registry([folder]).spec("toy"))
+
+
+@pytest.mark.parametrize(
+    ("head", "encoding"),
+    [
+        ("# -*- coding: latin-1 -*-\n# by Ren\xe9\n", "latin-1"),
+        ("#!/usr/bin/env python\n# vim: set fileencoding=cp1252 :\n# \u20ac\n", "cp1252"),
+        ("# coding: shift_jis\n# \u8868\n", "shift_jis"),
+        ("", "utf-8-sig"),
+        ("# by Ren\xe9\r\n", "utf-8"),
+    ],
+)
+def test_a_plugin_has_any_encoding_that_python_reads(folder, head: str, encoding: str) -> None:
+    spec = write(folder, "toy_coded") / "spec.py"
+    spec.write_bytes((head + spec.read_text().strip()).encode(encoding))
+    found = Registry([folder])
+    assert found.spec("toy").options().size == 3
+    assert not found.broken
+
+
+def test_a_spec_in_the_first_line_may_follow_a_byte_order_mark(folder) -> None:
+    (folder / "toy_first.py").write_bytes(b"\xef\xbb\xbfSPEC = __import__('toy_other.spec').spec.SPEC\n")
+    write(folder, "toy_other")
+    with pytest.raises(DataError, match="toy"):  # the same method twice: both files were found
+        Registry([folder])
+
+
+def test_a_file_that_is_no_source_is_no_plugin(folder) -> None:
+    write(folder, "toy_good")
+    (folder / "toy_notes.py").write_bytes("caf\xe9\n".encode("latin-1"))
+    (folder / "toy_binary.py").write_bytes(bytes(range(256)))
+    (folder / "toy_wide.py").write_bytes("notes\n".encode("utf-16"))
+    assert "toy" in Registry([folder]).specs
+
+
+def test_a_plugin_of_another_encoding_than_it_declares_is_named(folder) -> None:
+    write(folder, "toy_good")
+    (folder / "toy_torn.py").write_bytes("BY = 'Ren\xe9'\nSPEC = None\n".encode("latin-1"))
+    with pytest.raises(DataError, match=r"toy_torn\.py.*cannot be imported \(SyntaxError"):
+        Registry([folder])
+    assert "toy" in Registry([folder], lenient=True).specs
