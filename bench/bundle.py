@@ -9,10 +9,12 @@ A bundle is a zip of a run store without its pictures, so that it can be unpacke
 from __future__ import annotations
 
 import csv
+import errno
 import hashlib
 import io
 import json
 import os
+import shutil
 import struct
 import tempfile
 import uuid
@@ -27,9 +29,10 @@ from typing import Any
 from bench.ladders import Ladder
 from bench.records import SCHEMA, Provenance, Record, hash_of
 from bench.rungs import FILE, ladders_of
-from bench.store import Store, read_record
+from bench.store import LONGEST, Store, read_record
 from bench.tables import stored_tables
 from bench.verification import Evidence, absences, contradictions
+from datasets.bounded import json_of, number_of_values, room, values_room
 from datasets.errors import DataError
 from datasets.seals import SEALED_SINCE, is_sealed
 from reports.schema import joined
@@ -37,16 +40,17 @@ from reports.tables.documents import to_csv
 
 MANIFEST = "bundle.json"
 FORMAT = 1
-_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, struct.error, ValueError, RuntimeError, OSError)
-"""What reading a damaged zip raises (encrypted: RuntimeError, of which NotImplementedError is one)."""
+_DAMAGE = (
+    zipfile.BadZipFile, zlib.error, EOFError, struct.error, ValueError, RuntimeError, OSError,
+    ArithmeticError,
+)  # fmt: skip
+"""What reading a damaged zip raises (encrypted: RuntimeError, of which NotImplementedError is one), and what
+figures beyond all ranges do."""
 _REVISED = {"scenes_together"}
 """Columns that follow from the records by another rule than when older bundles were written."""
 _LONG = {"features", "losses", "scenes", "rung_views"}
 """Tables that take more room than all others and that nobody reads as CSV; records hold them too."""
-_LONGEST = 32 * 2**20
-"""Bytes of a record or of the list of files: a hundred times those of any committed bundle."""
-_LIMIT = 16 * 2**30
-"""Bytes that the files of a bundle may have together: no bomb is unpacked."""
+_PIECE = 2**20
 
 
 def write_bundle(store: Store, out: Path, *, models: bool = False) -> int:
@@ -143,16 +147,17 @@ def verdict(path: Path) -> Verdict:
 
 
 def unpack(path: Path, folder: Path) -> Verdict:
-    """Into a folder, unless the files themselves do not hold; returns and raises as :func:`verdict`."""
+    """Into a folder, file by file, as long as the files themselves hold; as :func:`verdict`.
+
+    Memory and time are bounded by the size of the bundle: its files may have :func:`~datasets.bounded.room`
+    bytes together, and its records :func:`~datasets.bounded.values_room` values.
+    """
     try:
+        size = path.stat().st_size
         with zipfile.ZipFile(path) as archive:
-            manifest = _manifest(archive, path)
-            problems = _check_files(archive, manifest["files"])
-            if problems:
-                return Verdict(problems)
-            for name in manifest["files"]:
-                archive.extract(name, folder)
-            return _check_store(folder, manifest)
+            manifest = _manifest(archive, path, size)
+            problems = _extract(archive, manifest["files"], folder)
+            return Verdict(problems) if problems else _check_store(folder, manifest, values_room(size))
     except FileNotFoundError:
         raise DataError(path, "no such file", "Name a file that `bench bundle` wrote") from None
     except _DAMAGE as error:
@@ -173,11 +178,11 @@ def unpacked(path: Path) -> Iterator[Store]:
         yield Store(Path(folder))
 
 
-def _manifest(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
+def _manifest(archive: zipfile.ZipFile, path: Path, size: int) -> dict[str, Any]:
     try:
-        if (size := archive.getinfo(MANIFEST).file_size) > _LONGEST:
-            raise ValueError(f"{size} bytes, more than any has")
-        manifest: dict[str, Any] = json.loads(archive.read(MANIFEST))
+        if (length := archive.getinfo(MANIFEST).file_size) > LONGEST:
+            raise ValueError(f"{length} bytes, more than any has")
+        manifest: dict[str, Any] = json_of(archive.read(MANIFEST), values_room(size))
         form, files = manifest["format"], manifest["files"]
         lengths = [int(entry["bytes"]) for entry in files.values()]
         names = [str(entry["sha256"]) for entry in files.values()]
@@ -190,12 +195,14 @@ def _manifest(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
         raise DataError(path, f"is no bundle ({MANIFEST}: {error})", "Make it with `bench bundle`") from error
     if form != FORMAT:
         raise DataError(path, f"is a bundle of format {form}, not {FORMAT}", "Use the program that wrote it")
-    if sum(lengths) > _LIMIT or min(lengths, default=0) < 0 or len(names) > 1_000_000:
-        raise DataError(path, "says that it holds more than a bundle can", "Get it anew")
+    if sum(lengths) > room(size) or min(lengths, default=0) < 0 or len(names) > 1_000_000:
+        reason = f"says that its files have {sum(lengths)} bytes, and {room(size)} are the most for its size"
+        raise DataError(path, reason, "Get it anew, or bundle parts of the run store")
     return manifest
 
 
-def _check_files(archive: zipfile.ZipFile, files: dict[str, Any]) -> list[str]:
+def _extract(archive: zipfile.ZipFile, files: dict[str, Any], folder: Path) -> list[str]:
+    """Write the files of a bundle into a folder, in pieces; what does not hold, which ends it."""
     there = {info.filename: info for info in archive.infolist()}
     problems = [f"{name}: missing" for name in files if name not in there]
     problems += [f"{name}: not in {MANIFEST}" for name in there if name not in files and name != MANIFEST]
@@ -206,22 +213,37 @@ def _check_files(archive: zipfile.ZipFile, files: dict[str, Any]) -> list[str]:
         size = there[name].file_size
         if size != entry["bytes"]:
             problems.append(f"{name}: {size} bytes instead of {entry['bytes']}")
-            continue
-        if name.endswith(".json") and "/model/" not in name and size > _LONGEST:
+        elif name.endswith(".json") and "/model/" not in name and size > LONGEST:
             problems.append(f"{name}: {size} bytes, more than any has")
-            continue
-        with archive.open(name) as file:  # in pieces: a bomb does not fill memory
-            digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
-        if digest != entry["sha256"]:
+    if problems:
+        return problems
+    if (needed := sum(entry["bytes"] for entry in files.values())) > shutil.disk_usage(folder).free:
+        raise OSError(errno.ENOSPC, f"its files have {needed} bytes, and {folder} has less room (TMPDIR)")
+    for name, entry in files.items():
+        target = folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        digest = hashlib.sha256()
+        with archive.open(name) as source, target.open("xb") as out:
+            while piece := source.read(_PIECE):
+                digest.update(piece)
+                out.write(piece)
+        if digest.hexdigest() != entry["sha256"]:
             problems.append(f"{name}: its SHA-256 is another")
     return problems
 
 
 def _leads_out(name: str) -> bool:
-    return name.startswith(("/", "\\")) or ".." in Path(name).parts or ":" in name
+    """Whether a name is none of a file below a folder, on any system and for any program."""
+    parts = name.split("/")
+    return (
+        not all(parts)
+        or {".", ".."} & {*parts} != set()
+        or any(c in name for c in "\\:\0")
+        or (not name.isprintable())
+    )
 
 
-def _check_store(root: Path, manifest: dict[str, Any]) -> Verdict:
+def _check_store(root: Path, manifest: dict[str, Any], most: int) -> Verdict:
     try:
         Store(root)
         ladders = ladders_of(root)
@@ -229,7 +251,7 @@ def _check_store(root: Path, manifest: dict[str, Any]) -> Verdict:
         return Verdict([f"{Path(str(error.what)).name}: {error.reason}"])
     files = {Path(name).stem: root / name for name in manifest["files"] if name.startswith("tables/")}
     problems: list[str] = []
-    evidence = Evidence(_records(root, files.keys(), problems))
+    evidence = Evidence(_records(root, files.keys(), problems, most))
     if problems:
         return Verdict(problems)
     for record in evidence:
@@ -241,19 +263,23 @@ def _check_store(root: Path, manifest: dict[str, Any]) -> Verdict:
     return Verdict(problems, notes)
 
 
-def _records(root: Path, tables: Collection[str], problems: list[str]) -> Iterator[Record]:
+def _records(root: Path, tables: Collection[str], problems: list[str], most: int) -> Iterator[Record]:
     """The records without what only tables hold that the bundle lacks; what is wrong with them is added.
 
-    Those parts are most of what a record takes in memory.
+    Those parts are most of what a record takes in memory. Beyond so many values of all, no more is read.
     """
     for path in sorted((root / "jobs").glob("*/record.json")):
+        most -= number_of_values(path.read_text(encoding="utf-8"))
+        if most < 0:
+            problems.append(
+                f"jobs/{path.parent.name}: the records have more values than a bundle of its size"
+            )
+            return
         try:
             record = read_record(path)
         except DataError as error:
             problems.append(f"jobs/{path.parent.name}: {error.reason}")
             continue
-        if path.parent.name != record.job.id:
-            problems.append(f"jobs/{path.parent.name}: holds the record of {record.job.id}")
         if hash_of(record.job.identity) != record.job.key:
             problems.append(f"{record.job.id}: its name does not follow from what it ran")
         if record.started >= SEALED_SINCE and not is_sealed(path):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.store import write_text
+from datasets.bounded import json_of
 from datasets.errors import DataError, text_of
 from datasets.seals import checksum, sealed, unsealed
 from methods.interface import Checkpoint
@@ -16,6 +17,8 @@ from methods.interface import Checkpoint
 VERSION = 2
 """Raised when a checkpoint of an earlier version could be misread."""
 _META, _ARRAYS = "checkpoint.json", "arrays.safetensors"
+_MOST_VALUES = 10_000_000
+"""Values of the first of these files; the curve of a long fit has thousands."""
 
 
 class Damaged(DataError):
@@ -75,7 +78,7 @@ def read_checkpoint(folder: Path) -> tuple[Checkpoint, dict[str, Any]] | None:
 
 
 def _read(folder: Path) -> tuple[Checkpoint, dict[str, Any]]:
-    meta = json.loads(unsealed((folder / _META).read_text(encoding="utf-8")))
+    meta = json_of(unsealed((folder / _META).read_text(encoding="utf-8")), _MOST_VALUES, finite=False)
     if meta.get("version") != VERSION:
         raise DataError(folder, "an earlier version wrote this checkpoint", "Run into a new store (--out)")
     arrays, file = {}, folder / _ARRAYS

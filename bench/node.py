@@ -121,7 +121,7 @@ class _State:
                 raise DataError(
                     order.root, f"is not seen by {where}", "Give --out a folder that all nodes share"
                 )
-            store = Store(order.root)
+            store = Store(order.root, checked=True)
             for need in order.job.needs:
                 visible_record(store, need)
             if self.cores is not None:

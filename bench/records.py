@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -19,6 +19,14 @@ READABLE = (2, SCHEMA)
 Kind = Literal["views", "dvr", "complexity", "partition", "fit", "encode", "measure"]
 Status = Literal["ok", "failed", "oom", "timeout", "diverged", "refused"]
 Value = bool | int | float | str
+Key = Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
+"""Hash of an identity (:func:`hash_of`): names of folders are made of it."""
+JobId = Annotated[str, Field(pattern=f"^({'|'.join(get_args(Kind))})-[0-9a-f]{{16}}$")]
+"""Name of a job and of its folder."""
+PictureFile = Annotated[str, Field(pattern=r"^[^/\\\x00-\x1f]+\.png$")]
+"""Name of a picture in the folder of its job."""
+Views = Annotated[int, Field(ge=0, le=1_000_000)]
+Pixels = Annotated[int, Field(ge=0, le=1_000_000)]
 
 
 class _Model(BaseModel):
@@ -33,10 +41,10 @@ class Request(_Model):
             records have 1.
     """
 
-    train_views: int
-    test_views: int
-    width: int
-    height: int
+    train_views: Views
+    test_views: Views
+    width: Pixels
+    height: Pixels
     samples: int = 1
 
     @property
@@ -73,9 +81,9 @@ class Job(_Model):
     """
 
     kind: Kind
-    key: str
+    key: Key
     identity: dict[str, Any]
-    needs: tuple[str, ...] = ()
+    needs: tuple[JobId, ...] = ()
     dataset: str
     dataset_name: str
     scenes: tuple[str, ...]
@@ -227,7 +235,7 @@ class ViewsResult(_Model):
 
     view_keys: dict[str, str]
     background: tuple[float, float, float]
-    truth: dict[str, list[str]]
+    truth: dict[str, list[PictureFile]]
     render_seconds: float
     cost: dict[str, dict[str, Any]] = Field(default_factory=dict)
     distance: float | None = None
@@ -413,7 +421,7 @@ class Record(_Model):
     job: Job
     status: Status
     reason: str | None = None
-    cause: str | None = None
+    cause: JobId | None = None
     stage: str | None = None
     iteration: int | None = None
     log_tail: str | None = None

@@ -327,7 +327,7 @@ def main(folder: Path) -> int:
     """Answer the request in a folder."""
     request = json.loads((folder / _REQUEST).read_text(encoding="utf-8"))
     try:
-        answer = _measured(Store(folder.parent.parent), folder, request)
+        answer = _measured(Store(folder.parent.parent, checked=True), folder, request)
     except Refused as error:
         answer = {"refused": text_of(error)}
     except Exception as error:

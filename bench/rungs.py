@@ -11,6 +11,7 @@ from typing import Any
 from bench.ladders import Ladder, ladder_of
 from bench.records import Job
 from bench.store import Store, write_text
+from datasets.bounded import json_of
 from datasets.errors import DataError
 from methods.options import label
 
@@ -37,7 +38,7 @@ def ladders_of(root: Path) -> list[Ladder]:
     if not path.is_file():
         return []
     try:
-        return [ladder_of(table, str(path)) for table in json.loads(path.read_text(encoding="utf-8"))]
+        return [ladder_of(table, str(path)) for table in json_of(path.read_bytes())]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise DataError(path, f"holds no ladders ({error})", "Delete it, and run the suite again") from error
 

@@ -4,7 +4,11 @@
 
 A record is either whole or absent: ``record.json`` is written last (temporary file, fsync, rename)
 and its folder then moves from ``partial/`` to ``jobs/`` by one rename. A record that somebody has damaged
-counts as none: it is in no table, its job runs again, and its folder is kept in ``damaged/``.
+counts as none: it is in no table, its job runs again, and its folder is kept in ``damaged/``. So does one
+that is not that of its folder's job.
+
+A store may come from somebody else. So no path is built from what a record says but from names of jobs,
+which :mod:`bench.records` checks, and a store that holds a symbolic link is not opened.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -21,11 +26,14 @@ from pydantic import ValidationError
 from bench.leases import Lease
 from bench.migration import migrated
 from bench.records import READABLE, SCHEMA, Record
-from datasets.errors import DataError
+from datasets.bounded import json_of, number_of_values
+from datasets.errors import DataError, printable
 from datasets.seals import sealed, unsealed
 
-_LONGEST = 256 * 2**20
-"""Bytes of a record that is read; whole ones have a few MiB at most."""
+LONGEST = 32 * 2**20
+"""Bytes of a record that is read: a hundred times those of any committed one."""
+MOST_VALUES = 4_000_000
+"""Values of a record that is read: two hundred times those of any committed one."""
 _OUTPUTS = {"views": "views.json", "fit": "checkpoint", "encode": "model"}
 """Kind of a job -> what other jobs read of its folder; all else is in its record."""
 _HEX = "[0-9a-f]" * 32
@@ -38,15 +46,16 @@ class Store:
     Args:
         root: its folder.
         create: create it if it does not exist.
+        checked: whether the process that started this one has looked for symbolic links.
 
     Attributes:
         damaged: folder in ``jobs/`` -> why its record cannot be read, as far as records were looked at.
 
     Raises:
-        DataError: the folder is no run store, or one of another schema version.
+        DataError: the folder is no run store, or one of another schema version, or holds symbolic links.
     """
 
-    def __init__(self, root: Path, *, create: bool = False) -> None:
+    def __init__(self, root: Path, *, create: bool = False, checked: bool = False) -> None:
         self.root = root.expanduser().resolve()
         self._cache: dict[str, tuple[int, Record]] = {}
         self.damaged: dict[str, str] = {}
@@ -68,8 +77,10 @@ class Store:
                 raise DataError(
                     root, f"cannot be written ({error.strerror})", "Give --out another folder"
                 ) from error
+        if not checked:
+            check_files(self.root)
         try:
-            version = json.loads(marker.read_text(encoding="utf-8"))["schema_version"]
+            version = json_of(marker.read_bytes(), most=1000)["schema_version"]
         except (ValueError, KeyError, TypeError) as error:
             raise DataError(
                 marker, "cannot be read as a run store's marker", "Restore it or start anew"
@@ -199,16 +210,21 @@ class Store:
 
 
 def read_record(path: Path) -> Record:
-    """Read and check a record.
+    """Read and check the record in the folder of a job.
 
     Raises:
-        DataError: it is no record of this schema.
+        DataError: it is no record of this schema, or that of another job.
     """
-    if (size := path.stat().st_size) > _LONGEST:
-        reason = f"not a whole record ({size} bytes, more than any has)"
-        raise DataError(path, reason, "`bench repair` sets it aside; the job then runs again")
     try:
-        return migrated(Record.model_validate_json(unsealed(path.read_text(encoding="utf-8"))))
+        if (size := path.stat().st_size) > LONGEST:
+            raise ValueError(f"{size} bytes, more than any has")
+        text = unsealed(path.read_text(encoding="utf-8"))
+        if (values := number_of_values(text)) > MOST_VALUES:
+            raise ValueError(f"{values} values, more than any has")
+        record = migrated(Record.model_validate_json(text))
+        if record.job.id != path.parent.name:
+            raise ValueError(f"it is that of {record.job.id}")
+        return record
     except ValueError as error:
         first = str(error)
         if isinstance(error, ValidationError):
@@ -217,6 +233,31 @@ def read_record(path: Path) -> Record:
         raise DataError(
             path, f"not a whole record ({first})", "`bench repair` sets it aside; the job then runs again"
         ) from error
+
+
+def check_files(root: Path) -> None:
+    """Check that a folder holds files and folders alone.
+
+    A link may lead a program that reads, copies, writes or deletes out of the folder, and a pipe never ends.
+    What another process removes meanwhile is none of it.
+
+    Raises:
+        DataError: it holds a symbolic link, pipe, socket or device.
+    """
+    folders = [str(root)]
+    while folders:
+        with suppress(FileNotFoundError), os.scandir(folders.pop()) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(entry.path)
+                elif not entry.is_file(follow_symlinks=False) and os.path.lexists(entry.path):
+                    kind = "a symbolic link" if entry.is_symlink() else "a pipe, socket or device"
+                    where = printable(os.path.relpath(entry.path, root))
+                    raise DataError(
+                        root,
+                        f"holds {kind}, {where!r}, and a run store consists of files and folders",
+                        "Remove it, or put in its place what it leads to, if you trust that",
+                    )
 
 
 def write_text(path: Path, text: str) -> None:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.bounded import json_of
 from datasets.errors import DataError
 from datasets.scratch import cache_root, new_array
 from datasets.seals import sealed, unsealed
@@ -151,7 +152,7 @@ class ViewCache:
     def _entry(self, key: str) -> dict[str, Any] | None:
         folder = self.folder / key
         try:
-            entry = json.loads(unsealed((folder / "entry.json").read_text(encoding="utf-8")))
+            entry = json_of(unsealed((folder / "entry.json").read_text(encoding="utf-8")), finite=False)
             size = (folder / "images.zst").stat().st_size
             whole = entry["schema"] == _SCHEMA and size == sum(entry["frames"])
             if not (whole and isinstance(entry["record"], dict)):

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.store import write_text
+from datasets.bounded import json_of
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.seals import sealed, unsealed
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 INDEX = "views.json"
 _CLOUD = "cloud.npz"
+_MOST_VALUES = 10_000_000
+"""Values of the index; a camera has about 30."""
 
 
 def write_truth(
@@ -70,7 +73,7 @@ class Truth:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._index: dict[str, Any] = self._read(
-            INDEX, lambda file: json.loads(unsealed(file.read_text(encoding="utf-8")))
+            INDEX, lambda file: json_of(unsealed(file.read_text(encoding="utf-8")), _MOST_VALUES)
         )
 
     def cameras(self, split: Split) -> tuple[Camera, ...]:

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from datasets.bounded import json_of
 from datasets.errors import DataError
 from econgs.context.arrays import Arrays, Precision, read_arrays, round_arrays, write_arrays
 from econgs.context.coder import SYMBOL_LIMIT, Decoder, Encoder, read_bits, write_bits
@@ -477,7 +478,7 @@ def _read_group(reader: Reader) -> tuple:
     if not (count and width and many and kinds in _ALL_KINDS and width + 6 + 3 * many <= MOST_ELEMENTS):
         raise ValueError(f"no scenes, features or offsets, or more than {MOST_ELEMENTS} elements per anchor")
     grid = PositionGrid(numbers[:3], numbers[3:], tuple(extent))
-    metadata = json.loads(_read_text(reader))
+    metadata = json_of(_read_text(reader))
     if not isinstance(metadata, dict):
         raise ValueError("metadata is no object")
     return grid, kinds, count, width, many, metadata

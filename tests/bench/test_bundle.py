@@ -231,10 +231,10 @@ def test_texts_beyond_any_bundle_are_refused_unread(packed, tmp_path, monkeypatc
         resigned(files)
 
     path = rewritten(packed, tmp_path, longer)
-    monkeypatch.setattr("bench.bundle._LONGEST", 100_000)
+    monkeypatch.setattr("bench.bundle.LONGEST", 100_000)
     (problem,) = verify_bundle(path)
     assert re.fullmatch(r"jobs/fit-\w+/record.json: \d+ bytes, more than any has", problem)
-    monkeypatch.setattr("bench.bundle._LONGEST", 100)
+    monkeypatch.setattr("bench.bundle.LONGEST", 100)
     with pytest.raises(DataError, match=r"is no bundle \(bundle.json: \d+ bytes, more than any has\)"):
         verify_bundle(path)
 

@@ -24,7 +24,7 @@ from reports.schema import frame, joined, read_tables
 from .conftest import Bench
 
 
-def _record(status: str = "ok", key: str = "0123", **changes) -> Record:
+def _record(status: str = "ok", key: str = "0123" * 4, **changes) -> Record:
     job = Job(
         kind="encode", key=key, identity={}, dataset="d", dataset_name="d", scenes=("a", "b", "c"),
         preset="quick", request=Request(train_views=1, test_views=1, width=1, height=1),
@@ -87,7 +87,7 @@ def test_a_number_that_changed_in_a_record_is_damage_and_an_old_record_is_read(s
 def test_a_damaged_record_blocks_nothing_and_is_kept(store, capsys) -> None:
     from bench.__main__ import main
 
-    whole, torn = _record(), _record(key="4567")
+    whole, torn = _record(), _record(key="4567" * 4)
     for record in (whole, torn):
         store.finish(record)
     path = store.jobs / torn.job.id / "record.json"
@@ -147,7 +147,7 @@ def test_runs_that_begin_together_share_a_new_store(tmp_path, monkeypatch) -> No
 def test_a_record_is_replaced_whole(store) -> None:
     store.finish(_record("failed"))
     store.finish(_record("ok"))
-    assert store.record("encode-0123").ok
+    assert store.record("encode-" + "0123" * 4).ok
     assert not list(store.partial.iterdir())
 
 

@@ -249,10 +249,6 @@ def no_result(record):
     record["fit"] = None
 
 
-def need_outside(record):
-    record["job"]["needs"][0] = "views-/../../elsewhere"
-
-
 def failed(record):
     record["status"] = "failed"
 
@@ -297,7 +293,6 @@ def failed(record):
         ("fit", local_time, "no times"),
         ("fit", no_machine, "is a success without a machine"),
         ("fit", no_result, "is a success without a fit"),
-        ("fit", need_outside, "needs 'views-/../../elsewhere', which is no name of a job"),
         ("fit", failed, "which ended as failed"),
     ],
 )  # fmt: skip

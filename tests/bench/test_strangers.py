@@ -1,0 +1,339 @@
+"""Stores and bundles that a stranger made: they lead nowhere, and take no more than their size allows."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import zipfile
+from hashlib import sha256
+
+import pytest
+
+from bench.__main__ import main
+from bench.bundle import MANIFEST, write_bundle
+from bench.records import Record
+from bench.store import Store, read_record
+from datasets.errors import DataError
+from datasets.seals import sealed, unsealed
+from tests.bench.test_bundle import resigned, rewritten
+
+LEAD_OUT = (
+    "x/../../../victim",
+    "../victim",
+    "0123456789abcdef/..",
+    "0123456789ABCDEF",
+    "0123456789abcdef\n",
+    "",
+)
+
+
+def changed(path, change) -> None:
+    """A record with other values, and a checksum that fits."""
+    record = json.loads(unsealed(path.read_text()))
+    change(record)
+    path.write_text(sealed(json.dumps(record)))
+
+
+def files_of(folder):
+    """Files -> bytes, symbolic links -> where they lead."""
+    return {
+        path.relative_to(folder): os.readlink(path) if path.is_symlink() else path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_symlink() or path.is_file()
+    }
+
+
+@pytest.mark.parametrize("key", LEAD_OUT)
+@pytest.mark.parametrize("field", ["key", "needs", "cause"])
+def test_names_that_lead_out_of_a_store_make_no_job(finished, field, key) -> None:
+    (record,) = finished.of_kind("measure")
+    values = json.loads(record.model_dump_json())
+    if field == "key":
+        values["job"]["key"] = key
+    elif field == "needs":
+        values["job"]["needs"] = [f"views-{key}"]
+    else:
+        values["cause"] = f"fit-{key}"
+    with pytest.raises(ValueError, match=r"String should match pattern"):
+        Record.model_validate(values)
+
+
+@pytest.mark.parametrize(
+    "name", ["../../secret.png", "/etc/passwd", "a/b.png", "..\\b.png", "key.pem", ".\n.png"]
+)
+def test_truth_lies_in_the_folder_of_its_job(finished, name) -> None:
+    (record,) = finished.of_kind("views")
+    values = json.loads(record.model_dump_json())
+    values["views"]["truth"]["test"][0] = name
+    with pytest.raises(ValueError, match=r"String should match pattern"):
+        Record.model_validate(values)
+
+
+def failed_elsewhere(record) -> None:
+    record["status"], record["cause"], record["job"]["key"] = (
+        "failed",
+        "views-" + "0" * 16,
+        "x/../../../victim",
+    )
+
+
+def failed_as_another(record) -> None:
+    record["status"], record["job"]["key"] = "failed", "0" * 16
+
+
+@pytest.mark.parametrize("lie", [failed_elsewhere, failed_as_another])
+def test_a_record_that_lies_about_its_place_is_damaged_and_moves_nothing(finished, tmp_path, lie) -> None:
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (victim / "letter").write_text("dear")
+    (views,) = finished.of_kind("views")
+    folder = finished.store / "jobs" / views.job.id
+    changed(folder / "record.json", lie)
+    (finished.store / "partial" / "views-x").mkdir()  # what the path would lead through
+    before = files_of(victim)
+    store = Store(finished.store)
+    assert store.record(views.job.id) is None
+    assert views.job.id in store.damaged
+    with pytest.raises(DataError, match="not a whole record"):
+        read_record(folder / "record.json")
+    finished.run("--retry")
+    assert files_of(victim) == before
+    assert Store(finished.store).record(views.job.id).ok
+
+
+# --------------------------------------------------------------------------- links
+
+LINKS = {
+    "a file of a model": "jobs/{encode}/model/weights.bin",
+    "a folder of jobs": "jobs/views-x",
+    "all jobs": "jobs",
+    "partial": "partial",
+    "a log": "partial/{fit}/log.txt",
+    "locks": "locks",
+    "tables": "tables",
+    "ladders": "ladders.json",
+    "the marker": "store.json",
+    "studies": "studies",
+    "damaged": "damaged",
+}
+COMMANDS = {
+    "results": ("results", "--runs", "{store}"),
+    "report": ("report", "--runs", "{store}"),
+    "bundle": ("bundle", "--runs", "{store}", "--out", "{out}/b.zip", "--models"),
+    "merge": ("merge", "{store}", "--out", "{out}/merged"),
+    "merge into": ("merge", "{other}", "--out", "{store}"),
+    "compare": ("compare", "{store}", "{other}"),
+    "repair": ("repair", "--runs", "{store}"),
+    "run": ("run", "quick", "--dataset", "{dataset}", "--scene", "a", "--method", "3dgs", "--out", "{store}"),
+    "baseline": ("baseline", "{store}", "--out", "{out}/b.toml", "--reason", "none"),
+    "render": ("render", "{dataset}", "--runs", "{store}", "--model", "{measure}"),
+    "export": ("export", "{encode}", "--runs", "{store}", "--out", "{out}/e.ply"),
+}
+
+
+@pytest.fixture
+def linked(finished, tmp_path):
+    """Makes a link at a place of a finished store; everything outside of it; the words of a command."""
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "old-photos").mkdir()
+    (outside / "old-photos" / "sea.jpg").write_bytes(b"waves")
+    (outside / "id_rsa").write_text("a private key")
+    shutil.copytree(finished.store, tmp_path / "other")
+    jobs = {kind: finished.of_kind(kind)[0].job.id for kind in ("encode", "fit", "measure")}
+    names = {
+        **jobs, "store": finished.store, "other": tmp_path / "other", "out": tmp_path / "out",
+        "dataset": finished.dataset,
+    }  # fmt: skip
+    (tmp_path / "out").mkdir()
+
+    def link(place):
+        path = finished.store / place.format(**jobs)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        target = outside / "id_rsa" if path.suffix else outside
+        if path.is_dir():
+            shutil.move(path, outside / path.name)
+            target = outside / path.name
+        path.unlink(missing_ok=True)
+        path.symlink_to(target)
+        return path
+
+    return link, outside, lambda words: [word.format(**names) for word in words]
+
+
+@pytest.mark.parametrize("place", LINKS.values(), ids=LINKS)
+def test_a_store_with_a_link_is_not_opened(linked, finished, place) -> None:
+    link, _, _ = linked
+    path = link(place)
+    with pytest.raises(DataError) as info:
+        Store(finished.store)
+    assert str(path.relative_to(finished.store)) in info.value.reason
+
+
+@pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
+def test_every_command_refuses_a_store_with_a_link(linked, finished, command, capsys) -> None:
+    link, outside, words = linked
+    link("jobs/{encode}/model/weights.bin")
+    before = files_of(outside)
+    assert main(words(command)) == 2
+    assert "symbolic link" in capsys.readouterr().err
+    assert files_of(outside) == before
+    assert not list((outside.parent / "out").rglob("*"))
+
+
+@pytest.mark.parametrize("kind", ["pipe", "socket"])
+def test_what_never_ends_is_not_read(finished, tmp_path, monkeypatch, kind) -> None:
+    place = finished.store / "jobs" / "fit-0123456789abcdef"
+    place.mkdir()
+    if kind == "pipe":
+        os.mkfifo(place / "record.json")
+    else:
+        monkeypatch.chdir(place)  # paths of sockets are short
+        socket.socket(socket.AF_UNIX).bind("record.json")
+    with pytest.raises(DataError, match="pipe, socket or device"):
+        Store(finished.store)
+
+
+def test_a_store_behind_a_link_and_hard_links_in_it_are_as_good_as_others(finished, tmp_path) -> None:
+    (tmp_path / "link").symlink_to(finished.store)
+    (file,) = finished.store.glob("jobs/measure-*/record.json")
+    os.link(file, tmp_path / "second name")
+    assert len(list(Store(tmp_path / "link").records())) == 4
+
+
+# --------------------------------------------------------------------------- bombs
+
+
+@pytest.fixture(scope="module")
+def packed(_finished_store, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bundle") / "mine.zip"
+    write_bundle(Store(_finished_store), path, models=True)
+    return path
+
+
+def deflated(files, out):
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return out
+
+
+def record_of(files):
+    return next(name for name in files if name.startswith("jobs/fit-"))
+
+
+def many_values(files) -> None:
+    values = json.loads(unsealed(files[record_of(files)].decode()))
+    text = json.dumps(values)
+    files[record_of(files)] = sealed(
+        text.replace('"identity": {', '"identity": {"x": [' + "[]," * 8_000_000 + "0],")
+    ).encode()
+
+
+def nested(files) -> None:
+    values = json.loads(unsealed(files[record_of(files)].decode()))
+    text = json.dumps(values).replace('"identity": {', '"identity": {"x": ' + "[" * 5000 + "]" * 5000 + ",")
+    files[record_of(files)] = sealed(text).encode()
+
+
+def zeros(files) -> None:
+    name = next(name for name in files if "/model/" in name)
+    files[name] = bytes(200 << 20)
+
+
+def figures(files) -> None:
+    values = json.loads(unsealed(files[record_of(files)].decode()))
+    values["wall_seconds"], values["job"]["request"]["train_views"] = 1e308, 999_999_999
+    files[record_of(files)] = sealed(json.dumps(values)).encode()
+
+
+def manifest_values(files) -> None:
+    files[MANIFEST] = b'{"format": 1, "environments": [' + b"{}," * 10_000_000 + b"{}]}"
+
+
+def manifest_depth(files) -> None:
+    files[MANIFEST] = b"[" * 100_000
+
+
+def manifest_length(files) -> None:
+    files[MANIFEST] = b" " * (100 << 20)
+
+
+BOMBS = (many_values, nested, zeros, figures, manifest_values, manifest_depth, manifest_length)
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+@pytest.mark.parametrize("command", ["verify", "merge"])
+def test_a_small_bundle_takes_little_memory(packed, tmp_path, bomb, command) -> None:
+    with zipfile.ZipFile(packed) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    bomb(files)
+    if not bomb.__name__.startswith("manifest"):
+        resigned(files)
+    path = deflated(files, tmp_path / "bomb.zip")
+    assert path.stat().st_size < 1 << 20
+    code = (
+        "import resource, sys; from bench.__main__ import main; import bench.bundle, pandas, bench.tables\n"
+        "size = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize() + (500 << 20)\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (size, size)); sys.exit(main(sys.argv[1:]))"
+    )
+    arguments = ["verify", path] if command == "verify" else ["merge", path, "--out", tmp_path / "all"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        capture_output=True,
+        encoding="utf-8",
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode in (1, 2), done.stderr
+    assert done.stderr.startswith("bench: "), done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "all" / "jobs").exists() or not list((tmp_path / "all" / "jobs").iterdir())
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../out",
+        "/out",
+        "jobs/../../out",
+        "a\\..\\out",
+        "C:out",
+        "jobs//out",
+        "jobs/./out",
+        "a\nb",
+        "a\x1b[2J",
+    ],
+)
+def test_no_file_of_a_bundle_leads_out_of_it(packed, tmp_path, name) -> None:
+    def add(files):
+        files[name] = b"payload"
+        resigned(files)
+
+    from bench.bundle import unpack
+
+    folder = tmp_path / "here" / "unpacked"
+    folder.mkdir(parents=True)
+    problems = unpack(rewritten(packed, tmp_path, add), folder).problems
+    assert any("leads out" in line for line in problems)
+    assert not list(folder.iterdir())
+    assert not (tmp_path / "here" / "out").exists()
+
+
+def test_the_bytes_that_are_hashed_are_those_that_are_unpacked(packed, tmp_path) -> None:
+    from bench.bundle import unpack
+
+    (tmp_path / "unpacked").mkdir()
+    assert unpack(packed, tmp_path / "unpacked").problems == []
+    with zipfile.ZipFile(packed) as archive:
+        listed = json.loads(archive.read(MANIFEST))["files"]
+    hashes = {
+        path.relative_to(tmp_path / "unpacked").as_posix(): sha256(path.read_bytes()).hexdigest()
+        for path in (tmp_path / "unpacked").rglob("*")
+        if path.is_file()
+    }
+    assert hashes == {name: entry["sha256"] for name, entry in listed.items()}
