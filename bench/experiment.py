@@ -10,11 +10,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.locks import check_locks
 from bench.plan import Planner
 from bench.plugins import plugin_folders, remember, resolved
 from bench.rungs import remember as remember_ladders
 from bench.store import Store
-from bench.timing import check_locks
 from datasets.errors import DataError
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import psutil
-from filelock import Timeout
 
-from bench.timing import lap_seconds, machine_lock
+from bench.locks import locked
+from bench.timing import lap_seconds
 from reports.clocks import BUSY
 
 IDLE_SECONDS = 1.0
@@ -75,9 +75,9 @@ def measure_load() -> Load:
     foreign, users = _others(cores)
     average = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     try:
-        with machine_lock().acquire(timeout=0):
+        with locked("timing", wait=False):
             return Load(cores, foreign, users, average, _laps())
-    except Timeout:
+    except BlockingIOError:
         return Load(cores, foreign, users, average, locked=True)
 
 

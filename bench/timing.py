@@ -11,20 +11,16 @@ import itertools
 import math
 import os
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from filelock import FileLock
 
 from bench.records import FrameTimes
 from datasets.camera import Camera
-from datasets.errors import DataError
 
 WARMUP_SECONDS = 3.0
 MEASURE_SECONDS = 1.0
@@ -48,42 +44,6 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _WINDOW = 5
 _LAPS = 3
 _AMID_LAPS = 2
-
-
-def machine_lock() -> FileLock:
-    """The lock of this machine: timed jobs of all runs and users take turns.
-
-    The environment variable BENCH_LOCKS names another folder for it; runs that share it do not overlap.
-    """
-    return FileLock(lock_file("timing"), mode=0o666)
-
-
-def lock_file(name: str) -> Path:
-    """The file of a lock of this machine."""
-    folder = Path(os.environ.get("BENCH_LOCKS") or tempfile.gettempdir())
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder / f"econgs-bench-{name}.lock"
-
-
-def check_locks() -> None:
-    """Check that there are locks where those of this machine lie (on POSIX): jobs would wait for ever.
-
-    Raises:
-        DataError: there are none.
-    """
-    if os.name != "posix":
-        return
-    import fcntl
-
-    try:
-        with lock_file("probe").open("a") as file:
-            fcntl.flock(file, fcntl.LOCK_SH)
-    except OSError as error:
-        folder = os.environ.get("BENCH_LOCKS") or tempfile.gettempdir()
-        remedy = "Set BENCH_LOCKS to a folder on a disk of this machine"
-        raise DataError(
-            folder, f"has no locks for this machine's timing ({error.strerror})", remedy
-        ) from error
 
 
 def synchronise(device: str) -> None:

@@ -16,20 +16,20 @@ import sys
 import threading
 import time
 import traceback
-from contextlib import AbstractContextManager, ExitStack, suppress
+from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from filelock import Timeout
 from pydantic import ValidationError
 
 from bench.leases import BEAT, Held, Lease, Lost
+from bench.locks import holder, locked
 from bench.monitor import Progress, Stop, Stopped
 from bench.records import Record, Status, Task
 from bench.store import Store
-from bench.timing import machine_lock, peak_device_bytes
+from bench.timing import peak_device_bytes
 from datasets.errors import DataError, printable, text_of
 from datasets.memory import peak_host_bytes
 from methods.failures import failure, is_memory_error
@@ -46,7 +46,7 @@ _TAIL = 40
 
 def main(folder: Path) -> int:
     """Run the job of a partial folder to its record."""
-    store = Store(folder.parent.parent)
+    store = Store(folder.parent.parent, checked=True)
     task = Task.model_validate_json((folder / "job.json").read_bytes())
     stop = Stop()
     with ExitStack() as stack:
@@ -86,18 +86,12 @@ def main(folder: Path) -> int:
 def _wait_for_turn(alone: bool, stack: ExitStack, report: Progress) -> None:
     """Take the lock of this machine, alone or with other workers of a cluster; a wait is reported."""
     try:
-        stack.enter_context(_turn(alone, wait=False))
-    except (Timeout, BlockingIOError):
-        report(stage="waiting for another timed job on this machine", waiting=True)
-        stack.enter_context(_turn(alone, wait=True))
-
-
-def _turn(alone: bool, wait: bool) -> AbstractContextManager[object]:
-    if alone:
-        return machine_lock().acquire(timeout=-1 if wait else 0)
-    from bench.cores import machine_share
-
-    return machine_share(wait)
+        stack.enter_context(locked("timing", shared=not alone, wait=False))
+    except BlockingIOError:
+        who = holder("timing")
+        words = "waiting for another timed job on this machine" + (f" ({who})" if who else "")
+        report(stage=words, waiting=True)
+        stack.enter_context(locked("timing", shared=not alone))
 
 
 def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) -> Record:

@@ -11,7 +11,7 @@ import pytest
 from bench import machine
 from bench.commands import doctor
 from bench.machine import Load, clock_cap, measure_load
-from bench.timing import machine_lock
+from bench.locks import locked
 
 EVEN = (0.1,) * 20
 
@@ -53,7 +53,7 @@ def test_a_timed_job_is_not_disturbed(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("BENCH_LOCKS", str(tmp_path))
     monkeypatch.setattr(machine, "IDLE_SECONDS", 0.1)
     monkeypatch.setattr(machine, "lap_seconds", lambda: pytest.fail("ran beside a timed job"))
-    with machine_lock():
+    with locked("timing"):
         monkeypatch.setattr(doctor, "CHECKS", (doctor._machine,))
         assert doctor.doctor(Namespace()) == 0
     out = capsys.readouterr().out
