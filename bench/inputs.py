@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -212,18 +213,26 @@ def view_request(request: Request, split: Split, stress: str = "") -> ViewReques
 
 def _native_size(folder: Path) -> tuple[int, int]:
     """Width and height of the first training picture."""
-    from datasets.blender import read_transforms
+    from datasets.cloud import warn_of_random_start
     from datasets.png import open_picture
+    from datasets.posed_images import read_frames
 
-    _, picture = read_transforms(folder / "transforms_train.json")[0]
+    frames = read_frames(folder, "train")
+    if not frames:
+        raise DataError(folder, "has no training views", "Add pictures")
+    _, picture = frames[0]
+    warn_of_random_start(folder)
     with open_picture(picture) as image:
         return image.size
 
 
 def _folder_hash(folder: Path) -> str:
+    from datasets.posed_images import files
+
+    own = (p for p in folder.rglob("*") if p.suffix.lower() in _IMAGES and p.is_file())
     digest = hashlib.sha256()
-    for file in sorted(p for p in folder.rglob("*") if p.suffix.lower() in _IMAGES and p.is_file()):
-        digest.update(str(file.relative_to(folder)).encode() + b"\0")
+    for file in sorted({Path(os.path.normpath(path)) for path in (*own, *files(folder))}):
+        digest.update(os.fsencode(os.path.relpath(file, folder)) + b"\0")
         digest.update(hashlib.sha256(file.read_bytes()).digest())
     return digest.hexdigest()
 

@@ -291,9 +291,20 @@ def _facts(record: Record, lineage: Lineage, methods: Mapping[str, MethodSpec]) 
 
 def _views(record: Record, truth: list[Record]) -> Iterator[Row]:
     background = next((_hex(job.views.background) for job in truth if job.views is not None), None)
-    for view in record.measure.views if record.measure else ():
-        metrics = {name: view.metrics.get(name) for name in (*METRICS, *COVERAGE)}
-        yield view.model_dump() | metrics | {"background": background}
+    views = record.measure.views if record.measure else []
+    for name, view in zip(_distinct([view.view for view in views]), views, strict=True):
+        metrics = {metric: view.metrics.get(metric) for metric in (*METRICS, *COVERAGE)}
+        yield view.model_dump() | {"view": name} | metrics | {"background": background}
+
+
+def _distinct(names: list[str]) -> list[str]:
+    """Names that tell the views of a job apart, as every reader of the tables takes them to.
+
+    Records of version 0.2 and before have the same for pictures of the same file name in two folders.
+    """
+    if len(set(names)) == len(names):
+        return names
+    return [f"{name} ({names[:place].count(name) + 1})" for place, name in enumerate(names)]
 
 
 def _curve(record: Record) -> Iterator[Row]:

@@ -25,7 +25,7 @@ class Camera:
         fx, fy: focal lengths in pixels.
         cx, cy: principal point in pixels, measured from the top-left image corner.
         width, height: image size in pixels.
-        name: identifier of the view within its set (file stem for views on disk).
+        name: identifier of the view within its set (:func:`datasets.pictures.named` for views on disk).
         near: least depth at which Gaussians are drawn, in scene units.
     """
 
@@ -85,6 +85,13 @@ class Camera:
             width=width,
             height=height,
         )
+
+    def sees(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(n,) whether each of (n, 3) points in world space is beyond the near plane and in the picture."""
+        x, y, z = ((points - self.position) @ self.camera_to_world[:3, :3]).T
+        u, v = self.fx * x + self.cx * z, self.fy * y + self.cy * z
+        inside = (u >= 0.0) & (u <= self.width * z) & (v >= 0.0) & (v <= self.height * z)
+        return np.asarray(inside & (z > self.near))
 
     def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """World-space rays through all pixel centres.

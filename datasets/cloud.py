@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.camera import Camera, looked_at
 from datasets.errors import DataError
 from datasets.scene import BasicScene, Dataset
 from datasets.transfer import TransferFunction
 from datasets.volume import Volume
 
+POINTS = "points3d.ply"
+"""The initial cloud in a folder of pre-rendered views."""
+_BATCH, _DRAWS = 20_000, 100
+"""Points of a draw, and most draws, of a random start."""
+_log = logging.getLogger(__name__)
 _GRID = 255
 """The paper draws from a volume subsampled to less than 256 samples along each axis."""
 _TYPES = {
@@ -134,13 +143,14 @@ def cloud_source(dataset: Dataset, scene: BasicScene) -> CloudSource:
 
     Voxels of non-zero opacity, of the volume subsampled to fewer than 256 samples an axis (section 10.1 of
     the method sheet: the paper's initialisation); of meshes, their own vertices. Of isosurfaces, voxels with
-    a neighbour on the other side. ``points3d.ply`` for pre-rendered scenes.
+    a neighbour on the other side. Of pre-rendered scenes ``points3d.ply``, else the points of COLMAP's model,
+    else :func:`random_start`.
 
     Raises:
         DataError: the scene shows nothing of a volume, or the file is missing or cannot be used.
     """
     if scene.views_folder is not None:
-        cloud = read_ply(scene.views_folder / "points3d.ply")
+        cloud = _points_of_views(scene.views_folder)
         return CloudSource(points=cloud.points, colors=cloud.colors)
     if scene.transfer is None and not scene.isosurfaces:
         what = f"{dataset.name}/{scene.name}"
@@ -167,6 +177,67 @@ def cloud_source(dataset: Dataset, scene: BasicScene) -> CloudSource:
         inside &= volume.mask[steps]
     placement = np.array([volume.box[0], volume.extent, volume.dims, strides[::-1]], dtype=np.float64)
     return CloudSource(values=normalised[inside], inside=inside, placement=placement)
+
+
+def _points_of_views(folder: Path) -> PointCloud:
+    from datasets import colmap
+    from datasets.posed_images import read_frames
+
+    if (folder / POINTS).exists():
+        return read_ply(folder / POINTS)
+    model = colmap.model_of(folder)
+    points = None if model is None else colmap.read_points(model)
+    if points is not None:
+        return PointCloud(*points)
+    warn_of_random_start(folder)
+    return random_start([camera for camera, _ in read_frames(folder, "train")])
+
+
+@cache
+def warn_of_random_start(folder: Path) -> None:
+    """Say once, of a folder of pre-rendered views, if methods start from :func:`random_start`."""
+    from datasets import colmap
+
+    model = colmap.model_of(folder)
+    if not (folder / POINTS).exists() and (model is None or colmap.read_points(model) is None):
+        _log.warning(
+            "%s: no %s: methods start from random points in what its cameras see together", folder, POINTS
+        )
+
+
+def random_start(cameras: Sequence[Camera], n: int = 100_000, seed: int = 0) -> PointCloud:
+    """Points of random colors, uniform in what cameras see together, as many as 3DGS takes without a cloud.
+
+    Where the pictures have less than a thousandth of the space between the cameras in common, those points
+    count that are in at least half as many pictures as the best one.
+
+    Args:
+        cameras: at least one.
+        n: number of points; fewer where hardly any place is seen.
+        seed: of the random numbers.
+    """
+    generator = np.random.default_rng(seed)
+    centre = looked_at(cameras)
+    reach = float(np.mean([np.linalg.norm(camera.position - centre) for camera in cameras])) or 1.0
+    low, high = centre - reach, centre + reach
+
+    def draw() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        points = generator.uniform(low, high, (_BATCH, 3))
+        return points, np.sum([camera.sees(points) for camera in cameras], axis=0)
+
+    points, seen = draw()
+    common = int((seen == len(cameras)).sum()) * 1000 >= _BATCH
+    least = len(cameras) if common else (int(seen.max()) + 1) // 2
+    rough = points[seen >= least]
+    # The region reaches beyond its samples by about their distance.
+    margin = np.ptp(rough, axis=0) / len(rough) ** (1 / 3) + 2.0 * reach / _BATCH ** (1 / 3)
+    low, high = np.maximum(low, rough.min(axis=0) - margin), np.minimum(high, rough.max(axis=0) + margin)
+    chosen: list[NDArray[np.float64]] = []
+    while sum(map(len, chosen)) < n and len(chosen) < _DRAWS:
+        points, seen = draw()
+        chosen.append(points[seen >= least])
+    places = np.concatenate(chosen)[:n].astype(np.float32)
+    return PointCloud(places, generator.random(places.shape).astype(np.float32))
 
 
 def _visible(transfer: TransferFunction, normalised: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -196,7 +267,7 @@ def read_ply(path: Path | str) -> PointCloud:
             encoding, count, fields = _read_header(file, path)
             vertices = _read_vertices(file, path, encoding, count, fields)
     except FileNotFoundError as error:
-        raise DataError(path, "no such point cloud", "Pre-rendered scenes need a points3d.ply") from error
+        raise DataError(path, "no such point cloud", "Check the path") from error
     except OSError as error:
         raise DataError(path, f"cannot be read ({error})", "Check the file and its permissions") from error
     points = np.stack([vertices[name].astype(np.float32) for name in "xyz"], axis=-1)

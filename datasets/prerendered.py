@@ -1,4 +1,4 @@
-"""Pre-rendered views: a folder of PNGs with Blender-style cameras."""
+"""Pre-rendered views: the pictures and cameras of a folder (:mod:`datasets.posed_images`) as truth."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.blender import read_transforms
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.png import read_png
+from datasets.posed_images import read_frames
 from datasets.scene import BasicScene
 from datasets.scratch import new_array
 from datasets.views import ViewRequest, ViewSet, evenly_spaced, split_indices
@@ -34,14 +34,20 @@ def load_views(scene: BasicScene, request: ViewRequest) -> ViewSet:
         DataError: the folder, a camera or a picture is unusable; the size does not divide; or the split is
             empty.
     """
-    path, selection = _selection(scene, request)
+    source, selection = _selection(scene, request)
     digest = hashlib.sha256(repr((request.width, request.height, scene.background)).encode())
     cameras: list[Camera] = []
     images = new_array((len(selection), request.height, request.width, 4), np.float32)
     opaque = 0
     for row, (camera, file) in enumerate(selection):
-        image = read_png(file)
+        image = read_png(file, deep=True)
         height, width = image.shape[:2]
+        if abs(width * camera.height - height * camera.width) > 2 * max(camera.width, camera.height):
+            raise DataError(
+                file,
+                f"is {width}x{height} pixels, but its camera {camera.width}x{camera.height}",
+                "Give pictures of the cameras' shape",
+            )
         if (camera.width, camera.height) != (width, height):
             camera = camera.resized(width, height)
         opaque += bool((image[..., 3] == 1.0).all())
@@ -52,7 +58,7 @@ def load_views(scene: BasicScene, request: ViewRequest) -> ViewSet:
         digest.update(np.concatenate([camera.camera_to_world.ravel(), numbers]).tobytes())
         digest.update(images[row].tobytes())
     if opaque == len(selection):
-        _log.warning("%s: no picture has transparency; its background is taken as part of the scene", path)
+        _log.warning("%s: no picture has transparency; its background is taken as part of the scene", source)
     return ViewSet(tuple(cameras), images, scene.background, digest.hexdigest()[:40])
 
 
@@ -65,22 +71,22 @@ def view_cameras(scene: BasicScene, request: ViewRequest) -> tuple[Camera, ...]:
     return tuple(camera.resized(request.width, request.height) for camera, _ in _selection(scene, request)[1])
 
 
-def _selection(scene: BasicScene, request: ViewRequest) -> tuple[Path, list[tuple[Camera, Path]]]:
-    """The transforms file, and the cameras and pictures of a request."""
+def _selection(scene: BasicScene, request: ViewRequest) -> tuple[str, list[tuple[Camera, Path]]]:
+    """What they are of, for messages, and the cameras and pictures of a request."""
     if scene.views_folder is None:
         raise DataError(f"scene {scene.name}", "it has no pre-rendered views", "Render it from its volume")
     test = request.split == "test"
-    path = scene.views_folder / f"transforms_{'test' if test else 'train'}.json"
-    views = read_transforms(path)
+    source = f"{'test' if test else 'training'} views of {scene.views_folder}"
+    views = read_frames(scene.views_folder, "test" if test else "train")
     indices = evenly_spaced(len(views), request.test_views if test else request.train_views)
     selection = [views[indices[i]] for i in split_indices(len(indices), request.split)]
     if not selection:
         raise DataError(
-            f"{request.split} split of {len(indices)} views of {path}",
+            f"{request.split} split of the {len(indices)} {source}",
             "it is empty (every tenth training view is validation)",
             "Use 12 or more training views",
         )
-    return path, selection
+    return source, selection
 
 
 def area_average(

@@ -64,7 +64,7 @@ class BasicScene:
         isosurfaces: level sets drawn instead of a transfer function; empty otherwise.
         depth_enhancement: strength in [0, 1] of the darkening of deep or hidden parts
             (:mod:`datasets.ground_truth.model`); 0 is off.
-        views_folder: folder with ``transforms_{train,test}.json`` for pre-rendered scenes.
+        views_folder: folder of pre-rendered views (:mod:`datasets.posed_images`).
     """
 
     name: str

@@ -30,9 +30,9 @@ def open_dataset(
     Args:
         name_or_path: "vis_male"; "vortices" or "vortices@128"; a TOML file with scenes of your own; a volume
             file, which gets automatic transfer functions ("PATH:variable=T,step=3,resolution=256" selects a
-            part of it); a folder of slices or DICOM files, or a Zarr store; or a folder with
-            ``transforms_train.json``, in itself or in one subfolder per scene. "beetle+argon_bubble" joins
-            sets of the catalogue, so that one model can learn scenes of both.
+            part of it); a folder of slices or DICOM files, or a Zarr store; or a folder of pre-rendered views
+            (:mod:`datasets.posed_images`), in itself or in one subfolder per scene.
+            "beetle+argon_bubble" joins sets of the catalogue, so that one model can learn scenes of both.
         data_dirs: folders to search instead of ``BENCH_DATA`` and the user's data folder.
         resolution: samples per axis of a procedural volume (default 64).
 
@@ -216,17 +216,18 @@ def _bump(table: dict[str, Any]) -> Bump:
 
 def _views_folder(path: Path) -> Dataset:
     from datasets.catalogue.files import safe_name
+    from datasets.posed_images import NEEDED, holds_views
     from datasets.scene import BasicScene, Dataset
 
-    if (path / "transforms_train.json").is_file():
+    if holds_views(path):
         folders = [path]
     else:
-        folders = sorted(f for f in path.iterdir() if (f / "transforms_train.json").is_file())
+        folders = sorted(f for f in path.iterdir() if f.is_dir() and holds_views(f))
     if not folders:
         raise DataError(
             path,
             "is a folder without pre-rendered views or a volume",
-            "It needs a transforms_train.json, in itself or in each subfolder, or slices (.tif, .png)",
+            f"It needs {NEEDED}, in itself or in each subfolder, or slices (.tif, .png)",
         )
     scenes = tuple(BasicScene(safe_name(f.resolve().name), views_folder=f.resolve()) for f in folders)
     name = path.resolve().name

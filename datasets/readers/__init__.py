@@ -69,10 +69,12 @@ def folder_kind(path: Path) -> str:
     Raises:
         OSError: the folder cannot be read.
     """
+    from datasets.posed_images import holds_views
+
     files = sorted(path.iterdir())
     names = {file.name for file in files}
-    if "transforms_train.json" in names:
-        return ""  # pre-rendered views
+    if holds_views(path):
+        return ""
     if names & {".zgroup", ".zarray", ".zmetadata", "zarr.json"} or suffix_of(path) == ".zarr":
         return "zarr"
     files = [file for file in files if file.is_file()]

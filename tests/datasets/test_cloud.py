@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from datasets.cloud import initial_cloud, random_cloud, read_ply
+from datasets.camera import Camera, with_near_planes
+from datasets.camera_paths import training_cameras
+from datasets.cloud import initial_cloud, random_cloud, random_start, read_ply
 from datasets.errors import DataError
 from datasets.scene import BasicScene, Dataset, Isosurface
 from datasets.transfer import Bump, TransferFunction
@@ -153,3 +155,46 @@ def test_damaged_ply(tmp_path: Path) -> None:
 def test_missing_ply(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no such point cloud"):
         read_ply(tmp_path / "points3d.ply")
+
+
+def _inside(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """By hand: project each point, compare with the borders."""
+    x, y, z = camera.world_to_camera[:3, :3] @ points.T + camera.world_to_camera[:3, 3:]
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    return (z > camera.near) & (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
+
+
+def test_a_random_start_fills_what_all_cameras_see() -> None:
+    """A sphere of radius 4 sin(fov / 2) around the origin is in every picture, hardly more is."""
+    cameras = with_near_planes(training_cameras(42, 0.7, 40, 40))
+    reach = np.linalg.norm(cameras[0].position)
+    cloud = random_start(cameras)
+    assert cloud.points.shape == (100_000, 3)
+    assert all(_inside(camera, cloud.points).all() for camera in cameras)
+    radius = reach * np.sin(0.5 * cameras[0].fov_x)  # of the sphere that touches the borders of all pictures
+    distances = np.linalg.norm(cloud.points, axis=1)
+    assert distances.max() < 1.6 * radius
+    shells = np.histogram(distances, np.linspace(0.4 * radius, radius, 5))[0]  # uniform: counts as volumes
+    volumes = np.diff(np.linspace(0.4, 1.0, 5) ** 3)
+    np.testing.assert_allclose(shells / shells.sum(), volumes / volumes.sum(), rtol=0.05)
+    again = random_start(cameras)
+    np.testing.assert_array_equal(cloud.points, again.points)
+    assert not np.array_equal(cloud.points, random_start(cameras, seed=1).points)
+
+
+def test_cameras_with_nothing_in_common_start_from_what_half_of_the_best_see() -> None:
+    """Looking around from one place, and outward."""
+    around = []
+    for i in range(8):
+        angle = 2 * np.pi * i / 8
+        forward = np.array([np.sin(angle), 0.0, np.cos(angle)])
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.stack([np.cross([0, 1, 0], forward), [0, 1, 0], forward], axis=1)
+        matrix[:3, 3] = 0.01 * forward
+        around.append(Camera.with_fov(matrix, 1.0, 16, 16, near=0.001))
+    cloud = random_start(around, 2000)
+    assert len(cloud) == 2000
+    assert (sum(_inside(camera, cloud.points.astype(float)).astype(int) for camera in around) >= 1).all()
+    one = random_start([Camera.with_fov(np.eye(4), 1.0, 16, 16)], 100)
+    assert len(one) == 100
+    assert _inside(Camera.with_fov(np.eye(4), 1.0, 16, 16), one.points).all()

@@ -1,0 +1,94 @@
+"""Folders of pre-rendered views: which formats, which split, which files decide their identity."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bench.inputs import fingerprint
+from datasets.catalogue.opening import open_dataset
+from datasets.cloud import initial_cloud
+from datasets.errors import DataError
+from datasets.posed_images import read_frames
+from tests.datasets.views_folder import random_views
+
+
+def write(folder: Path, names: list[str], **fields) -> None:
+    """A ``transforms.json`` of pictures from several sides."""
+    frames = []
+    for i, name in enumerate(names):
+        matrix = np.eye(4)
+        angle = 2 * math.pi * i / len(names)
+        matrix[[0, 0, 2, 2], [0, 2, 0, 2]] = (
+            math.cos(angle),
+            math.sin(angle),
+            -math.sin(angle),
+            math.cos(angle),
+        )
+        matrix[:3, 3] = 3.0 * matrix[:3, 2]
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGBA", (8, 8), (i, 50, 100, 255)).save(path)
+        frames.append({"file_path": name, "transform_matrix": matrix.tolist()})
+    (folder / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.6, "frames": frames, **fields}))
+
+
+def views(folder: Path, split: str) -> list[str]:
+    return [camera.name for camera, _ in read_frames(folder, split)]  # type: ignore[arg-type]
+
+
+def test_one_file_holds_every_eighth_picture_out(tmp_path: Path) -> None:
+    write(tmp_path, [f"images/{i:02d}.png" for i in reversed(range(17))])
+    assert views(tmp_path, "test") == ["16", "08", "00"]
+    assert len(views(tmp_path, "train")) == 14
+    assert not {*views(tmp_path, "test")} & {*views(tmp_path, "train")}
+    assert open_dataset(tmp_path).kind == "views"
+
+
+def test_one_file_may_name_its_split(tmp_path: Path) -> None:
+    names = [f"images/{i}.png" for i in range(6)]
+    write(tmp_path, names, train_filenames=names[:2], val_filenames=names[2:3], test_filenames=names[3:])
+    assert (views(tmp_path, "train"), views(tmp_path, "test")) == (["0", "1"], ["3", "4", "5"])
+
+
+def test_a_folder_of_scenes_may_mix_formats(tmp_path: Path) -> None:
+    write(tmp_path / "one", [f"{i}.png" for i in range(9)])
+    random_views(tmp_path / "two")
+    (tmp_path / "none").mkdir()
+    assert [scene.name for scene in open_dataset(tmp_path).scenes] == ["one", "two"]
+    with pytest.raises(DataError, match=r"transforms_train\.json, transforms\.json or a sparse model"):
+        open_dataset(tmp_path / "none")
+
+
+def test_every_picture_and_only_what_is_read_decides_the_identity(tmp_path: Path) -> None:
+    """Of any suffix, and outside of the folder too."""
+    write(tmp_path / "scene", [f"../pictures/{i}.jpg.bmp" for i in range(16)])
+    dataset = open_dataset(tmp_path / "scene")
+
+    def identity() -> str:
+        return fingerprint(dataset, dataset.scenes[0].name)
+
+    first = identity()
+    (tmp_path / "scene/notes.txt").write_text("mine")
+    (tmp_path / "pictures/other.bmp").write_bytes(b"1")
+    assert identity() == first
+    Image.new("RGBA", (8, 8), (1, 2, 3, 255)).save(tmp_path / "pictures/3.jpg.bmp")
+    assert identity() != first
+
+
+def test_without_points_methods_start_at_random_and_it_is_said_once(tmp_path: Path, caplog) -> None:
+    write(tmp_path, [f"{i}.png" for i in range(16)])
+    dataset = open_dataset(tmp_path)
+    clouds = [initial_cloud(dataset, dataset.scenes[0], 300, seed) for seed in (0, 0, 1)]
+    assert [len(cloud) for cloud in clouds] == [300] * 3
+    np.testing.assert_array_equal(clouds[0].points, clouds[1].points)
+    assert not np.array_equal(clouds[0].points, clouds[2].points)
+    assert np.abs(clouds[0].points).max() < 1.5
+    (line,) = caplog.text.splitlines()
+    assert str(tmp_path) in line
+    assert "points3d.ply" in line
