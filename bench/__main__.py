@@ -99,7 +99,7 @@ class _Parser(argparse.ArgumentParser):
     """Says what is wrong with a command line in one line."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"bench: {message}. See `{self.prog} --help`\n")
+        self.exit(2, f"bench: {one_line(message)}. See `{self.prog} --help`\n")
 
 
 class _Version(argparse.Action):

@@ -16,6 +16,7 @@ from bench.edits import edit_of, edits_of
 from bench.records import Request, hash_of
 from bench.stress import part_of, stress_of
 from bench.suites import ViewPreset
+from datasets.camera_paths import icosphere
 from datasets.catalogue.entries import built_in, own_files
 from datasets.edits import Edit, changes_transfer, edited
 from datasets.errors import DataError
@@ -86,10 +87,13 @@ def request(dataset: Dataset, scene_name: str, preset: ViewPreset, samples: int 
         samples: rays a pixel of rendered views; default: the dataset's.
 
     Raises:
-        DataError: its pre-rendered views cannot be read, or have no size that the preset can use.
+        DataError: its pre-rendered views cannot be read, or have no size that the preset can use; or there
+            is no such number of training cameras around a volume.
     """
     scene = dataset.scene(scene_name)
     native = None if scene.views_folder is None else _native_size(scene.views_folder)
+    if native is None:
+        icosphere(preset.train_views)  # raises where no cameras stand so
     width, height = view_size(preset, native)
     if native is not None:
         samples = 1

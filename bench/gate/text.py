@@ -46,7 +46,7 @@ def markdown(verdict: Verdict, baseline: Baseline) -> str:
     last = baseline.changes[-1]
     parts = [
         f"### {sign} Quality gate: {verdict.word}",
-        f"{summary(verdict)}.",
+        f"{markdown_cell(summary(verdict))}.",
         markdown_cell(f"Baseline: {last.reason} ({last.date[:10]}, {last.commit or last.version})."),
     ]
     for kind in ("worse", "not measured", "better", "note"):

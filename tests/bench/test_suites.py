@@ -220,7 +220,7 @@ def test_a_suite_may_limit_the_threads_of_its_jobs(bench):
 
 def test_a_preset_of_a_name_of_its_own_takes_options_and_iterations_of_another(tmp_path):
     own = (
-        'presets.small = { like = "quick", train_views = 3, test_views = 2, width = 8, height = 8,'
+        'presets.small = { like = "quick", train_views = 6, test_views = 2, width = 8, height = 8,'
         " prerendered_limit = 8 }"
     )
 
@@ -231,7 +231,7 @@ def test_a_preset_of_a_name_of_its_own_takes_options_and_iterations_of_another(t
 
     usual, small = fit("", "quick"), fit(own, "small")
     assert (small.preset, small.options, small.iterations) == ("small", usual.options, usual.iterations)
-    assert (small.request.width, small.request.train_views) == (8, 3)
+    assert (small.request.width, small.request.train_views) == (8, 6)
     half = own.replace(" }", ", budget = 0.5 }")
     assert fit(half, "small").iterations == usual.iterations // 2
     assert fit(half, "small", iterations=77).iterations == 77

@@ -11,9 +11,10 @@ from bench.comparison import compared
 from bench.gate.cells import cells_of
 from bench.store import Store
 from bench.tables import build_tables
+from datasets.errors import DataError
 from datasets.seals import sealed, unsealed
 from reports.pictures.strips import views_of_jobs
-from tests.bench.conftest import Bench, write_dataset
+from tests.bench.conftest import Bench, plan, suite_file, write_dataset
 
 
 @pytest.fixture(scope="module")
@@ -65,3 +66,11 @@ def test_views_of_older_records_are_told_apart_by_their_order(doubled: Path) -> 
         check(doubled, ["0000 (1)", "0000 (2)", "0001 (1)", "0001 (2)"])
     finally:
         path.write_text(before)
+
+
+@pytest.mark.parametrize("number", [1, 2, 13])
+def test_a_number_of_views_that_no_cameras_have_ends_before_the_run(tmp_path: Path, number: int) -> None:
+    sizes = "test_views = 2\nwidth = 8\nheight = 8\nprerendered_limit = 8"
+    suite = suite_file(tmp_path, f'"shells@16" = ["core"]\n[presets.quick]\ntrain_views = {number}\n{sizes}')
+    with pytest.raises(DataError, match=f"{number} training views.*nearest numbers"):
+        plan(suite)
