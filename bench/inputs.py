@@ -33,7 +33,15 @@ _IMAGES = {".png", ".json", ".ply"}
 
 
 def absolute(name_or_path: str) -> str:
-    """A catalogue name unchanged; a path (and its choices within the file) made absolute, for any process."""
+    """A catalogue name unchanged; a path (and its choices within the file) made absolute, for any process.
+
+    Raises:
+        DataError: a path is no text (bytes that are not UTF-8), which no record can hold.
+    """
+    try:
+        os.path.abspath(name_or_path).encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise DataError(name_or_path, "its path is not UTF-8", "Rename the file or folder") from error
     if name_or_path in (own := own_files()):
         return str(own[name_or_path])
     path, choices = split(name_or_path)
@@ -217,7 +225,7 @@ def view_request(request: Request, split: Split, stress: str = "") -> ViewReques
 
 def _native_size(folder: Path) -> tuple[int, int]:
     """Width and height of the first training picture."""
-    from datasets.cloud import warn_of_random_start
+    from datasets.cloud import warn_of_views
     from datasets.png import open_picture
     from datasets.posed_images import read_frames
 
@@ -225,7 +233,7 @@ def _native_size(folder: Path) -> tuple[int, int]:
     if not frames:
         raise DataError(folder, "has no training views", "Add pictures")
     _, picture = frames[0]
-    warn_of_random_start(folder)
+    warn_of_views(folder)
     with open_picture(picture) as image:
         return image.size
 

@@ -18,8 +18,6 @@ from datasets.scene import BasicScene, Dataset
 from datasets.transfer import TransferFunction
 from datasets.volume import Volume
 
-POINTS = "points3d.ply"
-"""The initial cloud in a folder of pre-rendered views."""
 _BATCH, _DRAWS = 20_000, 100
 """Points of a draw, and most draws, of a random start."""
 _log = logging.getLogger(__name__)
@@ -143,8 +141,8 @@ def cloud_source(dataset: Dataset, scene: BasicScene) -> CloudSource:
 
     Voxels of non-zero opacity, of the volume subsampled to fewer than 256 samples an axis (section 10.1 of
     the method sheet: the paper's initialisation); of meshes, their own vertices. Of isosurfaces, voxels with
-    a neighbour on the other side. Of pre-rendered scenes ``points3d.ply``, else the points of COLMAP's model,
-    else :func:`random_start`.
+    a neighbour on the other side. Of pre-rendered scenes those of :func:`datasets.posed_images.points_file`,
+    else of COLMAP's model, else :func:`random_start`.
 
     Raises:
         DataError: the scene shows nothing of a volume, or the file is missing or cannot be used.
@@ -181,28 +179,31 @@ def cloud_source(dataset: Dataset, scene: BasicScene) -> CloudSource:
 
 def _points_of_views(folder: Path) -> PointCloud:
     from datasets import colmap
-    from datasets.posed_images import read_frames
+    from datasets.posed_images import points_file, read_frames
 
-    if (folder / POINTS).exists():
-        return read_ply(folder / POINTS)
+    if (file := points_file(folder)) is not None:
+        return read_ply(file)
     model = colmap.model_of(folder)
     points = None if model is None else colmap.read_points(model)
     if points is not None:
         return PointCloud(*points)
-    warn_of_random_start(folder)
+    warn_of_views(folder)
     return random_start([camera for camera, _ in read_frames(folder, "train")])
 
 
 @cache
-def warn_of_random_start(folder: Path) -> None:
-    """Say once, of a folder of pre-rendered views, if methods start from :func:`random_start`."""
+def warn_of_views(folder: Path) -> None:
+    """Say once what a folder of pre-rendered views lacks or has in vain, a line each."""
     from datasets import colmap
+    from datasets.posed_images import POINTS, points_file, remarks
 
     model = colmap.model_of(folder)
-    if not (folder / POINTS).exists() and (model is None or colmap.read_points(model) is None):
+    if points_file(folder) is None and (model is None or colmap.read_points(model) is None):
         _log.warning(
             "%s: no %s: methods start from random points in what its cameras see together", folder, POINTS
         )
+    for remark in remarks(folder):
+        _log.warning("%s", remark)
 
 
 def random_start(cameras: Sequence[Camera], n: int = 100_000, seed: int = 0) -> PointCloud:

@@ -64,6 +64,14 @@ def model_of(folder: Path) -> Path | None:
     return None
 
 
+def further_models(model: Path) -> list[Path]:
+    """The models beside one of :func:`model_of`, as COLMAP writes several of pictures that do not connect."""
+    if not model.name.isdigit():
+        return []
+    beside = sorted(path for path in model.parent.iterdir() if path.name.isdigit() and path != model)
+    return [path for path in beside if all(_file(path, part) for part in ("cameras", "images"))]
+
+
 def read_frames(folder: Path, model: Path) -> list[tuple[Camera, Path]]:
     """Cameras and pictures of a model, by order of the pictures' names.
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from datasets.camera import Camera, with_near_planes
-from datasets.errors import DataError
+from datasets.errors import DataError, printable
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
@@ -57,6 +57,7 @@ def named(source: Path, frames: Sequence[tuple[Camera, Path]]) -> list[tuple[Cam
         raise DataError(source, f"lists the picture {twice} twice", "List each picture once")
     root = os.path.commonpath([os.path.dirname(path) for path in paths])
     names = [Path(os.path.relpath(path, root)).as_posix() for path in paths]
+    names = [printable(name).replace("\n", r"\n").replace("\t", r"\t") for name in names]
     stems = [name.removesuffix(end) if _is_suffix(end := Path(name).suffix) else name for name in names]
     if len(set(stems)) == len(stems):
         names = stems

@@ -17,6 +17,7 @@ from datasets.blender import Frame, read_fields, read_transforms
 from datasets.errors import DataError
 
 TRAIN, TEST, ONE = "transforms_train.json", "transforms_test.json", "transforms.json"
+POINTS = "points3d.ply"
 NEEDED = f"{TRAIN}, {ONE} or a sparse model of COLMAP (sparse/0)"
 Split = Literal["train", "test"]
 _HOLD = 8
@@ -48,9 +49,32 @@ def read_frames(folder: Path, split: Split) -> list[Frame]:
     raise DataError(folder, "holds no pre-rendered views", f"It needs {NEEDED}")
 
 
+def points_file(folder: Path) -> Path | None:
+    """The PLY of initial points: ``points3d.ply``, else what nerfstudio's ``ply_file_path`` names, or None."""
+    if (folder / POINTS).exists():
+        return folder / POINTS
+    transforms = next((path for name in (TRAIN, ONE) if (path := folder / name).is_file()), None)
+    name = None if transforms is None else read_fields(transforms).get("ply_file_path")
+    return folder / name if isinstance(name, str) and name else None
+
+
+def remarks(folder: Path) -> Iterator[str]:
+    """What a folder has that its views do not show, a line each."""
+    for name in (TRAIN, TEST, ONE):
+        if (folder / name).is_file():
+            frames = read_fields(folder / name).get("frames", [])
+            if any("mask_path" in frame for frame in frames if isinstance(frame, dict)):
+                yield f"{folder / name}: the masks of its pictures (mask_path) are not applied"
+    model = None if any((folder / name).is_file() for name in (TRAIN, ONE)) else colmap.model_of(folder)
+    if model is not None and (others := colmap.further_models(model)):
+        yield f"{folder}: has {len(others) + 1} models; views are those of {model.relative_to(folder)}"
+
+
 def files(folder: Path) -> Iterator[Path]:
     """All files that decide the views of a folder, beside others that may lie in it; some may occur twice."""
-    yield from (path for name in (TRAIN, TEST, ONE, "points3d.ply") if (path := folder / name).is_file())
+    yield from (path for name in (TRAIN, TEST, ONE) if (path := folder / name).is_file())
+    if (points := points_file(folder)) is not None:
+        yield points
     if (model := colmap.model_of(folder)) is not None:
         yield from sorted((*model.glob("*.bin"), *model.glob("*.txt")))
     splits: tuple[Split, ...] = ("train", "test")

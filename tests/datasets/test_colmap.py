@@ -18,7 +18,7 @@ from datasets.camera import Camera
 from datasets.catalogue.opening import open_dataset
 from datasets.cloud import initial_cloud
 from datasets.errors import DataError
-from datasets.posed_images import read_frames
+from datasets.posed_images import read_frames, remarks
 from datasets.prerendered import load_views
 from datasets.views import ViewRequest
 from tests.datasets.damage import check_damage
@@ -190,3 +190,12 @@ def test_text_of_another_hand(tmp_path: Path) -> None:
     assert [camera.name for camera, _ in frames] == ["camA/view 0", "camB/view 0"]
     np.testing.assert_allclose(frames[1][0].camera_to_world[:3, 3], [-1, 0, -3])
     assert colmap.read_points(folder) is None
+
+
+def test_of_several_models_the_first_is_taken_and_it_is_said(tmp_path: Path) -> None:
+    model(tmp_path, "bin")
+    assert list(remarks(tmp_path)) == []
+    shutil.copytree(tmp_path / "sparse/0", tmp_path / "sparse/1")
+    (line,) = remarks(tmp_path)
+    assert "2 models" in line
+    assert "sparse/0" in line

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from bench.inputs import fingerprint
+from bench.inputs import absolute, fingerprint, request
+from bench.suites import VIEWS
 from datasets.catalogue.opening import open_dataset
-from datasets.cloud import initial_cloud
+from datasets.cloud import initial_cloud, random_cloud
 from datasets.errors import DataError
 from datasets.posed_images import read_frames
-from tests.datasets.views_folder import random_views
+from tests.datasets.views_folder import random_views, write_ply
 
 
 def write(folder: Path, names: list[str], **fields) -> None:
@@ -92,3 +94,45 @@ def test_without_points_methods_start_at_random_and_it_is_said_once(tmp_path: Pa
     (line,) = caplog.text.splitlines()
     assert str(tmp_path) in line
     assert "points3d.ply" in line
+
+
+def test_nerfstudio_names_its_points(tmp_path: Path, caplog) -> None:
+    write(tmp_path, [f"{i}.png" for i in range(16)], ply_file_path="sparse_pc.ply")
+    cloud = random_cloud(50, 0.5)
+    write_ply(tmp_path / "sparse_pc.ply", cloud)
+    dataset = open_dataset(tmp_path)
+    start = initial_cloud(dataset, dataset.scenes[0])
+    np.testing.assert_allclose(start.points, cloud.points)
+    first = fingerprint(dataset, dataset.scenes[0].name)
+    write_ply(tmp_path / "sparse_pc.ply", random_cloud(50, 0.4))
+    assert fingerprint(dataset, dataset.scenes[0].name) != first
+    assert not caplog.text
+    (tmp_path / "sparse_pc.ply").unlink()
+    with pytest.raises(DataError, match=r"sparse_pc\.ply: no such point cloud"):
+        initial_cloud(dataset, dataset.scenes[0])
+
+
+def test_what_is_not_applied_is_said_once(tmp_path: Path, caplog) -> None:
+    write(tmp_path, [f"{i}.png" for i in range(16)])
+    write_ply(tmp_path / "points3d.ply", random_cloud(5, 0.5))
+    path = tmp_path / "transforms.json"
+    fields = json.loads(path.read_text())
+    fields["frames"][3]["mask_path"] = "masks/3.png"
+    path.write_text(json.dumps(fields))
+    scene = open_dataset(tmp_path)
+    for preset in ("quick", "standard"):
+        request(scene, scene.scenes[0].name, VIEWS[preset])
+    (line,) = caplog.text.splitlines()
+    assert "mask_path" in line
+
+
+def test_a_path_that_is_no_text_is_named_before_the_run(tmp_path: Path) -> None:
+    folder = os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9")
+    write(Path(folder), ["0.png"])
+    with pytest.raises(DataError, match="not UTF-8"):
+        absolute(folder)
+
+
+def test_names_of_views_hold_no_control_characters(tmp_path: Path) -> None:
+    write(tmp_path, ["a\x1b[2J.png", "b\n.png"])
+    assert [*views(tmp_path, "test"), *views(tmp_path, "train")] == [r"a\x1b[2J", r"b\n"]
