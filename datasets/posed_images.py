@@ -50,7 +50,7 @@ def read_frames(folder: Path, split: Split) -> list[Frame]:
 
 
 def points_file(folder: Path) -> Path | None:
-    """The PLY of initial points: ``points3d.ply``, else what nerfstudio's ``ply_file_path`` names, or None."""
+    """The PLY of initial points: ``points3d.ply``, else ``ply_file_path`` of nerfstudio; None without."""
     if (folder / POINTS).exists():
         return folder / POINTS
     transforms = next((path for name in (TRAIN, ONE) if (path := folder / name).is_file()), None)
