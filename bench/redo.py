@@ -40,6 +40,7 @@ from datasets.scene import Dataset
 from datasets.units import camera_in_units
 from methods.interface import Refused
 from methods.registry import Registry
+from methods.shared.decoders import decode_here
 
 VIEWS = 4
 """Views of each model that are drawn."""
@@ -325,6 +326,7 @@ def _run(folder: Path, limit: Limit, memory: Limit) -> tuple[int | None, str]:
 
 def main(folder: Path) -> int:
     """Answer the request in a folder."""
+    decode_here()
     request = json.loads((folder / _REQUEST).read_text(encoding="utf-8"))
     try:
         answer = _measured(Store(folder.parent.parent, checked=True), folder, request)

@@ -34,6 +34,7 @@ from datasets.errors import DataError, printable, text_of
 from datasets.memory import peak_host_bytes
 from methods.failures import failure, is_memory_error
 from methods.interface import Diverged, Refused
+from methods.shared.decoders import decode_here
 
 if TYPE_CHECKING:
     from methods.interface import MethodSpec
@@ -46,6 +47,7 @@ _TAIL = 40
 
 def main(folder: Path) -> int:
     """Run the job of a partial folder to its record."""
+    decode_here()
     store = Store(folder.parent.parent, checked=True)
     task = Task.model_validate_json((folder / "job.json").read_bytes())
     stop = Stop()

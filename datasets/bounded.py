@@ -75,18 +75,17 @@ def _finite(text: str) -> float:
     return number
 
 
-def inflated(data: bytes, size: int, window: int = zlib.MAX_WBITS) -> bytes:
+def inflated(data: bytes, size: int) -> bytes:
     """The bytes of a deflated stream, whose number is known.
 
     Args:
         data: the stream.
         size: number of bytes.
-        window: of :func:`zlib.decompressobj`; 31 for gzip.
 
     Raises:
         ValueError: it is damaged, or holds another number of bytes.
     """
-    decoder = zlib.decompressobj(window)
+    decoder = zlib.decompressobj()
     try:
         plain = decoder.decompress(data, size + 1)
     except zlib.error as error:
@@ -135,3 +134,15 @@ def _header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype]:
         raise
     except (Exception, MemoryError) as error:
         raise ValueError(f"the header of an array is damaged ({type(error).__name__})") from error
+
+
+def gunzipped(data: bytes, most: int) -> bytes:
+    """The first bytes of a stream of gzip, at most so many.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    try:
+        return zlib.decompressobj(31).decompress(data, max(most, 1))
+    except zlib.error as error:
+        raise ValueError(f"a stream of gzip is damaged ({error})") from error

@@ -49,12 +49,13 @@ class Sandbox:
     Args:
         path: file or folder.
         library: module of :mod:`datasets.readers.child`.
+        needed: bytes that its answers take.
     """
 
-    def __init__(self, path: Path, library: str) -> None:
+    def __init__(self, path: Path, library: str, needed: int = 0) -> None:
         self.path, self._library = path, library
-        size = _size(path)
-        self._patience = PATIENCE + size / _RATE
+        size = _size(path) + needed // 4
+        self._patience = PATIENCE + (size + needed) / _RATE
         options = [library, str(path.resolve()), str(_memory(size))]
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 (closed by _end)
         self._child = _start(options, self._stderr)
@@ -152,6 +153,7 @@ _WRITERS = {
     "vtk_data": "VTK or ParaView",
     "itk": "SimpleITK (a folder: all its slices)",
     "slices": "tifffile or Pillow",
+    "decoding": "the program that made it",
 }
 
 

@@ -14,11 +14,13 @@ from urllib.parse import quote
 
 import torch
 
+from datasets.bounded import json_of
 from datasets.errors import DataError
 from methods.coded.spec import CODECS, DEFAULT
 from methods.formats.gaussians import scene_of
 from methods.gaussian_splatting.model import SceneGaussians, SplatModel
 from methods.interface import Refused
+from methods.shared.decoders import own_streams
 from methods.shared.edits import triple
 from methods.shared.files import saved_files
 
@@ -127,14 +129,14 @@ def _read(file: Path, device: str) -> tuple[SceneGaussians, SavedScene]:
         text, _, check = data.rpartition(b"\n")
         if check != str(zlib.crc32(text)).encode():
             raise ValueError("its checksum differs")
-        about = json.loads(text)
+        about = json_of(text)
         if about["format"] != FORMAT:
             raise ValueError(f"format {about['format']!r} instead of {FORMAT!r}")
         name, degree, background = str(about["scene"]), int(about["sh_degree"]), triple(about["background"])
         (number,) = (number for number, codec in CODECS.items() if codec.name == about["codec"])
         if not 0 <= degree <= 3:
             raise ValueError(f"SH degree {degree}")
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         reason = f"not the metadata of a 3dgs-coded scene ({error})"
         raise DataError(file, reason, "Save the model again") from error
     module = _format(number)
@@ -145,7 +147,7 @@ def _read(file: Path, device: str) -> tuple[SceneGaussians, SavedScene]:
 
 def _through(number: int, scene: SceneGaussians) -> SceneGaussians:
     """A scene after coding and decoding."""
-    with torch.no_grad(), tempfile.TemporaryDirectory() as folder:
+    with torch.no_grad(), own_streams(), tempfile.TemporaryDirectory() as folder:
         _write(Path(folder), number, scene, "scene")
         read, _ = _read(Path(folder, f"scene{_ABOUT}"), str(scene.means.device))
         return replace(read, name=scene.name)

@@ -21,10 +21,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from datasets.bounded import json_of, room
 from econgs.codebooks import nearest, quantise, quantise_scalars
 from econgs.context.positions import PositionGrid, morton_order
 from methods.formats.gaussians import COEFFICIENTS, SHAPES, Tables, checked, degree_of, tables
 from methods.gaussian_splatting.model import SceneGaussians
+from methods.shared.decoders import check_count, decoded
 
 SUFFIX = ".sog"
 WORDS = 256
@@ -112,19 +114,40 @@ def read(file: Path) -> Tables:
 
     def parsed() -> Tables:
         with zipfile.ZipFile(file) as archive:
-            about = json.loads(archive.read(_CONTENTS))
+            about = json_of(_member(archive, _CONTENTS))
             if about.get("version") != 2:
                 raise ValueError(f"version {about.get('version')!r} instead of 2")
-            return _tables(archive, about)
+            check_count(int(about["count"]), file.stat().st_size)
+            return _tables(_images(archive, about), about)
 
     return checked(file, "SOG", parsed)
 
 
-def _tables(archive: zipfile.ZipFile, about: Mapping[str, Any]) -> Tables:
+def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    """A member of an archive, unless it is far larger than what is stored of it."""
+    info = archive.getinfo(name)
+    if info.file_size > room(info.compress_size):
+        raise ValueError(f"{name} of {info.file_size} bytes")
+    return archive.read(info)
+
+
+def _images(archive: zipfile.ZipFile, about: Mapping[str, Any]) -> dict[tuple[str, int], Bytes]:
+    """Part of the contents and place among its files -> pixels (height, width, 4)."""
+    many = 8 * int(about["count"]) + (1 << 16)  # programs that write textures round their sides up
+    names = {(part, place): many for part, files in _PARTS.items() for place in range(files)}
+    if "shN" in about:
+        names |= {("shN", 0): _PALETTE_LIMIT * COEFFICIENTS[int(about["shN"]["bands"])], ("shN", 1): many}
+    files = [_member(archive, about[part]["files"][place]) for part, place in names]
+    lengths, most = [len(data) for data in files], list(names.values())
+    found = decoded("webp", b"".join(files), lengths=lengths, most=most)
+    return {name: _with_alpha(found[str(place)]) for place, name in enumerate(names)}
+
+
+def _tables(images: Mapping[tuple[str, int], Bytes], about: Mapping[str, Any]) -> Tables:
     count = int(about["count"])
 
     def pixels(part: str, number: int = 0, channels: int = 3) -> NDArray[np.int64]:
-        image = _decoded(archive.read(about[part]["files"][number]))
+        image = images[part, number]
         flat = image.reshape(-1, image.shape[2])
         if count > len(flat):
             raise ValueError(f"{part} of {len(flat)} pixels for {count} Gaussians")
@@ -138,7 +161,7 @@ def _tables(archive: zipfile.ZipFile, about: Mapping[str, Any]) -> Tables:
     rest = np.zeros((count, *SHAPES["sh_rest"]), np.float32)
     if "shN" in about:
         many = COEFFICIENTS[int(about["shN"]["bands"])]
-        centroids = _decoded(archive.read(about["shN"]["files"][0]))
+        centroids = images["shN", 0]
         if centroids.shape[1] != _PALETTE_WIDTH * many:
             raise ValueError(f"a palette of {centroids.shape[1]} columns for {many} coefficients")
         palette = centroids[:, :, :3].reshape(-1, many, 3)
@@ -200,10 +223,7 @@ def _palette_image(ids: NDArray[np.int64]) -> Bytes:
     return image.reshape(height, _PALETTE_WIDTH * many, 3)
 
 
-def _decoded(data: bytes) -> Bytes:
-    image: Bytes = np.asarray(imagecodecs.webp_decode(data))
-    if image.ndim != 3 or image.shape[2] not in (3, 4):
-        raise ValueError(f"an image of shape {image.shape}")
+def _with_alpha(image: Bytes) -> Bytes:
     if image.shape[2] == 3:
         image = np.concatenate([image, np.full((*image.shape[:2], 1), 255, np.uint8)], axis=2)
     return image

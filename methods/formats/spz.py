@@ -24,6 +24,7 @@ from methods.formats.gaussians import (
 )
 from methods.gaussian_splatting.model import SceneGaussians
 from methods.interface import Refused
+from methods.shared.decoders import decoded
 
 SUFFIX = ".spz"
 VERSION = 3  # viewers of today refuse 4
@@ -70,25 +71,12 @@ def read(file: Path) -> Tables:
         DataError: the file is missing, damaged or of another kind.
         Refused: gsply is not installed.
     """
-    gsply = _library()
 
     def parsed() -> Tables:
-        found = gsply.read_spz(file)
-        count = len(found.means)
-        rest = np.zeros((count, *SHAPES["sh_rest"]), np.float32)
-        if found.shN is not None and found.shN.size:
-            rest[:, : found.shN.shape[1]] = found.shN
-        return turned(
-            {
-                "means": np.asarray(found.means, np.float32),
-                "log_scales": np.asarray(found.scales, np.float32),
-                "quats": np.asarray(found.quats, np.float32),
-                "logits": np.asarray(found.opacities, np.float32).reshape(count),
-                "sh_dc": np.asarray(found.sh0, np.float32).reshape(count, 1, 3),
-                "sh_rest": rest,
-            },
-            RIGHT_UP_BACK,
-        )
+        found = decoded("spz", file.read_bytes())
+        rest = np.zeros((len(found["means"]), *SHAPES["sh_rest"]), np.float32)
+        rest[:, : found["sh_rest"].shape[1]] = found["sh_rest"]
+        return turned({**found, "sh_rest": rest}, RIGHT_UP_BACK)
 
     return checked(file, "SPZ", parsed)
 

@@ -11,6 +11,7 @@ import imagecodecs
 from methods.formats import ply
 from methods.formats.gaussians import Tables, checked
 from methods.gaussian_splatting.model import SceneGaussians
+from methods.shared.decoders import decoded
 
 SUFFIX = ".ply.zst"
 LEVEL = 19
@@ -32,7 +33,7 @@ def read(file: Path) -> Tables:
     """
 
     def parsed() -> Tables:
-        data = bytes(imagecodecs.zstd_decode(file.read_bytes()))
+        data = decoded("zstd", file.read_bytes())["bytes"].tobytes()
         with tempfile.TemporaryDirectory() as folder:
             plain = Path(folder, "scene.ply")
             plain.write_bytes(data)

@@ -19,6 +19,7 @@ from methods.mesh.canvas import Drawn, Sheet, canvas
 from methods.mesh.geometry import Mesh, decimated
 from methods.mesh.spec import Coding
 from methods.mesh.storage import decoded, encoded, read_folder, write_scene
+from methods.shared.decoders import own_streams
 from methods.shared.model import NamedScenes, seconds
 
 
@@ -55,7 +56,8 @@ class Sizes:
     def stored(self, share: float, coding: Coding) -> tuple[Stored, ...]:
         """The isosurfaces with a share of their triangles."""
         files = [encoded(decimated(mesh, share), coding, self.step) for mesh in self.meshes]
-        return tuple(Stored(data, decoded(data, coding)) for data in files)
+        with own_streams():
+            return tuple(Stored(data, decoded(data, coding)) for data in files)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,13 @@ from urllib.parse import quote
 
 import numpy as np
 
+from datasets.bounded import json_of
 from datasets.errors import DataError
 from datasets.scene import BasicScene, Isosurface, Light
 from methods.interface import Refused
 from methods.mesh.geometry import INSTALL, Mesh
 from methods.mesh.spec import Coding
+from methods.shared.decoders import decoded as decode
 from methods.shared.edits import triple
 from methods.shared.files import saved_files
 
@@ -80,12 +82,8 @@ def decoded(data: bytes, coding: Coding) -> Mesh:
         places = np.frombuffer(data, "<f4", 3 * points, header.end())
         mesh = Mesh.of(places, np.frombuffer(data, _FACE, faces, header.end() + 12 * points)["points"])
     else:
-        draco = _draco()
-        try:
-            read = draco.decode(data)
-        except Exception as error:  # DracoPy's errors have no common type
-            raise ValueError(f"Draco cannot decode it ({error})") from error
-        mesh = Mesh.of(read.points, read.faces)
+        arrays = decode("draco", data)
+        mesh = Mesh.of(arrays["points"], arrays["faces"])
     if not np.isfinite(mesh.points).all():
         raise ValueError("its positions are not finite")
     if len(mesh) and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.points):
@@ -134,7 +132,7 @@ def read_folder(folder: Path) -> list[tuple[BasicScene, Coding, list[tuple[bytes
 
 def _read(file: Path) -> tuple[BasicScene, Coding, list[tuple[bytes, Mesh]]]:
     try:
-        about = json.loads(file.read_bytes())
+        about = json_of(file.read_bytes())
         if about["format"] != FORMAT:
             raise ValueError(f"format {about['format']!r} instead of {FORMAT!r}")
         coding: Coding = about["coding"]
@@ -148,7 +146,7 @@ def _read(file: Path) -> tuple[BasicScene, Coding, list[tuple[bytes, Mesh]]]:
         background = triple(about["background"])
         scene = BasicScene(str(about["scene"]), light=light, background=background, isosurfaces=surfaces)
         sizes = [(int(one["bytes"]), int(one["crc32"])) for one in about["surfaces"]]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise DataError(file, f"not a scene of meshes ({error})", "Save the model again") from error
     stored = []
     for number, (size, check) in enumerate(sizes):

@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets.bounded import array_of, json_of
 from datasets.camera import Camera
 from datasets.errors import DataError
 from datasets.scene import RGB
@@ -35,7 +36,7 @@ PER_VOXEL = 4 + 2 * SH
 """Bytes: density in single, coefficients in half precision."""
 _DATE = (1980, 1, 1, 0, 0, 0)
 _HEAD = 4096
-"""Bytes before the numbers of an array, and of the description of a scene, at most."""
+"""Bytes of the description of a scene, at most."""
 _MOST = 1 << 28  # vertices of a lattice
 
 
@@ -136,12 +137,15 @@ class VoxelModel(FieldModel[VoxelScene]):
 def _load_scene(file: Path, device: str) -> VoxelScene:
     try:
         with zipfile.ZipFile(file) as archive:
-            about = json.loads(_array(archive, "about", np.uint8, 1, _HEAD).tobytes())
+            about = json_of(array_of(archive, "about", np.uint8, 1, _HEAD).tobytes())
             if about["format"] != FORMAT:
                 raise ValueError(f"format {about['format']!r} instead of {FORMAT!r}")
-            links = _array(archive, "links", np.int32, 3, _MOST)
-            densities = _array(archive, "density_data", np.float32, 1, links.size)
-            coefficients = _array(archive, "sh_data", np.float16, 2, SH * len(densities))
+            links = array_of(archive, "links", np.int32, 3, _MOST)
+            count = int((links >= 0).sum())
+            if links.max(initial=-1) != count - 1:
+                raise ValueError(f"links up to {links.max(initial=-1)}, of {count} vertices with one")
+            densities = array_of(archive, "density_data", np.float32, 1, count)
+            coefficients = array_of(archive, "sh_data", np.float16, 2, SH * len(densities))
         name, background, origin = str(about["scene"]), triple(about["background"]), triple(about["origin"])
         spacing, unit = float(about["spacing"]), float(about["unit"])
         _check(links, densities, coefficients, (*origin, *background, spacing, unit))
@@ -152,18 +156,6 @@ def _load_scene(file: Path, device: str) -> VoxelScene:
     voxels.colors[:, :SH] = torch.from_numpy(coefficients).to(device).float()
     placed = torch.from_numpy(links).to(device)
     return VoxelScene(name, background, VoxelGrid(placed, voxels, bricks_of(placed), origin, spacing, unit))
-
-
-def _array(archive: zipfile.ZipFile, name: str, kind: type, axes: int, most: int) -> NDArray[Any]:
-    """An array of at most so many numbers."""
-    info = archive.getinfo(f"{name}.npy")
-    if info.file_size > _HEAD + most * np.dtype(kind).itemsize:
-        raise ValueError(f"{name} of {info.file_size} bytes")
-    data = io.BytesIO(archive.read(info))
-    array: NDArray[Any] = np.lib.format.read_array(data, allow_pickle=False)
-    if array.dtype != kind or array.ndim != axes or data.read(1):
-        raise ValueError(f"{name} is {array.dtype} of {array.ndim} axes")
-    return array
 
 
 def _check(

@@ -20,6 +20,17 @@ def saved_files(folder: Path, suffix: str, method: str) -> list[Path]:
     return files
 
 
+def plain_name(text: object) -> str:
+    """The name of a file beside the one that names it.
+
+    Raises:
+        ValueError: it is none, but a path.
+    """
+    if not isinstance(text, str) or text in ("", ".", "..") or not {*"/\\\0"}.isdisjoint(text):
+        raise ValueError(f"{text!r} is no name of a file")
+    return text
+
+
 def read_streams(folder: Path, suffix: str, method: str) -> list[tuple[str, GroupAttributes]]:
     """The file names and decoded groups of a folder that a method saved.
 

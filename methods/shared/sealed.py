@@ -16,6 +16,8 @@ from safetensors import safe_open
 from safetensors.torch import save as to_safetensors
 from torch import Tensor
 
+from datasets.bounded import json_of
+
 _SUM = "crc32"
 _FACTS = "model"
 
@@ -45,7 +47,7 @@ def read_tensors(file: Path, kind: str) -> tuple[dict[str, Any], dict[str, Tenso
         OSError, SafetensorError, ValueError, KeyError, TypeError: it is no such file, or it is damaged.
     """
     with safe_open(file, framework="pt") as opened:
-        facts = _facts(json.loads((opened.metadata() or {})[_FACTS]), kind)
+        facts = _facts(json_of((opened.metadata() or {})[_FACTS]), kind)
         tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
     _check(facts, tensors)
     return facts, tensors
@@ -58,7 +60,7 @@ def write_facts(file: Path, facts: Mapping[str, Any]) -> int:
 
 def read_facts(file: Path, kind: str) -> dict[str, Any]:
     """Facts; arguments and exceptions as those of :func:`read_tensors`."""
-    facts = _facts(json.loads(file.read_bytes()), kind)
+    facts = _facts(json_of(file.read_bytes()), kind)
     _check(facts, {})
     return facts
 

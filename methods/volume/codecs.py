@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from methods.interface import Refused
+from methods.shared.decoders import decoded
 
 Grid = NDArray[np.float32]
 _MISSING = "{} needs the package {}: pip install 'econgs-bench[rivals]'"
@@ -38,13 +39,18 @@ class Codec(ABC):
             Refused: the library is not installed.
         """
 
-    @abstractmethod
     def restore(self, stream: bytes, shape: tuple[int, ...]) -> Grid:
-        """The values of an undamaged stream. The libraries find not all damage: check the stream before.
+        """The values of a stream (:func:`methods.shared.decoders.decoded`).
+
+        Args:
+            stream: that :meth:`compress` returned.
+            shape: of the grid.
 
         Raises:
+            ValueError: it is damaged, or of another grid.
             Refused: the library is not installed.
         """
+        return np.asarray(decoded(self.name, stream, shape=list(shape))["values"])
 
 
 class Sz3(Codec):
@@ -59,10 +65,6 @@ class Sz3(Codec):
         config.absErrorBound = bound
         stream, _ = pysz.sz.compress(values, config)
         return bytes(stream)
-
-    def restore(self, stream: bytes, shape: tuple[int, ...]) -> Grid:
-        values, _ = _pysz().sz.decompress(np.frombuffer(stream, np.uint8), np.float32, shape)
-        return np.asarray(values, np.float32)
 
 
 class Zfp(Codec):
@@ -85,9 +87,6 @@ class Zfp(Codec):
             padded = math.prod(-(-n // 4) * 4 for n in values.shape)
             stream = bytes(zfp.zfp_encode(values, mode="r", level=8 * len(stream) / padded))
         return stream
-
-    def restore(self, stream: bytes, shape: tuple[int, ...]) -> Grid:
-        return np.asarray(_imagecodecs().zfp_decode(stream), np.float32).reshape(shape)
 
 
 def _pysz() -> Any:

@@ -14,6 +14,7 @@ from urllib.parse import quote
 import torch
 from torch import Tensor
 
+from datasets.bounded import json_of
 from datasets.camera import Camera
 from datasets.edits import edited
 from datasets.errors import DataError
@@ -22,7 +23,7 @@ from datasets.ground_truth.probe import find_backend
 from datasets.render_views import marcher_of
 from datasets.scene import RGB, BasicScene
 from methods.interface import Edit, Refused
-from methods.shared.files import saved_files
+from methods.shared.files import plain_name, saved_files
 from methods.shared.model import NamedScenes, seconds
 from methods.volume.codecs import Codec
 from methods.volume.stored import Samples, StoredVolume, read
@@ -131,12 +132,12 @@ class VolumeModel(NamedScenes[VolumeScene]):
         scenes = []
         for file in saved_files(folder, _SUFFIX, codec.name):
             try:
-                about = json.loads(file.read_bytes())
+                about = json_of(file.read_bytes())
                 check = about.pop("crc32")
                 if zlib.crc32(json.dumps(about, separators=(",", ":")).encode()) != check:
                     raise ValueError("its checksum differs")
                 scene = definitions().validate_python(about["scene"])
-                name = str(about["volume"])
+                name = plain_name(about["volume"])
                 if scene.transfer is None and not scene.isosurfaces:
                     raise ValueError("it shows nothing of the volume")
             except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

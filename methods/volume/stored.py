@@ -20,9 +20,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets.bounded import inflated, json_of
 from datasets.errors import DataError
 from datasets.volume import Volume
-from methods.interface import Refused
+from methods.shared.decoders import own_streams
 from methods.volume.codecs import Codec, Grid
 
 SUFFIX = ".volume"
@@ -30,6 +31,7 @@ _MAGIC = b"\x89VOLUME1"
 _HEAD = struct.Struct("<8sI")
 _CHECK = struct.Struct("<I")
 _ANEW = "Save the model again"
+_WHOLE = ("uint8", "int8", "uint16", "int16")
 _SLACK = 0.45
 """Error bound, in steps of whole numbers, at which rounding finds each of them again."""
 
@@ -110,7 +112,8 @@ class Samples:
         }
         text = json.dumps(header, separators=(",", ":")).encode()
         data = b"".join([_HEAD.pack(_MAGIC, len(text)), text, stream, mask])
-        return read(data + _CHECK.pack(zlib.crc32(data)), codec, self.variable)
+        with own_streams():
+            return read(data + _CHECK.pack(zlib.crc32(data)), codec, self.variable)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,40 +159,33 @@ def read(data: bytes, codec: Codec, what: str) -> StoredVolume:
         low, high = (float(end) for end in header["range"])
         x, y, z = (float(length) for length in header["spacing"])
         name = str(header["variable"])
-        bound = float(header["bound"])
+        bound, exact = float(header["bound"]), bool(header["exact"])
         if min(nz, ny, nx) < 2 or not (min(x, y, z) > 0.0 and math.isfinite(x + y + z) and low < high):
             raise ValueError("no grid")
-        values = _restored(codec, stream, (nz, ny, nx))
+        dtype = header["dtype"]
+        types = _WHOLE if exact else ("float32", *_WHOLE)
+        if not math.isfinite(high - low) or dtype not in types or (exact and not _holds(dtype, low, high)):
+            raise ValueError(f"values of type {dtype!r} in [{low:g}, {high:g}]")
+        values = codec.restore(stream, (nz, ny, nx))
         mask = None
         if packed:
-            bits = np.frombuffer(zlib.decompress(packed), np.uint8)
+            bits = np.frombuffer(inflated(packed, -(-values.size // 8)), np.uint8)
             mask = np.unpackbits(bits, count=values.size).astype(bool).reshape(values.shape)
-        if header["exact"]:
+        if exact:
             values *= np.float32(high - low)
             values += np.float32(low)
-            whole = np.rint(values, out=values).astype(header["dtype"])
+            whole = np.rint(values, out=values).astype(dtype)
             volume = Volume(name, whole, (x, y, z), (low, high), what, mask)
         else:
             volume = Volume(name, values, (x, y, z), (0.0, 1.0), what, mask)
-    except (ValueError, KeyError, TypeError, RuntimeError, struct.error, zlib.error) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, struct.error) as error:
         raise DataError(what, f"not a volume compressed by {codec.name} ({error})", _ANEW) from error
     parts = {"volume": len(stream), "mask": len(packed)} if packed else {"volume": len(stream)}
     return StoredVolume(volume, data, bound, {**parts, "header": len(data) - sum(parts.values())})
 
 
-def _restored(codec: Codec, stream: bytes, shape: tuple[int, ...]) -> Grid:
-    """The values of a compressor's stream.
-
-    Raises:
-        Refused: the compressor is not installed.
-        ValueError: the stream is damaged.
-    """
-    try:
-        return codec.restore(stream, shape)
-    except Refused:
-        raise
-    except Exception as error:  # libraries raise what they like for damaged data
-        raise ValueError(f"its stream is damaged ({type(error).__name__}: {error})") from error
+def _holds(dtype: str, low: float, high: float) -> bool:
+    return np.iinfo(dtype).min <= low and high <= np.iinfo(dtype).max
 
 
 def _sections(data: bytes) -> tuple[dict[str, Any], bytes, bytes]:
@@ -201,7 +197,7 @@ def _sections(data: bytes) -> tuple[dict[str, Any], bytes, bytes]:
     if _CHECK.pack(zlib.crc32(body)) != data[-_CHECK.size :]:
         raise ValueError("cut or damaged: its checksum differs")
     start = _HEAD.size + length
-    header = json.loads(body[_HEAD.size : start])
+    header = json_of(body[_HEAD.size : start])
     middle = start + int(header["stream"])
     if middle + int(header["mask"]) != len(body):
         raise ValueError("its sections have other lengths than its header says")
