@@ -1,4 +1,4 @@
-"""Streams of other people's libraries: what their headers say is compared with the file before they are read."""
+"""Streams of other people's libraries: their headers are compared with the file before they are read."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def with_bits(stream, first, number, value):
 def test_zfp_with_another_header_is_not_given_to_its_library(grid, monkeypatch, first, number, value) -> None:
     monkeypatch.setattr(imagecodecs, "zfp_decode", lambda *_: pytest.fail("was decoded"))
     stream = with_bits(zfp(grid, mode="a", level=1e-3), first, number, value)
-    with own_streams(), pytest.raises(ValueError, match="zfp|grid"):
+    with own_streams(), pytest.raises(ValueError, match=r"zfp|grid"):
         decoded("zfp", stream, shape=list(SHAPE))
 
 
@@ -118,8 +118,8 @@ def forged(data: bytes, header=None, stream=None, mask=None) -> bytes:
 
 HEADERS = [
     {"dtype": "O"}, {"dtype": "f4,f4"}, {"dtype": "float32"}, {"dtype": ["u1"]}, {"dtype": "uint64"},
-    {"range": [float("-inf"), 1.0]}, {"range": [0.0, 1e999]}, {"range": [0.0, 1e9]}, {"range": [-1e308, 1e308]},
-    {"spacing": [1.0, 1.0, 1e999]}, {"bound": float("nan")}, {"shape": [9, 10, 12]}, {"shape": [10**6] * 3},
+    {"range": [float("-inf"), 1.0]}, {"range": [0.0, 1e999]}, {"range": [0.0, 1e9]},
+    {"range": [-1e308, 1e308]}, {"spacing": [1.0, 1.0, 1e999]}, {"bound": float("nan")}, {"shape": [9, 10, 12]}, {"shape": [10**6] * 3},
     {"shape": [9, 10, 10**400]}, {"variable": [[[]]] * 3, "shape": "123456"},
 ]  # fmt: skip
 
@@ -204,7 +204,7 @@ def spz(count, points, version=3, degree=0):
 @pytest.mark.parametrize(
     "data",
     [spz(10, 9), spz(10, 11), spz(2**32 - 1, 10), spz(10, 10 << 20), spz(10, 10, 9), spz(10, 10, 3, 9),
-     spz(30_000_000, 30_000_000), gzip.compress(b""), b"NGSP", spz(10, 10)[:30]],
+     spz(30_000_000, 30_000_000), gzip.compress(b""), b"NGSP", spz(10, 10)[:-12]],
 )  # fmt: skip
 def test_spz_of_another_size_than_its_header_says_is_refused(data, monkeypatch) -> None:
     gsply = pytest.importorskip("gsply")
@@ -241,12 +241,13 @@ def test_pictures_are_measured_before_they_are_decoded(lossless, channels) -> No
 
 @pytest.mark.parametrize(
     "text",
-    ["[" * (DEPTH + 1) + "]" * (DEPTH + 1), '{"a":' * 5000 + "0" + "}" * 5000, "[" * 10**6, "NaN", "[Infinity]",
+    ["[" * (DEPTH + 1) + "]" * (DEPTH + 1), '{"a":' * 5000 + "0" + "}" * 5000, "[" * 10**6, "NaN",
+     "[Infinity]",
      "-1e999", '["]]]]",' + "[" * DEPTH + "]" * DEPTH + "]", "[0" + ",0" * 1_000_000 + "]", "\xff", ""],
     ids=lambda text: text[:12],
 )  # fmt: skip
 def test_json_beyond_bounds_is_refused(text) -> None:
-    with pytest.raises(ValueError, match=r""):
+    with pytest.raises(ValueError, match=r"values|within each|not finite|Expecting|codec"):
         json_of(text.encode("latin-1"))
 
 
@@ -272,8 +273,9 @@ def test_streams_inflate_to_the_size_that_is_known() -> None:
 @pytest.mark.parametrize(
     "header",
     [b"{'descr': '<f4', 'fortran_order': False, 'shape': (4096, 4096, 4096), }", b"{" + b"[" * 2000,
-     b"{'descr': '|O', 'fortran_order': False, 'shape': (2,), }", b"{'descr': '<f4,<f4', 'fortran_order': False, "
-     b"'shape': (2,), }", b"{'descr': '<f4', 'fortran_order': False, 'shape': (-1,), }", b"\xff\xfe", b"",
+     b"{'descr': '|O', 'fortran_order': False, 'shape': (2,), }",
+     b"{'descr': '<f4,<f4', 'fortran_order': False, 'shape': (2,), }",
+     b"{'descr': '<f4', 'fortran_order': False, 'shape': (-1,), }", b"\xff\xfe", b"",
      b"{'descr': '<f4', 'fortran_order': False, 'shape': (10000000000000000000000,), }"],
 )  # fmt: skip
 def test_headers_of_numpy_that_lie_are_refused(header) -> None:
