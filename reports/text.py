@@ -13,7 +13,7 @@ _BLOCK = re.compile("[^\n\t -~]")
 _XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """What no document of XML 1.0 holds, not even as a reference (section 2.2)."""
 _MARKDOWN = re.compile(
-    r"""[\\|*`]             # escapes, cells, emphasis, code
+    r"""[\\|*]              # escapes, cells, emphasis
     | (?<=\])[(\[]          # the target of a link or of a picture
     | ~(?=~)                # struck out
     | (?<![^\W_])_ | _(?![^\W_])  # emphasis; within a word it is a letter
@@ -45,8 +45,13 @@ def xml_text(text: str) -> str:
 
 
 def markdown_cell(text: str) -> str:
-    """A text as it is read in a cell, a line or a heading of Markdown: no markup, no HTML, no line break."""
+    """A text as it is read in a cell, a line or a heading of Markdown: no markup, no HTML, no line break.
+
+    Pairs of backticks stay: messages name commands in them, and code has no effect.
+    """
     plain = one_line(re.sub(r"\s*[\r\n]+\s*", " ", text))
+    if plain.count("`") % 2:
+        plain = plain.replace("`", "'")
     plain = _MARKDOWN.sub(lambda sign: "\\" + sign[0], plain)
     return re.sub(r"&(?=#?\w+;)", "&amp;", plain).replace("<", "&lt;")
 
