@@ -10,8 +10,8 @@ import pytest
 
 from bench import machine
 from bench.commands import doctor
-from bench.machine import Load, clock_cap, measure_load
 from bench.locks import locked
+from bench.machine import Load, clock_cap, measure_load
 
 EVEN = (0.1,) * 20
 
