@@ -21,6 +21,7 @@ from typing import Any
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster
+from distributed.security import Security
 
 from bench.display import Display
 from bench.estimates import Past
@@ -39,6 +40,8 @@ from datasets.errors import DataError
 POLL_SECONDS = 0.5
 LOOK_SECONDS = 1.0
 """Between looks at the store and at the workers."""
+_NO_PAGES = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
+"""Pages of schedulers and workers show logs and settings to whoever reaches their ports."""
 REPLY_SECONDS = 30.0
 """How long a worker may keep its reply once the record of its job is there."""
 
@@ -141,6 +144,7 @@ class DaskExecutor(Executor):
         named = Path(address).is_file()
         if not address:
             count = self._cluster.workers
+            stack.enter_context(dask.config.set(_NO_PAGES))
             address = stack.enter_context(
                 LocalCluster(
                     n_workers=count,
@@ -148,6 +152,7 @@ class DaskExecutor(Executor):
                     memory_limit=int(available_memory() / count),
                     dashboard_address=None,
                     silence_logs=logging.CRITICAL,
+                    security=_secret(),
                 )
             )
         try:
@@ -313,3 +318,18 @@ class DaskExecutor(Executor):
         """Ask all workers to stop the jobs of this run; one that hangs may not answer in time."""
         with suppress(Exception):
             self._client.run(stop_run, self._name, on_error="ignore")
+
+
+def _secret() -> Security:
+    """A key and a certificate of this run alone: who lacks them can give its workers no orders.
+
+    Other users of a machine reach its ports, and whoever talks to a scheduler runs programs as its owner.
+
+    Raises:
+        DataError: the package that makes them is missing.
+    """
+    try:
+        return Security.temporary()
+    except ImportError as error:
+        remedy = "pip install 'econgs-bench[cluster]'"
+        raise DataError("--executor dask", f"needs the package cryptography ({error})", remedy) from error

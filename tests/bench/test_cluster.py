@@ -164,3 +164,49 @@ def test_what_cannot_be_done_is_said_with_a_remedy(bench, tmp_path, monkeypatch)
         DataError, match=r"needs the package distributed. pip install 'econgs-bench\[cluster\]'"
     ):
         _executor("dask", "", 2)
+
+
+STRANGER = """
+import asyncio, contextlib, os, sys, urllib.request, urllib.error
+import distributed
+if os.getuid() == 0: os.setgroups([]); os.setgid(65534); os.setuid(65534)
+for port in map(int, sys.argv[1:]):
+    for scheme in ("tcp", "tls"):
+        with contextlib.suppress(Exception):
+            client = distributed.Client(f"{scheme}://127.0.0.1:{port}", timeout=1, set_as_default=False)
+            print("scheduler", port, client.run_on_scheduler(os.getpid), client.run(os.getpid))
+        async def ask():
+            async with distributed.rpc(f"{scheme}://127.0.0.1:{port}", timeout=1) as one:
+                return await asyncio.wait_for(one.identity(), 1)
+        with contextlib.suppress(Exception):
+            print("identity", port, asyncio.run(ask()))
+    for page in ("", "info/main/workers.html", "info/logs.html", "json/identity.json", "status", "health"):
+        with contextlib.suppress(Exception):
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}", timeout=1) as answer:
+                print("page", port, page, answer.read()[:80])
+print("end")
+"""
+
+
+def _ports(process: psutil.Process) -> list[int]:
+    """TCP ports on which a process and its children listen."""
+    ports = set()
+    for one in (process, *process.children(recursive=True)):
+        with suppress(psutil.Error):
+            ports |= {at.laddr.port for at in one.net_connections("tcp") if at.status == psutil.CONN_LISTEN}
+    return sorted(ports)
+
+
+def test_another_user_of_the_machine_gives_no_orders_to_its_workers(bench, tmp_path) -> None:
+    options = ("--set", "fake.behaviour=hold", "--set", f"fake.file={tmp_path / 'go on'}")
+    run = bench.start(*options, "--set", "fake.iterations=40", "--executor", "dask", "--workers", 1)
+    _wait_for(lambda: list(bench.store.glob("partial/fit-*/progress.jsonl")), run)
+    ports = _ports(psutil.Process(run.pid))
+    assert len(ports) >= 2
+    stranger = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", STRANGER, *map(str, ports)], capture_output=True,
+        encoding="utf-8", timeout=PATIENCE, check=False, cwd="/",
+    )  # fmt: skip
+    assert stranger.stdout == "end\n", stranger.stderr
+    (tmp_path / "go on").touch()
+    assert run.wait(PATIENCE) == 0, run.stdout.read()
