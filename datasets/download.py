@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import queue
 import re
 import shutil
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -25,6 +27,14 @@ PAUSES = (1.0, 2.0, 4.0)
 """Seconds before each further attempt, once a server has answered."""
 TIMEOUT = 30.0
 """Seconds without a byte after which a connection counts as cut."""
+WINDOW = 60.0
+LEAST_RATE = 4096
+"""Bytes a second, over each such window of seconds, below which a transfer counts as cut.
+
+So a server that sends single bytes holds nobody, and a file takes at most its size over this rate.
+"""
+UNKNOWN_SIZE = 2 * 2**30
+"""Bytes of a file at most whose size neither the catalogue nor the server gives."""
 _CHUNK = 1 << 16
 _REMEDY = "Run the command again to resume"
 
@@ -38,12 +48,14 @@ class Remote:
         algorithm: name of a hash in :mod:`hashlib`.
         digest: hash of the file in hex, or its first digits.
         size: bytes of the file; None where not known.
+        most: bytes that it has at most, where its size is not known.
     """
 
     url: str
     algorithm: str
     digest: str
     size: int | None = None
+    most: int = UNKNOWN_SIZE
 
     @property
     def host(self) -> str:
@@ -143,8 +155,23 @@ def _request(session: Any, remote: Remote, part: Path) -> Response:
     headers = {"Accept-Encoding": "identity"}
     if part.exists() and (size := part.stat().st_size):
         headers["Range"] = f"bytes={size}-"
-    response: Response = session.get(remote.url, headers=headers, stream=True, timeout=TIMEOUT)
-    return response
+    # In a thread: the limit is one of the pause between bytes, and redirects and headers may have many.
+    answers: queue.SimpleQueue[Response | Exception] = queue.SimpleQueue()
+
+    def ask() -> None:
+        try:
+            answers.put(session.get(remote.url, headers=headers, stream=True, timeout=TIMEOUT))
+        except Exception as error:
+            answers.put(error)
+
+    threading.Thread(target=ask, daemon=True).start()
+    try:
+        answer = answers.get(timeout=WINDOW)
+    except queue.Empty:
+        raise _Cut(f"no whole answer within {WINDOW:g} s") from None
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
 
 
 def _receive(
@@ -163,6 +190,9 @@ def _receive(
     if remote.size is not None and total not in (None, remote.size):
         raise _wrong_size(remote, f"the server has {total} bytes, the file has {remote.size}")
     whole = total if total is not None else remote.size
+    most = whole if whole is not None else remote.most
+    if most > (remote.size if remote.size is not None else remote.most):
+        raise _wrong_size(remote, f"the server has {total} bytes, the file at most {remote.most}")
     free = shutil.disk_usage(part.parent).free
     if whole is not None and whole - start > free:
         raise _no_space(part.parent, f"{whole - start} bytes are missing, {free} are free")
@@ -172,13 +202,18 @@ def _receive(
             file.seek(start)
             present = start
             progress(present, whole)
-            for chunk in response.raw.stream(_CHUNK, decode_content=False):
+            window, before = time.monotonic(), present
+            while chunk := response.raw.read1(_CHUNK, decode_content=False):
                 file.write(chunk)
                 present += len(chunk)
-                if whole is not None and present > whole:
+                if present > most:
                     part.unlink()
-                    raise _wrong_size(remote, f"the server sends more than {whole} bytes")
+                    raise _wrong_size(remote, f"the server sends more than {most} bytes")
                 progress(present, whole)
+                if (seconds := time.monotonic() - window) > WINDOW:
+                    if present - before < LEAST_RATE * seconds:
+                        raise _Cut(f"{present - before} bytes within {seconds:.0f} s")
+                    window, before = time.monotonic(), present
     except HTTPError as error:
         raise _Cut(type(error).__name__) from error
     if whole is not None and present < whole:

@@ -12,7 +12,7 @@ from pathlib import Path
 from bench.commands.lists import size_text
 from bench.metrics.lpips import BACKBONES, checkpoints, is_sound
 from datasets.catalogue import entries
-from datasets.download import Remote
+from datasets.download import UNKNOWN_SIZE, Remote
 from datasets.download import fetch as download
 from datasets.errors import DataError
 from datasets.names import unknown
@@ -94,9 +94,11 @@ def _request(name: str, out: Path | None) -> Request:
     for path in missing:
         if path in public:
             url, zipped = public[path]["url"], public[path]["url"].endswith(".gz") and path[-3:] != ".gz"
-            size = None if zipped else entries.size_of(table, path)
+            plain = entries.size_of(table, path)
+            size = None if zipped else plain
+            most = UNKNOWN_SIZE if plain is None else plain + plain // 100 + 2**20  # gzip adds less
             target = (out or entries.user_folder()) / (f"{path}.gz" if zipped else path)
-            files[target] = Remote(url, "sha512", public[path]["sha512"], size)
+            files[target] = Remote(url, "sha512", public[path]["sha512"], size, most)
     return Request(name, files, acknowledgement, source=source if elsewhere else "")
 
 

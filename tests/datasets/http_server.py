@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -68,7 +69,18 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(b"%x\r\n%s\r\n0\r\n\r\n" % (len(body), body))
             return
         self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
+        if fault[0] == "headers":
+            self.flush_headers()
+            body = b"X-Long: " + body
+        else:
+            self.end_headers()
+        if fault[0] in ("drip", "headers"):
+            for byte in body:
+                try:
+                    self.wfile.write(bytes([byte]))
+                except OSError:  # the client has gone
+                    return
+                time.sleep(fault[1])
         if fault[0] == "cut":
             body = body[: fault[1]]
         elif fault[0] == "call":

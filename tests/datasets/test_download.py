@@ -210,3 +210,25 @@ def test_a_folder_that_cannot_be_is_named(place, tmp_path):
     (tmp_path / "sub").write_text("a file")
     with pytest.raises(DataError, match="cannot be written"):
         place.fetch()
+
+
+@pytest.mark.parametrize("fault", ["drip", "headers"])
+def test_a_server_of_single_bytes_counts_as_cut(place, monkeypatch, fault):
+    monkeypatch.setattr(download, "WINDOW", 0.4)
+    place.server.faults = [(fault, 0.05)] * 3
+    place.server.ranges = False
+    with pytest.raises(DataError, match=r"bytes within|no whole answer"):
+        place.fetch()
+    assert not place.target.exists()
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_a_file_of_unknown_size_has_a_limit(place, monkeypatch, chunked):
+    remote = Remote(f"{place.server.url}/f.raw", "sha512", DIGEST, None, SIZE - 1)
+    place.server.faults = [("chunked",)] if chunked else []
+    with pytest.raises(DataError, match=r"more than|at most"):
+        fetch(remote, place.target, lambda *_: None)
+    assert not place.part.exists()
+    place.server.faults = [("chunked",)] if chunked else []
+    fetch(Remote(f"{place.server.url}/f.raw", "sha512", DIGEST, None, SIZE), place.target, lambda *_: None)
+    assert place.whole()
