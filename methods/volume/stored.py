@@ -158,8 +158,10 @@ def read(data: bytes, codec: Codec, what: str) -> StoredVolume:
         nz, ny, nx = (int(n) for n in header["shape"])
         low, high = (float(end) for end in header["range"])
         x, y, z = (float(length) for length in header["spacing"])
-        name = str(header["variable"])
+        name = header["variable"]
         bound, exact = float(header["bound"]), bool(header["exact"])
+        if not isinstance(name, str):
+            raise ValueError("its variable has no name")
         if min(nz, ny, nx) < 2 or not (min(x, y, z) > 0.0 and math.isfinite(x + y + z) and low < high):
             raise ValueError("no grid")
         dtype = header["dtype"]
@@ -172,10 +174,13 @@ def read(data: bytes, codec: Codec, what: str) -> StoredVolume:
             bits = np.frombuffer(inflated(packed, -(-values.size // 8)), np.uint8)
             mask = np.unpackbits(bits, count=values.size).astype(bool).reshape(values.shape)
         if exact:
-            values *= np.float32(high - low)
-            values += np.float32(low)
-            whole = np.rint(values, out=values).astype(dtype)
-            volume = Volume(name, whole, (x, y, z), (low, high), what, mask)
+            with np.errstate(over="ignore"):
+                values *= np.float32(high - low)
+                values += np.float32(low)
+            np.rint(values, out=values)
+            if not _holds(dtype, float(values.min()), float(values.max())):
+                raise ValueError(f"values beyond those of {dtype}")
+            volume = Volume(name, values.astype(dtype), (x, y, z), (low, high), what, mask)
         else:
             volume = Volume(name, values, (x, y, z), (0.0, 1.0), what, mask)
     except (ValueError, KeyError, TypeError, OverflowError, struct.error) as error:

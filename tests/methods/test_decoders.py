@@ -119,8 +119,9 @@ def forged(data: bytes, header=None, stream=None, mask=None) -> bytes:
 HEADERS = [
     {"dtype": "O"}, {"dtype": "f4,f4"}, {"dtype": "float32"}, {"dtype": ["u1"]}, {"dtype": "uint64"},
     {"range": [float("-inf"), 1.0]}, {"range": [0.0, 1e999]}, {"range": [0.0, 1e9]},
-    {"range": [-1e308, 1e308]}, {"spacing": [1.0, 1.0, 1e999]}, {"bound": float("nan")}, {"shape": [9, 10, 12]}, {"shape": [10**6] * 3},
-    {"shape": [9, 10, 10**400]}, {"variable": [[[]]] * 3, "shape": "123456"},
+    {"range": [-1e308, 1e308]}, {"spacing": [1.0, 1.0, 1e999]}, {"bound": float("nan")},
+    {"shape": [9, 10, 12]}, {"shape": [10**6] * 3}, {"shape": [9, 10, 10**400]}, {"shape": "123456"},
+    {"variable": [[[]]] * 3}, {"variable": None},
 ]  # fmt: skip
 
 
