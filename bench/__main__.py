@@ -185,7 +185,7 @@ def parser() -> _Parser:
     results.add_argument("--table", choices=TABLES, default="results", help="default: results")
     results.add_argument(
         "--format", choices=("csv", "md", "tex", "json"),
-        help="default: csv; on a terminal, of the results, a short table with their jobs",
+        help="all columns; default: a table of those that fit into the terminal, with the jobs",
     )  # fmt: skip
     purpose = "print the paper's tables as measured, and write the HTML report of a run store"
     report = command("report", purpose, stored, runs)

@@ -10,7 +10,10 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO, cast
@@ -129,6 +132,23 @@ def _closed(number: int) -> TextIO:
         os.dup2(opened, number)
         os.close(opened)
     return cast(TextIO, _Closed())
+
+
+def line_width() -> int:
+    """Characters of a line of standard output: the terminal's, and 120 in a file or a pipe."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else 120
+
+
+def print_prose(text: str) -> None:
+    """Print sentences: on a terminal they wrap between words, below the text where they begin."""
+    for line in text.split("\n"):
+        if sys.stdout.isatty() and len(line) > line_width():
+            head = re.match(r"\S.{,30}?  +(?=\S)", line)  # a name before the sentence
+            indent = " " * len(head[0] if head else "  ")
+            line = textwrap.fill(
+                line, line_width(), subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+            )
+        print(line)
 
 
 def console(name: str = "stdout", **options: Any) -> Any:

@@ -12,6 +12,7 @@ from bench.plugins import plugin_folders
 from bench.store import Store
 from bench.tables import build_tables
 from datasets.errors import DataError
+from reports.terminal import line_width, print_prose
 from reports.text import one_line
 
 _MOST_NOTES = 12
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
     from methods.interface import MethodSpec
     from reports.charts.report import Report
+    from reports.tables.grid import Field
 
 
 def results(options: Namespace) -> int:
@@ -30,10 +32,15 @@ def results(options: Namespace) -> int:
     store = Store(Path(options.runs))
     tables = build_tables(store, current(options.plugins, store.root), write=False)
     report_damage(store)
-    if options.format is None and options.table == "results" and sys.stdout.isatty():
-        print_results(tables["results"], jobs=True)
+    if options.format:
+        print_as(tables[options.table], options.format)
     else:
-        print_as(tables[options.table], options.format or "csv")
+        if options.table == "results":
+            print_results(tables["results"], jobs=True)
+        else:
+            print_stored(options.table, tables[options.table])
+        number = len(tables[options.table].columns)
+        print(f"bench: --format csv prints all {number} columns", file=sys.stderr)
     if options.table not in ("differences", "superseded"):
         found = notes(tables["results"], tables["superseded"])
         _print_differences(found, tables["differences"], sys.stderr)
@@ -55,7 +62,7 @@ def report(options: Namespace) -> int:
     contents = Report(tables)
     paper = paper_tables(tables, contents.views)
     for table in paper:
-        print(documents.to_text(table))
+        print_prose(documents.to_text(table))
     if options.check_claims:
         print(verdicts.to_text(claims.check([*paper, *of_report(contents)], contents.views)))
     write_report(tables, store.root, page, paper, contents)
@@ -70,11 +77,11 @@ def print_answers(contents: Report) -> None:
     from reports.conclusions.answers import to_text
 
     if contents.contests:
-        print("\n".join(to_text(contents.contests[0], contents.answers)))
+        print_prose("\n".join(to_text(contents.contests[0], contents.answers)))
     elif contents.results["method"].nunique() > 1:
         print("Nothing is ranked: no two methods have the same scenes under the same conditions.")
     for sentence in races.conclusion(contents.races, contents.family):
-        print(sentence)
+        print_prose(sentence)
     found = [one.sentence for one in contents.remarks]
     _print_differences(found, contents.stored["differences"], sys.stdout)
 
@@ -127,49 +134,41 @@ def print_as(table: pd.DataFrame, form: str) -> None:
 def print_results(table: pd.DataFrame, *, jobs: bool = False) -> None:
     """The rows of a run, for people; with their jobs, which ``bench render --model`` takes."""
     from reports.tables.protocols import by_protocol
-    from reports.tables.results import terminal_rows
+    from reports.tables.results import for_terminal
 
-    width = _console().width
-    rows = by_protocol({"results": table})["results"]
-    names = ["Job", *rows["job"]] if jobs else []
-    lines = terminal_rows(rows, width - max(map(len, names), default=-2) - 2)
-    header, *lines = [[*line, name] for line, name in zip(lines, names, strict=True)] if jobs else lines
-    print_grid(header, lines)
+    _print_shared(*for_terminal(by_protocol({"results": table})["results"], line_width(), jobs=jobs))
+
+
+def print_stored(name: str, table: pd.DataFrame) -> None:
+    """Any table of a run store, for people."""
+    from reports.tables.results import stored_for_terminal
+
+    _print_shared(*stored_for_terminal(name, table, line_width()))
+
+
+def _print_shared(shared: str, fields: list[Field]) -> None:
+    """A table below what all of its rows share."""
+    if shared:
+        print(one_line(shared))
+    print_grid(fields)
 
 
 def print_table(table: pd.DataFrame) -> None:
     """A table made for people; columns that hold nothing are left out."""
-    from reports.schema import by_name
-    from reports.tables.columns import cell
+    from reports.tables.results import fitted
 
-    names = [name for name in table.columns if table[name].notna().any()]
-    lines = [[cell(name, row[name]) for name in names] for _, row in table.iterrows()]
-    print_grid([by_name(name).header for name in names], lines)
+    names = [name for name in table.columns if table[name].replace("", None).notna().any()]
+    _print_shared(*fitted(table, table[names], (), (), line_width()))
 
 
-def _console() -> Any:
-    from reports.terminal import console
+def print_grid(fields: Sequence[Field]) -> None:
+    """Columns for people."""
+    from reports.tables.grid import to_lines
 
-    return console(width=None if sys.stdout.isatty() else 200)
-
-
-def print_grid(header: list[str], lines: list[list[str]]) -> None:
-    """Cells for people; numbers, from the fourth column on, stand on the right."""
-    from rich.table import Table
-
-    console = _console()
-    whole = sum(max(map(len, column)) + 2 for column in zip(header, *lines, strict=True)) - 2
-    grid = Table(box=None, pad_edge=False)
-    for i, head in enumerate(header):
-        number = i > 2 and any(line[i][:1].isdigit() for line in lines)  # names come first
-        grid.add_column(
-            head if whole <= console.width else head.replace(" ", "\n"),
-            justify="right" if number else "left",
-            no_wrap=True,
-        )
-    for line in lines:
-        grid.add_row(*map(one_line, line))
-    console.print(grid, markup=False, highlight=False)
+    for line in to_lines(
+        [each._replace(cells=list(map(one_line, each.cells))) for each in fields], line_width()
+    ):
+        print(line)
 
 
 def current(plugins: Iterable[str], *stores: Path) -> dict[str, MethodSpec]:

@@ -51,11 +51,12 @@ def run(options: Namespace) -> int:
         from reports.conclusions.ladders import summary
         from reports.paper.datasets import costs
         from reports.tables.ladders import climbed, ladders
+        from reports.terminal import print_prose
 
         if len(frames["results"]):
             print_results(frames["results"])
         if (frames["rungs"]["stress"].fillna("") != "").any():
-            print("\n".join(summary(climbed(ladders(frames["rungs"])))))
+            print_prose("\n".join(summary(climbed(ladders(frames["rungs"])))))
         if len(frames["dvr"]):
             print_table(costs(frames["dvr"]))
         page = store.root / "report.html"

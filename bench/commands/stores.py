@@ -79,9 +79,9 @@ def compare(options: Namespace) -> int:
 
         print_as(table, options.format)
     else:
-        empty = [name for name in ("variant", "rate") if table[name].replace("", None).isna().all()]
-        compact = table.drop(columns=empty)
-        print(compact.to_string(index=False, float_format=lambda x: f"{x:.5g}", na_rep="-"))
+        from bench.commands.results import print_table
+
+        print_table(table)
         print("difference: second - first, mean over the paired views; least and greatest of any view")
     alone = (len(first) - table.attrs["views"], len(second) - table.attrs["views"])
     if any(alone):

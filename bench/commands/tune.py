@@ -25,6 +25,7 @@ from bench.tune import (
 )
 from datasets.errors import DataError
 from methods.options import label, written
+from reports.tables.grid import Field
 
 _STARTS = {"paper": "published settings", "fair": "its own defaults"}
 """Starting points, as :attr:`bench.tune.Chosen.gains` names them -> for people."""
@@ -190,13 +191,14 @@ def _print_tables(study: Study) -> None:
     if models:
         print("\nfront of all trials")
         rows = [models[place] for place in front([(mib, psnr) for *_, mib, psnr in models])]
-        print_grid(["Trial", "Rate", "MiB", "PSNR [dB]"], [
-            [str(number), "own" if rate is None else written(rate), f"{mib:.4g}", f"{psnr:.2f}"]
+        columns = zip(*(
+            (str(number), "own" if rate is None else written(rate), f"{mib:.4g}", f"{psnr:.2f}")
             for number, rate, mib, psnr in rows
-        ])  # fmt: skip
+        ), strict=True)  # fmt: skip
+        heads = ("Trial", "Rate", "MiB", "PSNR [dB]")
+        print_grid([Field(head, list(cells), "number") for head, cells in zip(heads, columns, strict=True)])
     if shares := importances(study):
         print("\nimportance of options")
-        print_grid(
-            ["Option", "Range", "Share"],
-            [[name, study.space[name].text, f"{share:.0%}"] for name, share in shares.items()],
-        )
+        ranges = [study.space[name].text for name in shares]
+        parts = [f"{share:.0%}" for share in shares.values()]
+        print_grid([Field("Option", list(shares)), Field("Range", ranges), Field("Share", parts, "number")])

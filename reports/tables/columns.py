@@ -9,6 +9,7 @@ import numpy as np
 
 from reports.schema import METRICS, by_name
 from reports.style import MISSING, absent
+from reports.tables.grid import Field
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,3 +57,10 @@ def is_results(table: pd.DataFrame) -> bool:
 def cell(name: str, value: Any) -> str:
     """A value of the column ``name`` as text, without unit; an en dash if it is missing."""
     return MISSING if absent(value) else by_name(name).text(value)
+
+
+def field(name: str, texts: list[str]) -> Field:
+    """The column ``name`` of a terminal's table."""
+    column = by_name(name)
+    number = column.dtype in ("Int64", "Float64") or (column.numeric and column.dtype != "string")
+    return Field(column.header, texts, "name" if name == "job" else "number" if number else "label")

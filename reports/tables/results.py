@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from reports import comparability
-from reports.schema import COLUMNS, by_name, records
+from reports.schema import COLUMNS, TABLES, records
 from reports.style import absent, label
-from reports.tables.columns import axes, cell, is_results, numbers
+from reports.tables.columns import axes, cell, field, is_results, numbers
+from reports.tables.grid import Field, needed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,36 +71,90 @@ def marked(text: str, left_out: bool) -> str:
 
 
 _OPTIONAL = (
-    "reason", "load_seconds", "peak_device_bytes", "peak_host_bytes", "primitives", "delta_e_uv", "psnr_fg",
-    "floor",
+    "load_seconds", "peak_device_bytes", "peak_host_bytes", "primitives", "delta_e_uv", "psnr_fg",
+    "lpips_vgg", "flip", "reason", "floor", "kind", "ssim", "train_seconds", "fps", "status", "size_bytes",
 )  # fmt: skip
 """Columns that a narrow terminal omits, in this order."""
-_GAP = 2
+_CONSTANT = ("dataset", "preset", "split", "seed", "device", "status")
+"""What is said once, above the table, where all rows share it."""
 
 
-def terminal_rows(results: pd.DataFrame, width: int) -> list[list[str]]:
-    """Header and lines of the table at the end of a run.
+_LONGEST = 300
+"""Characters of a cell; what has longer ones is for programs."""
 
-    Where the columns do not fit into ``width`` characters, the least important ones are omitted, because no
-    number may be cut. (The run prints the reasons below the table in any case.)
+
+def for_terminal(results: pd.DataFrame, width: int, *, jobs: bool = False) -> tuple[str, list[Field]]:
+    """The table of results in ``width`` characters: what all rows share, and the columns.
+
+    Where the columns do not fit, the least important ones are omitted, because no number may be cut.
+
+    Args:
+        results: rows.
+        width: in characters.
+        jobs: with the name of each row's job, whole.
     """
     table = display(results)
-    out = comparability.left_out(results)
-    texts = {
-        name: [
-            "" if name == "reason" and absent(value) else marked(cell(name, value), (index, name) in out)
-            for index, value in table[name].items()
-        ]
-        for name in table.columns
-    }
-    for name in _OPTIONAL:
-        if sum(least_width(by_name(n).header, cells) + _GAP for n, cells in texts.items()) - _GAP <= width:
+    if "reason" in table:
+        table["reason"] = table["reason"].fillna("")
+    if jobs:
+        table["job"] = results["job"]
+    return fitted(results, table, comparability.left_out(results), _OPTIONAL, width)
+
+
+def stored_for_terminal(name: str, table: pd.DataFrame, width: int) -> tuple[str, list[Field]]:
+    """Any table of the schema as :func:`for_terminal` shows results: scene and method, then its own columns.
+
+    The last columns are omitted where they do not fit, and such as are empty or for programs.
+    """
+    axes = [axis for axis in ("dataset", "scene", "method", *_CONSTANT[1:5]) if axis in TABLES[name].axes]
+    facts = [
+        fact
+        for fact in TABLES[name].facts
+        if fact not in (*axes, "job", "variant", "rate") and table[fact].notna().any()
+    ]
+    shown = table[[*axes, *facts, "job"]].copy()
+    if {"method", "variant"} <= set(table.columns):
+        keys = [name for name in ("method", "variant", "rate") if name in table]
+        shown["method"] = [label(*row) for row in table[keys].itertuples(index=False)]
+    return fitted(table, shown, (), facts[::-1], width)
+
+
+def fitted(
+    table: pd.DataFrame,
+    shown: pd.DataFrame,
+    out: Collection[tuple[Any, str]],
+    optional: Sequence[str],
+    width: int,
+) -> tuple[str, list[Field]]:
+    """What all rows share, and those columns that fit.
+
+    Args:
+        table: has the axes.
+        shown: has the columns.
+        out: (row index, column) of values in brackets.
+        optional: columns that are omitted where they do not fit, in this order.
+        width: in characters.
+    """
+    values = {name: shown[name] if name in shown else table[name] for name in _CONSTANT if name in table}
+    same = [name for name, column in values.items() if column.nunique(dropna=False) == 1]
+    shared = [_shared(name, values[name].iloc[0]) for name in same if not absent(values[name].iloc[0])]
+    fields = {}
+    for name in [name for name in shown.columns if name not in same]:
+        cells = [marked(cell(name, value), (index, name) in out) for index, value in shown[name].items()]
+        if max(map(len, cells), default=0) <= _LONGEST or name not in optional:
+            fields[name] = field(name, cells)
+    for name in optional:
+        if needed(fields.values()) <= width:
             break
-        texts.pop(name, None)
-    header = [by_name(name).header for name in texts]
-    return [header, *map(list, zip(*texts.values(), strict=True))]
+        fields.pop(name, None)
+    return ", ".join(filter(None, shared)), list(fields.values())
 
 
-def least_width(header: str, cells: list[str]) -> int:
-    """Least width of a column in characters: a header can be broken between words, cells cannot."""
-    return max(map(len, [*header.split(), *cells]))
+def _shared(axis: str, value: Any) -> str:
+    """As "vortices", "preset quick", "seed 0", "test views"; "" for what is usual."""
+    text = cell(axis, value)
+    if axis == "split":
+        return f"{text} views"
+    if axis == "status" and text == "ok":
+        return ""
+    return f"{axis} {text}" if axis in ("preset", "seed", "status") else text

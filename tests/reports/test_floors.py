@@ -9,7 +9,7 @@ from reports.schema import records
 from reports.tables.columns import numbers
 from reports.tables.documents import to_csv, to_markdown
 from reports.tables.means import summary
-from reports.tables.results import display, notes, terminal_rows
+from reports.tables.results import display, for_terminal, notes
 
 
 def test_of_a_scene_what_any_row_knows_counts():
@@ -73,13 +73,13 @@ def test_the_floor_stands_beside_psnr_where_a_row_has_one(maker):
     names = list(display(results))
     assert names[names.index("psnr") + 1] == "floor"
     assert numbers(results)[:2] == ("psnr", "floor")
-    heads, first, second = terminal_rows(results, 200)
-    place = heads.index("Floor [dB]")
-    assert (first[place], second[place]) == ("54.10", "\N{EN DASH}")
+    _, fields = for_terminal(results, 200)
+    (floors,) = (field.cells for field in fields if field.header == "Floor [dB]")
+    assert floors == ["54.10", "\N{EN DASH}"]
     assert "| 54.10 |" in to_markdown(results)
     head, line, _ = to_csv(results).splitlines()
     assert "54.1" in line.split(",")[head.split(",").index("floor")]
-    assert "Floor [dB]" not in terminal_rows(results, 60)[0]
+    assert "Floor [dB]" not in [field.header for field in for_terminal(results, 40)[1]]
     assert "floor" not in display(results[1:])
 
 

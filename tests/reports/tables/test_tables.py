@@ -8,9 +8,10 @@ from reports.page.document import write_report
 from reports.style import mib, seconds
 from reports.tables.columns import quality
 from reports.tables.documents import to_latex, to_markdown
+from reports.tables.grid import needed
 from reports.tables.means import summary
 from reports.tables.ranks import ranks
-from reports.tables.results import display, least_width, terminal_rows
+from reports.tables.results import display, for_terminal
 from tests.reports.conftest import NO_LPIPS, fill
 
 
@@ -109,33 +110,39 @@ def test_other_tables_are_written_as_they_are():
     assert "a.png & 31.23 & -- " in to_latex(table)
 
 
-def test_terminal_rows_show_reasons_only_for_failures(maker):
+def test_a_terminal_shows_reasons_only_for_failures(maker):
     maker.run(reason=NO_LPIPS)
-    header, line = terminal_rows(maker.tables()["results"], 200)
-    assert "Reason" not in header
-    assert "LPIPS" not in header
-    assert line[header.index("Training")] == "42.0 s"
+    shared, columns = _shown(maker.tables()["results"], 200)
+    assert {"Reason", "LPIPS", "Status"}.isdisjoint(columns)
+    assert columns["Training"] == ["42.0 s"]
+    assert "status" not in shared
     maker.run(scene="b", status="oom", reason="limit")
-    header, first, second = terminal_rows(maker.tables()["results"], 200)
-    assert (first[-1], second[-1]) == ("", "limit")
-    assert len(first) == len(header)
+    _, columns = _shown(maker.tables()["results"], 200)
+    assert columns["Reason"] == ["", "limit"]
+    assert columns["Status"] == ["ok", "oom"]
 
 
 def test_a_narrow_terminal_has_fewer_columns_but_whole_numbers(maker):
     maker.run()
     results = maker.tables()["results"]
-    everything = terminal_rows(results, 200)[0]
-    header, line = terminal_rows(results, 80)
-    assert {"PSNR [dB]", "SSIM", "Size [MiB]", "Training", "FPS", "Status"} <= set(header) < set(everything)
-    assert sum(least_width(*column) + 2 for column in zip(header, [[c] for c in line], strict=True)) <= 82
-    assert line[header.index("Training")] == "42.0 s"
+    everything = _shown(results, 200)[1]
+    _, columns = _shown(results, 60)
+    assert {"PSNR [dB]", "SSIM", "Size [MiB]", "Training", "FPS"} <= set(columns) < set(everything)
+    assert columns["Training"] == ["42.0 s"]
+
+
+def _shown(results, width):
+    """What all rows share, and header -> cells."""
+    shared, fields = for_terminal(results, width)
+    assert needed(fields) <= width
+    return shared, {field.header: field.cells for field in fields}
 
 
 def test_empty_tables(maker):
     results = maker.tables()["results"]
     assert summary(results).empty
     assert display(results).empty
-    assert len(terminal_rows(results, 200)) == 1
+    assert all(cells == [] for cells in _shown(results, 200)[1].values())
     assert to_markdown(results).count("\n") == 2
 
 
