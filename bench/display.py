@@ -30,7 +30,8 @@ class Display:
         """Show a line that concerns the whole run."""
         self._print(f"bench: {text}")
 
-    def begin(self, job: Job, number: int, total: int) -> None:
+    def begin(self, job: Job, number: int, total: str) -> None:
+        """Show that a job begins, the ``number``-th of ``total``: "13", or "13+" for at least as many."""
         self._printed = time.monotonic()
         prefix = f"[{number}/{total}]"
         self._begun[job.id] = prefix, self._printed
@@ -70,7 +71,7 @@ class LiveDisplay(Display):
     def note(self, text: str) -> None:
         self._console.print(f"bench: {one_line(text)}", highlight=False, markup=False)
 
-    def begin(self, job: Job, number: int, total: int) -> None:
+    def begin(self, job: Job, number: int, total: str) -> None:
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
         from rich.table import Column
 

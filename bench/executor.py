@@ -88,6 +88,7 @@ class Executor(ABC):
         self._limits = limits or Limits()
         self._signals = 0
         self._numbers: dict[str, int] = {}
+        self._total = ""
         self._waiting: dict[str, Job] = {}
         self._running: dict[str, Job] = {}
         self._attempted: set[str] = set()
@@ -155,6 +156,8 @@ class Executor(ABC):
         """Make the plan, again if there is one; what runs goes on."""
         jobs = self._planner.jobs(self._store)
         self._numbers = {job.id: number for number, job in enumerate(jobs, 1)}
+        total, more = self._planner.total(jobs, self._store)
+        self._total = f"{total}{'+' if more else ''}"
         self._waiting = {job.id: job for job in jobs if not self._is_final(job)}
 
     def _start_ready(self) -> None:
@@ -195,7 +198,7 @@ class Executor(ABC):
         self._start(job)
 
     def _announce(self, job: Job) -> None:
-        self._display.begin(job, self._numbers[job.id], len(self._numbers))
+        self._display.begin(job, self._numbers[job.id], self._total)
 
     def _take(self, ending: Ending, outcome: Outcome) -> None:
         """Take note of a job that has ended."""

@@ -7,7 +7,7 @@ partitions. The groups of a joint method follow from its partition job, so the e
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
@@ -71,13 +71,28 @@ class Planner:
 
     def jobs(self, store: Store | None) -> list[Job]:
         """All jobs that can be planned so far, in an order in which they can run."""
-        jobs: dict[str, Job] = {}
-        for job in self._all(store):
-            jobs.setdefault(job.id, job)
+        jobs = self._distinct(partial(_groups, store=store))
         if store is not None and self._selection.suite.repeats:
             for job in list(self._repeats(list(jobs.values()), store)):
                 jobs.setdefault(job.id, job)
         return list(jobs.values())
+
+    def total(self, jobs: list[Job], store: Store | None) -> tuple[int, bool]:
+        """Number of all jobs, of which ``jobs`` can be planned so far, and whether it is a lower bound.
+
+        More follow where a partition finds several groups, and where a rung that breaks is repeated.
+        """
+        waiting = [job for job in jobs if job.kind == "partition" and not _groups(job, store)]
+        if waiting:
+            with_one_group = self._distinct(lambda job: _groups(job, store) or [list(job.scenes)])
+            jobs = list({job.id: job for job in [*jobs, *with_one_group.values()]}.values())
+        return len(jobs), bool(waiting or self._selection.suite.repeats)
+
+    def _distinct(self, groups: Callable[[Job], list[list[str]]]) -> dict[str, Job]:
+        jobs: dict[str, Job] = {}
+        for job in self._all(groups):
+            jobs.setdefault(job.id, job)
+        return jobs
 
     def vary(self, variants: Iterable[Mapping[str, Mapping[str, Any]]]) -> None:
         """Plan other variants of the suite from now on; data are not read again.
@@ -210,11 +225,15 @@ class Planner:
                 if any(case.has(job, spec, settings) for job in again)
             ]
             if choices:
-                yield from self._of_case(replace(case, choices=choices), self._selection.suite.repeats, store)
+                yield from self._of_case(
+                    replace(case, choices=choices),
+                    self._selection.suite.repeats,
+                    partial(_groups, store=store),
+                )
 
     # ------------------------------------------------------------------ graph
 
-    def _all(self, store: Store | None) -> Iterator[Job]:
+    def _all(self, groups: Callable[[Job], list[list[str]]]) -> Iterator[Job]:
         climbing = {name for ladder in self._selection.suite.ladders for name in ladder.datasets}
         climbed = usual_sources(self._selection, climbing)  # their usual runs are first rungs
         for subset in self._subsets:
@@ -225,12 +244,20 @@ class Planner:
                 for name in subset.hashes:
                     yield self._of_scene("complexity", subset, name)
             if self._settings and subset.source not in climbed:
-                yield from self._of_case(_Case(subset, "", self._settings), self._seeds, store)
+                yield from self._of_case(_Case(subset, "", self._settings), self._seeds, groups)
         for case in self._cases:
-            yield from self._of_case(case, self._seeds, store)
+            yield from self._of_case(case, self._seeds, groups)
 
-    def _of_case(self, case: _Case, seeds: Iterable[int], store: Store | None) -> Iterator[Job]:
-        """Views, fits and measurements of a subset under some stress; under any, of basic scenes alone."""
+    def _of_case(
+        self, case: _Case, seeds: Iterable[int], groups: Callable[[Job], list[list[str]]]
+    ) -> Iterator[Job]:
+        """Views, fits and measurements of a subset under some stress; under any, of basic scenes alone.
+
+        Args:
+            case: the runs.
+            seeds: of the fits.
+            groups: partition -> its groups of scenes; none as long as they are not known.
+        """
         subset = case.subset
         if case.stress:
             subset = replace(subset, compositions={})
@@ -248,15 +275,15 @@ class Planner:
         for spec, settings, rates in case.choices:
             for seed in seeds:
                 training = partial(self._training, case, spec, settings.fitted, seed, views)
-                groups, partition = [[scene] for scene in subset.hashes], None
+                fitted, partition = [[scene] for scene in subset.hashes], None
                 if spec.joint:
                     partition = training("partition", list(subset.hashes))
                     yield partition
-                    groups = _groups(partition, store)
+                    fitted = groups(partition)
                 # A group's share of partition time is that of this very partition.
                 after = {"partition": partition.key if partition else None}
                 needs = (partition.id,) if partition else ()
-                fits = [training("fit", group, needs, after) for group in groups]
+                fits = [training("fit", group, needs, after) for group in fitted]
                 jobs = self._of_fits(spec, fits, replace(case, subset=subset), tested, edited, rates)
                 yield from (_drawn(job, settings) for job in jobs)
 

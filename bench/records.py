@@ -125,8 +125,9 @@ class Job(_Model):
 
     @property
     def title(self) -> str:
-        """Kind, scenes, method and settings, for people."""
-        about = self.composition or self.group or "+".join(self.scenes)
+        """Kind, scenes, method and settings, for people; of a measurement the scenes that it shows."""
+        group = self.group if self.kind != "measure" else ""
+        about = self.composition or group or "+".join(self.scenes)
         parts = [self.kind, f"{self.dataset_name}/{about}"]
         if self.edit:
             parts.append(self.edit)

@@ -660,6 +660,10 @@ class Trials(Planner):
             write_study(self.study, store.root)
             self._show(self.study, trial)
 
+    def total(self, jobs: list[Job], store: Store | None) -> tuple[int, bool]:
+        """Of the trial that is under way: the options of the next ones follow from it."""
+        return len(jobs), False
+
     def _begin(self, root: Path) -> list[int]:
         """Take over what a store knows of the study; returns the numbers of the trials to come.
 

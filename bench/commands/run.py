@@ -152,8 +152,9 @@ def plan(options: Namespace) -> int:
     elif estimates:
         print(", no past records to estimate from (--like STORE names some)", end="")
     print()
-    if any(job.kind == "partition" and job.id in estimates for job in jobs):
-        print("(a joint method's fits are known once its partition job has run)")
+    total, _ = planner.total(jobs, store)
+    if total > len(jobs):
+        print(f"(at least {total - len(jobs)} more: a joint method's fits follow from its partition)")
     return 0
 
 
