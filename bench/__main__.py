@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import re
 import string
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
 from reports.schema import TABLES
@@ -96,10 +97,25 @@ def _with_values(arguments: Sequence[str]) -> list[str]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong with a command line in one line."""
+    commands: Mapping[str, argparse.ArgumentParser] = {}
+    """Says what is wrong with a command line in one line, with options near an unknown one."""
 
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"bench: {one_line(message)}. See `{self.prog} --help`\n")
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        options, rest = self.parse_known_args(args, namespace)
+        if rest:
+            import difflib
+
+            usage = self.commands[options.command].format_usage()
+            known = sorted({*re.findall(r"--[a-z-]+", usage), "--help"})
+            words = [word.partition("=")[0] for word in rest if word.startswith("-")]
+            near = [one for word in words for one in difflib.get_close_matches(word, known, n=1)]
+            hint = f". Did you mean {', '.join(near)}?" if near else ""
+            self.error(f"unrecognized arguments: {' '.join(rest)}{hint}", options.command)
+        return options
+
+    def error(self, message: str, command: str = "") -> NoReturn:
+        end = "" if message.endswith("?") else "."
+        self.exit(2, f"bench: {one_line(message)}{end} See `{f'{self.prog} {command}'.strip()} --help`\n")
 
 
 class _Version(argparse.Action):
@@ -129,6 +145,7 @@ def parser() -> _Parser:
     runs = _Parser(add_help=False)
     runs.add_argument("--runs", default="runs", metavar="DIR", help="the run store (default: runs)")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    parser.commands = commands.choices
 
     def command(name: str, help: str, *parents: _Parser) -> _Parser:
         return commands.add_parser(name, help=help, description=help, parents=[common, *parents])
@@ -343,7 +360,10 @@ def _add_data(parser: argparse.ArgumentParser) -> None:
 
 def _add_settings(parser: argparse.ArgumentParser, overrides: str) -> None:
     _repeatable(parser, "--seed", type=_seed, help="instead of the suite's")
-    parser.add_argument("--preset", choices=("quick", "standard", "paper"), help="default: the suite's")
+    parser.add_argument(
+        "--preset", choices=("quick", "standard", "paper"),
+        help="resolution, number of views and length of training (default: the suite's)",
+    )  # fmt: skip
     _repeatable(parser, "--set", metavar="METHOD.OPTION=VALUE", help=overrides)
     _add_device(parser)
     parser.add_argument("--out", default="runs", metavar="DIR", help="the run store (default: runs)")

@@ -7,13 +7,24 @@ from argparse import Namespace
 from collections.abc import Iterable
 from pathlib import Path
 
-WIDTH = 120
+from reports.tables.grid import Field, to_lines
+from reports.terminal import line_width
+
+HEADS = {
+    "methods": ("Name", "Version", "Title", "From"),
+    "datasets": ("Name", "Samples", "Scenes", "Download", "Place", "Title"),
+    "suites": ("Name", "Title"),
+    "metrics": ("Name", "Version", "Unit", "Better"),
+}
+WRAPS = ("Title", "From")
 
 
 def list_names(options: Namespace) -> int:
     """Print what there is of one kind."""
     rows = {"methods": _methods, "datasets": _datasets, "suites": _suites, "metrics": _metrics}[options.what]
-    _print(rows(options))
+    columns = list(zip(HEADS[options.what], *rows(options), strict=True))
+    fields = [Field(head, cells, "label" if head in WRAPS else "name") for head, *cells in columns]
+    print("\n".join(to_lines(fields, line_width())))
     return 0
 
 
@@ -70,21 +81,12 @@ def _metrics(options: Namespace) -> Iterable[tuple[str, ...]]:
     return [
         (
             name,
-            f"version {m.version}",
+            m.version,
             m.column.unit,
-            "higher is better" if m.column.better > 0 else "lower is better",
+            "higher" if m.column.better > 0 else "lower",
         )
         for name, m in METRICS.items()
     ]
-
-
-def _print(rows: Iterable[tuple[str, ...]]) -> None:
-    """Columns as wide as their widest cell; a line ends after 120 characters."""
-    cells = [[str(cell) for cell in row] for row in rows]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))] if cells else []
-    for row in cells:
-        line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        print(line if len(line) <= WIDTH else f"{line[: WIDTH - 1]}\N{HORIZONTAL ELLIPSIS}")
 
 
 def size_text(count: int) -> str:

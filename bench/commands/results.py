@@ -40,7 +40,7 @@ def results(options: Namespace) -> int:
         else:
             print_stored(options.table, tables[options.table])
         number = len(tables[options.table].columns)
-        print(f"bench: --format csv prints all {number} columns", file=sys.stderr)
+        print(f"`bench results --format csv` prints all {number} columns.")
     if options.table not in ("differences", "superseded"):
         found = notes(tables["results"], tables["superseded"])
         _print_differences(found, tables["differences"], sys.stderr)

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
-
-from rich.cells import cell_len, chop_cells
 
 GAP = 2
 """Blanks between two columns."""
 LEAST, USUAL = 12, 16
 """Characters to which a column of labels may shrink, at all and before a column is left out for it."""
+_WORD = 20
+"""Words of at most so many characters are broken last."""
 _PIECE = re.compile(r"[^ ,|/+]*[ ,|/+]*")
 """A label may be broken behind these signs."""
+
+
+def cell_len(text: str) -> int:
+    """Characters of a terminal that a text takes: wide signs take two, combining ones none."""
+    if text.isascii():
+        return len(text)
+    wide = sum(unicodedata.east_asian_width(sign) in "WF" for sign in text)
+    return len(text) + wide - sum(map(bool, map(unicodedata.combining, text)))
 
 
 class Field(NamedTuple):
@@ -30,11 +39,15 @@ class Field(NamedTuple):
     cells: list[str]
     kind: str = "label"
 
-    def least(self, most: int = LEAST) -> int:
-        """Least width; a column of labels takes at most ``most`` for its longest label."""
+    def least(self, most: int = LEAST, words: int = _WORD) -> int:
+        """Least width; labels take at most ``most``, or as much as their longest word of ``words`` signs."""
         head = max(map(cell_len, self.header.split()), default=0)
         longest = max(map(cell_len, self.cells), default=0)
-        return max(head, min(longest, most) if self.kind == "label" else longest)
+        if self.kind != "label":
+            return max(head, longest)
+        pieces = {piece.rstrip() for cell in self.cells for piece in _PIECE.findall(cell)}
+        word = min(max(map(cell_len, pieces), default=0), words)
+        return max(head, min(longest, max(most, word)))
 
     def whole(self) -> int:
         """Width in which nothing is broken."""
@@ -77,12 +90,12 @@ def _widths(fields: Sequence[Field], width: int) -> list[int]:
     if sum(widths) <= room:
         return widths
     widths = [field.least(field.whole()) for field in fields]
-    least = [field.least() for field in fields]
-    while sum(widths) > room:
-        place = max(range(len(fields)), key=lambda i: (widths[i] > least[i], widths[i]))
-        if widths[place] <= least[place]:
-            break
-        widths[place] -= 1
+    for least in ([field.least() for field in fields], [field.least(words=0) for field in fields]):
+        while sum(widths) > room:
+            place = max(range(len(fields)), key=lambda i: (widths[i] > least[i], widths[i]))
+            if widths[place] <= least[place]:
+                break
+            widths[place] -= 1
     return widths
 
 
@@ -98,6 +111,7 @@ def _broken(text: str, width: int) -> list[str]:
             line = indent
         line += piece
         while cell_len(line.rstrip()) > width:  # one piece longer than the line
-            lines.append(chop_cells(line, width)[0])
-            line = indent + line[len(lines[-1]) :]
+            end = max(1, next(n for n in range(len(line), -1, -1) if cell_len(line[:n]) <= width))
+            lines.append(line[:end])
+            line = indent + line[end:]
     return [*lines, line.rstrip()] if line.strip() else lines

@@ -52,6 +52,18 @@ def test_lists_start_without_heavy_imports(bench, what: str) -> None:
     ] in done.stdout
 
 
+@pytest.mark.parametrize("columns", [80, 120])
+@pytest.mark.parametrize("what", LISTS)
+def test_lists_have_heads_and_fit(monkeypatch, capsys, what: str, columns: int) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert main(["list", what]) == 0
+    head, *lines = capsys.readouterr().out.splitlines()
+    assert head.split()[0] == "Name"
+    assert set(head) > set("Name ")
+    assert max(map(len, lines)) <= columns
+
+
 def test_no_command_prints_the_help(monkeypatch, capsys) -> None:
     monkeypatch.setattr("sys.argv", ["bench"])
     assert main() == 2
@@ -98,6 +110,9 @@ def test_the_version_is_that_of_the_installation(capsys) -> None:
         (["run"], "required: suite. See `bench run --help`"),
         (["plan", "quick", "--dataset", "my.tml"], "my.tml: no such file. Check the path"),
         (["plan", "quick", "--preset", "ultra"], "invalid choice: 'ultra'"),
+        (["run", "quick", "--presets", "quick"], "Did you mean --preset? See `bench run --help`"),
+        (["results", "--formt=csv"], "--formt=csv. Did you mean --format? See `bench results --help`"),
+        (["list", "methods", "--zzz"], "unrecognized arguments: --zzz. See `bench list --help`"),
         (["plan", "quick", "--seed=-1"], "'-1' is not a whole number of at least 0"),
         (["plan", "quick", "--seed", "x"], "'x' is not a whole number of at least 0"),
         (["plan", "quick", "--device", "gpu"], "'gpu' is not cpu, cuda or cuda:<number>"),

@@ -84,7 +84,7 @@ def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
     assert re.search(r"4 to do, about .*, \d+ MiB of disk, [1-9]\d* MiB of memory\n", output), output
 
     printed = bench("results", "--runs", bench.store, "--plugins", bench.plugins)
-    assert f"all {len(TABLES['results'].columns)} columns" in printed.stderr
+    assert f"all {len(TABLES['results'].columns)} columns" in printed.stdout
     assert re.search(r"^a .*  measure-[0-9a-f]{16}$", printed.stdout, re.MULTILINE)
     printed = bench("results", "--runs", bench.store, "--plugins", bench.plugins, "--format", "csv")
     assert printed.stdout.splitlines()[0].split(",") == list(TABLES["results"].columns)
