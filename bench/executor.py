@@ -22,6 +22,9 @@ from bench.store import Store
 from bench.timing import available_cores
 from bench.worker import log_tail, now
 
+_HANGUP = getattr(signal, "SIGHUP", None)
+"""None on Windows."""
+
 
 @dataclass
 class Outcome:
@@ -47,6 +50,14 @@ Retry = bool | Literal["failed", "busy"]
 """Finished jobs that run again: failed ones (or True), or those with a disturbed time."""
 
 
+def _stop_signals() -> list[int]:
+    """Signals that end a run; `nohup` has hang-ups ignored."""
+    stops = [signal.SIGINT, signal.SIGTERM]
+    if _HANGUP is not None and signal.getsignal(_HANGUP) != signal.SIG_IGN:
+        stops.append(_HANGUP)
+    return stops
+
+
 class Ending(NamedTuple):
     """How a job ended: with a record, or with a note that says why there is none."""
 
@@ -58,8 +69,8 @@ class Ending(NamedTuple):
 class Executor(ABC):
     """Runs the jobs of a planner into a store.
 
-    A first SIGINT or SIGTERM asks the running jobs to checkpoint and ends the run. A second one kills them.
-    Finished jobs stay finished.
+    A first SIGINT, SIGTERM or SIGHUP (of a terminal that is gone) asks the running jobs to checkpoint and
+    ends the run. A second one kills them. Finished jobs stay finished.
 
     Args:
         store: where the jobs go.
@@ -114,7 +125,7 @@ class Executor(ABC):
     def run(self) -> Outcome:
         """Run every job that is not finished yet; the failure of one does not end the run."""
         outcome = Outcome()
-        before = {s: signal.signal(s, self._on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
+        before = {number: signal.signal(number, self._on_signal) for number in _stop_signals()}
         try:
             self._store.sweep()
             if self._retry == "busy":
@@ -134,7 +145,8 @@ class Executor(ABC):
         return outcome
 
     def _on_signal(self, number: int, frame: Any) -> None:
-        self._signals += 1
+        if not (number == _HANGUP and self._signals):  # shell and system may both send it
+            self._signals += 1
 
     def _walk(self, outcome: Outcome) -> None:
         self._plan()

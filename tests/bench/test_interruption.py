@@ -47,9 +47,10 @@ class Hold:
         options = ("behaviour=hold", f"file={self._file}", "iterations=40")
         self.options = tuple(part for option in options for part in ("--set", f"{method}.{option}"))
 
-    def start(self, bench) -> subprocess.Popen:
-        """A run, once its fit stands still."""
-        process = bench.start(*self.options, method=self.method)
+    def start(self, bench, *before: str) -> subprocess.Popen:
+        """A run, once its fit stands still; words before its command."""
+        command = [*before, *bench.run_arguments("--no-report", *self.options, method=self.method)]
+        process = bench._start(command)
         wait_for(lambda: _held(bench.store))
         return process
 
@@ -78,11 +79,16 @@ def undisturbed(dataset, tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("hold", "number"), [("fake", signal.SIGINT), ("fake-torch", signal.SIGTERM)], indirect=["hold"]
+    ("hold", "number"),
+    [("fake", signal.SIGINT), ("fake-torch", signal.SIGTERM), ("fake", signal.SIGHUP)],
+    indirect=["hold"],
 )
 def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> None:
     process = hold.start(bench)
     process.send_signal(number)
+    if number == signal.SIGHUP:  # of the shell, and of the system
+        time.sleep(0.1)
+        process.send_signal(number)
     output, _ = process.communicate(timeout=120)
     assert process.returncode == 130, output
     assert "run the same command again to resume" in output
@@ -96,6 +102,16 @@ def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> Non
     assert fit.fit.resumed == 1
     assert _models(bench.store) == undisturbed[hold.method]
     assert not list((bench.store / "partial").iterdir())
+
+
+def test_a_run_under_nohup_outlives_its_terminal(bench, hold) -> None:
+    process = hold.start(bench, "nohup")
+    process.send_signal(signal.SIGHUP)
+    time.sleep(0.2)
+    hold.let_go()
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, output
+    assert bench.of_kind("measure")
 
 
 @pytest.mark.parametrize(
