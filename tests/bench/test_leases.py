@@ -102,6 +102,17 @@ def test_a_file_that_is_no_token_keeps_nobody_out_for_longer_than_a_lease(folder
     assert not folder.exists()
 
 
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_a_token_of_a_received_store_keeps_nobody_out_for_ever(folder, kind) -> None:
+    folder.mkdir(parents=True)
+    token = folder / "node-0123456789ab-1-1-01234567"
+    token.touch() if kind == "file" else token.mkdir()
+    _age(folder, -3e9)
+    with Lease(folder).acquire(timeout=0):
+        pass
+    assert not Lease(folder).is_held
+
+
 def test_an_expired_lease_of_another_machine_is_taken_over_once(folder, monkeypatch) -> None:
     folder.parent.mkdir()
     lost = _elsewhere(Lease(folder), monkeypatch)
