@@ -13,7 +13,7 @@ from bench.store import Store, write_text
 from datasets.errors import DataError
 
 ERROR = 3
-"""Exit code of a baseline or store that cannot be read."""
+"""Exit code of a baseline or store that cannot be read, or of files that cannot be written."""
 
 
 def baseline(options: Namespace) -> int:
@@ -82,10 +82,15 @@ def gate(options: Namespace) -> int:
         return ERROR
     for line in text.lines(verdict):
         print(line)
-    if options.markdown:
-        write_text(Path(options.markdown), text.markdown(verdict, content))
-    if options.junit:
-        text.write_junit(Path(options.junit), verdict)
+    try:
+        if options.markdown:
+            write_text(Path(options.markdown), text.markdown(verdict, content))
+        if options.junit:
+            text.write_junit(Path(options.junit), verdict)
+    except OSError as error:
+        what = f"{error.filename or 'its files'}: cannot be written ({error.strerror or error})"
+        print(f"bench: {what}. Check its folder and the disk", file=sys.stderr)
+        return ERROR
     return verdict.code
 
 

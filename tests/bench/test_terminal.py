@@ -91,6 +91,15 @@ def test_output_that_nobody_reads_is_an_exit_code_and_files_are_written(seeds: B
     assert (folder / "page/report.html").is_file()
 
 
+@pytest.mark.parametrize("file", ["--markdown", "--junit"])
+def test_a_gate_that_cannot_write_its_files_is_an_error_and_no_verdict(seeds: Bench, file: str) -> None:
+    assert shell(seeds, "$BENCH baseline --out base.json --reason first runs").returncode == 0
+    done = shell(seeds, f"$BENCH gate --baseline base.json runs --without-times {file} none/here")
+    assert done.returncode == 3
+    assert done.stderr.count(b"\n") == 1
+    assert b"cannot be written" in done.stderr
+
+
 def test_a_failure_keeps_its_code_without_a_reader(bench: Bench) -> None:
     assert shell(bench, "$BENCH run quik >&- 2>&-").returncode == 2
     assert shell(bench, "$BENCH --help | true; exit ${PIPESTATUS[0]}").returncode == LOST
