@@ -32,7 +32,7 @@ from bench.rungs import FILE, ladders_of
 from bench.store import LONGEST, Store, read_record
 from bench.tables import stored_tables
 from bench.verification import Evidence, absences, contradictions
-from datasets.bounded import json_of, number_of_values, room, values_room
+from datasets.bounded import json_of, number_of_values, opened, room, values_room
 from datasets.errors import DataError
 from datasets.seals import SEALED_SINCE, is_sealed
 from reports.schema import joined
@@ -182,7 +182,7 @@ def _manifest(archive: zipfile.ZipFile, path: Path, size: int) -> dict[str, Any]
     try:
         if (length := archive.getinfo(MANIFEST).file_size) > LONGEST:
             raise ValueError(f"{length} bytes, more than any has")
-        manifest: dict[str, Any] = json_of(archive.read(MANIFEST), values_room(size))
+        manifest: dict[str, Any] = json_of(opened(archive, MANIFEST).read(), values_room(size))
         form, files = manifest["format"], manifest["files"]
         lengths = [int(entry["bytes"]) for entry in files.values()]
         names = [str(entry["sha256"]) for entry in files.values()]
@@ -223,7 +223,7 @@ def _extract(archive: zipfile.ZipFile, files: dict[str, Any], folder: Path) -> l
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         digest = hashlib.sha256()
-        with archive.open(name) as source, target.open("xb") as out:
+        with opened(archive, name) as source, target.open("xb") as out:
             while piece := source.read(_PIECE):
                 digest.update(piece)
                 out.write(piece)

@@ -18,7 +18,9 @@ READABLE = (2, SCHEMA)
 
 Kind = Literal["views", "dvr", "complexity", "partition", "fit", "encode", "measure"]
 Status = Literal["ok", "failed", "oom", "timeout", "diverged", "refused"]
-Value = bool | int | float | str
+Whole = Annotated[int, Field(ge=-(2**63), lt=2**63)]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+Value = bool | Whole | float | str
 Key = Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
 """Hash of an identity (:func:`hash_of`): names of folders are made of it."""
 JobId = Annotated[str, Field(pattern=f"^({'|'.join(get_args(Kind))})-[0-9a-f]{{16}}$")]
@@ -45,7 +47,7 @@ class Request(_Model):
     test_views: Views
     width: Pixels
     height: Pixels
-    samples: int = 1
+    samples: Count = 1
 
     @property
     def identity(self) -> dict[str, int]:
@@ -97,16 +99,16 @@ class Job(_Model):
     method: str | None = None
     variant: str = ""
     preset: str
-    seed: int = 0
+    seed: Whole = 0
     options: dict[str, Value] = Field(default_factory=dict)
     overrides: dict[str, Value] = Field(default_factory=dict)
     knob: str = ""
-    iterations: int | None = None
+    iterations: Count | None = None
     rate: float | None = None
     device: str = "cpu"
-    cloud_points: int = 10_000
+    cloud_points: Count = 10_000
     metrics: dict[str, str] = Field(default_factory=dict)
-    sampled: int = SAMPLED
+    sampled: Count = SAMPLED
     prunable: bool = False
 
     @property
@@ -152,7 +154,7 @@ class Task(_Model):
 
     job: Job
     plugins: tuple[str, ...] = ()
-    threads: int
+    threads: Count
     alone: bool = True
     replaces: str = ""
 
@@ -166,10 +168,10 @@ class Provenance(_Model):
 
     machine: str
     cpu: str
-    cores: int
-    usable: int | None = None
-    threads: int
-    memory_bytes: int
+    cores: Count
+    usable: Count | None = None
+    threads: Count
+    memory_bytes: Count
     gpu: str | None
     system: str
     python: str
@@ -188,12 +190,12 @@ class CurvePoint(_Model):
         loss_parts: part of the loss -> its weighted value.
     """
 
-    iteration: int
+    iteration: Count
     train_seconds: float
     loss: float | None
     psnr: Mapping[str, float | None]
-    primitives: int
-    bytes_estimate: int | None = None
+    primitives: Count
+    bytes_estimate: Count | None = None
     loss_parts: dict[str, float] = Field(default_factory=dict)
 
 
@@ -207,8 +209,8 @@ class LossPoint(_Model):
     """
 
     stage: str
-    first: int
-    iteration: int
+    first: Count
+    iteration: Count
     losses: dict[str, float]
 
 
@@ -265,12 +267,12 @@ class FrameTimes(_Model):
     frame_seconds: float
     frame_seconds_p05: float
     frame_seconds_p95: float
-    frames: int
-    warmup_frames: int | None = None
+    frames: Count
+    warmup_frames: Count | None = None
     warmup_stable: bool
     reference_seconds: float | None
     reference_worst: float | None = None
-    ruler: int | None = None
+    ruler: Count | None = None
 
 
 class DvrResult(FrameTimes):
@@ -283,10 +285,10 @@ class DvrResult(FrameTimes):
         setup_seconds: time from the volumes in memory to the first picture, compilation included.
     """
 
-    dims: tuple[int, int, int]
+    dims: tuple[Count, Count, Count]
     variables: list[str]
     dtype: str
-    volume_bytes: int
+    volume_bytes: Count
     load_seconds: float
     setup_seconds: float
     renderer: str
@@ -302,8 +304,8 @@ class ComplexityResult(_Model):
         coder: what coded it.
     """
 
-    voxels: int
-    lossless_bytes: int | None
+    voxels: Count
+    lossless_bytes: Count | None
     coder: str
 
 
@@ -329,13 +331,13 @@ class FitResult(_Model):
 
     seconds: float
     cpu_seconds: float | None = None
-    iterations: int
-    primitives: dict[str, int]
-    cloud_points: dict[str, int] = Field(default_factory=dict)
-    train_views: int
+    iterations: Count
+    primitives: dict[str, Count]
+    cloud_points: dict[str, Count] = Field(default_factory=dict)
+    train_views: Count
     curve: list[CurvePoint]
     losses: list[LossPoint] = Field(default_factory=list)
-    resumed: int
+    resumed: Count
     reference_seconds: float | None
     reference_worst: float | None = None
 
@@ -348,8 +350,8 @@ class EncodeResult(_Model):
     """
 
     seconds: float
-    total_bytes: int
-    ledger: dict[str, dict[str, int]]
+    total_bytes: Count
+    ledger: dict[str, dict[str, Count]]
 
 
 class ViewResult(_Model):
@@ -370,7 +372,7 @@ class PruningResult(_Model):
         shares: column of :data:`reports.schema.PRUNED` -> share of them that can go.
     """
 
-    gaussians: int
+    gaussians: Count
     shares: dict[str, float]
 
 
@@ -393,7 +395,7 @@ class MeasureResult(FrameTimes):
 
     load_seconds: float
     timing: dict[str, float]
-    primitives: int
+    primitives: Count
     metrics: dict[str, float | None]
     missing: dict[str, str]
     views: list[ViewResult]
@@ -405,7 +407,7 @@ class MeasureResult(FrameTimes):
     sketch: str = ""
     decoding: Literal["", "once", "per frame"] | None = None
     frame_seconds_decoding: float | None = None
-    parts_ruler: int | None = None
+    parts_ruler: Count | None = None
 
 
 class Record(_Model):
@@ -418,19 +420,19 @@ class Record(_Model):
         peak_device_bytes: the same of the device.
     """
 
-    schema_version: int = SCHEMA
+    schema_version: Count = SCHEMA
     job: Job
     status: Status
     reason: str | None = None
     cause: JobId | None = None
     stage: str | None = None
-    iteration: int | None = None
+    iteration: Count | None = None
     log_tail: str | None = None
     started: str
     finished: str
     wall_seconds: float
-    peak_host_bytes: int | None = None
-    peak_device_bytes: int | None = None
+    peak_host_bytes: Count | None = None
+    peak_device_bytes: Count | None = None
     provenance: Provenance | None = None
     views: ViewsResult | None = None
     dvr: DvrResult | None = None

@@ -26,7 +26,7 @@ from pydantic import ValidationError
 from bench.leases import Lease
 from bench.migration import migrated
 from bench.records import READABLE, SCHEMA, Record
-from datasets.bounded import json_of, number_of_values
+from datasets.bounded import check_finite, json_of, number_of_values
 from datasets.errors import DataError, printable
 from datasets.seals import sealed, unsealed
 
@@ -221,6 +221,7 @@ def read_record(path: Path) -> Record:
         text = unsealed(path.read_text(encoding="utf-8"))
         if (values := number_of_values(text)) > MOST_VALUES:
             raise ValueError(f"{values} values, more than any has")
+        check_finite(text)
         record = migrated(Record.model_validate_json(text))
         if record.job.id != path.parent.name:
             raise ValueError(f"it is that of {record.job.id}")

@@ -7,7 +7,7 @@ import math
 import re
 import zipfile
 import zlib
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ _LEAST = 64 * 2**20
 _VALUES_PER_BYTE = 4
 _LEAST_VALUES = 1_000_000
 _TEXT = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
+_EXPONENTS = re.compile(r"e\+?\d{3,}[\s,\]}]"), re.compile(r"E\+?\d{3,}[\s,\]}]")
+"""Two patterns: each begins with one sign, for which text is searched fast."""
 _BRACKETS = re.compile(r"[\[\]{}]")
 
 
@@ -46,7 +48,7 @@ def json_of(data: bytes | str, most: int = _LEAST_VALUES, *, finite: bool = True
     Args:
         data: the text; bytes are UTF-8.
         most: number of values that it may have.
-        finite: whether every number must be finite.
+        finite: whether every number must be finite, and a whole one of 64 bits.
 
     Raises:
         ValueError: it is no JSON, has more values, arrays and objects within each other beyond
@@ -57,7 +59,19 @@ def json_of(data: bytes | str, most: int = _LEAST_VALUES, *, finite: bool = True
         raise ValueError(f"{values} values of JSON, and {most} are the most")
     if text.count("[") + text.count("{") > DEPTH and (depth := _depth(text)) > DEPTH:
         raise ValueError(f"{depth} arrays and objects within each other, and {DEPTH} are the most")
-    return json.loads(text, parse_constant=_finite, parse_float=_finite) if finite else json.loads(text)
+    if not finite:
+        return json.loads(text)
+    return json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
+
+
+def check_finite(text: str) -> None:
+    """Check that JSON whose number of values is bounded has no number that is not finite.
+
+    Raises:
+        ValueError: as :func:`json_of`.
+    """
+    if "NaN" in text or "Infinity" in text or any(sign.search(text) for sign in _EXPONENTS):
+        json_of(text, len(text))
 
 
 def _depth(text: str) -> int:
@@ -72,6 +86,12 @@ def _finite(text: str) -> float:
     number = float(text)
     if not math.isfinite(number):
         raise ValueError(f"the number {text} is not finite")
+    return number
+
+
+def _whole(text: str) -> int:
+    if len(text) > 20 or not -(2**63) <= (number := int(text)) < 2**63:
+        raise ValueError(f"the number {text[:24]} has more than 64 bits")
     return number
 
 
@@ -96,6 +116,22 @@ def inflated(data: bytes, size: int) -> bytes:
     return plain
 
 
+def opened(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
+    """A member of an archive, to be read in pieces: one that is stored or deflated.
+
+    Python unpacks pieces of LZMA and bzip2 without a bound; a kilobyte of the latter holds a gigabyte.
+
+    Raises:
+        KeyError: there is none.
+        ValueError: it is compressed by another method.
+        zipfile.BadZipFile: the archive is damaged.
+    """
+    info = archive.getinfo(name)
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{name} is neither stored nor deflated")
+    return archive.open(info)
+
+
 def array_of(archive: zipfile.ZipFile, name: str, kind: type, axes: int, most: int) -> NDArray[Any]:
     """An array of an archive of NumPy; its header is checked before its values are read.
 
@@ -112,7 +148,7 @@ def array_of(archive: zipfile.ZipFile, name: str, kind: type, axes: int, most: i
         zipfile.BadZipFile, zlib.error, EOFError: the archive is damaged.
     """
     info = archive.getinfo(f"{name}.npy")
-    with archive.open(info) as file:
+    with opened(archive, f"{name}.npy") as file:
         shape, fortran, dtype = _header(file)
         count = math.prod(shape)
         if dtype != kind or len(shape) != axes or min(shape, default=0) < 0:

@@ -13,6 +13,8 @@ from PIL import Image
 
 from datasets.errors import DataError
 
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM", "TGA")
+"""Formats of pictures that are read, whatever their names say. For some others Pillow starts programs."""
 _EIGHT_BIT = {"1", "RGB", "RGBA", "L", "LA", "P", "PA"}
 """Modes of Pillow whose conversion to RGBA loses nothing."""
 
@@ -44,7 +46,7 @@ def read_png(path: Path, *, deep: bool = False) -> NDArray[np.float32]:
     """(height, width, 4) float32 premultiplied RGBA of a picture; alpha is 1 in files without.
 
     Args:
-        path: of any format and form of 8 bits a channel: gray, colors, a palette; with or without alpha.
+        path: one of :data:`FORMATS` of 8 bits a channel: gray, colors, a palette; with or without alpha.
         deep: PNG of 16 bits a channel is read, too.
 
     Raises:
@@ -94,7 +96,7 @@ def open_picture(path: Path) -> Iterator[Image.Image]:
         DataError: the file is missing or not a picture.
     """
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=FORMATS) as image:
             yield image
     except FileNotFoundError as error:
         raise DataError(path, "no such picture", "Check the path") from error

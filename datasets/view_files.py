@@ -15,6 +15,8 @@ from datasets.scratch import new_array
 
 _LEVELS = 65535
 _SIXTEEN_BITS = "<u2"
+_LEAST, _RATIO = 2**32, 1000
+"""Bytes that pictures may always have, and those for each of their file: empty ones shrink a thousandfold."""
 INDEX = ("shape", "dtype", "frames", "sha256")
 """Keys of the index of a file."""
 
@@ -69,7 +71,11 @@ def read_views(
     codec = pyarrow.Codec("zstd")
     dtype = np.dtype(index.get("dtype", _SIXTEEN_BITS))
     shape = tuple(index["shape"])
-    size = int(np.prod(shape[1:])) * dtype.itemsize
+    if len(shape) != 4 or min(shape) < 0 or str(dtype) not in ("uint16", "float32"):
+        raise ValueError(f"pictures of shape {shape} and type {dtype}")
+    if images_bytes(index) > max(_LEAST, _RATIO * file.stat().st_size):
+        raise ValueError(f"pictures of shape {shape} in {file.stat().st_size} bytes")
+    size = math.prod(shape[1:]) * dtype.itemsize
     ends = np.cumsum(index["frames"])
     places = range(shape[0]) if which is None else which
     images = new_array((len(places), *shape[1:]), np.float32, together)

@@ -6,15 +6,18 @@ import math
 import struct
 import zipfile
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.bounded import opened
 from datasets.errors import DataError
+from datasets.readers.axes import notice
 from datasets.readers.container import Array
-from datasets.readers.finish import check_expansion
+from datasets.readers.finish import Spacing, check_expansion
 
 _REMEDY = "Write it with numpy.savez or numpy.savez_compressed, arrays of shape (z, y, x)"
 _CHUNK = 1 << 24
@@ -37,10 +40,24 @@ class Npz:
             self._archive = zipfile.ZipFile(path)
             for info in self._archive.infolist():
                 if info.filename.endswith(".npy"):
-                    with self._archive.open(info) as file:
+                    with opened(self._archive, info.filename) as file:
                         self._add(info.filename[:-4], file)
         except _DAMAGE as error:
             raise DataError(path, f"is not a readable .npz file ({error})", _REMEDY) from error
+        spacing = self._spacing()
+        for name, array in self.arrays.items():
+            self.arrays[name] = replace(array, spacing=spacing)
+
+    def _spacing(self) -> Spacing | None:
+        """An array of three distances, ``spacing``; two equal ones are those within a slice."""
+        array = self.arrays.get("spacing")
+        if array is None or array.shape != (3,) or array.dtype.kind not in "iuf":
+            return None
+        x, y, z = (float(n) for n in self.read("spacing"))
+        if y == z != x:  # in the order of the axes of the arrays
+            x, z = z, x
+        notice(f"{self.path}: its spacing is taken as {x:g}, {y:g}, {z:g} along x, y, z")
+        return x, y, z
 
     def _add(self, name: str, file: Any) -> None:
         version = np.lib.format.read_magic(file)

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from datasets.bounded import json_of, room
+from datasets.bounded import json_of, opened, room
 from econgs.codebooks import nearest, quantise, quantise_scalars
 from econgs.context.positions import PositionGrid, morton_order
 from methods.formats.gaussians import COEFFICIENTS, SHAPES, Tables, checked, degree_of, tables
@@ -128,7 +128,8 @@ def _member(archive: zipfile.ZipFile, name: str) -> bytes:
     info = archive.getinfo(name)
     if info.file_size > room(info.compress_size):
         raise ValueError(f"{name} of {info.file_size} bytes")
-    return archive.read(info)
+    with opened(archive, name) as member:
+        return member.read()
 
 
 def _images(archive: zipfile.ZipFile, about: Mapping[str, Any]) -> dict[tuple[str, int], Bytes]:

@@ -68,5 +68,5 @@ class Rendering:
             if facts or not (math.isfinite(units) and units > 0.0) or not isinstance(compensated, bool):
                 raise ValueError(f"units {units}, compensated {compensated}, {', '.join(facts)}")
             return cls(units, LowPass(float(variance), compensated, float(smoothing), float(power)))
-        except (OSError, ValueError, TypeError) as error:
+        except (OSError, ValueError, TypeError, RecursionError) as error:
             raise DataError(file, f"cannot be used ({error})", "Save the model again") from error

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _SIDE = 400  # pixels; the page reduces larger pictures
 _THUMBNAIL = 144  # pixels
+_MOST = 2**26  # pixels of a picture that is read
 _LOSSLESS = 256  # pixels; the page keeps every pixel of pictures up to this side
 
 
@@ -54,14 +55,28 @@ def background(value: Any) -> tuple[float, float, float]:
 
 
 def read(path: Path, color: Iterable[float]) -> NDArray[np.uint8]:
-    """(height, width, 3) uint8 of a picture with straight alpha, composited over a background color."""
+    """(height, width, 3) uint8 of a PNG with straight alpha, composited over a background color.
+
+    Raises:
+        OSError, ValueError, SyntaxError: it is damaged, or has more than :data:`_MOST` pixels.
+    """
     from PIL import Image
 
-    with Image.open(path) as image:
-        pixels = np.asarray(image.convert("RGBA"), dtype=np.float64) / 255.0
-    alpha = pixels[..., 3:]
-    composite = pixels[..., :3] * alpha + (1.0 - alpha) * np.asarray(list(color), dtype=np.float64)
-    return np.rint(composite * 255.0).astype(np.uint8)  # type: ignore[no-any-return]
+    # No other format: Pillow starts programs for some, whatever the name says.
+    try:
+        with Image.open(path, formats=["PNG"]) as image:
+            if image.width * image.height > _MOST:
+                raise ValueError(f"{image.width} x {image.height} pixels")
+            pixels = np.asarray(image.convert("RGBA"))
+    except Image.DecompressionBombError as error:
+        raise ValueError(str(error)) from error
+    composite = np.empty((*pixels.shape[:2], 3), np.uint8)
+    behind = np.asarray(list(color), dtype=np.float64)
+    for target, row in zip(composite, pixels, strict=True):
+        straight = row / 255.0
+        alpha = straight[:, 3:]
+        target[:] = np.rint((straight[:, :3] * alpha + (1.0 - alpha) * behind) * 255.0)
+    return composite
 
 
 def thumbnail(pixels: NDArray[np.uint8]) -> str:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import socket
+import struct
 import subprocess
 import sys
 import zipfile
@@ -293,6 +295,89 @@ def test_a_small_bundle_takes_little_memory(packed, tmp_path, bomb, command) -> 
     assert done.stderr.startswith("bench: "), done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "all" / "jobs").exists() or not list((tmp_path / "all" / "jobs").iterdir())
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA], ids=["bzip2", "lzma"])
+@pytest.mark.parametrize("name", [MANIFEST, "store.json"])
+def test_what_unpacks_without_bound_is_refused_unread(packed, tmp_path, method, name) -> None:
+    with zipfile.ZipFile(packed) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    path = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for other, data in files.items():
+            archive.writestr(other, data, method if other == name else zipfile.ZIP_DEFLATED)
+    from bench.bundle import verify_bundle
+
+    with pytest.raises(DataError, match="neither stored nor deflated"):
+        verify_bundle(path)
+
+
+NUMBERS = (
+    ("measure", '"psnr": ', "Infinity"),
+    ("measure", '"frame_seconds": ', "NaN"),
+    ("measure", '"primitives": ', "-5"),
+    ("fit", '"seconds": ', "1e999"),
+    ("fit", '"seconds": ', "-1E+400"),
+    ("fit", '"loss": ', "-Infinity"),
+    ("fit", '"iterations": ', "9" * 400),
+    ("fit", '"iterations": ', str(2**63)),
+    ("encode", '"total_bytes": ', "9" * 30),
+)
+
+
+@pytest.mark.parametrize(("kind", "key", "number"), NUMBERS)
+def test_numbers_that_no_table_holds_make_no_record(finished, kind, key, number, capsys) -> None:
+    (path,) = finished.store.glob(f"jobs/{kind}-*/record.json")
+    values = json.dumps(json.loads(unsealed(path.read_text())))
+    text = re.sub(re.escape(key) + r"[-\d.e]+", key + number, values)
+    assert text != values
+    path.write_text(sealed(text))
+    with pytest.raises(DataError, match="not a whole record"):
+        read_record(path)
+    for words in (["results"], ["report"], ["bundle", "--out", str(finished.store.parent / "b.zip")]):
+        assert main([*words, "--runs", str(finished.store)]) == 0
+        assert "not a whole record" in capsys.readouterr().err
+
+
+def test_words_of_numbers_in_texts_are_texts(finished) -> None:
+    (path,) = finished.store.glob("jobs/fit-*/record.json")
+    changed(path, lambda record: record.update(reason="loss is NaN, 1e999, Infinity"))
+    assert read_record(path).reason == "loss is NaN, 1e999, Infinity"
+
+
+@pytest.mark.parametrize("kind", ["EPS", "PSD", "bomb"])
+def test_a_stored_picture_is_a_png_of_bounded_size(finished, tmp_path, kind) -> None:
+    """Pillow starts Ghostscript for EPS, whatever the name of the file."""
+    from PIL import Image
+
+    from datasets.png import read_png
+    from reports.pictures.files import read
+
+    path = next(finished.store.glob("jobs/measure-*/renders/*.png"))
+    if kind == "EPS":
+        Image.new("RGB", (8, 8)).save(path, "EPS")
+    elif kind == "PSD":
+        path.write_bytes(b"8BPS" + struct.pack(">H6xHIIHH", 1, 3, 8, 8, 8, 3) + bytes(400))
+    else:
+        Image.new("1", (20_000, 20_000)).save(path, "PNG")
+    with pytest.raises((ValueError, OSError)):
+        read(path, (0.0, 0.0, 0.0))
+    if kind != "bomb":
+        with pytest.raises(DataError, match="cannot be read as a picture"):
+            read_png(path)
+    assert main(["report", "--runs", str(finished.store)]) == 0
+
+
+def test_stored_truth_takes_no_more_than_its_file_allows(finished) -> None:
+    from bench.jobs.truth import Truth
+
+    (folder,) = (path.parent for path in finished.store.glob("jobs/views-*/record.json"))
+    changed(
+        folder / "views.json",
+        lambda index: index["splits"]["test"]["pictures"].update(shape=[4, 10**6, 10**6, 4]),
+    )
+    with pytest.raises(DataError, match="cannot be read"):
+        Truth(folder).views("test")
 
 
 @pytest.mark.parametrize(
