@@ -351,7 +351,7 @@ class EncodeResult(_Model):
 
     seconds: float
     total_bytes: Count
-    ledger: dict[str, dict[str, Count]]
+    ledger: dict[str, dict[str, Whole]]
 
 
 class ViewResult(_Model):
