@@ -29,6 +29,8 @@ class Volume:
         vertices: (n, 3) float32 scene-space positions of a mesh's own vertices (for initial clouds); None
             for grids.
         vertex_values: (n,) data values of ``vertices``, in the units of ``values``.
+        whole: minimum and maximum with the outliers that ``value_range`` leaves out
+            (:mod:`datasets.readers.limits`); None: there are none.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Volume:
     mask: NDArray[np.bool_] | None = None
     vertices: NDArray[np.float32] | None = None
     vertex_values: NDArray[np.generic] | None = None
+    whole: tuple[float, float] | None = None
 
     @property
     def dims(self) -> tuple[int, int, int]:

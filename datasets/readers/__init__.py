@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING
 from datasets.errors import DataError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from datasets.readers.container import Container
     from datasets.readers.fields import Source, Variable
+    from datasets.readers.limits import Limits
+    from datasets.readers.single import Single
     from datasets.volume import Volume
 
 _SINGLE = {
@@ -92,15 +91,17 @@ def _is_dicom(file: Path) -> bool:
 
 
 def list_variables(path: Path | str) -> tuple[Variable, ...]:
-    """The variables of a file with dims and time steps; empty for formats of one unnamed field.
+    """The variables of a file with dims and time steps; empty where there is but one unnamed scalar.
 
     Raises:
         DataError: the file is unusable.
     """
+    from datasets.readers.single import Single
+
     path = Path(path)
     try:
-        kind = _kind(path)
-        return () if kind in _SINGLE.values() else _source(path, kind).variables
+        source = _source(path, _kind(path))
+        return () if isinstance(source, Single) and source.plain else source.variables
     except OSError as error:
         raise DataError(path, f"cannot be read ({error})", "Check the file and its permissions") from error
 
@@ -113,6 +114,7 @@ def read_volume(
     step: int | None = None,
     resolution: int | None = None,
     spacing: tuple[float, float, float] | None = None,
+    limits: Limits | None = None,
 ) -> Volume:
     """Read one scalar field on a regular grid; memory-mapped where the format allows.
 
@@ -123,10 +125,13 @@ def read_volume(
             magnitude; its components are ``name.x``, ``name.y``, ``name.z``.
         step: time step, from 0; default: the first.
         resolution: samples along the longest side, for meshes only (default 128).
-        spacing: sample distances along x, y, z; default: those of the file, else 1.
+        spacing: sample distances along x, y, z; default: those of the file, else 1, with a line in the log.
+        limits: the value range and the missing values; default: those of the file, else a range without
+            outliers (:mod:`datasets.readers.limits`).
 
     Returns:
-        The volume; ``value_range`` is its finite minimum and maximum (of a mesh, that at its points).
+        The volume; ``value_range`` is the minimum and maximum of its valid values (of a mesh, that at its
+        points), or the range of ``limits``.
 
     Raises:
         UnknownName: the file has no such variable; the remedy lists near matches.
@@ -136,25 +141,33 @@ def read_volume(
     """
     path = Path(path)
 
-    from datasets.readers import finish
-    from datasets.readers.fields import Field, choose, plain
+    from datasets.readers.axes import notice
+    from datasets.readers.fields import choose, plain
+    from datasets.readers.finish import UNIT, check_spacing
+    from datasets.readers.single import Single
     from datasets.volume import Volume
 
     try:
-        kind = _kind(path)
-        if kind in _SINGLE.values():
-            _refuse_choice(path, array, step, resolution)
-            field, in_file = Field(*_read_single(path, kind)), "value"
+        source = _source(path, _kind(path))
+        if isinstance(source, Single):
+            limits = source.limits.with_choice(limits)
+            if source.plain and array not in (None, "value"):
+                raise DataError(
+                    path, "its format holds one field: it has no choice of variable", "Leave it out"
+                )
         else:
-            source = _source(path, kind)
-            choice = choose(path, source.variables, array or variable, step, resolution)
-            field, in_file = source.read(choice), plain(choice.name)
-        spacing = spacing or field.spacing
-        values = finish.checked_grid(field.values, spacing, path)
-        size = (float(spacing[0]), float(spacing[1]), float(spacing[2]))
-        bounds = field.value_range or finish.value_range(values, path)
-        points = field.vertices, field.vertex_values
-        return Volume(variable or in_file, values, size, bounds, str(path), field.mask, *points)
+            array = array or variable
+        choice = choose(path, source.variables, array, step, resolution, limits)
+        if spacing is not None:
+            check_spacing(spacing, path)
+        field = source.read(choice)
+        if (spacing or field.spacing) is None:
+            notice(f"{path}: says no sample distances: 1:1:1 is assumed; `spacing` sets them")
+        size = check_spacing(spacing or field.spacing or UNIT, path)
+        return Volume(
+            variable or plain(choice.name), field.values, size, field.value_range, str(path), field.mask,
+            field.vertices, field.vertex_values, field.whole,
+        )  # fmt: skip
     except MemoryError as error:
         raise DataError(path, "does not fit into memory", "Subsample it, or use a larger machine") from error
     except OSError as error:
@@ -181,23 +194,9 @@ def _kind(path: Path) -> str:
     return _FORMATS[suffix]
 
 
-def _refuse_choice(path: Path, array: str | None, step: int | None, resolution: int | None) -> None:
-    if array is not None or step or resolution is not None:
-        key = "variable" if array is not None else "step" if step else "resolution"
-        raise DataError(path, f"its format holds one field: it has no choice of {key}", "Leave it out")
-
-
-def _read_single(path: Path, kind: str) -> tuple[NDArray[np.generic], tuple[float, float, float]]:
-    from datasets.readers.nifti import read_nifti
-    from datasets.readers.npy import read_npy
-    from datasets.readers.nrrd import read_nrrd
-    from datasets.readers.raw import read_raw
-
-    readers = {"raw": read_raw, "npy": read_npy, "nrrd": read_nrrd, "nifti": read_nifti}
-    return readers[kind](path)
-
-
 def _source(path: Path, kind: str) -> Source:
+    if kind in _SINGLE.values():
+        return _single(path, kind)
     if kind == "vtk_legacy":
         from datasets.readers.vtk_legacy import LegacyFile
 
@@ -217,11 +216,20 @@ def _source(path: Path, kind: str) -> Source:
 
         return Arrays(path, Npz(path), missing=False)
     if kind == "netcdf":
-        return Arrays(path, _netcdf(path), missing=True)
+        return Arrays(path, _netcdf(path), missing=True, netcdf=True)
     stored = Stored(path, "zarr_store" if kind == "zarr" else "hdf5")
     if kind == "hdf" and any(name.startswith("VTKHDF/") for name in stored.arrays):
         return Foreign(path, "vtk_data")
     return Arrays(path, stored, missing=True)
+
+
+def _single(path: Path, kind: str) -> Single:
+    from datasets.readers.nifti import open_nifti
+    from datasets.readers.npy import open_npy
+    from datasets.readers.nrrd import open_nrrd
+    from datasets.readers.raw import open_raw
+
+    return {"raw": open_raw, "npy": open_npy, "nrrd": open_nrrd, "nifti": open_nifti}[kind](path)
 
 
 def _netcdf(path: Path) -> Container:

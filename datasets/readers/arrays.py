@@ -1,16 +1,17 @@
-"""Fields among named arrays: the conventions shared by NetCDF, HDF5 and ``.npz`` files.
+"""Fields among named arrays: the conventions shared by NetCDF, HDF5, Zarr and NumPy's files.
 
-The last three axes of an array are z, y, x; a leading one is time. Arrays without named dimensions hold
-vectors if they have a fourth axis and the last axis has 2 to 4 entries. Positions come from coordinate
-variables (NetCDF's, HDF5's dimension scales, or arrays ``x``, ``y``, ``z`` of fitting length). Missing values
-become the volume's mask: NaN of NetCDF and HDF5 files, ``_FillValue``, ``missing_value``, NetCDF's default
-fill, values outside ``valid_range``. ``scale_factor`` and ``add_offset`` are applied.
+The last three axes of an array are z, y, x; a leading one is time, or by its name channels.
+Arrays without named dimensions hold vectors if they have a fourth axis and the last axis has 2 to 4 entries.
+Positions come from coordinate variables (NetCDF's, HDF5's dimension scales, or arrays ``x``, ``y``, ``z`` of
+fitting length). Missing values become the volume's mask: NaN of NetCDF and HDF5 files, ``_FillValue``,
+``missing_value``, NetCDF's default fill, values outside ``valid_range``. ``scale_factor`` and ``add_offset``
+are applied. All these attributes are meant in the type in which the values are viewed (``_Unsigned``).
 """
 
 from __future__ import annotations
 
-import logging
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +19,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.readers.axes import place
+from datasets.readers.axes import notice, place
 from datasets.readers.container import Array, Container
-from datasets.readers.fields import Choice, Field, Variable, scalar
+from datasets.readers.fields import Choice, Field, Variable, channels_of, scalar
+from datasets.readers.lengths import in_one_unit
 from datasets.scratch import converted, new_array
 
 _TIME = ("time", "t", "times", "step", "time_step")
-_DEFAULT_FILL = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "i4": -2147483647}
+_CHANNEL = ("c", "channel", "channels")
+_DEFAULT_FILL: dict[str, float] = {
+    "f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "u2": 65535, "i4": -2147483647,
+    "u4": 4294967295, "i8": -9223372036854775806, "u8": 18446744073709551614,
+}  # fmt: skip
 _MOST = 10_000
-
-_log = logging.getLogger(__name__)
 
 
 class Arrays:
@@ -36,16 +40,16 @@ class Arrays:
     Args:
         path: the file, for messages.
         container: the open file.
-        missing: whether NaN and NetCDF's default fill values mean missing data.
+        missing: whether NaN means missing data.
+        netcdf: whether NetCDF's default fill values do.
     """
 
-    def __init__(self, path: Path, container: Container, missing: bool) -> None:
-        self.path, self._file, self._missing = path, container, missing
-        self._shapes: dict[str, tuple[tuple[int, ...], int]] = {}  # leading axes and components
+    def __init__(self, path: Path, container: Container, missing: bool, netcdf: bool = False) -> None:
+        self.path, self._file, self._missing, self._netcdf = path, container, missing, netcdf
         variables = []
         for array in list(container.arrays.values())[:_MOST]:
-            variable = self._variable(array)
-            if variable is not None:
+            variable = variable_of(array)
+            if variable is not None and not self._is_series_of_pictures(array):
                 variables.append(variable)
         self.variables = tuple(variables)
         if not variables:
@@ -55,62 +59,56 @@ class Arrays:
 
     def read(self, choice: Choice) -> Field:
         """The values of one choice."""
-        array = self._file.arrays[choice.variable.name]
-        leading, components = self._shapes[array.name]
-        values = self._file.read(array.name) if not leading else self._at_step(array, leading, choice.step)
-        if array.attributes.get("_Unsigned") in ("true", "True") and values.dtype.kind == "i":
-            values = values.view(values.dtype.str.replace("i", "u"))
+        array, variable = self._file.arrays[choice.variable.name], choice.variable
+        values = _viewed(self._at_step(array, variable, choice.step), array)
         mask = self._valid(values, array)
         values = _unpacked(values, array)
-        if components > 1:
-            values = scalar(values, choice)
+        if variable.components > 1:
+            values = scalar(values, choice, self.path)
             if mask is not None:
                 mask = np.asarray(mask.all(axis=-1))
-        return place(values, self._axes(array, components), self.path, mask)
+        field = place(values, self._axes(array, variable), self.path, choice.limits, mask)
+        return field if field.spacing is not None else replace(field, spacing=array.spacing)
 
-    def _variable(self, array: Array) -> Variable | None:
-        """Name, dims and steps of a field; None for an array that is no field."""
-        if array.dtype.kind not in "iufb" or array.dtype.itemsize > 8 or len(array.shape) < 3:
-            return None
-        shape, has_names = array.shape, any(array.dims)
-        components = 1
-        if not has_names and len(shape) > 3 and 2 <= shape[-1] <= 4:
-            components, shape = shape[-1], shape[:-1]
-        leading, inner = shape[:-3], shape[-3:]
-        if min(shape) < 1 or min(inner) < 2 or math.prod(leading) != max(leading, default=1):
-            return None
-        if has_names and self._is_time(array, len(leading)):
-            return None  # a series of pictures
-        self._shapes[array.name] = (leading, components)
-        return Variable(array.name, (inner[2], inner[1], inner[0]), max(leading, default=1), components)
-
-    def _is_time(self, array: Array, axis: int) -> bool:
-        name = array.dims[axis]
+    def _is_series_of_pictures(self, array: Array) -> bool:
+        if not any(array.dims):
+            return False
+        name = array.dims[-3]
         positions = self._file.arrays.get(name)
         units = "" if positions is None else str(positions.attributes.get("units", ""))
-        return name.rpartition("/")[2].lower() in _TIME or " since " in units
+        return _last(name) in _TIME or " since " in units
 
-    def _at_step(self, array: Array, leading: tuple[int, ...], step: int) -> NDArray[Any]:
-        along = leading.index(max(leading))
-        values = self._file.read(array.name, step if along == 0 else 0)
-        values = values.reshape(*leading[1:], *array.shape[len(leading) :])
-        for axis in range(1, len(leading)):
-            values = values[step if axis == along else 0]
-        return values
+    def _at_step(self, array: Array, variable: Variable, step: int) -> NDArray[Any]:
+        """Values (z, y, x) or (z, y, x, components)."""
+        inner = 4 if variable.components > 1 and not any(array.dims) else 3
+        leading = array.shape[:-inner]
+        if not leading:
+            return self._file.read(array.name)
+        channel = _channel_axis(array)
+        at = [step if n == variable.steps and n > 1 else 0 for n in leading]
+        values = self._file.read(array.name, None if channel == 0 else at[0])
+        index = [slice(None) if axis == channel else at[axis] for axis in range(len(leading))]
+        values = values[tuple(index if channel == 0 else index[1:])]
+        return values if channel is None else np.moveaxis(values, 0, -1)
 
     def _valid(self, values: NDArray[Any], array: Array) -> NDArray[np.bool_] | None:
         """Mask of the valid values; None if all are."""
-        attributes = array.attributes
-        fills = [*_numbers(attributes.get("_FillValue")), *_numbers(attributes.get("missing_value"))]
+        fills = [n for name in ("_FillValue", "missing_value") for n in _numbers(array, name)]
         kind = values.dtype.str[1:]
-        if self._missing and "_FillValue" not in attributes and kind in _DEFAULT_FILL and any(array.dims):
-            fills.append(_DEFAULT_FILL[kind])
-        low, high = (*_numbers(attributes.get("valid_range")), -math.inf, math.inf)[:2]
-        low = max([low, *_numbers(attributes.get("valid_min"))])
-        high = min([high, *_numbers(attributes.get("valid_max"))])
+        if self._netcdf and "_FillValue" not in array.attributes and array.dtype.str[1:] in _DEFAULT_FILL:
+            fills.append(_as_viewed(_DEFAULT_FILL[array.dtype.str[1:]], array))
+        low = max([-math.inf, *_numbers(array, "valid_range")[:1], *_numbers(array, "valid_min")])
+        high = min([math.inf, *_numbers(array, "valid_range")[1:2], *_numbers(array, "valid_max")])
         if kind in ("f2", "f4"):  # as in the file
             with np.errstate(over="ignore"):
                 fills = [float(np.dtype(kind).type(fill)) for fill in fills]
+        scale, offset = _packing(array)
+        if values.dtype.kind != "f" and any(isinstance(n, float) for n in (low, high) if math.isfinite(n)):
+            # By NetCDF's conventions a range of another type than the packed values is of unpacked ones.
+            ends = [(n - offset) / scale for n in (low, high)]
+            low, high = min(ends), max(ends)
+            margin = 1e-6 * max(abs(n) for n in ends if math.isfinite(n))
+            low, high = low - margin, high + margin
         mask: NDArray[np.bool_] | None = None
         for k, part in enumerate(values):
             valid = ~((part < low) | (part > high))
@@ -125,29 +123,68 @@ class Arrays:
                 mask[k] = valid
         return mask
 
-    def _axes(self, array: Array, components: int) -> list[NDArray[Any] | None]:
+    def _axes(self, array: Array, variable: Variable) -> list[NDArray[Any] | None]:
         """Positions along x, y, z; None for an axis without coordinates."""
-        shape = array.shape[: len(array.shape) - (components > 1)][-3:]
+        assert variable.dims is not None
+        shape = variable.dims[::-1]
         if any(array.dims):
             names = list(array.dims[-3:])
         else:
             group = array.name.rpartition("/")[0]
             names = [f"{group}/{axis}".lstrip("/") for axis in "zyx"]
         coordinates = [self._file.arrays.get(name) for name in names]
-        fits = [
-            a is not None and a.shape == (n,) and a.dtype.kind in "iuf"
+        found = [
+            a if a is not None and a.shape == (n,) and a.dtype.kind in "iuf" else None
             for a, n in zip(coordinates, shape, strict=True)
         ]
-        if not all(fits) and not any(array.dims):
+        if (None in found and not any(array.dims)) or found == [None] * 3:
             return [None, None, None]
-        axes = [self._file.read(name) if fit else None for name, fit in zip(names, fits, strict=True)]
-        units = {_unit(a) for a, fit in zip(coordinates, fits, strict=True) if fit and a is not None}
-        if len(units) > 1 or (any(fits) and not all(fits)):
-            # Degrees and metres have no common scale: only the unevenness of each axis counts.
-            text = "%s: axes of %s have different units or no positions; mean sample distances are taken as 1"
-            _log.info(text, self.path, array.name)
-            axes = [None if axis is None else _by_mean_distance(axis) for axis in axes]
-        return list(reversed(axes))
+        axes = [None if a is None else self._positions(a) for a in found]
+        if None not in found:
+            scales = in_one_unit([1.0] * 3, [_unit(a) for a in found if a is not None])
+            if scales is not None:
+                return [
+                    axis if axis is None or scale == 1.0 else axis * scale
+                    for axis, scale in zip(reversed(axes), reversed(scales), strict=True)
+                ]
+        # Degrees and metres have no common scale: only the unevenness of each axis counts.
+        notice(f"{self.path}: axes of {array.name} have different units or no positions: mean sample "
+               "distances 1:1:1 are assumed; `spacing` sets them")  # fmt: skip
+        return [None if axis is None else _by_mean_distance(axis) for axis in reversed(axes)]
+
+    def _positions(self, array: Array) -> NDArray[Any]:
+        return _unpacked(_viewed(self._file.read(array.name), array), array)
+
+
+def variable_of(array: Array) -> Variable | None:
+    """Name, dims, steps and components of a field; None for an array that is no field."""
+    if array.dtype.kind not in "iufb" or array.dtype.itemsize > 8 or len(array.shape) < 3:
+        return None
+    shape, has_names = array.shape, any(array.dims)
+    components = channels = 0
+    if not has_names and len(shape) > 3 and 2 <= shape[-1] <= 4 and min(shape[-4:-1]) > 1:
+        components, shape = shape[-1], shape[:-1]
+        channels = channels_of(components, array.dtype)
+    leading, inner = list(shape[:-3]), shape[-3:]
+    channel = _channel_axis(array)
+    if channel is not None:
+        components = channels = leading.pop(channel)
+    if min(shape) < 1 or min(inner) < 2 or math.prod(leading) != max(leading, default=1):
+        return None
+    dims = inner[2], inner[1], inner[0]
+    return Variable(array.name, dims, max(leading, default=1), max(components, 1), channels)
+
+
+def _channel_axis(array: Array) -> int | None:
+    """Place of an axis of several channels, by its name."""
+    for axis, name in enumerate(array.dims[:-3]):
+        if _last(name) in _CHANNEL and array.shape[axis] > 1:
+            return axis
+    return None
+
+
+def _last(name: str) -> str:
+    return name.rpartition("/")[2].lower()
 
 
 def _unit(array: Array) -> str:
@@ -161,16 +198,53 @@ def _by_mean_distance(axis: NDArray[Any]) -> NDArray[Any]:
     return positions * ((len(positions) - 1) / span) if math.isfinite(span) and span > 0.0 else positions
 
 
-def _numbers(value: Any) -> list[float]:
-    """An attribute's numbers; empty for text."""
-    entries = value if isinstance(value, list) else [value]
-    return [float(n) for n in entries if isinstance(n, int | float)]
+def _sign(array: Array) -> str:
+    """The kind of integer in which values are viewed: "i", "u", or "" for that of the file."""
+    kinds = {"true": "u", "false": "i"}
+    kind = kinds.get(str(array.attributes.get("_Unsigned", "")).strip("\0 ").lower(), "")
+    return kind if array.dtype.kind in "iu" and array.dtype.kind != kind else ""
+
+
+def _viewed(values: NDArray[Any], array: Array) -> NDArray[Any]:
+    """Values in the type that ``_Unsigned`` asks for."""
+    kind = _sign(array)
+    return values.view(values.dtype.str.replace(array.dtype.kind, kind)) if kind else values
+
+
+def _as_viewed(number: float, array: Array) -> float:
+    """A number of an attribute in that type: signed -1 is unsigned 255."""
+    kind, bits = _sign(array), 8 * array.dtype.itemsize
+    if kind == "u" and number < 0:
+        return number + (1 << bits)
+    return number - (1 << bits) if kind == "i" and number >= 1 << (bits - 1) else number
+
+
+def _numbers(array: Array, name: str) -> list[float]:
+    """The numbers of an attribute, also those written as text, in the type of the viewed values."""
+    value = array.attributes.get(name)
+    found: list[float] = []
+    for entry in value if isinstance(value, list) else [value]:
+        if isinstance(entry, str):
+            try:
+                found += [float(word) for word in entry.strip("\0 ").replace(",", " ").split()]
+            except ValueError:
+                continue
+        elif isinstance(entry, int | float) and not isinstance(entry, bool):
+            found.append(entry)
+    whole = array.dtype.kind in "iu"
+    found = [int(n) if whole and isinstance(value, str) and float(n).is_integer() else n for n in found]
+    return [_as_viewed(n, array) for n in found]
+
+
+def _packing(array: Array) -> tuple[float, float]:
+    """CF's ``scale_factor`` and ``add_offset``."""
+    plain = replace(array, attributes={k: v for k, v in array.attributes.items() if k != "_Unsigned"})
+    scale = (_numbers(plain, "scale_factor") or [1.0])[0]
+    return (scale if scale != 0.0 else 1.0), (_numbers(plain, "add_offset") or [0.0])[0]
 
 
 def _unpacked(values: NDArray[Any], array: Array) -> NDArray[Any]:
-    """Values after CF's ``scale_factor`` and ``add_offset``."""
-    scale = (_numbers(array.attributes.get("scale_factor")) or [1.0])[0]
-    offset = (_numbers(array.attributes.get("add_offset")) or [0.0])[0]
+    scale, offset = _packing(array)
     if scale == 1.0 and offset == 0.0:
         return values
     out = converted(values, np.float32 if values.dtype.itemsize <= 2 else np.float64)

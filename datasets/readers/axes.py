@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
+from datasets.readers import limits as shown
 from datasets.readers.fields import Field
-from datasets.readers.finish import value_range
+from datasets.readers.finish import checked_grid
+from datasets.readers.limits import Limits
 from datasets.scratch import converted, new_array
 
 CAP = 512
@@ -30,29 +32,35 @@ def place(
     values: NDArray[np.generic],
     axes: Sequence[NDArray[np.generic] | None],
     path: Path,
+    limits: Limits,
     mask: NDArray[np.bool_] | None = None,
 ) -> Field:
-    """A field with samples at given positions, on a uniform grid.
+    """A field with samples at given positions, on a uniform grid, checked.
 
     Uniform axes stay, descending ones are reversed. Others are resampled linearly at their finest spacing, to
     at most ``CAP`` samples an axis, with a notice in the log.
 
     Args:
         values: (nz, ny, nx).
-        axes: positions along x, y, z; None for unit spacing.
+        axes: positions along x, y, z; None for an axis without: it has unit spacing.
         path: the file, for messages.
+        limits: which values are shown.
         mask: (nz, ny, nx), False for missing values: they become continuations of their neighbours.
 
     Raises:
-        DataError: positions are not finite, or neither ascending nor descending.
+        DataError: as :func:`datasets.readers.finish.checked_grid` and :func:`datasets.readers.limits.shown`,
+            or positions are not finite, or neither ascending nor descending.
     """
-    bounds = None
-    if mask is not None and not mask.all():
-        bounds = value_range(values, path, mask)
-        values = converted(values, values.dtype.newbyteorder("="))
-        fill_outside(values, mask, bounds[0])
-    else:
-        mask = None
+    given = values
+    values = checked_grid(values, path)
+    found = shown.shown(values, None if mask is None or mask.all() else mask, limits, path)
+    mask = found.valid
+    if (mask is not None or found.isolated is not None) and np.may_share_memory(values, given):
+        values = converted(values, values.dtype)
+    if found.isolated is not None:
+        shown.mended(values, found.isolated)
+    if mask is not None:
+        fill_outside(values, mask, found.value_range[0])
     spacing = [1.0, 1.0, 1.0]
     uneven: dict[int, NDArray[np.float64]] = {}
     for i, (name, axis) in enumerate(zip("xyz", axes, strict=True)):
@@ -81,11 +89,12 @@ def place(
             if not np.isfinite(uneven[2 - i]).all():
                 remedy = "Write positions that double precision can distinguish"
                 raise DataError(path, f"positions along {name} lie too close to each other", remedy)
-    size = (spacing[0], spacing[1], spacing[2])
-    if bounds is None and uneven:
-        bounds = value_range(values, path)  # refuses NaN before differences are formed
+    size = None if all(axis is None for axis in axes) else (spacing[0], spacing[1], spacing[2])
+    if size is not None and any(axis is None for axis in axes):
+        without = ", ".join(name for name, axis in zip("xyz", axes, strict=True) if axis is None)
+        notice(f"{path}: no sample distance along {without}: 1 is taken; `spacing` sets all three")
     if not uneven:
-        return Field(values, size, mask, bounds)
+        return Field(values, size, mask, found.value_range, found.whole)
     before = " x ".join(str(n) for n in reversed(values.shape))
     values = resample(values, uneven)
     if mask is not None:
@@ -93,12 +102,12 @@ def place(
             mask = np.take(mask, np.rint(fractions).astype(np.intp), at)
     after = " x ".join(str(n) for n in reversed(values.shape))
     names = ", ".join("zyx"[at] for at in sorted(uneven, reverse=True))
-    _notice(f"{path}: samples along {names} are unevenly spaced; resampled from {before} to {after}")
-    return Field(values, size, mask, bounds)
+    notice(f"{path}: samples along {names} are unevenly spaced; resampled from {before} to {after}")
+    return Field(values, size, mask, found.value_range, found.whole)
 
 
 @cache
-def _notice(text: str) -> None:
+def notice(text: str) -> None:
     """Log a notice once for all variables of a file."""
     _log.warning("%s", text)
 

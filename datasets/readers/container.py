@@ -8,6 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.readers.finish import Spacing
+
 
 @dataclass(frozen=True)
 class Array:
@@ -19,6 +21,7 @@ class Array:
         dtype: type in the file.
         dims: names of its dimensions; "" for one without a name.
         attributes: strings, and lists of numbers.
+        spacing: sample distances along x, y, z, where the file has them for this array.
     """
 
     name: str
@@ -26,6 +29,7 @@ class Array:
     dtype: np.dtype
     dims: tuple[str, ...]
     attributes: dict[str, Any] = field(default_factory=dict)
+    spacing: Spacing | None = None
 
 
 class Container(Protocol):

@@ -48,6 +48,7 @@ class Exodus:
     def read(self, choice: Choice) -> Field:
         """The values of one choice."""
         of_cells, number = self._where[choice.variable.name]
+        valid = None
         points = self._points()
         blocks = [self._block(name) for name in self._blocks()]
         if not blocks:
@@ -56,13 +57,20 @@ class Exodus:
         if not of_cells:
             values = self._nodal(number, choice.step)
         else:
+            parts = [
+                self._of_block(number, b, len(block[1]), choice.step)
+                for b, block in zip(self._blocks(), blocks, strict=True)
+            ]
+            present = [part is not None for part in parts]
+            valid = None if all(present) else np.repeat(present, [len(block[1]) for block in blocks])
+            kind = np.result_type(*(part for part in parts if part is not None)) if any(present) else float
             values = np.concatenate(
                 [
-                    self._of_block(number, b, len(block[1]), choice.step)
-                    for b, block in zip(self._blocks(), blocks, strict=True)
+                    np.zeros(len(block[1]), kind) if part is None else part
+                    for part, block in zip(parts, blocks, strict=True)
                 ]
             )
-        return resampled(mesh, values, of_cells, choice.resolution, self.path)
+        return resampled(mesh, values, of_cells, choice, self.path, valid)
 
     def _names(self, names: str) -> list[str]:
         if names not in self._file.arrays:
@@ -121,11 +129,13 @@ class Exodus:
                 return np.asarray(values[number - 1])
         raise DataError(self.path, f"has no values of its variable {number}", _REMEDY)
 
-    def _of_block(self, number: int, block: int, cells: int, step: int) -> NDArray[Any]:
+    def _of_block(self, number: int, block: int, cells: int, step: int) -> NDArray[Any] | None:
+        """Values of the cells of a block; None where the variable has none (Exodus's truth table)."""
         name = f"vals_elem_var{number}eb{block}"
-        if name not in self._file.arrays or len(self._file.arrays[name].shape) != 2:
-            reason = f"variable {number} has no values in element block {block}"
-            raise DataError(self.path, reason, "Write it for all blocks")
+        if name not in self._file.arrays:
+            return None
+        if len(self._file.arrays[name].shape) != 2:
+            raise DataError(self.path, f"{name} is damaged", _REMEDY)
         values = self._file.read(name, step)
         if len(values) != cells:
             raise DataError(self.path, f"{name} is damaged", _REMEDY)

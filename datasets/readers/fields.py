@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from datasets.errors import DataError
 from datasets.names import unknown
-from datasets.readers.finish import UNIT, Spacing
+from datasets.readers.finish import Spacing
+from datasets.readers.limits import Limits
 
 _CHUNK = 1 << 24
 _AXES = ("x", "y", "z")
@@ -28,12 +29,15 @@ class Variable:
         steps: number of time steps.
         components: 1 for scalars. A vector is read as its magnitude; its components are the variables
             ``name.x``, ``name.y``, ``name.z`` (``name.0``, ``name.1``... where there are not three).
+        channels: number of components, the first ones, that are colors or channels of a picture; those after
+            them are alpha. 0: the components are those of a vector.
     """
 
     name: str
     dims: tuple[int, int, int] | None
     steps: int = 1
     components: int = 1
+    channels: int = 0
 
     def part(self, component: int) -> str:
         """Name of one of its components."""
@@ -49,12 +53,14 @@ class Choice:
         component: component of a vector; None for the magnitude of a vector and for scalars.
         step: time step, from 0.
         resolution: samples along the longest side, for meshes only; None for the default.
+        limits: which values are shown.
     """
 
     variable: Variable
     component: int | None = None
     step: int = 0
     resolution: int | None = None
+    limits: Limits = field(default_factory=Limits)
 
     @property
     def name(self) -> str:
@@ -64,12 +70,16 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """The values of one choice, not yet checked; attributes as in :class:`datasets.volume.Volume`."""
+    """The values of one choice; attributes as in :class:`datasets.volume.Volume`.
+
+    ``spacing`` is None where the file does not say it.
+    """
 
     values: NDArray[np.generic]
-    spacing: Spacing = UNIT
-    mask: NDArray[np.bool_] | None = None
-    value_range: tuple[float, float] | None = None
+    spacing: Spacing | None
+    mask: NDArray[np.bool_] | None
+    value_range: tuple[float, float]
+    whole: tuple[float, float] | None = None
     vertices: NDArray[np.float32] | None = None
     vertex_values: NDArray[np.generic] | None = None
 
@@ -84,7 +94,12 @@ class Source(Protocol):
 
 
 def choose(
-    path: Path, variables: Iterable[Variable], name: str | None, step: int | None, resolution: int | None
+    path: Path,
+    variables: Iterable[Variable],
+    name: str | None,
+    step: int | None,
+    resolution: int | None,
+    limits: Limits | None = None,
 ) -> Choice:
     """The choice of a name, a step and a resolution.
 
@@ -95,6 +110,7 @@ def choose(
             only variable of a file.
         step: None for the first.
         resolution: None for the default.
+        limits: which values are shown; None for the default.
 
     Raises:
         UnknownName: no such variable; the remedy lists near matches.
@@ -124,7 +140,7 @@ def choose(
         raise DataError(path, f"has no time step {step}", f"{variable.name!r} has {steps}")
     if resolution is not None and variable.dims is not None:
         raise DataError(path, "is a grid, which has its own resolution", "Only meshes can be resampled")
-    return Choice(variable, component, step or 0, resolution)
+    return Choice(variable, component, step or 0, resolution, limits or Limits())
 
 
 def plain(name: str) -> str:
@@ -133,12 +149,30 @@ def plain(name: str) -> str:
     return "_".join(characters.split())
 
 
-def scalar(values: NDArray[np.generic], choice: Choice) -> NDArray[np.generic]:
-    """Scalars as they are; of vectors a component (last axis) or magnitudes (float32, float64 of doubles)."""
-    if choice.variable.components == 1:
+def channels_of(components: int, dtype: np.dtype) -> int:
+    """Channels among the components of values without a word on them: unsigned bytes are colors."""
+    return 3 if components in (3, 4) and dtype == np.uint8 else 0
+
+
+def scalar(values: NDArray[np.generic], choice: Choice, path: Path) -> NDArray[np.generic]:
+    """Scalars as they are; of vectors a component (last axis) or magnitudes (float32, float64 of doubles).
+
+    Raises:
+        DataError: colors that are no shades of gray, and no component is chosen.
+    """
+    variable = choice.variable
+    if variable.components == 1:
         return values
     if choice.component is not None:
         return values[..., choice.component]
+    if variable.channels:
+        first = values[..., 0]
+        for channel in range(1, variable.channels):
+            if any(not np.array_equal(a[..., channel], b) for a, b in zip(values, first, strict=True)):
+                parts = ", ".join(variable.part(i) for i in range(variable.components))
+                remedy = f"Choose a channel, {path}:variable=NAME with one of {parts}"
+                raise DataError(path, f"{variable.name!r} is in color: it has no single values", remedy)
+        return first
     out = np.empty(values.shape[:-1], np.float64 if values.dtype.itemsize > 4 else np.float32)
     step = max(1, _CHUNK * len(values) // max(values.nbytes, 1))
     for start in range(0, len(values), step):  # in parts: no second copy of all components

@@ -22,11 +22,11 @@ _DEFLATE_LIMIT = 1032
 _CHUNK = 1 << 24
 
 
-def checked_grid(values: NDArray[np.generic], spacing: Spacing, path: Path | str) -> NDArray[np.generic]:
-    """The values, in native byte order and booleans as uint8, if they and their spacing make a grid.
+def checked_grid(values: NDArray[np.generic], path: Path | str) -> NDArray[np.generic]:
+    """The values, in native byte order and booleans as uint8, if they make a grid.
 
     Raises:
-        DataError: not three axes of at least two samples, no real numbers, or a spacing that is not positive.
+        DataError: not three axes of at least two samples, or no real numbers.
     """
     shape = " x ".join(str(n) for n in reversed(values.shape)) or "a single number"
     if 0 in values.shape:
@@ -36,8 +36,6 @@ def checked_grid(values: NDArray[np.generic], spacing: Spacing, path: Path | str
         raise DataError(path, f"is {values.ndim}-D data ({shape})", remedy)
     if min(values.shape) < 2:
         raise DataError(path, f"is 2-D data ({shape})", "Every axis needs at least two samples")
-    if len(spacing) != 3 or not all(math.isfinite(s) and s > 0.0 for s in spacing):
-        raise DataError(path, f"spacing {spacing} is not positive", "Give three positive distances x, y, z")
     if values.dtype.kind == "b":
         values = values.view(np.uint8)
     if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
@@ -48,13 +46,24 @@ def checked_grid(values: NDArray[np.generic], spacing: Spacing, path: Path | str
     return values
 
 
+def check_spacing(spacing: Spacing, path: Path | str) -> Spacing:
+    """Three positive sample distances as floats.
+
+    Raises:
+        DataError: they are not.
+    """
+    if len(spacing) != 3 or not all(math.isfinite(s) and s > 0.0 for s in spacing):
+        raise DataError(path, f"spacing {spacing} is not positive", "Give three positive distances x, y, z")
+    return float(spacing[0]), float(spacing[1]), float(spacing[2])
+
+
 def value_range(
     values: NDArray[np.generic], path: Path | str, mask: NDArray[np.bool_] | None = None
 ) -> tuple[float, float]:
     """Minimum and maximum of valid values, slice by slice: a memory-mapped file is never in memory twice.
 
     Raises:
-        DataError: a value is NaN or infinite, none is valid, or all are equal or beyond single precision.
+        DataError: a value is NaN or infinite, or none is valid.
     """
     slices = max(1, (_CHUNK >> 3) // values[0].nbytes)
     low, high, bad = math.inf, -math.inf, 0
@@ -69,11 +78,10 @@ def value_range(
             bad += int(np.count_nonzero(~np.isfinite(part)))  # type: ignore[call-overload]
         low, high = min(low, a), max(high, b)
     if bad:
-        remedy = "Replace them by a value outside the range of interest, for example the minimum"
+        remedy = "Where they stand for missing data, name them: missing = nan (inf, -inf)"
         raise DataError(path, f"{bad} of {values.size} values are NaN or infinite", remedy)
     if low > high:
         raise DataError(path, "all values are missing", "Choose another variable or time step")
-    check_range(low, high, path)
     return low, high
 
 
@@ -86,6 +94,9 @@ def check_range(low: float, high: float, path: Path | str) -> None:
     if high - low > 1e38 or max(abs(low), abs(high)) > 1e38:
         raise DataError(path, f"values from {low:g} to {high:g} exceed single precision", "Rescale them")
     if high - low < 1e-30:
+        if low < high:
+            reason = f"values from {low:g} to {high:g} are closer than single precision tells apart"
+            raise DataError(path, reason, "Rescale them")
         remedy = "A constant field shows nothing; check that the file holds what you expect"
         raise DataError(path, f"all values are {low:g}", remedy)
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.readers import finish
 from datasets.readers.axes import fill_outside
-from datasets.readers.fields import Field
+from datasets.readers.fields import Choice, Field
+from datasets.readers.limits import shown
 
 DEFAULT_RESOLUTION = 128
 """Samples along the longest side of a mesh's box."""
@@ -90,25 +90,31 @@ class Mesh:
 
 
 def resampled(
-    mesh: Mesh, values: NDArray[np.generic], of_cells: bool, resolution: int | None, path: Path
+    mesh: Mesh,
+    values: NDArray[np.generic],
+    of_cells: bool,
+    choice: Choice,
+    path: Path,
+    valid: NDArray[np.bool_] | None = None,
 ) -> Field:
     """A mesh's field on a grid over its bounding box.
 
-    VTK interpolates in the cell around each sample. Outside the mesh the mask is False and values continue
-    those inside.
+    VTK interpolates in the cell around each sample. Outside the mesh, and in cells that have a missing value,
+    the mask is False and values continue those inside.
 
     Args:
         mesh: result of :meth:`Mesh.joined`.
         values: (points,), or (cells,), averaged to the points.
         of_cells: whether ``values`` belong to cells.
-        resolution: samples along the longest side; None for the default.
+        choice: its resolution and limits.
         path: the file, for messages.
+        valid: of the shape of ``values``, False for missing ones.
 
     Raises:
         DataError: values are no finite numbers, no cell has a volume, the mesh is flat, or no sample lies
             inside.
     """
-    n = DEFAULT_RESOLUTION if resolution is None else resolution
+    n = DEFAULT_RESOLUTION if choice.resolution is None else choice.resolution
     if not 2 <= n <= _MAX_RESOLUTION:
         raise DataError(
             path, f"resolution {n}", f"Choose 2 to {_MAX_RESOLUTION} samples along the longest side"
@@ -121,6 +127,18 @@ def resampled(
     if not solid.any():
         raise DataError(path, "has no cells with a volume", "Surfaces cannot be shown as volumes")
     counts = np.diff(mesh.ends, prepend=0)
+    corners = np.zeros(len(mesh.points), dtype=bool)
+    corners[mesh.connectivity[np.repeat(solid, counts)]] = True
+    box = mesh.points[corners].astype(np.float64)
+    low, high = box.min(axis=0), box.max(axis=0)
+    some = solid if of_cells else corners
+    found = shown(values[some], None if valid is None else valid[some], choice.limits, path)
+    if found.valid is not None:
+        usable = np.ones(len(values), dtype=bool)
+        usable[some] = found.valid
+        solid = solid & (usable if of_cells else _all_of(usable[mesh.connectivity], mesh.ends))
+    if not solid.any():
+        raise DataError(path, "has no cell whose values are all valid", "Choose another variable")
     connectivity = mesh.connectivity[np.repeat(solid, counts)]
     counts, types = counts[solid], mesh.types[solid]
     used, connectivity = np.unique(connectivity, return_inverse=True)
@@ -132,12 +150,6 @@ def resampled(
         at_points = (total / np.bincount(connectivity, minlength=len(used))).astype(kind)
     else:
         at_points = values[used].astype(kind)
-    bad = int(np.count_nonzero(~np.isfinite(at_points)))
-    if bad:
-        raise DataError(
-            path, f"{bad} of {len(used)} values are NaN or infinite", "Replace them by finite values"
-        )
-    low, high = points.min(axis=0), points.max(axis=0)
     sides = high - low
     longest = float(sides.max())
     if sides.min() <= 1e-6 * longest:
@@ -150,15 +162,24 @@ def resampled(
     grid, mask = _probe(local, connectivity, offsets, types, at_points, dims, spacing / longest)
     if not mask.any():
         raise DataError(path, "no sample lies inside the mesh", "Ask for a higher resolution")
-    value_range = (float(at_points.min()), float(at_points.max()))
-    finish.check_range(*value_range, path)
-    np.clip(grid, *value_range, out=grid)  # quadratic cells overshoot
+    np.clip(grid, at_points.min(), at_points.max(), out=grid)  # quadratic cells overshoot
+    value_range = (float(at_points.min()), float(at_points.max()))  # cells' values after averaging
+    if choice.limits.value_range not in (None, "all") or value_range[0] == value_range[1]:
+        value_range = found.value_range
     outside = not mask.all()
     if outside:
         fill_outside(grid, mask, value_range[0])
     size = (float(spacing[0]), float(spacing[1]), float(spacing[2]))
     vertices = (local - 0.5 * sides / longest).astype(np.float32)
-    return Field(grid, size, mask if outside else None, value_range, vertices, at_points)
+    shape = mask if outside else None
+    return Field(grid, size, shape, value_range, found.whole, vertices, at_points)
+
+
+def _all_of(flags: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Per cell, whether all of its flags are set."""
+    unset = np.concatenate([[0], np.cumsum(~flags)])
+    starts = np.concatenate([[0], ends[:-1]])
+    return np.asarray(unset[ends] == unset[starts])
 
 
 def _check_overlap(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,42 +12,103 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
+from datasets.readers.axes import notice
+from datasets.readers.fields import Variable, channels_of
 from datasets.readers.finish import Spacing, check_expansion, positive_dims, wrong_size
+from datasets.readers.single import Single
 
 _REMEDY = "Copy it again, or write it with nibabel as one 3-D scalar image"
+_NIFTI2 = (540, 0x1C020000)  # size of its header, in either byte order
 
 
-def read_nifti(path: Path) -> tuple[NDArray[np.generic], Spacing]:
-    """Values (nz, ny, nx) and voxel sizes; axes as in the file (the affine is not applied)."""
-    import nibabel
-
+def open_nifti(path: Path) -> Single:
+    """The field of a file, with its time steps; axes as in the file (the affine gives only distances)."""
     try:
-        image: Any = nibabel.load(path)
+        image: Any = _image(path)
         dims = tuple(int(n) for n in image.shape)
         dtype = image.header.get_data_dtype()
-        zooms = [abs(float(z)) for z in image.header.get_zooms()]
+        spacing = _spacing(path, image)
     except MemoryError:
         raise
     except Exception as error:  # damaged headers fail in nibabel in many ways
         raise DataError(path, f"is not a readable NIfTI image ({error})", _REMEDY) from error
     while len(dims) > 3 and dims[-1] == 1:
         dims = dims[:-1]
-    positive_dims(dims, path)
-    if dtype.kind not in "iuf" or dtype.itemsize > 8:
+    colors = len(dtype.names) if dtype.names else 0
+    # The fourth axis is time, the fifth holds components.
+    steps, components = (*dims[3:], 1, 1)[:2]
+    parts = max(components, colors)
+    if len(dims) < 3 or len(dims) > 5 or (colors and components > 1):
+        positive_dims(dims, path)
+    positive_dims(dims[:3], path)
+    if not colors and (dtype.kind not in "iuf" or dtype.itemsize > 8):
         raise DataError(path, f"values of type {dtype} are no scalar field", _REMEDY)
     expected, size = math.prod(dims) * dtype.itemsize, path.stat().st_size
-    if path.name.lower().endswith(".gz"):
+    if _is_gzip(path):
         check_expansion(path, size, expected, dims, dtype.name)
     elif size < expected:
         raise wrong_size(path, expected, f"{size} bytes", dims, dtype.name)
-    try:
-        values = np.asanyarray(image.dataobj)
-    except MemoryError:
-        raise
-    except Exception as error:  # a truncated or damaged stream
-        raise DataError(path, f"its values cannot be read ({error})", _REMEDY) from error
-    if values.dtype == np.float64 and dtype.itemsize < 4:
-        # Slope and intercept turned small integers into float64: single precision holds all their values.
-        values = values.astype(np.float32)
-    x, y, z = (zoom if zoom > 0.0 and math.isfinite(zoom) else 1.0 for zoom in zooms[:3])
-    return values.reshape(dims, order="F").transpose(2, 1, 0), (x, y, z)
+
+    def load(step: int) -> NDArray[np.generic]:
+        try:
+            if len(dims) == 3:
+                values = np.asanyarray(image.dataobj).reshape(dims, order="F")
+            else:
+                values = np.asanyarray(image.dataobj[:, :, :, step])
+        except MemoryError:
+            raise
+        except Exception as error:  # a truncated or damaged stream
+            raise DataError(path, f"its values cannot be read ({error})", _REMEDY) from error
+        if colors:
+            values = np.stack([values[name] for name in values.dtype.names], axis=-1)
+        values = values.reshape(*dims[:3], *([parts] if parts > 1 else []))
+        if values.dtype == np.float64 and dtype.itemsize < 4:
+            # Slope and intercept turned small integers into float64: single precision holds all their values.
+            values = values.astype(np.float32)
+        return np.asarray(values.transpose(2, 1, 0, *range(3, values.ndim)))
+
+    x, y, z = dims[:3]
+    channels = min(colors, 3) or channels_of(components, dtype)
+    variable = Variable("value", (x, y, z), steps, max(parts, 1), channels)
+    return Single(path, variable, load, spacing)
+
+
+def _is_gzip(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(2) == b"\x1f\x8b"
+
+
+def _image(path: Path) -> Any:
+    """The image of a file of any name."""
+    import nibabel
+
+    name = path.name.lower()
+    if name.endswith(".nii.gz" if _is_gzip(path) else ".nii"):
+        return nibabel.load(path)
+    file: Any = gzip.open(path) if _is_gzip(path) else path.open("rb")  # noqa: SIM115 (read on demand)
+    second = int.from_bytes(file.read(4), sys.byteorder) in _NIFTI2
+    kind = nibabel.Nifti2Image if second else nibabel.Nifti1Image
+    file.seek(0)
+    holder = nibabel.FileHolder(fileobj=file)
+    return kind.from_file_map({"header": holder, "image": holder})
+
+
+def _spacing(path: Path, image: Any) -> Spacing | None:
+    """Voxel sizes of the affine (sform, else qform), else pixdim; None where there is neither."""
+    import nibabel
+
+    sizes = [abs(float(zoom)) for zoom in image.header.get_zooms()[:3]]
+    known = all(math.isfinite(size) and size > 0.0 for size in sizes)
+    header = image.header
+    if max(int(header["sform_code"]), int(header["qform_code"])) > 0:
+        of_affine = [float(size) for size in nibabel.affines.voxel_sizes(image.affine)]
+        usable = all(math.isfinite(size) and size > 0.0 for size in of_affine)
+        if usable and not (known and np.allclose(of_affine, sizes, rtol=1e-3)):
+            given, other = _text(of_affine), _text(sizes)
+            notice(f"{path}: voxels are {given} by its affine, which counts, and {other} by its pixdim")
+            sizes, known = of_affine, True
+    return (sizes[0], sizes[1], sizes[2]) if known and len(sizes) == 3 else None
+
+
+def _text(sizes: list[float]) -> str:
+    return " x ".join(f"{size:g}" for size in sizes)

@@ -1,18 +1,21 @@
-"""NumPy ``.npy`` files of shape (nz, ny, nx), memory-mapped."""
+"""NumPy ``.npy`` files of shape (nz, ny, nx), or with a leading axis of time; memory-mapped."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.readers.finish import UNIT, Spacing
+from datasets.readers.container import Array
+from datasets.readers.fields import Variable
+from datasets.readers.single import Single
 
 
-def read_npy(path: Path) -> tuple[NDArray[np.generic], Spacing]:
-    """Values and unit spacing."""
+def open_npy(path: Path) -> Single:
+    """The field of a file; NumPy knows no spacing."""
     try:
         values = np.load(path, mmap_mode="r", allow_pickle=False)
     except MemoryError:
@@ -22,4 +25,16 @@ def read_npy(path: Path) -> tuple[NDArray[np.generic], Spacing]:
         raise DataError(path, f"is not a readable .npy file ({error})", remedy) from error
     if not isinstance(values, np.ndarray):
         raise DataError(path, "holds several arrays", "Save one array with numpy.save")
-    return values, UNIT
+    return of_array(path, values)
+
+
+def of_array(path: Path, values: NDArray[Any]) -> Single:
+    """A field by the conventions of arrays without names (:mod:`datasets.readers.arrays`)."""
+    from datasets.readers.arrays import variable_of
+
+    variable = variable_of(Array("value", values.shape, values.dtype, ("",) * values.ndim))
+    if variable is None or values.ndim == 3:  # what is no field is refused when its values are read
+        dims = (values.shape[2], values.shape[1], values.shape[0]) if values.ndim == 3 else (1, 1, 1)
+        return Single(path, Variable("value", dims), lambda _: values, None)
+    steps = values.reshape(variable.steps, *values.shape[-4 if variable.components > 1 else -3 :])
+    return Single(path, variable, lambda step: steps[step], None)

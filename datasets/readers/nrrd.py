@@ -10,7 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.readers.finish import UNIT, Spacing, positive_dims, read_values
+from datasets.readers.fields import Variable, channels_of
+from datasets.readers.finish import Spacing, positive_dims, read_values
+from datasets.readers.lengths import in_one_unit
+from datasets.readers.single import Single
 
 _DTYPES = {
     "uint8": ("uchar", "unsigned char", "uint8", "uint8_t"),
@@ -28,8 +31,16 @@ _DTYPES = {
 _REMEDY = "Write it again, for example with pynrrd: one scalar field, raw or gzip encoding"
 
 
-def read_nrrd(path: Path) -> tuple[NDArray[np.generic], Spacing]:
-    """Values (nz, ny, nx) and spacing; axes as in the file (orientation is not applied)."""
+_COMPONENTS = ("vector", "point", "normal", "gradient", "complex", "quaternion", "matrix")
+_COLORS = ("rgb-color", "rgba-color", "3-color", "4-color")
+_SPACE = ("domain", "space", "")
+
+
+def open_nrrd(path: Path) -> Single:
+    """The field of a file; axes as in the file (orientation is not applied).
+
+    A fourth axis holds components, if its kind says so, else time steps.
+    """
     import nrrd
 
     with path.open("rb") as file:
@@ -38,29 +49,66 @@ def read_nrrd(path: Path) -> tuple[NDArray[np.generic], Spacing]:
             sizes = tuple(int(n) for n in header["sizes"])
             kind, encoding = str(header["type"]), str(header["encoding"]).lower()
             big = header.get("endian", "little") == "big"
-            line_skip, byte_skip = (
+            skips = [
                 int(header.get(key, header.get(key.replace(" ", ""), 0)))
                 for key in ("line skip", "byte skip")
-            )
-            spacing = _spacing(header, len(sizes))
+            ]
+            apart = _apart(header, sizes)
+            spacing = _spacing(header, [i for i in range(len(sizes)) if i not in apart])
         except MemoryError:
             raise
         except Exception as error:  # a damaged header fails in pynrrd's parser in many ways
             raise DataError(path, f"has no readable NRRD header ({error!r})", _REMEDY) from error
-        if len(sizes) > 3 and sizes.count(1) == len(sizes) - 3:
-            sizes = tuple(n for n in sizes if n > 1)
-        positive_dims(sizes, path)
-        dtype = _dtype(kind, big, path)
-        detached = header.get("data file", header.get("datafile"))
-        if detached is None:
-            return _data(file, path, sizes, dtype, encoding, line_skip, byte_skip), spacing
+        start = file.tell()
+    dims = tuple(n for i, n in enumerate(sizes) if i not in apart)
+    positive_dims(dims, path)
+    positive_dims((*sizes, 1, 1, 1)[:3] if min(sizes) > 0 else sizes[:3], path)
+    dtype = _dtype(kind, big, path)
+    detached = header.get("data file", header.get("datafile"))
     if isinstance(detached, list) or "%" in str(detached) or str(detached).startswith("LIST"):
         raise DataError(path, "its data lie in several files", _REMEDY)
-    beside = path.parent / str(detached)
-    if not beside.is_file():
-        raise DataError(path, f"its data file {beside} does not exist", "Keep header and data together")
-    with beside.open("rb") as file:
-        return _data(file, beside, sizes, dtype, encoding, line_skip, byte_skip), spacing
+    at = path if detached is None else path.parent / str(detached)
+    if not at.is_file():
+        raise DataError(path, f"its data file {at} does not exist", "Keep header and data together")
+    x, y, z = dims
+    others = [(i, sizes[i]) for i in apart if sizes[i] > 1]
+    kinds = [str(k).lower() for k in header.get("kinds", [])] or [""] * len(sizes)
+    axis, count = others[0] if others else (0, 1)
+    colors = bool(others) and kinds[axis] in _COLORS
+    vector = colors or (bool(others) and any(word in kinds[axis] for word in _COMPONENTS))
+
+    def load(step: int) -> NDArray[np.generic]:
+        with at.open("rb") as file:
+            file.seek(start if detached is None else 0)
+            values = _data(file, at, sizes, dtype, encoding, *skips)
+        values = np.moveaxis(values, [len(sizes) - 1 - i for i in apart], range(len(apart)))
+        values = values.reshape(-1, z, y, x)
+        return np.moveaxis(values, 0, -1) if vector else values[step]
+
+    steps, components = (1, count) if vector else (count, 1)
+    channels = min(count, 3) if colors else channels_of(components, dtype)
+    variable = Variable("value", (x, y, z), steps, components, channels)
+    return Single(path, variable, load, spacing)
+
+
+def _apart(header: dict[str, Any], sizes: tuple[int, ...]) -> list[int]:
+    """Axes that are not of space: by their kinds, else by their directions, else of one sample or last."""
+    if len(sizes) <= 3:
+        return []
+    kinds = [str(kind).lower() for kind in header.get("kinds", [])]
+    directions = header.get("space directions")
+    if len(kinds) == len(sizes):
+        found = [i for i, kind in enumerate(kinds) if kind not in _SPACE]
+    elif directions is not None and len(directions) == len(sizes):
+        found = [
+            i for i, row in enumerate(directions) if row is None or np.isnan(np.asarray(row, float)).all()
+        ]
+    else:
+        found = []
+    if len(sizes) - len(found) != 3:
+        ones = [i for i, n in enumerate(sizes) if n == 1]
+        found = ones if len(sizes) - len(ones) == 3 else [3] if len(sizes) == 4 else []
+    return found if sum(sizes[i] > 1 for i in found) <= 1 else []
 
 
 def _dtype(kind: str, big: bool, path: Path) -> np.dtype:
@@ -70,19 +118,24 @@ def _dtype(kind: str, big: bool, path: Path) -> np.dtype:
     raise DataError(path, f"unknown type {kind!r}", f"Known types: {', '.join(_DTYPES)}")
 
 
-def _spacing(header: dict[str, Any], axes: int) -> Spacing:
-    """Length of each space direction, or the plain spacings; 1 for an axis without either."""
+def _spacing(header: dict[str, Any], axes: list[int]) -> Spacing | None:
+    """Length of each space direction, or the plain spacings, in one unit; None where an axis has neither."""
     if "space directions" in header:
-        rows = [np.asarray(row, dtype=np.float64) for row in header["space directions"]]
-        lengths = [float(np.linalg.norm(row)) for row in rows]
+        rows = list(header["space directions"])
+        lengths = [math.nan if row is None else float(np.linalg.norm(np.asarray(row, float))) for row in rows]
     elif "spacings" in header:
         lengths = [float(s) for s in header["spacings"]]
     else:
-        return UNIT
-    if axes > 3:  # only their size tells which axes vanish
-        lengths = [s for s, n in zip(lengths, header["sizes"], strict=True) if n > 1]
-    x, y, z = (s if math.isfinite(s) else 1.0 for s in lengths)
-    return abs(x), abs(y), abs(z)
+        return None
+    units = [str(unit) for unit in header.get("units", header.get("space units", []))]
+    lengths = [lengths[i] for i in axes]
+    if len(units) == len(header["sizes"]):
+        units = [units[i] for i in axes]
+    if len(units) == len(lengths):
+        lengths = in_one_unit(lengths, units) or lengths
+    if len(lengths) != 3 or not all(math.isfinite(s) and s != 0.0 for s in lengths):
+        return None
+    return abs(lengths[0]), abs(lengths[1]), abs(lengths[2])
 
 
 def _data(

@@ -168,8 +168,9 @@ class Stored:
         self.arrays: dict[str, Array] = {}
         for answer in self._child.ask(list=True)[0]["entries"]:
             shape, dtype = tuple(answer["shape"]), np.dtype(answer["dtype"])
-            name, dims = answer["name"], tuple(answer["dims"])
-            self.arrays[name] = Array(name, shape, dtype, dims, answer["attributes"])
+            name, dims, spacing = answer["name"], tuple(answer["dims"]), answer.get("spacing")
+            size = None if spacing is None else (spacing[0], spacing[1], spacing[2])
+            self.arrays[name] = Array(name, shape, dtype, dims, answer["attributes"], size)
 
     def read(self, name: str, first: int | None = None) -> NDArray[Any]:
         """An array, or its part at one index of its first dimension."""
@@ -184,7 +185,13 @@ class Foreign:
         self._child = Sandbox(path, library)
         answer, _ = self._child.ask(list=True)
         self.variables = tuple(
-            Variable(v["name"], tuple(v["dims"]) if v["dims"] else None, v["steps"], v["components"])
+            Variable(
+                v["name"],
+                tuple(v["dims"]) if v["dims"] else None,
+                v["steps"],
+                v["components"],
+                v.get("channels", 0),
+            )
             for v in answer["variables"]
         )
         if not self.variables:
@@ -194,18 +201,18 @@ class Foreign:
     def read(self, choice: Choice) -> Field:
         """The values of one choice."""
         answer, parts = self._child.ask(read=choice.variable.name, step=choice.step)
-        values = scalar(parts["values"], choice)
+        values = scalar(parts["values"], choice, self.path)
         if "points" in parts:
             from datasets.readers.mesh import Mesh, resampled
 
             mesh = Mesh(parts["points"], parts["connectivity"], parts["ends"], parts["types"])
             checked = Mesh.joined([mesh], self.path)
-            return resampled(checked, values, answer["of_cells"], choice.resolution, self.path)
+            return resampled(checked, values, answer["of_cells"], choice, self.path)
         from datasets.readers.axes import place
 
         axes = [parts.get(name) for name in "xyz"]
         mask = parts["mask"].view(np.bool_) if "mask" in parts else None
-        return place(values, axes, self.path, mask)
+        return place(values, axes, self.path, choice.limits, mask)
 
 
 def _start(options: list[str], stderr: Any) -> subprocess.Popen[bytes]:

@@ -89,10 +89,10 @@ class LegacyFile:
         if components > 1:
             values = values.reshape(tuples, components)
         if self._kind == "UNSTRUCTURED_GRID":
-            return resampled(self._mesh(), scalar(values, choice), of_cells, choice.resolution, self.path)
+            return resampled(self._mesh(), scalar(values, choice, self.path), of_cells, choice, self.path)
         shape = tuple(reversed(self._sample_dims(of_cells)))
         values = values.reshape(*shape, *values.shape[1:])
-        values = scalar(values, choice)
+        values = scalar(values, choice, self.path)
         axes: list[NDArray[np.generic] | None] = []
         for i, name in enumerate("xyz"):
             positions = self._axes.get(name)
@@ -100,7 +100,7 @@ class LegacyFile:
                 positions = self._spacing[i] * np.arange(self._dims[i], dtype=np.float64)
             wide = positions.astype(np.float64)
             axes.append(0.5 * (wide[1:] + wide[:-1]) if of_cells else positions)
-        return place(values, axes, self.path)
+        return place(values, axes, self.path, choice.limits)
 
     def _sample_dims(self, of_cells: bool) -> tuple[int, int, int]:
         x, y, z = (max(n - of_cells, 1) for n in self._dims or (1, 1, 1))

@@ -36,6 +36,7 @@ class Hdf5:
             if isinstance(item, h5py.Dataset) and item.shape is not None and item.dtype.kind in "iufbS":
                 about = {"name": name, "shape": item.shape, "dtype": item.dtype.str}
                 attributes = _attributes(item)
+                about["spacing"] = _spacing(attributes)
                 if not str(attributes.get("NAME", "")).startswith(_NO_POSITIONS):
                     entries.append({**about, "dims": _dims(item), "attributes": attributes})
             return True if len(entries) >= _MOST else None
@@ -89,7 +90,19 @@ def _attributes(item: h5py.Dataset) -> dict[str, Any]:
             entries[name] = np.ravel(value).tolist()
         elif isinstance(value, str):
             entries[name] = value
+    if "_FillValue" not in entries and item.dtype.kind in "iuf" and item.dtype.itemsize > 1:
+        plist = item.id.get_create_plist()
+        if plist.fill_value_defined() == h5py.h5d.FILL_VALUE_USER_DEFINED and item.fillvalue != 0:
+            entries["_FillValue"] = [item.fillvalue.item()]
     return entries
+
+
+def _spacing(attributes: dict[str, Any]) -> list[float] | None:
+    """Sample distances along x, y, z, which pictures of microscopes have as an attribute (z, y, x)."""
+    sizes = attributes.get("element_size_um")
+    if not isinstance(sizes, list) or len(sizes) < 3 or min(sizes[-3:]) <= 0:
+        return None
+    return [float(n) for n in sizes[:-4:-1]]
 
 
 def _pieces(

@@ -12,6 +12,11 @@ from numpy.typing import NDArray
 
 from datasets.errors import DataError
 from datasets.readers.child.parts import Slabs
+from datasets.readers.fields import channels_of
+from datasets.readers.lengths import in_one_unit
+
+_COLORS = (2, 5, 6, 8)
+"""TIFF's photometric interpretations with colors: RGB, CMYK, YCbCr, Lab."""
 
 PICTURES = (".tif", ".tiff", ".png")
 
@@ -36,12 +41,13 @@ class Stack:
         _check_pages(path, self._file)
         # Three axes are z, y, x whatever their letters; of more, T is time and S or C are components.
         self._order = _order(self._letters, self._shape, path)
+        self._channels = _channels(series.keyframe, self._sizes()[-1], "C" in self._letters)
 
     def contents(self) -> dict[str, Any]:
-        """Dims, steps and components of its only variable."""
+        """Dims, steps, components and channels of its only variable."""
         steps, *dims, components = self._sizes()
-        variable = {"name": "value", "dims": dims[::-1], "steps": steps, "components": components}
-        return {"variables": [variable]}
+        about = {"name": "value", "dims": dims[::-1], "steps": steps, "components": components}
+        return {"variables": [{**about, "channels": self._channels}]}
 
     def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Values (z, y, x) or (z, y, x, components), and positions where the file has distances."""
@@ -56,19 +62,57 @@ class Stack:
         return [self._shape[at] if at >= 0 else 1 for at in self._order]
 
     def _positions(self, shape: tuple[int, ...]) -> dict[str, NDArray[Any]]:
-        """ImageJ's and OME's distances."""
-        x = y = z = None
-        if self._file.is_imagej and self._file.imagej_metadata:
-            z = self._file.imagej_metadata.get("spacing")
+        """ImageJ's and OME's distances along the axes, of which the file has them."""
+        distances: list[float | None] | None = None
+        if self._file.is_ome and self._file.ome_metadata:
+            distances = _of_ome(self._file.ome_metadata)
+        elif self._file.is_imagej and self._file.imagej_metadata:
             tags = self._file.pages.first.tags
             x, y = (_distance(tags.get(f"{axis}Resolution")) for axis in "XY")
-        elif self._file.is_ome and self._file.ome_metadata:
-            found = dict(re.findall(r'PhysicalSize([XYZ])="([^"]+)"', self._file.ome_metadata))
-            x, y, z = (float(found[axis]) if axis in found else None for axis in "XYZ")
-        if not (x and y and z):
+            z = self._file.imagej_metadata.get("spacing")
+            first = str(self._file.imagej_metadata.get("unit", ""))
+            units = [first, *(str(self._file.imagej_metadata.get(f"{axis}unit", first)) for axis in "yz")]
+            distances = _in_one_unit([x, y, None if z is None else abs(float(z))], units)
+        if distances is None:
             return {}
-        distances = zip("zyx", (z, y, x), shape, strict=False)
-        return {name: distance * np.arange(n, dtype=np.float64) for name, distance, n in distances}
+        along = zip("xyz", distances, shape[2::-1], strict=True)
+        return {name: d * np.arange(n, dtype=np.float64) for name, d, n in along if d is not None}
+
+
+def _of_ome(text: str) -> list[float | None] | None:
+    """Distances x, y, z of the first image, in one unit; None for an axis without."""
+    from xml.etree import ElementTree
+
+    try:
+        pixels = next(e for e in ElementTree.fromstring(text).iter() if e.tag.rpartition("}")[2] == "Pixels")
+        sizes = [pixels.get(f"PhysicalSize{axis}") for axis in "XYZ"]
+        lengths = [None if size is None else float(size) for size in sizes]
+    except (ElementTree.ParseError, StopIteration, ValueError):
+        return None
+    return _in_one_unit(lengths, [pixels.get(f"PhysicalSize{axis}Unit", "µm") for axis in "XYZ"])
+
+
+def _in_one_unit(distances: list[float | None], units: list[str]) -> list[float | None] | None:
+    """Distances in the unit of the first of them; None for those that are not known."""
+    known = [i for i, d in enumerate(distances) if d is not None and np.isfinite(d) and d > 0.0]
+    scaled = in_one_unit([distances[i] or 0.0 for i in known], [units[i] for i in known])
+    if not known or scaled is None:
+        return None
+    result: list[float | None] = [None] * 3
+    for i, length in zip(known, scaled, strict=True):
+        result[i] = length
+    return result
+
+
+def _channels(page: Any, components: int, of_stack: bool) -> int:
+    """How many of the components are channels of a picture, before those that are alpha."""
+    if components == 1:
+        return 0
+    if of_stack:
+        return components
+    alpha = sum(extra in (1, 2) for extra in page.extrasamples)
+    colors = int(page.photometric) in _COLORS or components - alpha == 1
+    return components - len(page.extrasamples) if colors else channels_of(components, page.dtype)
 
 
 def _check_pages(path: Path, file: Any) -> None:
@@ -93,7 +137,7 @@ def _order(letters: str, shape: tuple[int, ...], path: Path) -> list[int]:
     components = [at for at in axes if letters[at] in "SC" and len(axes) > 3]
     time = [at for at in axes if letters[at] == "T" and len(axes) > 3]
     rest = [at for at in axes if at not in components + time]
-    if len(components) > 1 or len(time) > 1 or len(rest) != 3:
+    if len(components) > 1 or len(time) > 1 or len(rest) != 3 or (len(axes) == 3 and "S" in letters):
         sizes = " x ".join(f"{n} ({letter})" for letter, n in zip(letters, shape, strict=True))
         raise DataError(path, f"has the axes {sizes}", "Write one stack of pages: z, y, x")
     return [*(time or [-1]), *rest, *(components or [-1])]
@@ -104,7 +148,7 @@ class Folder:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        pictures = [f for f in sorted(path.iterdir()) if f.suffix.lower() in PICTURES]
+        pictures = [f for f in sorted(path.iterdir()) if f.suffix.lower() in PICTURES and f.is_file()]
         kinds = {f.suffix.lower()[:4] for f in pictures}
         if len(kinds) != 1:
             raise DataError(
@@ -120,14 +164,14 @@ class Folder:
             numbers[file] = int(digits[-1])
         self._files = sorted(pictures, key=lambda file: numbers[file])
         _check_numbers(path, [numbers[file] for file in self._files])
-        first = _picture(self._files[0])
+        first, self._channels = _picture(self._files[0])
         self._shape, self._dtype = (len(self._files), *first.shape), first.dtype
 
     def contents(self) -> dict[str, Any]:
-        """Dims and components of its only variable."""
+        """Dims, components and channels of its only variable."""
         z, y, x, *components = self._shape
-        variable = {"name": "value", "dims": [x, y, z], "steps": 1, "components": (*components, 1)[0]}
-        return {"variables": [variable]}
+        about = {"name": "value", "dims": [x, y, z], "steps": 1, "components": (*components, 1)[0]}
+        return {"variables": [{**about, "channels": self._channels}]}
 
     def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, Slabs]]:
         """Values (z, y, x) or (z, y, x, components), slice by slice."""
@@ -136,8 +180,8 @@ class Folder:
 
     def _slices(self) -> Any:
         for file in self._files:
-            values = _picture(file)
-            if values.shape != self._shape[1:] or values.dtype != self._dtype:
+            values, channels = _picture(file)
+            if (values.shape, values.dtype, channels) != (self._shape[1:], self._dtype, self._channels):
                 raise DataError(file, "differs in size or type from the first slice", "Copy it again")
             yield values
 
@@ -152,18 +196,26 @@ def _check_numbers(path: Path, numbers: list[int]) -> None:
         raise DataError(path, f"a slice is missing after number {after}", "Copy all slices, or renumber them")
 
 
-def _picture(file: Path) -> NDArray[Any]:
-    """(y, x), or (y, x, components)."""
+def _picture(file: Path) -> tuple[NDArray[Any], int]:
+    """(y, x), or (y, x, components), and the number of channels among the components."""
     if file.suffix.lower() == ".png":
         from PIL import Image
 
         with Image.open(file, formats=["PNG"]) as image:
             if image.mode == "P":
                 raise DataError(file, "has a palette", "Write it in gray, 8 or 16 bits")
-            values = np.asarray(image.convert("RGB") if image.mode == "RGBA" else image)
-            return values.astype(np.uint16) if image.mode.startswith("I") else values
+            values = np.asarray(image)
+            values = values.astype(np.uint16) if image.mode.startswith("I") else values
+            return values, {"LA": 1, "RGB": 3, "RGBA": 3}.get(image.mode, 0)
     import tifffile
 
     with tifffile.TiffFile(file) as tiff:
         _check_pages(file, tiff)
-        return np.asarray(tiff.series[0].asarray().squeeze())
+        series = tiff.series[0]
+        values = np.asarray(series.asarray().squeeze())
+        if values.ndim == 3 and series.axes.endswith("YX"):  # planes of components
+            values = np.moveaxis(values, 0, -1)
+        if values.ndim not in (2, 3):
+            text = " x ".join(map(str, values.shape))
+            raise DataError(file, f"is {values.ndim}-D data ({text})", "Write one slice in each file")
+        return values, _channels(series.keyframe, (*values.shape, 1)[2], "C" in series.axes)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -10,8 +13,11 @@ import zarr
 from numpy.typing import NDArray
 
 from datasets.readers.child.parts import Slabs
+from datasets.readers.lengths import in_one_unit
 
 _MOST = 10_000
+_AXES = {"time": "t", "channel": "c"}
+"""Names of OME-Zarr's axes by their types."""
 
 
 def open_source(path: str) -> Store:
@@ -43,21 +49,53 @@ class Store:
         self._path = path
         root = zarr.open(path, mode="r")
         self._arrays: dict[str, zarr.Array] = {}
+        self._images: dict[str, tuple[list[str], list[float] | None]] = {}  # OME-Zarr: axes, spacing
+        self._levels: list[str] = []
         if isinstance(root, zarr.Array):
             self._arrays["value"] = root
         else:
             for name, member in root.members(max_depth=None):
                 if isinstance(member, zarr.Array) and len(self._arrays) < _MOST:
                     self._arrays[name] = member
+                elif isinstance(member, zarr.Group):
+                    self._add_images(f"{name}/", member)
+            self._add_images("", root)
+
+    def _add_images(self, prefix: str, group: zarr.Group) -> None:
+        """Note the images of an OME-Zarr group: of each its finest level, with its axes and distances."""
+        attributes = group.attrs.asdict()
+        ome = attributes.get("ome")
+        images = (ome if isinstance(ome, dict) else attributes).get("multiscales")
+        for image in images if isinstance(images, list) else []:
+            try:
+                levels = [f"{prefix}{level['path']}" for level in image["datasets"]]
+                scale = np.ones(len(image["axes"])) if image.get("axes") else None
+                for steps in (image["datasets"][0], image):
+                    for step in steps.get("coordinateTransformations", []):
+                        if scale is not None and step.get("type") == "scale":
+                            scale = scale * np.asarray(step["scale"], dtype=np.float64)
+                axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in image.get("axes", [])]
+                names = [_AXES.get(str(axis.get("type")), str(axis["name"])) for axis in axes]
+                units = [str(axis.get("unit", "")) for axis in axes[-3:]]
+                said = any("coordinateTransformations" in part for part in (image["datasets"][0], image))
+                spacing = None if scale is None or not said else in_one_unit(scale[-3:].tolist(), units)
+            except (KeyError, TypeError, ValueError, AttributeError):
+                continue  # not as the specification says: plain arrays
+            self._images[levels[0]] = names, spacing[::-1] if spacing is not None else None
+            self._levels += levels[1:]
 
     def contents(self) -> dict[str, Any]:
         """Name, shape, type, dimensions and attributes of each array."""
         entries = []
         for name, array in self._arrays.items():
-            if array.dtype.kind in "iufb":
+            if array.dtype.kind in "iufb" and name not in self._levels:
                 entry = {"name": name, "shape": array.shape, "dtype": array.dtype.str}
-                entries.append({**entry, "dims": _dims(name, array), "attributes": _attributes(array)})
-        return {"entries": entries}
+                axes, spacing = self._images.get(name, ([], None))
+                dims = axes if len(axes) == array.ndim else _dims(name, array)
+                entries.append({**entry, "dims": dims, "attributes": _attributes(array), "spacing": spacing})
+        levels = [name for name in self._levels if name in self._arrays]
+        left_out = f"smaller copies of its images are left out: {', '.join(levels[:8])}"
+        return {"entries": entries} | ({"notice": left_out} if levels else {})
 
     def read(self, read: str, first: int | None) -> tuple[dict[str, Any], dict[str, Slabs]]:
         """An array, or its part at one index of the first axis."""
@@ -96,4 +134,10 @@ def _attributes(array: Any) -> dict[str, Any]:
             entries[name] = value
         elif len(numbers) <= 100 and all(isinstance(n, int | float) for n in numbers):
             entries[name] = numbers
+    if "_ARRAY_DIMENSIONS" in array.attrs and "_FillValue" not in entries and array.fill_value is not None:
+        entries["_FillValue"] = [array.fill_value.item()]  # xarray keeps it there in version 2
+    fill = entries.get("_FillValue")
+    if isinstance(fill, str) and array.dtype.kind == "f":
+        with suppress(ValueError, struct.error):  # xarray's form in version 3: a double in base 64
+            entries["_FillValue"] = list(struct.unpack("<d", base64.b64decode(fill, validate=True)))
     return entries
