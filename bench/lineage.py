@@ -28,14 +28,21 @@ class Lineage:
 
     def __init__(self, records: Iterable[Record]) -> None:
         self.by_id = {record.job.id: record for record in records}
+        self._needed: dict[tuple[str, str], list[Record]] = {}
 
     def __iter__(self) -> Iterator[Record]:
         return iter(self.by_id.values())
 
     def needed(self, record: Record | None, kind: str) -> list[Record]:
         """The jobs of a kind that a job needs; none if the store lacks any of them."""
-        names = [n for n in record.job.needs if n.startswith(f"{kind}-")] if record is not None else []
-        return [self.by_id[name] for name in names] if all(name in self.by_id for name in names) else []
+        if record is None:
+            return []
+        key = (record.job.id, kind)
+        if key not in self._needed:  # a stranger's jobs may all need the same long list
+            names = [name for name in record.job.needs if name.startswith(f"{kind}-")]
+            whole = all(name in self.by_id for name in names)
+            self._needed[key] = [self.by_id[name] for name in names] if whole else []
+        return self._needed[key]
 
     def models(self, record: Record) -> list[Model]:
         """The models that a fit, encode or measure job is about: several of a composition."""

@@ -20,6 +20,7 @@ Kind = Literal["views", "dvr", "complexity", "partition", "fit", "encode", "meas
 Status = Literal["ok", "failed", "oom", "timeout", "diverged", "refused"]
 Whole = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
+Metrics = Annotated[dict[str, float | None], Field(max_length=100)]
 Value = bool | Whole | float | str
 Key = Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
 """Hash of an identity (:func:`hash_of`): names of folders are made of it."""
@@ -358,7 +359,7 @@ class ViewResult(_Model):
     """Metrics of one view; a metric that cannot be computed is None."""
 
     view: str
-    metrics: dict[str, float | None]
+    metrics: Metrics
     identical: bool
     truth_file: str
     render_file: str
@@ -396,7 +397,7 @@ class MeasureResult(FrameTimes):
     load_seconds: float
     timing: dict[str, float]
     primitives: Count
-    metrics: dict[str, float | None]
+    metrics: Metrics
     missing: dict[str, str]
     views: list[ViewResult]
     flicker: float | None = None

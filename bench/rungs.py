@@ -17,6 +17,8 @@ from methods.options import label
 
 FILE = "ladders.json"
 """File of a run store with the ladders of the suites that were run into it."""
+_MOST_VALUES = 20_000
+"""Values of that file, at which every measurement looks; committed ones have hundreds."""
 
 
 def remember(store: Store, ladders: Iterable[Ladder]) -> None:
@@ -38,7 +40,7 @@ def ladders_of(root: Path) -> list[Ladder]:
     if not path.is_file():
         return []
     try:
-        return [ladder_of(table, str(path)) for table in json_of(path.read_bytes())]
+        return [ladder_of(table, str(path)) for table in json_of(path.read_bytes(), _MOST_VALUES)]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise DataError(path, f"holds no ladders ({error})", "Delete it, and run the suite again") from error
 

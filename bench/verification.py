@@ -218,7 +218,8 @@ def views(record: Record, evidence: Evidence) -> Iterator[str]:
     source = _views_job(record)
     truth = evidence.truth_files.get((source, job.split), [])
     if [view.truth_file for view in measure.views] != truth:
-        first = next((v.truth_file for v in measure.views if v.truth_file not in truth), "")
+        known = set(truth)
+        first = next((v.truth_file for v in measure.views if v.truth_file not in known), "")
         yield f"has {number} views, and its truth {len(truth)}" + (f", not {first}" if first else "")
     request = job.request
     asked = len(split_indices(request.test_views if job.split == "test" else request.train_views, job.split))

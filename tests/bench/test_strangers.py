@@ -253,6 +253,29 @@ def figures(files) -> None:
     files[record_of(files)] = sealed(json.dumps(values)).encode()
 
 
+def columns(files) -> None:
+    name = next(name for name in files if name.endswith("views.csv"))
+    head, _, rest = files[name].partition(b"\n")
+    files[name] = b",".join([head.split(b",")[0]] * 3_000_000) + b"\n" + rest
+
+
+def cells(files) -> None:
+    name = next(name for name in files if name.endswith("jobs.csv"))
+    files[name] = files[name].partition(b"\n")[0] + b"\n" + b"ab," * (20 << 20)
+
+
+def ladders(files) -> None:
+    files["ladders.json"] = json.dumps([{"name": "a", "title": "", "rungs": [{}] * 300_000}]).encode()
+
+
+def many_metrics(files) -> None:
+    name = next(name for name in files if name.startswith("jobs/measure-"))
+    values = json.loads(unsealed(files[name].decode()))
+    values["measure"]["metrics"] = {f"m{number}": 1.0 for number in range(200_000)}
+    values["measure"]["views"] *= 20_000
+    files[name] = sealed(json.dumps(values)).encode()
+
+
 def manifest_values(files) -> None:
     files[MANIFEST] = b'{"format": 1, "environments": [' + b"{}," * 10_000_000 + b"{}]}"
 
@@ -265,7 +288,19 @@ def manifest_length(files) -> None:
     files[MANIFEST] = b" " * (100 << 20)
 
 
-BOMBS = (many_values, nested, zeros, figures, manifest_values, manifest_depth, manifest_length)
+BOMBS = (
+    many_values,
+    nested,
+    zeros,
+    figures,
+    columns,
+    cells,
+    ladders,
+    many_metrics,
+    manifest_values,
+    manifest_depth,
+    manifest_length,
+)
 
 
 @pytest.mark.parametrize("bomb", BOMBS)
