@@ -1,4 +1,4 @@
-"""Volume files: one reader per format, chosen by the file's suffix, or by what a folder holds.
+"""Volume files: one reader per format, chosen by the first bytes, the suffix, or what a folder holds.
 
 ``.raw`` and ``.raw.gz`` (:mod:`~datasets.readers.raw`), ``.npy``, NRRD and NIfTI hold one field. All others
 hold variables by name, some with time steps. What VTK, SimpleITK, tifffile, h5py and zarr read, they read in
@@ -8,10 +8,12 @@ a process of their own (:mod:`~datasets.readers.sandbox`). Every fault of a file
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datasets.errors import DataError
+from datasets.readers import content
 
 if TYPE_CHECKING:
     from datasets.readers.container import Container
@@ -28,6 +30,8 @@ _SINGLE = {
     ".nhdr": "nrrd",
     ".nii": "nifti",
     ".nii.gz": "nifti",
+    ".img": "nifti",
+    ".hdr": "nifti",
 }
 _CONTAINERS = {
     ".npz": "npz",
@@ -52,14 +56,22 @@ _CONTAINERS = {
     **dict.fromkeys((".slc", ".case", ".xdmf", ".xmf", ".foam", ".xyz", ".q"), "vtk_data"),
 }
 _FORMATS = _SINGLE | _CONTAINERS
+_KEPT_IN = {
+    **dict.fromkeys((".hdf5", ".hdf", ".nc", ".nc4", ".ex2", ".exo", ".e", ".vtkhdf"), (".h5", ".nc")),
+    **dict.fromkeys((".nhdr", ".tiff", ".mha"), (".nrrd", ".tif", ".mhd")),
+    **dict.fromkeys((".img", ".hdr"), (".nii",)),
+    ".nii.gz": (".nii",),
+    ".nii": (".nii.gz",),
+    ".xmf": (".xdmf",),
+}
+"""Suffix -> contents that it goes together with."""
 _LOOK = 20
 """Files of a folder that are looked into for DICOM."""
 
 
 def suffix_of(path: Path) -> str:
     """The suffix of a known volume format, else ""."""
-    name = path.name.lower()
-    return max((s for s in _FORMATS if name.endswith(s)), key=len, default="")
+    return content.suffix_of(path, set(_FORMATS))
 
 
 def folder_kind(path: Path) -> str:
@@ -77,17 +89,16 @@ def folder_kind(path: Path) -> str:
     if names & {".zgroup", ".zarray", ".zmetadata", "zarr.json"} or suffix_of(path) == ".zarr":
         return "zarr"
     files = [file for file in files if file.is_file()]
-    if any(file.suffix.lower() in (".tif", ".tiff", ".png") for file in files):
-        return "slices"
-    if "DICOMDIR" in names or any(map(_is_dicom, files[:_LOOK])):
+    pictures = [file for file in files if file.suffix.lower() in (".tif", ".tiff", ".png")]
+    others = [file for file in files if file not in pictures]
+    if "DICOMDIR" in names or any(map(_is_dicom, others[:_LOOK])):
         return "itk"
-    return ""
+    return "slices" if pictures else ""
 
 
 def _is_dicom(file: Path) -> bool:
     with file.open("rb") as stream:
-        stream.seek(128)
-        return file.suffix.lower() == ".dcm" or stream.read(4) == b"DICM"
+        return file.suffix.lower() == ".dcm" or content.is_dicom(stream.read(132))
 
 
 def list_variables(path: Path | str) -> tuple[Variable, ...]:
@@ -184,10 +195,14 @@ def _kind(path: Path) -> str:
         return kind
     _check_file(path)
     suffix = suffix_of(path)
+    if _FORMATS.get(suffix) != "raw":  # which may begin with any bytes
+        found = content.suffix_by_content(path)
+        # Several formats are kept in HDF5, NetCDF or XML: there the name tells which.
+        suffix = suffix if found in _KEPT_IN.get(suffix, ()) else found or suffix
     if not suffix:
         reason = f"unknown volume format {path.suffix!r}" if path.suffix else "unknown volume format"
         remedy = (
-            f"Known are {', '.join(_FORMATS)}, and folders of DICOM files or of TIFF or PNG slices. "
+            "docs/reference/formats.md lists what is read. "
             "Convert it with ParaView (.vti) or 3D Slicer (.nrrd), or name raw values NAME_64x64x32_uint8.raw"
         )
         raise DataError(path, reason, remedy)
@@ -198,13 +213,11 @@ def _source(path: Path, kind: str) -> Source:
     if kind in _SINGLE.values():
         return _single(path, kind)
     if kind == "vtk_legacy":
-        from datasets.readers.vtk_legacy import LegacyFile
+        from datasets.readers.vtk_legacy import LeftToVtk, LegacyFile
 
-        return LegacyFile(path)
-    if kind == "exodus":
-        from datasets.readers.exodus import Exodus
-
-        return Exodus(path, _netcdf(path))
+        with suppress(LeftToVtk):
+            return LegacyFile(path)
+        kind = "vtk_data"
     from datasets.readers.sandbox import Foreign, Stored
 
     if kind in ("vtk_data", "itk", "slices"):
@@ -215,12 +228,16 @@ def _source(path: Path, kind: str) -> Source:
         from datasets.readers.npz import Npz
 
         return Arrays(path, Npz(path), missing=False)
-    if kind == "netcdf":
-        return Arrays(path, _netcdf(path), missing=True, netcdf=True)
-    stored = Stored(path, "zarr_store" if kind == "zarr" else "hdf5")
-    if kind == "hdf" and any(name.startswith("VTKHDF/") for name in stored.arrays):
+    if kind == "zarr":
+        return Arrays(path, Stored(path, "zarr_store"), missing=True)
+    container = _netcdf(path)
+    if kind == "exodus" or {"connect1", "eb_prop1"} <= set(container.arrays):
+        from datasets.readers.exodus import Exodus
+
+        return Exodus(path, container)
+    if any(name.startswith("VTKHDF/") for name in container.arrays):
         return Foreign(path, "vtk_data")
-    return Arrays(path, stored, missing=True)
+    return Arrays(path, container, missing=True, netcdf=kind == "netcdf")
 
 
 def _single(path: Path, kind: str) -> Single:

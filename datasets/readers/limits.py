@@ -87,18 +87,16 @@ def shown(
     valid = _without(values, valid, limits.missing)
     low, high = value_range(values, path, valid)
     bounds, whole, isolated = (low, high), None, None
-    rest = _rest(values, valid, low, high)
-    if rest is not None and limits.value_range != "all":
+    rest = None if limits.value_range == "all" else _rest(values, valid, low, high)
+    if rest is not None:
         a, b = rest
-        if limits.value_range is not None:
+        if isinstance(limits.value_range, tuple):
             a, b = min(a, limits.value_range[0]), max(b, limits.value_range[1])
         if low < a or high > b:
             valid, isolated, number = _within(values, valid, a, b)
             bounds, whole = rest, (low, high)
             _report(path, number, values.size, bounds, whole)
-    elif rest is not None:
-        _once(f"{path}: nearly all values lie from {rest[0]:g} to {rest[1]:g}: a `range` would show more")
-    if limits.value_range is not None and limits.value_range != "all":
+    if isinstance(limits.value_range, tuple):
         bounds = limits.value_range
         if not (math.isfinite(bounds[0]) and math.isfinite(bounds[1]) and bounds[0] < bounds[1]):
             raise DataError(path, f"range {list(bounds)} does not ascend", "Give the lower value first")

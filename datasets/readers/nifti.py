@@ -83,7 +83,7 @@ def _image(path: Path) -> Any:
     import nibabel
 
     name = path.name.lower()
-    if name.endswith(".nii.gz" if _is_gzip(path) else ".nii"):
+    if name.endswith((".img", ".hdr")) or name.endswith(".nii.gz" if _is_gzip(path) else ".nii"):
         return nibabel.load(path)
     file: Any = gzip.open(path) if _is_gzip(path) else path.open("rb")  # noqa: SIM115 (read on demand)
     second = int.from_bytes(file.read(4), sys.byteorder) in _NIFTI2
@@ -100,7 +100,7 @@ def _spacing(path: Path, image: Any) -> Spacing | None:
     sizes = [abs(float(zoom)) for zoom in image.header.get_zooms()[:3]]
     known = all(math.isfinite(size) and size > 0.0 for size in sizes)
     header = image.header
-    if max(int(header["sform_code"]), int(header["qform_code"])) > 0:
+    if "sform_code" in header and max(int(header["sform_code"]), int(header["qform_code"])) > 0:
         of_affine = [float(size) for size in nibabel.affines.voxel_sizes(image.affine)]
         usable = all(math.isfinite(size) and size > 0.0 for size in of_affine)
         if usable and not (known and np.allclose(of_affine, sizes, rtol=1e-3)):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import fcntl
 import json
-import logging
 import math
 import os
 import re
@@ -26,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
+from datasets.readers.axes import notice
 from datasets.readers.container import Array
 from datasets.readers.fields import Choice, Field, Variable, scalar
 from datasets.scratch import new_array
@@ -40,7 +40,10 @@ _MESSAGE = 300
 _HARMLESS = ("(Unknown Attribute Type None)",)
 """Lines on stderr that say nothing of the file: VTK's XDMF reader prints this for its own writer's files."""
 
-_log = logging.getLogger(__name__)
+_WARNINGS = ("WARN|", "WARNING: In ")
+"""Marks of VTK's and ITK's warnings, which do not end a reading."""
+_LOST = "missing slices"
+"""What ITK warns of although values are missing."""
 
 
 class Sandbox:
@@ -54,6 +57,7 @@ class Sandbox:
 
     def __init__(self, path: Path, library: str, needed: int = 0) -> None:
         self.path, self._library = path, library
+        self._warned = False
         size = _size(path) + needed // 4
         self._patience = PATIENCE + (size + needed) / _RATE
         options = [library, str(path.resolve()), str(_memory(size))]
@@ -84,11 +88,11 @@ class Sandbox:
             reason = answer["error"] + (f": {complaint}" if complaint else "")
             raise DataError(self.path, reason, answer.get("remedy", self._remedy))
         arrays = {part["name"]: self._receive(part) for part in answer.pop("arrays")}
-        complaint = self._complaint()
-        if complaint:
+        complaint, warned = self._complaint(), self._warned
+        if complaint and not warned:
             raise DataError(self.path, f"is damaged or unreadable: {complaint}", self._remedy)
-        if "notice" in answer:
-            _log.warning("%s: %s", self.path, answer["notice"])
+        for text in dict.fromkeys(filter(None, (answer.get("notice"), complaint))):
+            notice(f"{self.path}: {text}")
         return answer, arrays
 
     @property
@@ -139,6 +143,7 @@ class Sandbox:
         self._stderr.seek(0)
         text = self._stderr.read(1 << 16).decode("utf-8", "replace")
         text = "\n".join(line for line in text.splitlines() if not any(map(line.__contains__, _HARMLESS)))
+        self._warned = "ERR|" not in text and any(map(text.__contains__, _WARNINGS)) and _LOST not in text
         for mark in ("ERR|", "WARN|"):  # VTK's lines: date, time, thread, place, level, text
             text = text.split(mark, 1)[-1]
         text = re.split(r"\n\x1b?[^ \n]*\d{4}-\d\d-\d\d ", text)[0]

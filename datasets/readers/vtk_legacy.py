@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from datasets.errors import DataError
 from datasets.readers import finish
 from datasets.readers.axes import place
-from datasets.readers.fields import Choice, Field, Variable, scalar
+from datasets.readers.fields import Choice, Field, Variable, channels_of, scalar
 from datasets.readers.mesh import Mesh, resampled
 from datasets.readers.text import numbers_until
 
@@ -44,8 +44,23 @@ class _Array:
     colors: bool
 
 
+def _channels(array: _Array) -> int:
+    """Channels of colors among an array's components: the second or fourth one is alpha."""
+    if array.colors and array.components > 1:
+        return array.components - (array.components in (2, 4))
+    return channels_of(array.components, array.dtype)
+
+
+class LeftToVtk(Exception):
+    """A file has what this module does not parse and VTK itself does."""
+
+
 class LegacyFile:
-    """An open ``.vtk``."""
+    """An open ``.vtk``.
+
+    Raises:
+        LeftToVtk: it holds another kind of data, or an array of texts or bits.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -53,7 +68,7 @@ class LegacyFile:
         self._text = self._bytes.data
         self._at = 0
         first, _ = self._raw_line(), self._raw_line()
-        encoding = self._raw_line().strip().upper()
+        encoding = " ".join(self._line() or []).upper()
         if not first.startswith("# vtk DataFile") or encoding not in ("ASCII", "BINARY"):
             raise DataError(path, "is not a legacy VTK file", _REMEDY)
         self._binary = encoding == "BINARY"
@@ -72,7 +87,11 @@ class LegacyFile:
         dims = self._sample_dims
         self.variables = tuple(
             Variable(
-                name, dims(array.of_cells) if self._kind != "UNSTRUCTURED_GRID" else None, 1, array.components
+                name,
+                dims(array.of_cells) if self._kind != "UNSTRUCTURED_GRID" else None,
+                1,
+                array.components,
+                _channels(array),
             )
             for name, array in self._arrays.items()
         )
@@ -113,8 +132,7 @@ class LegacyFile:
                 case "DATASET":
                     self._kind = words[1].upper()
                     if self._kind not in _KINDS:
-                        remedy = f"Readable are {', '.join(_KINDS)}; resample others in ParaView"
-                        raise DataError(self.path, f"holds {self._kind}", remedy)
+                        raise LeftToVtk(self._kind)
                 case "DIMENSIONS":
                     self._dims = tuple(int(word) for word in words[1:4])
                     finish.positive_dims(self._dims, self.path)
@@ -221,7 +239,9 @@ class LegacyFile:
     def _skip(self, name: str, kind: str, components: int, tuples: int | None = None) -> None:
         """Record an array's place and skip it."""
         tuples = self._tuples if tuples is None else tuples
-        if kind.lower() in ("bit", "string", "vtkvariant") or tuples < 0 or components < 1:
+        if kind.lower() in ("bit", "string", "utf8_string", "vtkvariant", "variant"):
+            raise LeftToVtk(f"an array of type {kind}")
+        if tuples < 0 or components < 1:
             raise ValueError(f"an array of type {kind}")
         dtype = self._dtype(kind)
         start = self._at

@@ -12,8 +12,8 @@ import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-
-_SUFFIXES = (".mha", ".mhd")
+from datasets.readers.content import is_dicom, suffix_by_content
+from datasets.readers.fields import channels_of
 
 
 def open_source(path: str) -> Images:
@@ -26,8 +26,9 @@ class Images:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._files = _series(path) if path.is_dir() else {"value": [str(path)]}
-        if path.suffix.lower() == ".dcm":
+        self._files, self._notice = _series(path) if path.is_dir() else ({"value": [str(path)]}, "")
+        self._dicom = path.is_dir() or suffix_by_content(path) == ".dcm"
+        if path.is_file() and (self._dicom or path.suffix.lower() == ".dcm"):
             _check_dicom(path)
         if not self._files:
             raise DataError(path, "holds no DICOM series", "Check that its slices are there")
@@ -40,19 +41,20 @@ class Images:
             sizes = list(reader.GetSize())
             if len(files) > 1:
                 sizes[2:] = [len(files)]
-            dims = [*sizes, 1, 1][:3] if len(sizes) <= 3 or set(sizes[3:]) == {1} else sizes
-            if len(dims) != 3:
-                text = " x ".join(map(str, dims))
-                raise DataError(self._path, f"is {len(dims)}-D data ({text})", "Write one 3-D image")
-            entry = {"name": name, "dims": dims, "components": reader.GetNumberOfComponents()}
-            variables.append({**entry, "steps": 1})
-        return {"variables": variables}
+            dims, steps = [*sizes, 1, 1][:3], (*sizes[3:], 1)[0]
+            if max(sizes[4:], default=1) > 1:
+                text = " x ".join(map(str, sizes))
+                raise DataError(self._path, f"is {len(sizes)}-D data ({text})", "Write one 3-D image")
+            components = reader.GetNumberOfComponents()
+            kind = np.uint8 if reader.GetPixelID() == sitk.sitkVectorUInt8 or self._dicom else np.float32
+            entry = {"name": name, "dims": dims, "components": components, "steps": steps}
+            variables.append({**entry, "channels": channels_of(components, np.dtype(kind))})
+        return {"variables": variables} | ({"notice": self._notice} if self._notice else {})
 
     def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Values (z, y, x) or (z, y, x, components), and positions along the axes."""
-        del step
         files = self._files[read]
-        if self._path.suffix.lower() in _SUFFIXES:
+        if not self._dicom and self._path.suffix.lower() != ".dcm":
             _check_meta(self._path)
         if len(files) > 1:
             reader = sitk.ImageSeriesReader()
@@ -61,11 +63,29 @@ class Images:
         else:
             image = sitk.ReadImage(files[0])
         values = sitk.GetArrayFromImage(image)
-        while values.ndim - (image.GetNumberOfComponentsPerPixel() > 1) > 3:
+        while values.ndim - (image.GetNumberOfComponentsPerPixel() > 1) > 4:
             values = values[0]
+        if values.ndim - (image.GetNumberOfComponentsPerPixel() > 1) == 4:
+            values = values[step]
+        if not self._says_spacing(image):
+            return {"of_cells": False}, {"values": values}
         axes = zip("xyz", image.GetSpacing(), image.GetSize(), strict=False)
         positions = {name: spacing * np.arange(n, dtype=np.float64) for name, spacing, n in axes}
         return {"of_cells": False}, {"values": values, **positions}
+
+    def _says_spacing(self, image: Any) -> bool:
+        """Whether distances of one are the file's, and not what ITK takes without any."""
+        if set(image.GetSpacing()) != {1.0}:
+            return True
+        if self._dicom:
+            reader = _information(next(iter(self._files.values()))[0])
+            return any(reader.HasMetaDataKey(key) for key in ("0028|0030", "0018|1164", "5200|9229"))
+        return b"ElementS" in _head(self._path)  # ElementSpacing or ElementSize
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(4096).partition(b"ElementDataFile")[0]
 
 
 def _information(file: str) -> Any:
@@ -75,24 +95,30 @@ def _information(file: str) -> Any:
     return reader
 
 
-def _series(folder: Path) -> dict[str, list[str]]:
-    """Name of a variable -> the files of its series, in the order of their positions."""
+def _series(folder: Path) -> tuple[dict[str, list[str]], str]:
+    """Variable -> the files of its series, in the order of their positions; and what is no slice."""
+    strange = []
     for file in sorted(folder.iterdir()):
         if file.is_file() and file.name != "DICOMDIR":
-            _check_dicom(file)
+            with file.open("rb") as stream:
+                dicom = is_dicom(stream.read(132))
+            if dicom or (file.suffix.lower() == ".dcm" and file.stat().st_size):
+                _check_dicom(file)
+            else:
+                strange.append(file.name)
+    more = f" and {len(strange) - 5} more" if len(strange) > 5 else ""
+    notice = f"no DICOM files, and left out: {', '.join(strange[:5])}{more}" if strange else ""
     names = sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
     files = {}
     for number, series in enumerate(names):
         name = "value" if len(names) == 1 else f"series{number}"
         files[name] = list(sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series))
-    return files
+    return files, notice
 
 
 def _check_dicom(file: Path) -> None:
     """Refuse a DICOM file without whole pixel data: ITK fills what is missing with zeros."""
     with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        if data[128:132] != b"DICM" and file.suffix.lower() != ".dcm":
-            return
         at, whole = data.find(_PIXELS), False
         while at >= 0 and not whole:
             explicit = data[at + 4 : at + 6] in (b"OB", b"OW")

@@ -16,6 +16,8 @@ from vtkmodules.util.numpy_support import get_numpy_array_type, vtk_to_numpy
 from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline as Pipeline
 
 from datasets.errors import DataError
+from datasets.readers.content import suffix_by_content, suffix_of
+from datasets.readers.fields import channels_of
 
 READERS = {
     ".vti": "vtkIOXML.vtkXMLImageDataReader",
@@ -28,6 +30,7 @@ READERS = {
     ".pvtu": "vtkIOXML.vtkXMLPUnstructuredGridReader",
     ".vtkhdf": "vtkIOHDF.vtkHDFReader",
     ".hdf": "vtkIOHDF.vtkHDFReader",
+    ".vtk": "vtkIOLegacy.vtkDataSetReader",
     ".slc": "vtkIOImage.vtkSLCReader",
     ".case": "vtkIOEnSight.vtkGenericEnSightReader",
     ".xdmf": "vtkIOXdmf2.vtkXdmfReader",
@@ -51,9 +54,11 @@ class VtkData:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        if path.suffix.lower() in _IN_PIECES:
-            _check_pieces(path)
-        self._reader = _reader(path)
+        found = suffix_by_content(path) if path.is_file() and path.stat().st_size else ""
+        suffix = {".h5": ".vtkhdf"}.get(found, found) or suffix_of(path, set(READERS))
+        if suffix[1:].lstrip("p")[:2] == "vt" and suffix not in (".vtk", ".vtkhdf"):
+            _check_xml(path, suffix in _IN_PIECES)
+        self._reader = _reader(path, suffix)
         self._reader.UpdateInformation()
         self._check_code()
         information = self._reader.GetOutputInformation(0)
@@ -71,9 +76,11 @@ class VtkData:
             entry = {
                 "name": name,
                 "dims": dims,
-                "components": array.GetNumberOfValues() // self._count(of_cells),
+                "components": array.GetNumberOfComponents(),
             }
-            variables.append({**entry, "steps": steps})
+            kind = np.dtype(get_numpy_array_type(array.GetDataType()))
+            channels = channels_of(entry["components"], kind)
+            variables.append({**entry, "steps": steps, "channels": channels})
         return {"variables": variables}
 
     def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -128,14 +135,17 @@ class VtkData:
         return arrays
 
 
-def _reader(path: Path) -> Any:
-    suffix = path.suffix.lower()
+def _reader(path: Path, suffix: str) -> Any:
     module, name = READERS[suffix].split(".")
     reader = getattr(import_module(f"vtkmodules.{module}"), name)()
     if suffix in (".xyz", ".q"):
-        reader.SetXYZFileName(str(_beside(path, ".xyz")))
-        reader.SetQFileName(str(_beside(path, ".q")))
+        reader.SetXYZFileName(str(_beside(path, "xyz")))
+        reader.SetQFileName(str(_beside(path, "q")))
         reader.AutoDetectFormatOn()
+    elif suffix == ".vtk":
+        reader.SetFileName(str(path))
+        for what in ("Scalars", "Vectors", "Normals", "Tensors", "TCoords", "ColorScalars", "Fields"):
+            getattr(reader, f"ReadAll{what}On")()
     elif suffix == ".case":
         reader.SetCaseFileName(str(path))
         reader.ReadAllVariablesOn()
@@ -146,9 +156,13 @@ def _reader(path: Path) -> Any:
     return reader
 
 
-def _check_pieces(path: Path) -> None:
-    """Refuse a grid whose pieces do not fill it: VTK leaves the rest as memory was."""
+def _check_xml(path: Path, in_pieces: bool) -> None:
+    """Refuse a cut file, and a grid whose pieces do not fill it: VTK leaves the rest as memory was."""
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        if b"</VTKFile>" not in data[-1024:]:
+            raise DataError(path, "is truncated: its end, </VTKFile>, is not there", "Copy it again")
+        if not in_pieces:
+            return
         end = data.find(b"<AppendedData")
         extents = [
             (match[1], [int(n) for n in match[2].split()])
@@ -163,12 +177,14 @@ def _check_pieces(path: Path) -> None:
         raise DataError(path, "its pieces do not fill its extent", "Write it again with VTK or ParaView")
 
 
-def _beside(path: Path, suffix: str) -> Path:
-    """The file of that name with another suffix, in the letters of either case."""
-    for other in (path.with_suffix(suffix), path.with_suffix(suffix.upper())):
-        if other.is_file():
+def _beside(path: Path, part: str) -> Path:
+    """PLOT3D's grid ("xyz") or solution ("q") of either: ``a.xyz``, ``a.q`` or ``axyz.bin``, ``aq.bin``."""
+    match = re.fullmatch(r"(.*?)(xyz|q)(\.bin)?", path.name, re.IGNORECASE)
+    assert match is not None
+    name = f"{match[1]}{part}{match[3] or ''}"
+    for other in path.parent.iterdir():
+        if other.name.lower() == name.lower():
             return other
-    name = path.with_suffix(suffix).name
     raise DataError(path, f"PLOT3D needs {name} beside it", "Keep both files together, with one name")
 
 
