@@ -400,6 +400,8 @@ def _ingredients(layer: Layer) -> dict[str, Any]:
         parts["isosurfaces"] = [(s.value, s.color, s.opacity) for s in layer.isosurfaces]
     if layer.depth_enhancement > 0.0:
         parts["depth_enhancement"] = layer.depth_enhancement
+    if layer.narrow:  # before, one table and one floor served all
+        parts["resolved"] = 1
     return parts
 
 

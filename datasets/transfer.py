@@ -7,6 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+MOST_ENTRIES = 1 << 20
+"""Greatest size of a table."""
+_PER_BUMP = 256
+
 
 @dataclass(frozen=True)
 class Bump:
@@ -77,6 +81,19 @@ class TransferFunction:
         color = np.where(visible[..., None], weighted / np.where(visible, opacity, 1.0)[..., None], nearest)
         extinction = -np.log1p(-np.minimum(opacity, 0.9999)) / self.reference_length
         return np.concatenate([color, extinction[..., None]], axis=-1)
+
+    @property
+    def span(self) -> float:
+        """Share of the values, in (0, 1], from the least that is visible to the greatest."""
+        return max(b.end for b in self.bumps) - min(b.start for b in self.bumps) or 1.0
+
+    def entries(self, least: int) -> int:
+        """Size of a table that resolves the narrowest bump: ``least``, or more up to :data:`MOST_ENTRIES`."""
+        narrowest = min((b.end - b.start for b in self.bumps if b.end > b.start), default=1.0)
+        size = least
+        while size * narrowest < _PER_BUMP and size < MOST_ENTRIES:
+            size *= 2
+        return size
 
     def table(self, size: int = 16384) -> NDArray[np.float32]:
         """(size, 4) float32 samples of :meth:`classify` at values i / (size - 1)."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from datasets.ground_truth.bricks import BRICK
 from datasets.ground_truth.field import Field, aligned
-from datasets.ground_truth.model import BISECTIONS, GRADIENT_FLOOR, PHONG_FLOOR, Layer
+from datasets.ground_truth.model import BISECTIONS, Layer
 from datasets.ground_truth.occlusion import Occlusion
 from datasets.scene import Light
 
@@ -288,6 +288,7 @@ class _Lit:
         self.field, self.light = field, layer.light
         self.strength = dr.opaque(mi.Float, layer.depth_enhancement)
         self._per_voxel = per_voxel
+        self._floor = dr.opaque(mi.Float, layer.floor**2)
         if layer.light is not None:
             self._set_light(layer.light)
 
@@ -309,15 +310,15 @@ class _Lit:
         if self._phong:
             cosine = dr.dot(normal, towards)
             facing = 2.0 * cosine * dr.dot(normal, view) - dr.dot(towards, view)
-            floor, flat = PHONG_FLOOR, color * self._ambient
+            flat = color * self._ambient
         else:
             half = view + towards
             half *= dr.select(dr.dot(half, half) > 1e-12, dr.rsqrt(dr.dot(half, half)), 0.0)
             facing = dr.abs(dr.dot(normal, half))
-            floor, flat = GRADIENT_FLOOR, color * (self._ambient + self._diffuse)
+            flat = color * (self._ambient + self._diffuse)
         highlight = dr.select(facing > 0.0, dr.exp2(self._shininess * dr.log2(facing)), 0.0)
         lit = color * (self._ambient + self._diffuse * dr.abs(dr.dot(normal, towards)))
-        trust = square / (square + floor**2)
+        trust = square / (square + self._floor)
         return trust * (lit + self._specular * highlight) + (1.0 - trust) * flat
 
 

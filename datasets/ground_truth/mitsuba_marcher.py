@@ -71,7 +71,8 @@ class MitsubaMarcher(Marcher):
         """Tables, leaps and occlusion of layers."""
         numbers = self._numbers(layers)
         size = self._settings.table_size
-        tables = [None if layer.transfer is None else layer.transfer.table(size) for layer in layers]
+        transfers = [layer.transfer for layer in layers]
+        tables = [None if each is None else each.table(each.entries(size)) for each in transfers]
         empty = np.full(self._bricks[0].low.shape, self._leap)
         for layer, n, table in zip(layers, numbers, tables, strict=True):
             if table is None:

@@ -69,14 +69,16 @@ def _add(
     total: NDArray[np.float32], layer: Layer, values: NDArray[np.float32], cube: int, table_size: int
 ) -> None:
     """Add a layer's extinction, averaged over cubes, slab by slab."""
-    table = None if layer.transfer is None else layer.transfer.table(table_size)[:, 3].copy()
+    table = None
+    if layer.transfer is not None:
+        table = layer.transfer.table(layer.transfer.entries(table_size))[:, 3].copy()
     mask = layer.volume.mask
     for k in range(len(total)):
         here = slice(k * cube, min((k + 1) * cube, len(values)))
         if table is None:
             extinction = _surfaces(layer, values, here)
         else:
-            extinction = table[np.rint(values[here] * np.float32(table_size - 1)).astype(np.int32)]
+            extinction = table[np.rint(values[here] * np.float32(len(table) - 1)).astype(np.int32)]
         if mask is not None:
             extinction *= mask[here]
         for axis in range(3):

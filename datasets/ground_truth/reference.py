@@ -15,8 +15,6 @@ from torch.nn.functional import grid_sample
 from datasets.camera import Camera
 from datasets.ground_truth.model import (
     BISECTIONS,
-    GRADIENT_FLOOR,
-    PHONG_FLOOR,
     Layer,
     Marcher,
     MarchSettings,
@@ -106,7 +104,8 @@ class ReferenceMarcher(Marcher):
         for layer, n in zip(layers, numbers, strict=True):
             table = None
             if layer.transfer is not None:
-                table = self._tensor(layer.transfer.classify(np.linspace(0.0, 1.0, size)))
+                entries = layer.transfer.entries(size)
+                table = self._tensor(layer.transfer.classify(np.linspace(0.0, 1.0, entries)))
             levels = [(level, self._tensor(np.array(s.color)), s.opacity) for level, s in layer.levels]
             parts.append(_Part(layer, self._values[n], self._masks[n], table, levels))
         if not any(layer.depth_enhancement > 0.0 for layer in layers):
@@ -215,15 +214,15 @@ class ReferenceMarcher(Marcher):
     def _shade(self, scene: _Scene, part: _Part, color: Tensor, index: Tensor, view: Tensor) -> Tensor:
         """Shaded, clamped and darkened color (S, 3) of one layer at grid indices (S, 3)."""
         if part.layer.light is not None:
-            color = self._lit(part.values, color, index, view, part.layer.light)
+            color = self._lit(part, color, index, view, part.layer.light)
         color = color.clamp(0.0, 1.0)
         if scene.occlusion is not None:
             occlusion = _value(scene.occlusion, index * scene.scale + scene.offset)
             color = color * (1.0 - part.layer.depth_enhancement * occlusion)[:, None]
         return color
 
-    def _lit(self, values: Tensor, color: Tensor, index: Tensor, view: Tensor, light: Light) -> Tensor:
-        sides = []
+    def _lit(self, part: _Part, color: Tensor, index: Tensor, view: Tensor, light: Light) -> Tensor:
+        values, sides = part.values, []
         for axis in range(3):
             offset = torch.zeros(3, dtype=self._dtype)
             offset[axis] = 1.0
@@ -237,13 +236,13 @@ class ReferenceMarcher(Marcher):
         if light.model == "phong":
             mirrored = 2.0 * (normal * towards).sum(-1, keepdim=True) * normal - towards
             facing = (mirrored * view).sum(-1, keepdim=True).clamp_min(0.0)
-            floor, flat = PHONG_FLOOR, light.ambient
+            flat = light.ambient
         else:
             half = view + towards
             half = half / half.norm(dim=-1, keepdim=True).clamp_min(1e-6)
             facing = (normal * half).sum(-1, keepdim=True).abs()
-            floor, flat = GRADIENT_FLOOR, light.ambient + light.diffuse
-        trust = square / (square + floor**2)
+            flat = light.ambient + light.diffuse
+        trust = square / (square + part.layer.floor**2)
         shaded: Tensor = trust * (color * lit + light.specular * facing**light.shininess)
         return shaded + (1.0 - trust) * flat * color
 
