@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from itertools import cycle
 from typing import Any
 
+from datasets.colors import hex_color
 from datasets.edits import Edit
 from datasets.errors import DataError
 from datasets.names import unknown
@@ -76,9 +76,10 @@ def _text(kind: str, value: Any) -> str:
 
 def _value(text: str, kind: str, value: str) -> Any:
     if kind == "palette":
-        if not re.fullmatch(r"#[0-9a-fA-F]{6}", value):
-            raise DataError(f"--edit {text}", f"{value!r} is no color", "Write it as #ff8800")
-        return tuple(int(value[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+        try:
+            return hex_color(value)
+        except ValueError as error:
+            raise DataError(f"--edit {text}", f"{value!r} is no color", "Write it as #ff8800") from error
     if kind == "light" and value == "headlight":
         return value
     try:

@@ -15,8 +15,9 @@ from datasets.errors import DataError
 from datasets.names import unknown
 
 if TYPE_CHECKING:
+    from datasets.readers.limits import Limits
     from datasets.scene import BasicScene, Dataset, Frame
-    from datasets.transfer import Bump
+    from datasets.transfer import Bump, TransferFunction
     from datasets.volume import Volume
 
 
@@ -150,11 +151,36 @@ def _from_catalogue(name: str, table: dict[str, Any], folders: Sequence[Path], r
         )
         return Dataset(name, table["title"], "views", scenes)
     spacing = tuple(table["spacing"]) if "spacing" in table else None
-    volumes = {f["variable"]: _reader(paths[f["path"]], f, spacing) for f in table["files"]}
+    volumes = {f["variable"]: _reader(paths[f["path"]], f, spacing, "all") for f in table["files"]}
     framing = None if name in entries.built_in() else partial(_framing, table.get("frame"))
     compositions = entries.compositions_of(table)
     samples = samples_of(table.get("samples", "auto"), f"dataset {name}")
-    return Dataset(name, table["title"], "volume", _scenes(table), compositions, volumes, framing, samples)
+    dataset = Dataset(name, table["title"], "volume", (), compositions, volumes, framing, samples)
+    scenes = _scenes(table, partial(_mapped, dataset, folders))
+    if name not in entries.built_in():
+        for file in table["files"]:
+            read = _reader(paths[file["path"]], file, spacing, None)
+            scenes, volume = _without_outliers(scenes, file, read)
+            if volume is not None:
+                volumes[file["variable"]] = volume
+    return replace(dataset, scenes=scenes)
+
+
+def _mapped(dataset: Dataset, folders: Sequence[Path], scene: dict[str, Any]) -> TransferFunction:
+    """The transfer function of a scene that names a map of ParaView; its own values need the volume's."""
+    from datasets.transfer_maps import read_map, transfer_of
+
+    path = entries.locate(scene["transfer"], folders)
+    if path is None:
+        where = ", ".join(map(str, folders))
+        raise DataError(
+            f"scene {scene['name']} of {dataset.name}",
+            f"its map {scene['transfer']} was not found",
+            f"Put it beside the TOML file, or into one of {where}",
+        )
+    values = None if scene.get("rescale") else dataset.volume(scene["variable"]).value_range
+    chosen = read_map(path, scene.get("preset", ""))
+    return transfer_of(chosen, scene["name"], values, scene.get("reference_length", 0.01))
 
 
 def _framing(table: dict[str, Any] | None, dataset: Dataset) -> Frame:
@@ -165,18 +191,76 @@ def _framing(table: dict[str, Any] | None, dataset: Dataset) -> Frame:
     return Frame(tuple(table["centre"]), table["radius"]) if table else visible_frame(dataset)
 
 
-def _reader(path: Path, file: dict[str, Any], spacing: Any) -> Callable[[], Volume]:
+def _limits(file: dict[str, Any], shown: Any) -> Limits:
+    """Which values of a file an entry shows; ``shown`` where it does not say a range."""
+    from datasets.readers.limits import Limits
+
+    ends, missing = file.get("range", shown), file.get("missing", [])
+    given = (ends[0], ends[1]) if isinstance(ends, list | tuple) else ends
+    return Limits(given, tuple(missing if isinstance(missing, list) else [missing]))
+
+
+_NARROW = 0.2
+"""Share of a range within which all scenes of a volume lie if they mean what is left without outliers."""
+
+
+def _without_outliers(
+    scenes: tuple[BasicScene, ...], file: dict[str, Any], read: Callable[[], Volume]
+) -> tuple[tuple[BasicScene, ...], Callable[[], Volume] | None]:
+    """Scenes of a file without a ``range``, and the volume that they belong to if it is not the whole range.
+
+    Without that key an entry's numbers are shares of the range of all values. Where outliers stretch it, the
+    volume is read without them, and the numbers become shares of what is left.
+    """
+    mine = [scene for scene in scenes if scene.variable == file["variable"]]
+    ends = [end for scene in mine for end in _ends(scene)]
+    if "range" in file or not ends or max(ends) - min(ends) > _NARROW:
+        return scenes, None
+    volume = read()
+    if volume.whole is None:
+        return scenes, lambda: volume
+    (low, high), (least, greatest) = volume.value_range, volume.whole
+
+    def share(value: float) -> float:
+        return (least - low + value * (greatest - least)) / (high - low)
+
+    if all(share(max(_ends(scene))) < 0.0 or share(min(_ends(scene))) > 1.0 for scene in mine):
+        return scenes, None  # the outliers are what the scenes show
+    return tuple(_moved(scene, share) if scene in mine else scene for scene in scenes), lambda: volume
+
+
+def _ends(scene: BasicScene) -> list[float]:
+    bumps = scene.transfer.bumps if scene.transfer else ()
+    return [end for b in bumps for end in (b.start, b.end)] + [s.value for s in scene.isosurfaces]
+
+
+def _moved(scene: BasicScene, share: Callable[[float], float]) -> BasicScene:
+    """A scene whose normalised values have become other shares."""
+    surfaces = tuple(replace(surface, value=share(surface.value)) for surface in scene.isosurfaces)
+    transfer = scene.transfer
+    if transfer is not None:
+        bumps = tuple(
+            replace(b, start=share(b.start), rise=share(b.rise), fall=share(b.fall), end=share(b.end))
+            for b in transfer.bumps
+        )
+        transfer = replace(transfer, bumps=bumps)
+    return replace(scene, transfer=transfer, isosurfaces=surfaces)
+
+
+def _reader(path: Path, file: dict[str, Any], spacing: Any, shown: Any) -> Callable[[], Volume]:
     choice = {key: file.get(key) for key in ("array", "step", "resolution")}
 
     def read() -> Volume:
         from datasets.readers import read_volume
 
-        return read_volume(path, file["variable"], spacing=spacing, **choice)
+        return read_volume(path, file["variable"], spacing=spacing, limits=_limits(file, shown), **choice)
 
     return read
 
 
-def _scenes(table: dict[str, Any]) -> tuple[BasicScene, ...]:
+def _scenes(
+    table: dict[str, Any], mapped: Callable[[dict[str, Any]], TransferFunction] | None = None
+) -> tuple[BasicScene, ...]:
     from datasets.scene import WHITE, BasicScene, Isosurface, Light
     from datasets.transfer import TransferFunction
 
@@ -186,6 +270,8 @@ def _scenes(table: dict[str, Any]) -> tuple[BasicScene, ...]:
         if "bumps" in scene:
             bumps = tuple(_bump(bump) for bump in scene["bumps"])
             transfer = TransferFunction(scene["name"], bumps, scene.get("reference_length", 0.01))
+        elif "transfer" in scene and mapped is not None:
+            transfer = mapped(scene)
         light = dict(scene.get("light", {}))
         if "direction" in light:
             light["direction"] = tuple(light["direction"])

@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from datasets.colors import REMEDY as COLORS
+from datasets.colors import hex_color
 from datasets.errors import DataError
 from datasets.ground_truth.sampling import samples_of
 from datasets.toml import read_toml
 
-REMEDY = "Mend it as docs/guide/data.md shows"
+REMEDY = "Mend it: `bench scenes VOLUME` writes such a file, with a comment for each key"
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=60)]
-Color = tuple[Share, Share, Share]
+
+
+def _color(value: object) -> object:
+    """The channels of ``#3366ff``; other values as they are, but for numbers up to 255."""
+    if isinstance(value, str):
+        return hex_color(value)
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise ValueError(f"{value!r} is no color. {COLORS}")
+    if all(type(one) in (int, float) for one in value) and not all(0.0 <= one <= 1.0 for one in value):
+        raise ValueError(f"{value} is no color, whose channels go from 0 to 1. {COLORS}")
+    return value
+
+
+Color = Annotated[tuple[Share, Share, Share], BeforeValidator(_color)]
 Coordinate = Annotated[float, Field(ge=-1.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
@@ -68,12 +84,15 @@ class Light(_Part):
 
 
 class Scene(_Part):
-    """A basic scene: bumps of a transfer function, or isosurfaces."""
+    """A basic scene: bumps of a transfer function, a map of ParaView, or isosurfaces."""
 
     name: Name
     variable: str = "value"
     bumps: list[Bump] = []
     isosurfaces: list[Surface] = []
+    transfer: Annotated[str, Field(min_length=1)] | None = None
+    preset: str = ""
+    rescale: bool = False
     background: Color = (1.0, 1.0, 1.0)
     reference_length: Positive = 0.01
     depth_enhancement: Annotated[float, Field(ge=0.0)] = 0.0
@@ -81,8 +100,12 @@ class Scene(_Part):
 
     @model_validator(mode="after")
     def _shows_something(self) -> Scene:
-        if not self.bumps and not self.isosurfaces:
-            raise ValueError(f"scene {self.name} has neither bumps nor isosurfaces")
+        if not self.bumps and not self.isosurfaces and self.transfer is None:
+            raise ValueError(f"scene {self.name} has neither bumps nor isosurfaces nor a map (transfer)")
+        if self.transfer is not None and (self.bumps or self.isosurfaces):
+            raise ValueError(f"scene {self.name} has a map (transfer) beside bumps or isosurfaces; keep one")
+        if self.transfer is None and (self.preset or self.rescale):
+            raise ValueError(f"scene {self.name} has no map (transfer) to choose from or to rescale")
         return self
 
 
@@ -94,8 +117,17 @@ class File(_Part):
     array: str | None = None
     step: Annotated[int, Field(ge=0)] | None = None
     resolution: Annotated[int, Field(ge=2)] | None = None
+    range: tuple[float, float] | Literal["all"] | None = None
+    missing: float | list[float] = []
     url: Annotated[str, Field(pattern=r"^https?://[^/\s]+/\S+$")] | None = None
     sha512: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")] | None = None
+
+    @model_validator(mode="after")
+    def _ascends(self) -> File:
+        ends = self.range
+        if isinstance(ends, tuple) and not (ends[0] < ends[1] and math.isfinite(ends[1] - ends[0])):
+            raise ValueError(f"range {list(ends)} does not ascend: the least value, then the greatest")
+        return self
 
     @model_validator(mode="after")
     def _can_be_fetched(self) -> File:

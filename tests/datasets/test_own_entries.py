@@ -74,6 +74,11 @@ def test_a_broken_entry_breaks_nothing_else(folder, monkeypatch):
         (("[0.3, 0.4, 0.6, 0.7]", "[0.3, 0.4, 0.2, 0.7]"), "does not ascend"),
         (("[0.3, 0.4, 0.6, 0.7]", "[0.3, 0.4]"), "scenes[0].bumps[0].range"),
         (("[0.9, 0.6, 0.2]", "'orange'"), "scenes[0].bumps[0].color"),
+        (("[0.9, 0.6, 0.2]", "'#33f66'"), "'#33f66' is no color. Write a color as"),
+        (("[0.9, 0.6, 0.2]", "[51, 102, 255]"), "whose channels go from 0 to 1. Write a color as"),
+        (("[0.9, 0.6, 0.2]", "[0.1, 0.2]"), "[0.1, 0.2] is no color"),
+        (("[0.9, 0.6, 0.2]", "[nan, 0.2, 0.3]"), "is no color, whose channels"),
+        (('name = "middle"\n[[', 'name = "middle"\nbackground = "white"\n[['), "'white' is no color"),
         (("opacity", "opacty"), "scenes[0].bumps[0].opacty: unknown key, perhaps opacity (and 1 more)"),
         (('path = "ramp.npy"', ""), "files[0].path: Field required"),
         (('name = "middle"\n[[scenes.bumps', '[[scenes.bumps'), "scenes[0].name: Field required"),
@@ -100,6 +105,17 @@ def test_a_mistake_is_named_with_its_file_and_key(folder, change, reason):
         open_dataset(str(path))
     assert str(error.value).startswith(f"{path}: ")
     assert reason in LINE.sub("", str(error.value))
+
+
+@pytest.mark.parametrize("text", ["#3366ff", "#36f", "#36F", "#3366FF"])
+def test_a_color_may_be_written_as_on_the_web(folder, text):
+    path = folder / "engine.toml"
+    surface = f'[[scenes]]\nname = "s"\nbackground = "{text}"\n'
+    surface += f'[[scenes.isosurfaces]]\nname = "s"\nvalue = 0.5\ncolor = "{text}"\n'
+    path.write_text(ENTRY.replace("[0.9, 0.6, 0.2]", f'"{text}"') + surface)
+    first, second = open_dataset(str(path)).scenes
+    color = (0.2, 0.4, 1.0)
+    assert first.transfer.bumps[0].color == second.background == second.isosurfaces[0].color == color
 
 
 @pytest.mark.parametrize(("value", "samples"), [("'auto'", 0), ("1", 1), ("16", 16), ("'16'", 16)])
