@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import sys
 from dataclasses import replace
@@ -11,8 +12,8 @@ import pytest
 
 from bench.store import Store
 from tests.bench.conftest import suite_file, write_dataset
-from tests.fire import damage, disks, kills, mutations, plugins, soak, together
-from tests.fire.attack import Tally, bench_in, contents, difference, leftovers
+from tests.fire import damage, disks, kills, mutations, plugins, soak, strangers, together
+from tests.fire.attack import Tally, bench_in, contents, difference, leftovers, work_folder
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals, mounts and forks of Linux")
 
@@ -81,6 +82,50 @@ def test_mutations_of_a_format_with_checksums_made_again(tmp_path) -> None:
     assert not plain.faults + repaired.faults
     assert plain.counts["refused"] > 20
     assert sum(repaired.counts.values()) > 10
+
+
+@pytest.fixture
+def stranger(scenes, tmp_path):
+    """A store of a stranger, and what is watched while commands read it."""
+    bench = bench_in(tmp_path / "whole", scenes)
+    bench.run()
+    watch = strangers.Watch(tmp_path / "stranger" / "home")
+    yield strangers.Victim(tmp_path / "stranger", bench, watch)
+    assert watch.commands
+    assert not watch.crashes + watch.touched
+
+
+def test_what_a_stranger_sends(stranger, tally) -> None:
+    strangers.attack_names(stranger, ["x/../../../home/victim"], ["run"], tally)
+    strangers.attack_links(stranger, ["jobs/{encode}/model/weights.bin", "partial"], ["bundle"], tally)
+
+
+def test_a_watch_sees_what_it_is_for(stranger, tmp_path) -> None:
+    watch, home = strangers.Watch(tmp_path / "other" / "home"), tmp_path / "other" / "home"
+    (home / "victim" / "letter").unlink()
+    assert watch.look() == ["changed a file outside"]
+    assert watch.look() == []
+    (tmp_path / "written").mkdir()
+    (tmp_path / "written" / "model.bin").write_bytes((home / "id_rsa").read_bytes())
+    assert watch.look(tmp_path / "written") == ["copied a file of the reader to model.bin"]
+    assert watch.touched == 2
+    stranger.renew()
+    (stranger.bench.store / "store.json").write_text("[")
+    assert stranger.run("results") == ""
+
+
+def test_streams_that_a_library_does_not_survive(tmp_path, tally) -> None:
+    watch = strangers.Watch(tmp_path / "home")
+    strangers.attack_streams(tmp_path, ["zfp"], 4, 0, watch, tally)
+    assert not watch.crashes
+
+
+@pytest.mark.skipif(os.geteuid() != 0 or not disks.can_mount(), reason="only root is two users")
+def test_two_users_of_a_machine(tally) -> None:
+    with work_folder() as folder:
+        (folder / "users").mkdir()
+        today = int(strangers.PROTECTED.read_text())  # the script tries all
+        strangers.attack_users(folder / "users", [today], tally)
 
 
 @pytest.mark.skipif(not disks.can_mount(), reason="this process may not mount a tmpfs")
