@@ -89,6 +89,11 @@ def rasterise(
         if checked:
             _refuse_negative(scales)  # which squares hide
         scales = tensors["scales"] = torch.hypot(scales, scales.new_tensor(math.sqrt(low_pass.smoothing)))
+    if (points := low_pass.points) > 1:
+        width, height = camera.width, camera.height
+        camera, low_pass = camera.resized(points * width, points * height), low_pass.at_points()
+        if screen_offset is not None:
+            screen_offset = screen_offset * points
     name = choose_backend(means, backend)
     if name != "native" and checked:  # the native kernels check values as they read them
         _check_values(tensors)
@@ -99,7 +104,17 @@ def rasterise(
     except ValueError:
         _find_bad(tensors)  # the same message for every backend
         raise
+    if points > 1:
+        features, alpha, depth, radii = images
+        means_of_pixels = (_pixel_means(one, points) for one in (features, alpha, depth))
+        return SplatImages(*means_of_pixels, -(-radii // points))
     return SplatImages(*images)
+
+
+def _pixel_means(points: Tensor, side: int) -> Tensor:
+    """Means (H, W, …) over side × side points of each pixel, of (side · H, side · W, …)."""
+    parts = [points[y::side, x::side] for y in range(side) for x in range(side)]
+    return sum(parts[1:], parts[0]) / len(parts)
 
 
 def choose_backend(like: Tensor, backend: str | None = None) -> str:

@@ -120,7 +120,7 @@ class _Views:
             splats, numbers = self._model.splats(self._scene, camera)
             if not len(numbers):
                 continue
-            low_pass = splats.low_pass
+            low_pass = splats.low_pass.at_one_point()
             scales = torch.hypot(splats.scales, splats.scales.new_tensor(low_pass.smoothing**0.5)).cpu()
             tensors = (splats.means.cpu(), splats.quats.cpu(), scales)
             opacities, colors = splats.opacities.cpu().clamp(min=0.0), splats.features.cpu()

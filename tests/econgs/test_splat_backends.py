@@ -92,6 +92,60 @@ def test_extreme_needles(splat: Any, backend: Any, seed: int) -> None:
     assert max(errors.values()) < bound, errors
 
 
+@pytest.mark.parametrize(("side", "compensated"), [(2, True), (3, False)])
+def test_a_pixel_is_the_mean_over_its_points(splat: Any, backend: Any, side: int, compensated: bool) -> None:
+    """Against the brute-force renderer where each point is a pixel; gradients against those of float64."""
+    scene = splat.make_scene(120, (21, 17), seed=4, offset=1e-3)
+    low_pass = LowPass(0.05, compensated, points=side)
+    fine = replace(
+        scene,
+        camera=scene.camera.resized(side * 21, side * 17),
+        low_pass=LowPass(0.05, compensated),
+        tensors={**scene.tensors, "screen_offset": side * scene.tensors["screen_offset"]},
+    )
+    reference = splat.brute_force(fine)
+
+    def means(points: Any) -> Any:
+        return points.reshape(17, side, 21, side, *points.shape[2:]).mean((1, 3))
+
+    sure = ~(means((reference.doubtful | reference.clamped).astype(float)) > 0)
+    assert sure.mean() > 0.5
+    mean = replace(scene, low_pass=low_pass)
+    seeds = splat.random_seeds(mean, sure)
+    _, expected = mean.gradients(torch.float64, "torch", seeds)
+    outputs, gradients = mean.gradients(torch.float32, backend.name, seeds, backend.device)
+    keep = torch.from_numpy(sure)
+    for name in splat.outputs:
+        truth = torch.from_numpy(means(getattr(reference, name)))
+        assert splat.relative(outputs[name][keep], truth[keep]) < backend.tolerance, name
+    errors = {one: splat.relative(gradients[one], expected[one]) for one in splat.names}
+    assert max(errors.values()) < backend.tolerance, errors
+    radii = mean.render(torch.float32, backend.name, backend.device).radii.cpu()
+    whole = fine.render(torch.float32, backend.name, backend.device).radii.cpu()
+    assert torch.equal(radii, torch.ceil(whole / side).int())
+
+
+def test_gradients_through_points_are_those_of_differences(splat: Any) -> None:
+    scene = splat.make_scene(8, (5, 4), seed=2, sigma=0.3, offset=1e-3, low_pass=LowPass(0.3, True, points=2))
+
+    def picture(offset: torch.Tensor) -> torch.Tensor:
+        moved = replace(scene, tensors={**scene.tensors, "screen_offset": offset})
+        return moved.render(torch.float64, "torch").features
+
+    assert torch.autograd.gradcheck(picture, scene.tensors["screen_offset"].clone().requires_grad_(True))
+
+
+def test_one_point_that_stands_for_several_is_a_filter_of_the_same_variance() -> None:
+    """A box of points: the variance of their places and of the filter at each."""
+    for side in (1, 2, 3):
+        places = (np.arange(side) + 0.5) / side
+        expected = places.var() + 0.03 / side**2
+        assert LowPass(0.03, True, points=side).at_one_point().variance == pytest.approx(expected)
+    for points in (0, 9):
+        with pytest.raises(ValueError, match="points along a side"):
+            LowPass(points=points)
+
+
 def test_no_gradient_array_is_trivially_zero(splat: Any, oracle: Any) -> None:
     for name in SCENES:
         *_, gradients = oracle(name)

@@ -68,9 +68,10 @@ def test_a_plain_model_is_baked_to_itself():
     assert error(GaussianModel([again]), plain, views) < 2e-3
 
 
-def test_clouds_look_more_alike_in_a_plain_viewer_once_baked_and_distilled():
+@pytest.mark.parametrize("points", [1, 2])
+def test_clouds_look_more_alike_in_a_plain_viewer_once_baked_and_distilled(points):
     views = cameras(40)
-    cloud = model(Rendering(low_pass=CLOUD))
+    cloud = model(Rendering(low_pass=replace(CLOUD, points=points)))
     naive = error(GaussianModel([cloud.scene("a")]), cloud, views)
     first = baked(cloud, "a", views, (1.0, 1.0, 1.0))
     once = error(GaussianModel([first]), cloud, views)
