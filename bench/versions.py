@@ -16,7 +16,7 @@ from bench.provenance import source_hash
 from bench.records import Job, Record
 from datasets.errors import DataError
 from methods.interface import MethodSpec
-from methods.options import ITERATIONS, resolve, written
+from methods.options import ITERATIONS, declared, resolve, written
 
 _ROWS = ("measure", "dvr", "complexity")
 """Kinds of jobs that are a row each."""
@@ -26,8 +26,9 @@ def changes(fits: Iterable[Record], methods: Mapping[str, MethodSpec]) -> str:
     """What was another when some fits were made, as "version 3 (today 6)"; "" if nothing.
 
     Options and iterations are compared with what the fit's preset and overrides come to today. An option that
-    is newer than the fit had its default: with the same version that leaves results as they were. Not
-    compared are options that are gone, and presets that a suite names itself.
+    is newer than the fit had its default, or the value that it declares for such fits: with the same version
+    that leaves results as they were. Not compared are options that are gone, and presets that a suite names
+    itself.
 
     Args:
         fits: records of fit jobs.
@@ -47,7 +48,8 @@ def _changes(job: Job, spec: MethodSpec) -> list[str]:
         settings = resolve(spec, job.preset, job.overrides)
     except DataError:
         return ["options that are refused today"]
-    then, today = asdict(spec.options()) | job.options, settings.values
+    before = {name: one.before for name, one in declared(spec.options).items() if one.before is not None}
+    then, today = asdict(spec.options()) | before | job.options, settings.values
     if job.iterations is not None and not job.stress:
         then[ITERATIONS] = job.iterations
         today[ITERATIONS] = settings.budget(len(job.scenes))

@@ -49,6 +49,7 @@ class Option:
         minimum, maximum: inclusive range of numbers.
         choices: the only values allowed, if not empty.
         search: range of numbers that ``bench tune`` looks through; None: around the starting values.
+        before: what fits had that are older than the option; None: its default.
     """
 
     default: OptionValue
@@ -57,6 +58,7 @@ class Option:
     maximum: float | None = None
     choices: tuple[OptionValue, ...] = ()
     search: tuple[float, float] | None = None
+    before: OptionValue | None = None
 
 
 def option(
@@ -66,16 +68,15 @@ def option(
     minimum: float | None = None,
     maximum: float | None = None,
     search: tuple[float, float] | None = None,
+    before: V | None = None,
 ) -> V:
     """A field of a dataclass of options; the arguments are attributes of :class:`Option`.
 
     The field's annotation is the option's type: ``bool``, ``int``, ``float``, ``str``, or ``Literal[...]`` of
     the choices. Example: ``voxel: float = option(0.001, "lattice, scene units", minimum=1e-5)``
     """
-    declared: Any = field(
-        default=default, metadata={OPTION: Option(default, doc, minimum, maximum, search=search)}
-    )
-    return cast("V", declared)
+    declared = Option(default, doc, minimum, maximum, search=search, before=before)
+    return cast("V", field(default=default, metadata={OPTION: declared}))
 
 
 def with_default(options: type, name: str, default: V) -> V:

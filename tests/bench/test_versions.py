@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 
@@ -19,6 +19,7 @@ from bench.records import (
 )
 from bench.store import Store
 from bench.tables import build_tables, stored_tables
+from bench.versions import changes
 from methods.interface import MethodSpec, option
 from reports.comparability import notes
 from reports.style import label
@@ -197,6 +198,20 @@ def test_rows_are_stale_where_their_preset_has_other_iterations_today(
         if one.job.kind == "fit":
             one.job.iterations, one.job.overrides, one.job.stress = iterations, overrides, stress
     assert set(tables_of(records)["results"]["changes"]) == {changes}
+
+
+@dataclass(frozen=True)
+class NewOptions(Options):
+    points: int = option(2, "how many; older fits had one", before=1)
+
+
+def test_fits_older_than_an_option_had_what_it_declares_for_them():
+    today = replace(spec("1"), options=NewOptions)
+    fit = next(one for one in version(1, 1) if one.job.kind == "fit")
+    fit.job.options = {"size": 1.0}
+    assert changes([fit], {"m": today}) == "points 1 (today 2)"
+    fit.job.overrides = {"points": 1}
+    assert changes([fit], {"m": today}) == ""
 
 
 def test_options_of_today_go_before_a_newer_run_with_others(tables_of):
