@@ -153,7 +153,7 @@ SPEC = MethodSpec(
     uses_alpha="views are composited on the scene's background; alpha is also a target of its own",
     options=EcongsOptions,
     presets={
-        "quick": {**splatting.QUICK, "feature_lr": 2e-2},
+        "quick": {**splatting.QUICK, "feature_lr": 2e-2, "start_points": 2_000},
         "paper": {"growth_gradient": 5.5e-4},  # growth_adapts makes it 3e-4 again
     },
     iterations={"quick": 550, "standard": 2_500, "paper": 10_000},

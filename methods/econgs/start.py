@@ -33,5 +33,5 @@ def starting_points(
     many = options.cloud_points
     if 0 < many < len(points):
         points = points[np.random.default_rng(seed).permutation(len(points))[:many]]
-    points = points[thinned(points, options.start_spacing, scene.train.cameras)]
+    points = points[thinned(points, options.start_spacing, scene.train.cameras, options.start_points)]
     return points, np.full(3, 0.5, np.float32) if start == "positions" else color

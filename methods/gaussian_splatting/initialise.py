@@ -32,7 +32,8 @@ def first_points(
     points, colors = (
         torch.from_numpy(np.array(one, dtype=np.float32)) for one in (scene.cloud.points, scene.cloud.colors)
     )
-    kept = torch.from_numpy(thinned(points.numpy(), options.start_spacing, scene.train.cameras))
+    cameras = scene.train.cameras
+    kept = thinned(points.numpy(), options.start_spacing, cameras, options.start_points)
     return points[kept], colors[kept]
 
 

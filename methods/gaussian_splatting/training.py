@@ -148,7 +148,7 @@ class HarmonicsTrainer(TrainingLoop):
                 features,
                 camera,
                 screen_offset=offset,
-                low_pass=self.low_pass,
+                low_pass=self.fit_low_pass,
             )
         except ValueError:
             self.check_finite()  # the usual reason; any other is a fault of the program

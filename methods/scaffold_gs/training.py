@@ -76,7 +76,7 @@ class Trainer(AnchorLoop):
         self.schedule = self.phases(iterations, options)
         start = np.array(start_cloud(scene, options, seed).points, dtype=np.float32)
         if options.start == "cloud":
-            start = start[thinned(start, options.start_spacing, scene.train.cameras)]
+            start = start[thinned(start, options.start_spacing, scene.train.cameras, options.start_points)]
         points = torch.from_numpy(start)
         voxel = options.voxel or median_neighbour_distance(points, 0.01 * scene.extent)
         self.anchors = AnchorSet(

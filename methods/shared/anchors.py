@@ -61,7 +61,7 @@ class AnchorLoop(TrainingLoop):
         """Gaussians drawn, and their screen offsets while growth reads the gradients of these."""
         collects = self.schedule.collects(self.iteration)
         offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
-        return draw([decoded], camera, offset, self.low_pass), offset
+        return draw([decoded], camera, offset, self.fit_low_pass), offset
 
     def begin_coding(self) -> None:
         """Start the context model in its first iteration."""

@@ -42,6 +42,8 @@ class Rendering:
             lines.append(f"smoothing={self.low_pass.smoothing!r}")
         if self.low_pass.ray_power:
             lines.append(f"ray_power={self.low_pass.ray_power!r}")
+        if self.low_pass.points != 1:
+            lines.append(f"points={self.low_pass.points}")
         if not lines:
             return 0
         text = "\n".join(lines).encode()
@@ -65,8 +67,13 @@ class Rendering:
             units = float(facts.pop("units", 1.0))
             variance, compensated = facts.pop("low_pass", LINEAGE.variance), facts.pop("compensated", False)
             smoothing, power = facts.pop("smoothing", 0.0), facts.pop("ray_power", 0.0)
-            if facts or not (math.isfinite(units) and units > 0.0) or not isinstance(compensated, bool):
+            points = facts.pop("points", 1)
+            if (
+                facts
+                or not (math.isfinite(units) and units > 0.0)
+                or (type(compensated), type(points)) != (bool, int)
+            ):
                 raise ValueError(f"units {units}, compensated {compensated}, {', '.join(facts)}")
-            return cls(units, LowPass(float(variance), compensated, float(smoothing), float(power)))
+            return cls(units, LowPass(float(variance), compensated, float(smoothing), float(power), points))
         except (OSError, ValueError, TypeError, RecursionError) as error:
             raise DataError(file, f"cannot be used ({error})", "Save the model again") from error

@@ -13,7 +13,10 @@ class SplattingOptions:
     """Filters, which models keep with their files; start; decay of learning rates; loss of alpha; pruning."""
 
     low_pass: float = option(
-        0.03, "variance of the low-pass filter on projected Gaussians, px²", minimum=0.01, maximum=4.0
+        0.03,
+        "variance of the low-pass filter on projected Gaussians, in squared distances of points",
+        minimum=0.01,
+        maximum=4.0,
     )
     antialiased: bool = option(
         True, "opacities shrink so that the filter keeps a Gaussian's mass (Mip-Splatting)"
@@ -30,12 +33,26 @@ class SplattingOptions:
         minimum=0.0,
         maximum=1.0,
     )
+    supersampling: int = option(
+        2,
+        "points along each side of a pixel at which Gaussians are drawn, in a fit from half of its budget on",
+        minimum=1,
+        maximum=4,
+        before=1,
+    )
     start_spacing: float = option(
         0.0,
         "the cloud is thinned to one point per cell of this many pixels of the training views; 0 = off",
         minimum=0.0,
         maximum=100.0,
         search=(0.0, 6.0),
+    )
+    start_points: int = option(
+        0,
+        "cells shrink until the thinned cloud has this many points, if it has them at all",
+        minimum=0,
+        maximum=1_000_000,
+        search=(0, 8_000),
     )
     start_scale: float = option(
         0.6, "first scales of Gaussians, x what is published", minimum=0.01, maximum=10.0
@@ -60,7 +77,9 @@ PUBLISHED: dict[str, OptionValue] = {
     "antialiased": False,
     "smoothing": 0.0,
     "ray_power": 0.0,
+    "supersampling": 1,
     "start_spacing": 0.0,
+    "start_points": 0,
     "start_scale": 1.0,
     "decay": "exponential",
     "alpha_weight": 0.0,

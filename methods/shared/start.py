@@ -9,18 +9,30 @@ from numpy.typing import NDArray
 
 from datasets.camera import Camera
 
+_SHRINK = 0.8
+"""Factor on the side of a cell while too few points are left."""
 
-def thinned(points: NDArray[np.float32], spacing: float, cameras: Sequence[Camera]) -> NDArray[np.int64]:
+
+def thinned(
+    points: NDArray[np.float32], spacing: float, cameras: Sequence[Camera], least: int = 0
+) -> NDArray[np.int64]:
     """Indices of the first point in each cell, in the order of the points.
 
     Args:
         points: (n, 3), in the cameras' units.
         spacing: side of a cell in pixels of the cameras; 0 keeps all points.
         cameras: of the training views.
+        least: cells shrink until so many points are left, if there are so many.
     """
     if spacing <= 0.0 or len(points) == 0:
         return np.arange(len(points))
-    return first_of_cells(points, spacing * pixel_size(cameras, points))
+    side = spacing * pixel_size(cameras, points)
+    kept = first_of_cells(points, side)
+    least = min(least, len(np.unique(points, axis=0))) if least > len(kept) else 0
+    while len(kept) < least:
+        side *= _SHRINK
+        kept = first_of_cells(points, side)
+    return kept
 
 
 def pixel_size(cameras: Sequence[Camera], points: NDArray[np.float32]) -> float:

@@ -138,8 +138,14 @@ class TrainingLoop(ABC):
 
     @property
     def low_pass(self) -> LowPass:
-        """Filter of the projected Gaussians."""
+        """How models of this fit are drawn."""
         return low_pass_of(self.options, self.pixel)
+
+    @property
+    def fit_low_pass(self) -> LowPass:
+        """How Gaussians are drawn in this iteration: at centres of pixels until half of the budget."""
+        low_pass = self.low_pass
+        return low_pass if 2 * self.iteration > self.iterations else replace(low_pass, points=1)
 
     @property
     @abstractmethod
@@ -345,7 +351,8 @@ def low_pass_of(options: Any, pixel: float) -> LowPass:
     if not isinstance(options, SplattingOptions):
         return LINEAGE
     smoothing = options.smoothing * pixel**2
-    return LowPass(options.low_pass, options.antialiased, smoothing, options.ray_power)
+    points = options.supersampling
+    return LowPass(options.low_pass, options.antialiased, smoothing, options.ray_power, points)
 
 
 def _read(values: Sequence[Tensor | float]) -> list[float]:

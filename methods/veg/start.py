@@ -82,7 +82,7 @@ def _points(
     first.sort()
     if options.start == "cloud":
         cameras = [camera for scene in group for camera in scene.train.cameras]
-        first = first[thinned(joined[first], options.start_spacing, cameras)]
+        first = first[thinned(joined[first], options.start_spacing, cameras, options.start_points)]
     one, two, three = (
         torch.from_numpy(np.concatenate(parts)[first]).float() for parts in (positions, values, gradients)
     )

@@ -72,7 +72,7 @@ class VqTrainer(Trainer):
             now.logits.sigmoid(),
             spherical_harmonics(now.sh_degree, now.means, position, now.sh_dc, now.sh_rest),
             camera,
-            low_pass=self.low_pass,
+            low_pass=self.fit_low_pass,
         )
         losses = self.view_losses(splats.features, splats.alpha, truth, back, self.transparent)
         return losses, None, splats.radii

@@ -13,11 +13,13 @@ from datasets.errors import DataError
 from datasets.units import camera_in_units, cloud_in_units, scene_in_units, views_in_units
 from econgs.splat import LINEAGE
 from methods.contract.checks import Subject
-from methods.contract.scene import cameras
-from methods.interface import Refused, SceneInput
+from methods.contract.scene import cameras, tiny_scene
+from methods.interface import OptionValue, Refused, SceneInput
 from methods.registry import Registry, load_method
 from methods.shared.rendering import FILE
+from methods.shared.splatting import PUBLISHED
 from methods.shared.units import units_of
+from tests.methods.conftest import Fits, Recorder
 
 NAMES = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")
 
@@ -126,19 +128,33 @@ def test_a_damaged_file_is_an_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_a_fit_draws_several_points_of_a_pixel_from_half_of_its_budget_on(name: str) -> None:
+    scene, losses = tiny_scene("tiny"), {}
+    for side in (1, 2):
+        recorder = Recorder()
+        Fits(name)(scene, recorder, 12, supersampling=side)
+        losses[side] = recorder.losses
+    assert losses[1][:5] == losses[2][:5]
+    assert losses[1][6:] != losses[2][6:]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_model_is_drawn_with_the_filter_of_its_fit(name: str, tmp_path: Path) -> None:
     spec = Registry().spec(name)
     subject = Subject(spec, load_method(spec), tmp_path, 16)
-    lineage = {"low_pass": 0.3, "antialiased": False, "smoothing": 0.0, "ray_power": 0.0}
+    lineage = {name: PUBLISHED[name] for name in ("low_pass", "antialiased", "smoothing", "ray_power")}
+    lineage["supersampling"] = PUBLISHED["supersampling"]
     usual = subject.fit(**lineage)
     assert usual.rendering.low_pass == LINEAGE
-    for changed in ({"low_pass": 0.05}, {"antialiased": True}, {"smoothing": 0.5}, {"ray_power": 1.0}):
+    every: list[dict[str, OptionValue]] = [{"low_pass": 0.05}, {"antialiased": True}, {"smoothing": 0.5}]
+    for changed in (*every, {"ray_power": 1.0}, {"supersampling": 2}):
         model = subject.fit(**lineage | changed)
         low_pass = model.rendering.low_pass
         assert low_pass.variance == changed.get("low_pass", 0.3)
         assert low_pass.compensated == changed.get("antialiased", False)
         assert (low_pass.smoothing > 0.0) == ("smoothing" in changed)
         assert low_pass.ray_power == changed.get("ray_power", 0.0)
+        assert low_pass.points == changed.get("supersampling", 1)
         assert (pictures(model, 1.0) != pictures(usual, 1.0)).any()
         folder, _ = subject.saved(model, f"with {next(iter(changed))}")
         loaded = subject.method.load(folder, "cpu")
