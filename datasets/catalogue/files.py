@@ -16,6 +16,7 @@ from datasets.errors import DataError
 from datasets.framing import frame_of, places, visible_frame, visible_voxels
 from datasets.readers import list_variables, read_volume, suffix_of
 from datasets.readers.fields import choose, plain
+from datasets.readers.limits import Limits
 from datasets.readers.naming import FileName
 from datasets.scene import BasicScene, Dataset
 from datasets.visibility import Samples
@@ -94,12 +95,21 @@ def _name(request: FileName, variable: str | None) -> str:
     parts += [variable] if variable is not None else []
     parts += [f"step{request.step}"] if request.step is not None else []
     parts += [f"r{request.resolution}"] if request.resolution is not None else []
+    if request.value_range is not None:
+        ends = request.value_range
+        parts.append("range" + (ends if ends == "all" else "_".join(f"{end:g}" for end in ends)))
+    parts += [f"without{value:g}" for value in request.missing]
     return own_name("-".join(safe_name(part) for part in parts))
 
 
 def _read(request: FileName, name: str | None) -> Volume:
     return read_volume(
-        request.path, name, array=request.variable, step=request.step, resolution=request.resolution
+        request.path,
+        name,
+        array=request.variable,
+        step=request.step,
+        resolution=request.resolution,
+        limits=Limits(request.value_range, request.missing),
     )
 
 

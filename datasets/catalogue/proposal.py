@@ -85,6 +85,14 @@ def _file(field: FileField, path: Path, *, first: bool) -> Iterator[str]:
         yield _line("array", _text(request.variable), "its name in the file" if first else "")
     if request.step is not None:
         yield _line("step", str(request.step), "time step, from 0" if first else "")
+    volume = field()
+    if request.value_range is not None or volume.whole is not None:
+        ends = request.value_range or volume.value_range
+        words = 'least and greatest value: 0 and 1 below; or "all"' if first else ""
+        yield _line("range", _text(ends) if ends == "all" else f"[{ends[0]!r}, {ends[1]!r}]", words)
+    if request.missing:
+        text = ", ".join(map(repr, request.missing))
+        yield _line("missing", f"[{text}]", "values that stand for missing data" if first else "")
     if request.resolution is not None:
         yield _line("resolution", str(request.resolution), "samples along the longest side" if first else "")
 
