@@ -131,8 +131,13 @@ class LegacyFile:
             match keyword:
                 case "DATASET":
                     self._kind = words[1].upper()
-                    if self._kind not in _KINDS:
+                    if self._kind == "STRUCTURED_GRID":
                         raise LeftToVtk(self._kind)
+                    if self._kind not in _KINDS:
+                        remedy = (
+                            f"Readable are {', '.join(_KINDS)}, STRUCTURED_GRID; resample others in ParaView"
+                        )
+                        raise DataError(self.path, f"holds {self._kind}", remedy)
                 case "DIMENSIONS":
                     self._dims = tuple(int(word) for word in words[1:4])
                     finish.positive_dims(self._dims, self.path)

@@ -16,7 +16,7 @@ from datasets.cloud import initial_cloud
 from datasets.errors import DataError, UnknownName
 from datasets.readers import list_variables, read_volume
 from datasets.readers import mesh as meshes
-from datasets.readers.fields import Variable
+from datasets.readers.fields import Choice, Variable
 from datasets.render_views import volume_digest
 from datasets.scene import BasicScene, Dataset
 from datasets.transfer import Bump, TransferFunction
@@ -338,8 +338,9 @@ def test_meshes_that_vtk_must_not_see(change: dict, reason: str) -> None:
         ends, types = 4 * np.arange(1, 20_001), np.full(20_000, 10, np.uint8)
     grid = meshes.Mesh(positions, connectivity, ends, types)
     values = LINEAR.astype(change.get("values", LINEAR.dtype))
+    choice = Choice(Variable("v", None), resolution=33)
     with pytest.raises(DataError, match=reason):
-        meshes.resampled(meshes.Mesh.joined([grid], Path("m")), values, False, 33, Path("m"))
+        meshes.resampled(meshes.Mesh.joined([grid], Path("m")), values, False, choice, Path("m"))
 
 
 def test_resolutions(tmp_path: Path) -> None:
