@@ -155,7 +155,9 @@ def array_of(archive: zipfile.ZipFile, name: str, kind: type, axes: int, most: i
             raise ValueError(f"{name} is {dtype} of {len(shape)} axes")
         if count > most or info.file_size != file.tell() + count * dtype.itemsize:
             raise ValueError(f"{name} has {count} values in {info.file_size} bytes, at most {most} are read")
-        values: NDArray[Any] = np.frombuffer(file.read(), dtype)
+        values: NDArray[Any] = np.empty(count, dtype)
+        if file.readinto(values.view(np.uint8).data) != values.nbytes:  # type: ignore[attr-defined]
+            raise EOFError(f"{name} was cut")
     return values.reshape(shape[::-1]).T if fortran else values.reshape(shape)
 
 

@@ -301,9 +301,10 @@ def attack_texts(victim: Victim, labels: Iterable[str], tally: Tally) -> None:
             commands = {"md": r"<(script|img)", "csv": r'(^|,)"?[=@]'}.get(form)
             if not wrong and commands and re.search(commands, text, re.MULTILINE):
                 wrong = f"a command in {form}"
-            tally.add("texts", wrong)
+            tally.add("texts", wrong and f"{label[:20]!r}: {wrong}")
         report = victim.watch.run(victim.bench, "report", "--runs", runs, "--out", out, written=out)
-        tally.add("texts", report or _page(out))
+        wrong = report or _page(out)
+        tally.add("texts", wrong and f"{label[:20]!r}: {wrong}")
 
 
 def _relabel(record: Any, label: str) -> None:
