@@ -17,8 +17,9 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
+from reports.progress import watched
 from reports.schema import TABLES
-from reports.terminal import terminal
+from reports.terminal import Terminal, terminal
 from reports.text import one_line
 
 COMMANDS = {
@@ -55,11 +56,11 @@ RETRIES = ("failed", "busy")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code."""
     with terminal() as streams:
-        code = _run(arguments)
+        code = _run(arguments, streams)
     return streams.code(code)
 
 
-def _run(arguments: Sequence[str] | None) -> int:
+def _run(arguments: Sequence[str] | None, streams: Terminal) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments:
         parser().print_help()
@@ -69,7 +70,8 @@ def _run(arguments: Sequence[str] | None) -> int:
 
     module, _, function = COMMANDS[options.command].partition(":")
     try:
-        return int(getattr(importlib.import_module(module), function)(options))
+        with watched(streams, options.command):
+            return int(getattr(importlib.import_module(module), function)(options))
     except DataError as error:
         if options.debug:
             raise

@@ -16,6 +16,7 @@ from bench.plugins import plugin_folders, remember, resolved
 from bench.rungs import remember as remember_ladders
 from bench.store import Store
 from datasets.errors import DataError
+from reports.progress import hushed, step
 
 if TYPE_CHECKING:
     from bench.display import Display
@@ -77,6 +78,7 @@ def execute(
     check_locks()
     given = resolved(os.fspath(folder) for folder in plugins)
     folders = plugin_folders(given, out)
+    step("reading and hashing the data of the plan")
     planner = plan(replace(selection, plugins=folders))
     store = Store(out, create=True)
     remember(store, given)
@@ -84,7 +86,8 @@ def execute(
     _announce(planner, store, display)
     threads = selection.suite.threads
     run = run_on(store, planner, display, retry=retry, limits=limits, plugins=folders, threads=threads)
-    return Experiment(store, planner, folders, run.run())
+    with hushed():
+        return Experiment(store, planner, folders, run.run())
 
 
 def check_device(device: str) -> None:

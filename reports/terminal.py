@@ -14,11 +14,13 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO, cast
 
-from reports.text import printable
+from reports.text import one_line, printable
 
 LOST = 141
 """Exit code of a command that did its work but whose output could not be written: that of SIGPIPE."""
@@ -29,12 +31,18 @@ class Stream:
 
     Attributes:
         lost: whether something could not be written.
+        written: when something was written last, by the monotonic clock.
         styled: the stream for writers that send commands to the terminal on purpose (rich).
+
+    Args:
+        stream: where it writes.
+        before: called before each writing.
     """
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+    def __init__(self, stream: TextIO, before: Callable[[], None] = lambda: None) -> None:
+        self._stream, self._before = stream, before
         self.lost = False
+        self.written = time.monotonic()
         self.styled = _Styled(self)
 
     def write(self, text: str) -> int:
@@ -47,6 +55,8 @@ class Stream:
 
     def write_raw(self, text: str) -> None:
         """Write control characters as they are."""
+        self._before()
+        self.written = time.monotonic()
         encoding = self._stream.encoding or "utf-8"
         with self._noticed():
             self._stream.write(text.encode(encoding, "replace").decode(encoding))
@@ -95,10 +105,38 @@ class _Closed(io.TextIOBase):
 
 
 class Terminal:
-    """The standard streams of a command."""
+    """The standard streams of a command.
+
+    Attributes:
+        streams: output and error.
+        live: whether errors go to a terminal that can take a line back.
+    """
 
     def __init__(self) -> None:
-        self.streams = [Stream(sys.stdout or _closed(1)), Stream(sys.stderr or _closed(2))]
+        out, err = sys.stdout or _closed(1), sys.stderr or _closed(2)
+        self._err, self._lock, self._shown = err, threading.RLock(), False
+        self.streams = [Stream(out, self._clear), Stream(err, self._clear)]
+        self.live = err.isatty() and os.environ.get("TERM") != "dumb"
+
+    @property
+    def written(self) -> float:
+        """When something was written last that stays, by the monotonic clock."""
+        return max(stream.written for stream in self.streams)
+
+    def transient(self, line: str) -> None:
+        """Show a line on the terminal until something else is written, or the next one; "" takes it back."""
+        with self._lock, suppress(OSError):
+            if not self.live or not (line or self._shown):
+                return
+            cut = one_line(line)[: shutil.get_terminal_size().columns - 1]
+            encoding = self._err.encoding or "utf-8"
+            self._err.write("\r\x1b[2K" + cut.encode(encoding, "replace").decode(encoding))
+            self._err.flush()
+            self._shown = bool(line)
+
+    def _clear(self) -> None:
+        if self._shown:
+            self.transient("")
 
     def flush(self) -> None:
         for stream in self.streams:

@@ -13,6 +13,7 @@ from bench.saved import load, picture
 from bench.store import Store
 from datasets.errors import DataError
 from datasets.names import unknown
+from reports.progress import step
 
 if TYPE_CHECKING:
     from bench.jobs.truth import Truth
@@ -33,12 +34,14 @@ def export(options: Namespace) -> int:
     file, name = Path(options.out), _format(options)
     store = Store(Path(options.runs))
     folders = plugin_folders(options.plugins, store.root)
+    step(f"loading {options.model}")
     method, scenes, size, model = load(store, options.model, folders, options.device)
     scene = _scene(options, scenes, model)
     truth, split = _truth(store, options.model, scene)
     count = len(truth.cameras("test"))
     views = truth.views("test", range(0, count, max(1, -(-count // _MEASURED))))
     cameras = truth.cameras(split)
+    step("measuring the model as it is")
     rows = [(f"{method}, as it is", size, model.primitives(scene), _psnr(model, scene, views))]
 
     def measure(title: str, gaussians: SceneGaussians) -> None:
@@ -46,7 +49,9 @@ def export(options: Namespace) -> int:
         rows.append((title, plain.bytes_estimate(), len(gaussians), _psnr(plain, scene, views)))
 
     gaussians = _plain(model, scene, cameras, views, options.distil, measure)
+    step(f"writing {file}")
     size = _written(file, name, gaussians)
+    step(f"measuring {file}")
     rows.append((str(file), size, len(gaussians), _psnr(_read(file, name, gaussians), scene, views)))
     print(f"PSNR in {len(views.cameras)} test views of {scene}; all but the first as plain viewers draw")
     for title, count, many, psnr in rows:
@@ -116,10 +121,15 @@ def _plain(
     own = exact(model, scene)
     if own is not None:
         return drawable(own)
+    step("baking to plain Gaussians")
     gaussians = baked(model, scene, cameras, views.background)
     measure("baked", gaussians)
     if iterations:
-        gaussians = distilled(gaussians, model, cameras, iterations)
+        gaussians = distilled(
+            gaussians, model, cameras, iterations,
+            report=lambda done, _: step("distilling", done, iterations),
+        )  # fmt: skip
+        step("measuring distilled Gaussians")
         measure(f"distilled, {iterations} iterations", gaussians)
     return drawable(gaussians)
 

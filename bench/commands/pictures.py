@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from bench.saved import load, picture
 from bench.store import Store
 from datasets.errors import DataError
 from datasets.names import unknown
+from reports.progress import step
 
 if TYPE_CHECKING:
     from methods.interface import Model
@@ -44,9 +46,12 @@ def _render(options: Namespace, dataset_name: str) -> None:
     from datasets.catalogue import open_dataset
     from datasets.ground_truth.sampling import samples_of
     from datasets.png import write_png
-    from datasets.render_views import cameras_of, views_of
+    from datasets.render_views import announce_slow, cameras_of, views_of
 
+    step(f"reading {dataset_name}")
     dataset = open_dataset(dataset_name)
+    if dataset.kind == "volume" and (options.truth or not options.model):
+        announce_slow()
     count = options.views or 8
     samples = None if options.samples is None else samples_of(options.samples, "--samples")
     model, default = _model(options) if options.model else (None, ())
@@ -71,7 +76,12 @@ def _render(options: Namespace, dataset_name: str) -> None:
         request = inputs.view_request(views, "test")
         folder = Path(options.out) / dataset.name / name
         folder.mkdir(parents=True, exist_ok=True)
-        truth = views_of(dataset, name, request, edit=edit) if options.truth or model is None else None
+        doing = f"drawing {dataset.name}/{name}"
+        step(doing)
+        drawn = partial(step, doing)
+        truth = None
+        if options.truth or model is None:
+            truth = views_of(dataset, name, request, edit=edit, progress=drawn)
         if truth is not None:
             beside = folder if model is None else folder / "truth"
             beside.mkdir(exist_ok=True)
@@ -81,6 +91,7 @@ def _render(options: Namespace, dataset_name: str) -> None:
             background = dataset.parts(name)[0].background
             psnr = []
             for index, camera in enumerate(cameras_of(dataset, name, request)):
+                step(f"drawing {name} of {options.model}", index, count)
                 rgb, alpha = picture(model, camera, scenes, edit, background)
                 write_png(folder / f"{index:04d}.png", premultiplied(rgb, alpha, background))
                 if truth is not None:
@@ -94,6 +105,7 @@ def _render(options: Namespace, dataset_name: str) -> None:
 
 def _model(options: Namespace) -> tuple[Model, tuple[str, ...]]:
     """The model of a finished encode or measure job, and the scenes or the composition of that job."""
+    step(f"loading {options.model}")
     store = Store(Path(options.runs))
     folders = plugin_folders(options.plugins, store.root)
     _, scenes, _, model = load(store, options.model, folders, options.device)
@@ -107,5 +119,6 @@ def score(options: Namespace) -> int:
     from bench.commands.results import print_as
     from bench.metrics.folders import score as score_folders
 
+    step("scoring")
     print_as(score_folders(Path(options.renders), Path(options.truth)), options.format)
     return 0

@@ -12,6 +12,7 @@ from bench.plugins import plugin_folders
 from bench.store import Store
 from bench.tables import build_tables
 from datasets.errors import DataError
+from reports.progress import step
 from reports.terminal import line_width, print_prose
 from reports.text import one_line
 
@@ -57,6 +58,7 @@ def report(options: Namespace) -> int:
 
     store = Store(Path(options.runs))
     page = _page(Path(options.out)) if options.out else store.root / "report.html"
+    step("making tables")
     tables = build_tables(store, current(options.plugins, store.root))
     report_damage(store)
     contents = Report(tables)
@@ -65,6 +67,7 @@ def report(options: Namespace) -> int:
         print_prose(documents.to_text(table))
     if options.check_claims:
         print(verdicts.to_text(claims.check([*paper, *of_report(contents)], contents.views)))
+    step(f"writing {page}")
     write_report(tables, store.root, page, paper, contents)
     print_answers(contents)
     print(page)

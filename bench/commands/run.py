@@ -17,6 +17,7 @@ from bench.selection import Selection
 from bench.store import Store
 from bench.suites import load_suite
 from bench.versions import of_other_source
+from reports.progress import step
 from reports.style import counted
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def run(options: Namespace) -> int:
         **execution(options),
     )
     store, planner, outcome = done.store, done.planner, done.outcome
+    step("making tables and the report")
     methods = planner.registry.specs
     tables = build_tables(store, methods)
     # The rows of this run alone, as the store's tables have them beside all others.
@@ -127,6 +129,7 @@ def _is_finding(record: Record) -> bool:
 def plan(options: Namespace) -> int:
     """Print the jobs, their states, and the time, memory and disk that the rest may take."""
     root = Path(options.out)
+    step("reading and hashing the data of the plan")
     planner = Planner(replace(_selection(options), plugins=plugin_folders(options.plugins, root)))
     store = Store(root) if (root / "store.json").is_file() else None
     jobs = planner.jobs(store)

@@ -7,6 +7,7 @@ from argparse import Namespace
 from dataclasses import replace
 
 from datasets.errors import DataError
+from reports.progress import step
 
 NUMBERS = (1, 4, 9, 16, 64, 0)
 """Samples that are compared; 0: as many as each pixel needs."""
@@ -20,24 +21,29 @@ def samples(options: Namespace) -> int:
     from bench.commands.results import print_as
     from bench.metrics import mean_scores
     from datasets.catalogue import open_dataset
-    from datasets.render_views import FLOOR_VIEWS, finer_views, live_renderer
+    from datasets.render_views import FLOOR_VIEWS, announce_slow, finer_views, live_renderer
     from datasets.views import ViewRequest
     from reports.schema import rays
 
     dataset = open_dataset(options.dataset)
     if dataset.kind == "views":
         raise DataError(dataset.name, "was rendered elsewhere", "Name a dataset with a volume")
+    announce_slow()
     count = options.views or 2 * FLOOR_VIEWS
     width, height = options.size or (128, 128)
     rows = []
     for name in options.scene or [scene.name for scene in dataset.scenes]:
         request = ViewRequest("test", 12, count, width, height)
+        step(f"drawing the finer views of {name}")
         truth = finer_views(dataset, name, request, count=count)
         background = dataset.parts(name)[0].background
         for number in NUMBERS:
             live = live_renderer(dataset, name, replace(request, samples=number))
             start = time.perf_counter()
-            images = [live.render(camera) for camera in live.cameras]
+            images = []
+            for done, camera in enumerate(live.cameras):
+                step(f"drawing {name} with {rays(number)} rays a pixel", done, len(live.cameras))
+                images.append(live.render(camera))
             seconds = time.perf_counter() - start
             means = mean_scores(truth.finer, images, background, METRICS)
             rows.append(

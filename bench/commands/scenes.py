@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from datasets.errors import DataError
+from reports.progress import step
 
 if TYPE_CHECKING:
     from datasets.scene import Dataset
@@ -52,7 +53,10 @@ def scenes(options: Namespace) -> int:
     from bench.commands.sheets import draw_sheet
     from datasets.catalogue import open_dataset
     from datasets.catalogue.proposal import write_entry
+    from datasets.render_views import announce_slow
 
+    announce_slow()
+    step(f"reading {options.file}")
     entry = Path(options.file).expanduser()
     if entry.suffix == ".toml":
         if options.out:
@@ -61,12 +65,14 @@ def scenes(options: Namespace) -> int:
     else:
         entry, dataset = _entry(options)
         if not entry.exists():
+            step("proposing scenes")
             write_entry(dataset, entry)
             number = len(dataset.scenes)
             print(f"{entry}: {number} scene{'s' if number > 1 else ''} proposed")
         else:
             print(f"{entry}: is there already and stays as it is")
         dataset = open_dataset(str(entry))
+    step("looking at what the scenes show")
     accounts = account(dataset)
     notes = {one.scene: str(one) for one in accounts}
     sheet = entry.with_suffix(".png")

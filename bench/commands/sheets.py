@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from datasets.errors import DataError
+from reports.progress import step
 
 if TYPE_CHECKING:
     from datasets.scene import BasicScene, Dataset
@@ -22,6 +23,7 @@ _ENTRIES = 2048  # of a drawn transfer function
 def contact_sheets(options: Namespace) -> int:
     """Write one sheet per dataset; without a name, of every dataset of the catalogue that is here."""
     from datasets.catalogue import list_datasets, open_dataset
+    from datasets.render_views import announce_slow
 
     if options.model:
         raise DataError("--contact-sheet", "shows ground truth only", "Leave --model out")
@@ -29,6 +31,9 @@ def contact_sheets(options: Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     for name in options.dataset or [info.name for info in list_datasets() if info.available]:
         dataset = open_dataset(name)
+        if dataset.kind == "volume":
+            announce_slow()
+        step(f"reading {dataset.name}")
         if options.automatic:
             dataset = _with_automatic(dataset)
         path = folder / f"{dataset.name}.png"
@@ -63,7 +68,10 @@ def draw_sheet(
     from reports.pictures.contact_sheet import contact_sheet
 
     names = scenes or [*(scene.name for scene in dataset.scenes), *dataset.compositions]
-    tiles = [_tile(dataset, name, views, size, notes or {}) for name in names]
+    tiles = []
+    for number, name in enumerate(names):
+        step(f"drawing the sheet of {dataset.name}", number, len(names))
+        tiles.append(_tile(dataset, name, views, size, notes or {}))
     sheet = contact_sheet(f"{dataset.name}: {dataset.title}", tiles)
     write_png(path, sheet.astype(np.float32) / np.float32(255.0))
 

@@ -19,6 +19,7 @@ from bench.rungs import remember as remember_ladders
 from bench.store import Store
 from bench.tables import build_tables
 from datasets.errors import DataError, printable
+from reports.progress import step
 
 
 def merge(options: Namespace) -> int:
@@ -26,6 +27,7 @@ def merge(options: Namespace) -> int:
     from bench.bundle import unpacked
 
     with ExitStack() as stack:
+        step("checking what is to be joined")
         paths = [Path(name) for name in options.stores]
         sources = [stack.enter_context(unpacked(path)) if path.is_file() else Store(path) for path in paths]
         return _merge(sources, options)
@@ -37,6 +39,7 @@ def _merge(sources: list[Store], options: Namespace) -> int:
     for source in sources:
         if source.root == target.root:
             raise DataError(source.root, "is the target itself", "Name the other stores only")
+        step(f"joining the jobs of {source.root}")
         for record in source.records():
             name = record.job.id
             with target.lease(name) as lease:
@@ -56,6 +59,7 @@ def _merge(sources: list[Store], options: Namespace) -> int:
         report_damage(source)
     remember(target, resolved(options.plugins))
     folders = [Path(name) for name in options.stores if Path(name).is_dir()]
+    step("making tables")
     build_tables(target, current(options.plugins, target.root, *folders))
     print(f"{target.root}: {taken} jobs taken, {kept} there already")
     return 0
@@ -63,6 +67,7 @@ def _merge(sources: list[Store], options: Namespace) -> int:
 
 def compare(options: Namespace) -> int:
     """Pair two stores view by view: mean of each metric in both, and how the views differ."""
+    step("making tables of both")
     first, second = (build_tables(Store(Path(root)), write=False)["views"] for root in options.stores)
     table = compared(first, second)
     for line in table.attrs["differences"]:
@@ -108,6 +113,7 @@ def bundle(options: Namespace) -> int:
     from bench.bundle import write_bundle
 
     out, store = Path(options.out), Store(Path(options.runs))
+    step(f"packing {store.root}")
     count = write_bundle(store, out, models=options.models)
     report_damage(store)
     print(f"{out}: {count} records, {out.stat().st_size / 2**20:.1f} MiB")
@@ -129,6 +135,7 @@ def verify(options: Namespace) -> int:
     from bench.bundle import unpack
 
     path = Path(options.bundle)
+    step(f"checking {path}")
     with tempfile.TemporaryDirectory() as folder:
         verdict = unpack(path, Path(folder))
         _print_lines(verdict.problems)
@@ -138,6 +145,7 @@ def verify(options: Namespace) -> int:
         from bench.limits import Limits
         from bench.redo import redo
 
+        step(f"measuring {options.redo} models again")
         redone = redo(
             Store(Path(folder)), path, options.redo, datasets=options.dataset, plugins=options.plugins,
             limits=Limits(options.time_limit, options.memory_limit),
