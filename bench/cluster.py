@@ -40,7 +40,10 @@ from datasets.errors import DataError
 POLL_SECONDS = 0.5
 LOOK_SECONDS = 1.0
 """Between looks at the store and at the workers."""
-_NO_PAGES = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
+_NO_PAGES: dict[str, list[str]] = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
 """Pages of schedulers and workers show logs and settings to whoever reaches their ports."""
 REPLY_SECONDS = 30.0
 """How long a worker may keep its reply once the record of its job is there."""
@@ -329,7 +332,8 @@ def _secret() -> Security:
         DataError: the package that makes them is missing.
     """
     try:
-        return Security.temporary()
+        secret: Security = Security.temporary()
+        return secret
     except ImportError as error:
         remedy = "pip install 'econgs-bench[cluster]'"
         raise DataError("--executor dask", f"needs the package cryptography ({error})", remedy) from error

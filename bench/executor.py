@@ -52,7 +52,7 @@ Retry = bool | Literal["failed", "busy"]
 
 def _stop_signals() -> list[int]:
     """Signals that end a run; `nohup` has hang-ups ignored."""
-    stops = [signal.SIGINT, signal.SIGTERM]
+    stops: list[int] = [signal.SIGINT, signal.SIGTERM]
     if _HANGUP is not None and signal.getsignal(_HANGUP) != signal.SIG_IGN:
         stops.append(_HANGUP)
     return stops
