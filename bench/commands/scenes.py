@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import shlex
 from argparse import Namespace
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.errors import DataError
 from reports.progress import step
@@ -66,9 +68,11 @@ def scenes(options: Namespace) -> int:
         entry, dataset = _entry(options)
         if not entry.exists():
             step("proposing scenes")
+            found, dataset = len(dataset.scenes), without_repeats(dataset)
             write_entry(dataset, entry)
             number = len(dataset.scenes)
-            print(f"{entry}: {number} scene{'s' if number > 1 else ''} proposed")
+            less = f"; left out {found - number} that show much the same" if number < found else ""
+            print(f"{entry}: {number} scene{'s' if number > 1 else ''} proposed{less}")
         else:
             print(f"{entry}: is there already and stays as it is")
         dataset = open_dataset(str(entry))
@@ -108,11 +112,59 @@ def _entry(options: Namespace) -> tuple[Path, Dataset]:
 
 def account(dataset: Dataset) -> list[Account]:
     """What each scene of a dataset of volumes shows, by order of the scenes."""
+    result: dict[str, Account] = {}
+    for looks, common in _grids(dataset):
+        np.fill_diagonal(common, -1.0)
+        for i, one in enumerate(looks):
+            j = int(common[i].argmax())
+            other = looks[j].scene if len(looks) > 1 else ""
+            overlap = max(float(common[i, j]), 0.0)
+            words = []
+            if one.share < EMPTY:
+                words.append("nearly empty")
+            if one.cover > BOX:
+                words.append("a solid box")
+            if overlap > SAME:
+                words.append(f"shows much the same as {other}")
+            result[one.scene] = Account(one.scene, one.share, overlap, other, ", ".join(words))
+    return [result[scene.name] for scene in dataset.scenes]
+
+
+def without_repeats(dataset: Dataset) -> Dataset:
+    """The dataset without scenes that show much the same as one before them."""
+    gone: set[str] = set()
+    for looks, common in _grids(dataset):
+        for i, one in enumerate(looks):
+            if any(common[i, j] > SAME for j in range(i) if looks[j].scene not in gone):
+                gone.add(one.scene)
+    left = {
+        name: tuple(part for part in parts if part not in gone)
+        for name, parts in dataset.compositions.items()
+    }
+    scenes = tuple(scene for scene in dataset.scenes if scene.name not in gone)
+    shown = {scene.variable for scene in scenes}
+    return replace(
+        dataset,
+        scenes=scenes,
+        compositions={name: parts for name, parts in left.items() if len(parts) > 1},
+        volumes={name: volume for name, volume in dataset.volumes.items() if name in shown},
+    )
+
+
+class _Look(NamedTuple):
+    """Name, visible share of the voxels and covered share of the box."""
+
+    scene: str
+    share: float
+    cover: float
+
+
+def _grids(dataset: Dataset) -> Iterator[tuple[list[_Look], NDArray[np.float64]]]:
+    """The scenes of each grid, and how much of the visible voxels any two have in common."""
     from datasets.framing import visible_voxels
     from datasets.visibility import Samples, overlaps
 
-    result: dict[str, Account] = {}
-    grids: dict[tuple[object, ...], list[tuple[str, np.ndarray, float, float]]] = {}
+    grids: dict[tuple[object, ...], list[tuple[_Look, NDArray[np.bool_]]]] = {}
     for variable in dict.fromkeys(scene.variable for scene in dataset.scenes):
         samples = Samples.of(dataset.volume(variable), _SAMPLES)
         key = (samples.values.shape, samples.distances)
@@ -120,21 +172,7 @@ def account(dataset: Dataset) -> list[Account]:
             if scene.variable == variable:
                 visible = visible_voxels(samples, scene)
                 cover = samples.look(scene.transfer).cover if scene.transfer else 0.0
-                share = float(visible.sum() / samples.valid.sum())
-                grids.setdefault(key, []).append((scene.name, visible, share, cover))
+                look = _Look(scene.name, float(visible.sum() / samples.valid.sum()), cover)
+                grids.setdefault(key, []).append((look, visible))
     for parts in grids.values():
-        common = overlaps([visible for _, visible, _, _ in parts])
-        np.fill_diagonal(common, -1.0)
-        for i, (name, _, share, cover) in enumerate(parts):
-            j = int(common[i].argmax())
-            other = parts[j][0] if len(parts) > 1 else ""
-            overlap = max(float(common[i, j]), 0.0)
-            words = []
-            if share < EMPTY:
-                words.append("nearly empty")
-            if cover > BOX:
-                words.append("a solid box")
-            if overlap > SAME:
-                words.append(f"shows much the same as {other}")
-            result[name] = Account(name, share, overlap, other, ", ".join(words))
-    return [result[scene.name] for scene in dataset.scenes]
+        yield [look for look, _ in parts], overlaps([visible for _, visible in parts])

@@ -177,9 +177,10 @@ class _Test:
         q = self.quantity
         tolerance = q.change(self.tolerance(level)).lstrip("+-") if self.error > 0.0 else "nothing"
         unit = " dB" if q.scale == "linear" else ""
+        what = "1 - SSIM: " if q.name == "ssim" else ""
         text = (
-            f"{self.title} {q.text(self.before)} → {q.text(self.after)} ({q.change(self.difference)}{unit}; "
-            f"seeds explain {tolerance}{unit})"
+            f"{self.title} {q.text(self.before)} → {q.text(self.after)} "
+            f"({what}{q.change(self.difference)}{unit}; seeds explain {tolerance}{unit})"
         )
         if self.cause:
             return Finding("not measured", self.cell, f"{text}: {self.cause}")

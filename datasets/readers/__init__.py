@@ -202,7 +202,6 @@ def _kind(path: Path) -> str:
     if not suffix:
         reason = f"unknown volume format {path.suffix!r}" if path.suffix else "unknown volume format"
         remedy = (
-            "docs/reference/formats.md lists what is read. "
             "Convert it with ParaView (.vti) or 3D Slicer (.nrrd), or name raw values NAME_64x64x32_uint8.raw"
         )
         raise DataError(path, reason, remedy)

@@ -173,7 +173,7 @@ BAD_FILES = {
     "text.npy": (b"hello", "is not a readable .npy file"),
     "cut.nrrd": (b"NRRD0004\ntype: foo\n", "has no readable NRRD header"),
     "cut.nii.gz": (b"\1" * 300, "is not a readable NIfTI image"),
-    "other.obj": (b"1", "unknown volume format '.obj'. Known are .raw"),
+    "other.obj": (b"1", "unknown volume format '.obj'. Convert it"),
     "folder/notes.txt": (b"1", "is a folder without pre-rendered views"),
     "views/transforms_train.json": (b'{"frames": 3', "is not readable JSON"),
 }

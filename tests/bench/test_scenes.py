@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from bench.__main__ import main
-from bench.commands.scenes import account
+from bench.commands.scenes import account, without_repeats
 from datasets import procedural
 from datasets.catalogue import open_dataset
 from datasets.scene import Dataset
@@ -88,7 +88,7 @@ def test_several_variables_and_choices_round_trip(tmp_path: Path) -> None:
     np.savez(file, **{"shell s": shells, "turned": shells[::-1].copy() ** 2})
     assert main(["scenes", str(file), "--out", str(tmp_path / "data" / "mine.toml"), *SMALL]) == 0
     entry = tmp_path / "data" / "mine.toml"
-    _same(open_dataset(str(file)), open_dataset(str(entry)))
+    _same(without_repeats(open_dataset(str(file))), open_dataset(str(entry)))
     assert {one["path"] for one in tomllib.loads(entry.read_text())["files"]} == {"two.npz"}, "beside it"
     assert main(["scenes", f"{file}:variable=turned", *SMALL]) == 0
     (scenes,) = (
@@ -117,6 +117,21 @@ def test_the_account_names_what_is_wrong(tmp_path: Path) -> None:
     assert "much the same as two" in words["one"]
     assert words["box"].startswith("a solid box")
     assert words["none"].startswith("nearly empty")
+
+
+def test_scenes_that_repeat_another_are_left_out(tmp_path: Path, monkeypatch, capsys) -> None:
+    """Variables of which one follows from another, as many of a simulation do."""
+    z, y, x = np.mgrid[-1:1:24j, -1:1:24j, -1:1:24j]
+    ball, side = np.exp(-4 * (x * x + y * y + z * z)), np.exp(-8 * ((x - 0.6) ** 2 + (y - 0.6) ** 2 + z * z))
+    np.savez(tmp_path / "v.npz", density=ball, energy=3.0 * ball + 1.0, other=side)
+    monkeypatch.chdir(tmp_path)
+    assert any("much the same" in one.words for one in account(open_dataset("v.npz")))
+    assert main(["scenes", "v.npz", "--views", "1", "--size", "16"]) == 0
+    assert re.search(r"proposed; left out \d that show much the same\n", capsys.readouterr().out)
+    kept = open_dataset("v.toml")
+    assert {scene.variable for scene in kept.scenes} == {"density", "other"}
+    assert all("much the same" not in one.words for one in account(kept))
+    assert set(kept.compositions["all"]) == {scene.name for scene in kept.scenes}
 
 
 @pytest.mark.parametrize(
