@@ -169,9 +169,9 @@ def scalar(values: NDArray[np.generic], choice: Choice, path: Path) -> NDArray[n
         first = values[..., 0]
         for channel in range(1, variable.channels):
             if any(not np.array_equal(a[..., channel], b) for a, b in zip(values, first, strict=True)):
-                parts = ", ".join(variable.part(i) for i in range(variable.components))
-                remedy = f"Choose a channel, {path}:variable=NAME with one of {parts}"
-                raise DataError(path, f"{variable.name!r} is in color: it has no single values", remedy)
+                first_part, *others = (variable.part(i) for i in range(variable.components))
+                remedy = f"Choose a channel: {path}:variable={first_part} (or {', '.join(others)})"
+                raise DataError(path, f"{variable.name!r} has colors or channels, no single values", remedy)
         return first
     out = np.empty(values.shape[:-1], np.float64 if values.dtype.itemsize > 4 else np.float32)
     step = max(1, _CHUNK * len(values) // max(values.nbytes, 1))

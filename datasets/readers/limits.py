@@ -30,7 +30,7 @@ _FAR_FILL = 4.0  # the same for repeated fill values by custom: -999, -9999, 1e2
 _RARE = 1e-3  # share of the values that may be outliers without being one fill value
 _LEAST_FILL = 999.0  # magnitude of a fill value
 _MOST_ISOLATED = 4096
-_SAMPLE = 1 << 17
+_SAMPLES = (1 << 12, 1 << 17)
 _CHUNK = 1 << 21
 
 _log = logging.getLogger(__name__)
@@ -152,27 +152,16 @@ def _rest(
 ) -> tuple[float, float] | None:
     """Minimum and maximum without outliers; None if there are none.
 
-    A sample decides whether there can be any; only then all values are looked at.
+    Samples decide whether there can be any, a small one in most files; only then all values are looked at.
     """
     if values.dtype.itemsize == 1 or low == high:
         return None
-    stride = max(1, math.ceil((values.size / _SAMPLE) ** (1.0 / values.ndim)))
-    some = (slice(None, None, stride),) * values.ndim
-    sample = values[some] if valid is None else values[some][valid[some]]
-    levels, counts = np.unique(np.append(sample.ravel(), [low, high]).astype(np.float64), return_counts=True)
-    counts[[0, -1]] -= 1
-    fills = _fills(levels, counts)
-    inner = ~np.isin(levels, list(fills))
-    if inner.sum() < 2:
-        return None
-    a, b = _core(levels[inner], counts[inner])
-    customary = {fill for fill in fills if _is_customary(fill)}
-    a, b = _grown(levels[~np.isin(levels, list(customary))], a, b)
-    far = FAR * (b - a)
-    near = _FAR_FILL * (b - a)
-    if all(v >= a - (near if v in customary else far) and v <= b + (near if v in customary else far)
-           for v in (low, high)):  # fmt: skip
-        return None
+    a, b, customary = low, high, set[float]()
+    for size in _SAMPLES:
+        found = _of_sample(values, valid, low, high, size)
+        if found is None:
+            return None
+        a, b, customary = found
     while True:
         before, far = (a, b), FAR * (b - a)
         for part in _valid_parts(values, valid):
@@ -197,6 +186,32 @@ def _rest(
             ends[end] += int(np.count_nonzero(part == end)) if not a <= end <= b else 0
     alike = sum(n for end, n in ends.items() if n > 1 and abs(end) >= _LEAST_FILL)
     return None if outside - alike > max(1.0, _RARE * total) else (a, b)
+
+
+def _of_sample(
+    values: NDArray[np.generic], valid: NDArray[np.bool_] | None, low: float, high: float, size: int
+) -> tuple[float, float, set[float]] | None:
+    """The range of a sample without its outliers, and fill values; None if there can be no outliers.
+
+    The range of all values is no smaller: what lies near enough to that of a sample is no outlier.
+    """
+    stride = max(1, math.ceil((values.size / size) ** (1.0 / values.ndim)))
+    some = (slice(None, None, stride),) * values.ndim
+    sample = values[some] if valid is None else values[some][valid[some]]
+    levels, counts = np.unique(np.append(sample.ravel(), [low, high]).astype(np.float64), return_counts=True)
+    counts[[0, -1]] -= 1
+    fills = _fills(levels, counts)
+    inner = ~np.isin(levels, list(fills))
+    if inner.sum() < 2:
+        return (low, low, fills) if size < _SAMPLES[-1] else None
+    a, b = _core(levels[inner], counts[inner])
+    customary = {fill for fill in fills if _is_customary(fill)}
+    a, b = _grown(levels[~np.isin(levels, list(customary))], a, b)
+    for v in (low, high):
+        reach = (_FAR_FILL if v in customary else FAR) * (b - a)
+        if not a - reach <= v <= b + reach:
+            return a, b, customary
+    return None
 
 
 def _fills(levels: NDArray[np.float64], counts: NDArray[np.int64]) -> set[float]:

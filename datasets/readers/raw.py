@@ -51,7 +51,7 @@ class _Sidecar(BaseModel):
     endian: Literal["little", "big"] = "little"
     spacing: list[float] | None = Field(None, min_length=3, max_length=3)
     header_bytes: int = Field(0, ge=0)
-    range: tuple[float, float] | None = None
+    range: list[float] | None = Field(None, min_length=2, max_length=2)
     missing: float | list[float] = []
 
 
@@ -117,5 +117,6 @@ def _from_sidecar(path: Path) -> Layout:
     x, y, z = sidecar.spacing or UNIT
     spacing = None if sidecar.spacing is None else (x, y, z)
     missing = sidecar.missing if isinstance(sidecar.missing, list) else [sidecar.missing]
-    limits = Limits(sidecar.range, tuple(missing))
+    ends = sidecar.range
+    limits = Limits(None if ends is None else (ends[0], ends[1]), tuple(missing))
     return Layout(tuple(sidecar.dims), dtype, spacing, sidecar.header_bytes, limits)

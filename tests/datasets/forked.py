@@ -71,7 +71,7 @@ def use_forks(monkeypatch: pytest.MonkeyPatch, perturb: int = 0) -> None:
         library, path = options[:2]
         module = import_module(f"datasets.readers.child.{library}")
         if library == "vtk_data":
-            reader = module.READERS[Path(path).suffix.lower()]
+            reader = module.READERS[module.suffix_of(Path(path), set(module.READERS))]
             import_module(f"vtkmodules.{reader.partition('.')[0]}")
         gc.freeze()  # a collection in a fork would copy all pages
         return Fork(options, stderr, perturb)
