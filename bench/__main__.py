@@ -226,6 +226,10 @@ def parser() -> _Parser:
     scenes.add_argument(
         "--out", metavar="NAME.toml", help="file to write, which is never overwritten (default: here)"
     )
+    scenes.add_argument(
+        "--range", metavar="LOW,HIGH", help='values to show, or "all" (default: all but outliers)'
+    )
+    scenes.add_argument("--missing", metavar="V,V...", help="values that stand for missing data")
     scenes.add_argument("--views", type=_count, help="number of views of each scene (default: 3)")
     scenes.add_argument("--size", type=_size, metavar="WxH", help="pixels of a view (default: 200)")
     render = command("render", "write pictures: ground truth, or those of a finished model", stored, runs)

@@ -61,6 +61,8 @@ def scenes(options: Namespace) -> int:
     step(f"reading {options.file}")
     entry = Path(options.file).expanduser()
     if entry.suffix == ".toml":
+        if options.range or options.missing:
+            raise DataError("--range, --missing", "are for a volume file", f"Write the keys in {entry}")
         if options.out:
             raise DataError("--out", "is for a volume file", f"Leave it out: {entry} stays as it is")
         dataset = open_dataset(str(entry))
@@ -75,6 +77,8 @@ def scenes(options: Namespace) -> int:
             print(f"{entry}: {number} scene{'s' if number > 1 else ''} proposed{less}")
         else:
             print(f"{entry}: is there already and stays as it is")
+        for line in _steps(dataset):
+            print(line)
         dataset = open_dataset(str(entry))
     step("looking at what the scenes show")
     accounts = account(dataset)
@@ -91,6 +95,37 @@ def scenes(options: Namespace) -> int:
     return 0
 
 
+def _steps(dataset: Dataset) -> Iterator[str]:
+    """A line for each file with several time steps."""
+    from datasets.catalogue.files import FileField
+    from datasets.readers import list_variables
+
+    requests = {f.request.path: f.request for f in dataset.volumes.values() if isinstance(f, FileField)}
+    for path, request in requests.items():
+        steps = max((variable.steps for variable in list_variables(path)), default=1)
+        if steps > 1:
+            yield (
+                f"{path}: has {steps} time steps, 0 to {steps - 1}; this is step {request.step or 0}. "
+                f"Others: bench scenes {shlex.quote(f'{path}:step={steps - 1}')}"
+            )
+
+
+def _name(options: Namespace) -> str:
+    """The file with the choices of the options: ``PATH:variable=T,range=0,100``."""
+    from datasets.readers.naming import parse_numbers, parse_range, split
+
+    choices = []
+    if options.range is not None:
+        parse_range(options.range)
+        choices.append(f"range={options.range}")
+    if options.missing is not None:
+        parse_numbers("missing", options.missing)
+        choices.append(f"missing={options.missing}")
+    if not choices:
+        return str(options.file)
+    return f"{options.file}{',' if split(options.file)[1] else ':'}{','.join(choices)}"
+
+
 def _entry(options: Namespace) -> tuple[Path, Dataset]:
     """The entry's file, and the dataset with automatic scenes that it is to hold."""
     from datasets.catalogue import open_dataset
@@ -104,7 +139,7 @@ def _entry(options: Namespace) -> tuple[Path, Dataset]:
             options.file, "is a dataset of the catalogue",
             f"Its sheet: bench render --contact-sheet {options.file}. For scenes of your own name a file",
         )  # fmt: skip
-    dataset = open_dataset(options.file)
+    dataset = open_dataset(_name(options))
     if not all(isinstance(field, FileField) for field in dataset.volumes.values()) or not dataset.volumes:
         raise DataError(options.file, "is no volume file", "Name a volume file or an entry (.toml)")
     return Path(options.out).expanduser() if options.out else Path(f"{dataset.name}.toml"), dataset
