@@ -54,7 +54,7 @@ def report(options: Namespace) -> int:
     from reports.page.document import write_report
     from reports.paper import claims, documents, verdicts
     from reports.paper.evidence import of_report
-    from reports.paper.tables import paper_tables
+    from reports.paper.tables import lacking, paper_tables
 
     store = Store(Path(options.runs))
     page = _page(Path(options.out)) if options.out else store.root / "report.html"
@@ -63,10 +63,12 @@ def report(options: Namespace) -> int:
     report_damage(store)
     contents = Report(tables)
     paper = paper_tables(tables, contents.views)
-    for table in paper:
-        print_prose(documents.to_text(table))
     if options.check_claims:
         print(verdicts.to_text(claims.check([*paper, *of_report(contents)], contents.views)))
+    for table in paper:
+        print_prose(documents.to_text(table))
+    if not paper and (why := lacking(tables["results"])):
+        print_prose(why)
     step(f"writing {page}")
     write_report(tables, store.root, page, paper, contents)
     print_answers(contents)

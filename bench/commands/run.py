@@ -66,10 +66,16 @@ def run(options: Namespace) -> int:
             if outcome.ran or not page.is_file():
                 from reports.charts.report import Report
                 from reports.page.document import write_report
+                from reports.paper.layouts import layouts
+                from reports.paper.tables import lacking, paper_tables
 
                 contents = Report(tables)
-                write_report(tables, store.root, page, report=contents)
+                paper = paper_tables(tables, contents.views)
+                write_report(tables, store.root, page, paper, contents)
                 print_answers(contents)
+                suite = Path(options.suite).stem
+                if suite in layouts()["tables"] and suite not in {table.name for table in paper}:
+                    print_prose(lacking(tables["results"], [suite]))
             print(f"report: {page}")
     if count := _disturbed(frames["results"]):
         text = f"{counted(count, 'time')} disturbed by other work on the machine"

@@ -64,6 +64,37 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
     return papers
 
 
+def lacking(results: pd.DataFrame, names: Iterable[str] = ()) -> str:
+    """Why there is none of these tables: what the nearest one lacks; "" where no row belongs to any.
+
+    Args:
+        results: the table of :mod:`reports.schema`.
+        names: of layouts; none: all.
+    """
+    results = results[results["kind"].isin(("basic", "composed")) & results["rate"].isna()]
+    found = []
+    for place, name in enumerate(names or layouts()["tables"]):
+        layout = layouts()["tables"][name]
+        for dataset, rows in results.groupby("dataset", sort=False):
+            described = published_as(name, str(dataset))
+            if not described and not takes(name, str(dataset)):
+                continue
+            models = set(zip(rows["method"], rows["variant"].fillna(""), strict=True))
+            lines = [line for line in layout["rows"] if (line["method"], line.get("variant", "")) in models]
+            if not lines:
+                continue
+            scenes = rows.loc[rows["kind"] == "basic", "scene"].nunique()
+            needed = min((int(one["count"]) for one in described.values()), default=scenes)
+            wants = [f"all {needed} scenes of {dataset} (here {scenes})"] if scenes < needed else []
+            same = any(dataset in one.get("real", ()) for one in described.values())
+            if not same and len({line["label"] for line in lines}) < _LEAST_ROWS:
+                wants.append(f'two of its {len(layout["rows"])} rows (here "{lines[0]["label"]}")')
+            if wants:
+                text = f"{layout['title']}, of {dataset}: needs {' and '.join(wants)}"
+                found.append((len(wants), -len(lines), place, text))
+    return f"No table of the paper: {min(found)[-1]}." if found else ""
+
+
 def _with_parts(results: pd.DataFrame, timing: pd.DataFrame | None) -> pd.DataFrame:
     """The results with columns of their own for what the paper's tables have.
 

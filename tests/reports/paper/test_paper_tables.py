@@ -460,3 +460,33 @@ def test_triangle_meshes_have_their_rows_beside_the_papers():
 
 
 KINDS = ("triangle mesh", "triangle mesh, reduced and coded", "ECoNGS-R")
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (
+            [row("econgs"), row("hac")],
+            "Univariate datasets, of vortex_views: needs all 4 scenes of vortex_views (here 1).",
+        ),
+        ([row("plenoxels")], "needs all 4 scenes of vortex_views (here 1)."),
+        (
+            [row("plenoxels", dataset="vortices")],
+            'all 4 scenes of vortices (here 1) and two of its 15 rows (here "Plenoxels").',
+        ),
+        (four("plenoxels", 30.0), ""),
+        ([row("mine"), row("hac", dataset="own")], ""),
+        ([], ""),
+    ],
+)
+def test_a_part_of_a_table_is_told_what_it_lacks(rows, words):
+    """One line where rows of a table were measured and there is none; the paper's own data need one row."""
+    found = tables.lacking(results(*rows), ["univariate"])
+    made = paper_tables(results(*rows))
+    assert found.removeprefix("No table of the paper: ").endswith(words)
+    assert bool(found) == bool(words)
+    assert not (words and made)
+
+
+def test_what_is_lacking_is_of_the_nearest_table():
+    assert "Univariate datasets" in tables.lacking(results(row("econgs"), row("hac")))
