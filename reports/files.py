@@ -13,6 +13,7 @@ from reports.comparability import listing, replaced
 from reports.paper import datasets
 from reports.paper import documents as paper_documents
 from reports.tables.documents import to_csv, to_latex, to_markdown
+from reports.text import short_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,7 +87,7 @@ def _write_rates(report: Report, folder: Path) -> None:
 
 def _file_name(title: str) -> str:
     """A title as a file name that is valid on every system."""
-    return re.sub(r"[^A-Za-z0-9._=+-]+", "-", title).strip("-.") or "unnamed"
+    return short_name(re.sub(r"[^A-Za-z0-9._=+-]+", "-", title).strip("-.") or "unnamed")
 
 
 def write_text(path: Path, text: str) -> None:

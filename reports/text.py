@@ -5,11 +5,14 @@ A label may come from a stranger's bundle. Each writer asks the function of its 
 
 from __future__ import annotations
 
+import hashlib
 import re
 
 _LINE = re.compile("[^ -~]")
 """What may not be printed: all beside printable ASCII."""
 _BLOCK = re.compile("[^\n\t -~]")
+_NAME = 130
+"""Systems have names of 255 bytes, and some 143."""
 _XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """What no document of XML 1.0 holds, not even as a reference (section 2.2)."""
 _MARKDOWN = re.compile(
@@ -37,6 +40,14 @@ def one_line(text: str) -> str:
 
 def _escaped(sign: re.Match[str]) -> str:
     return sign[0] if sign[0].isprintable() else sign[0].encode("unicode_escape").decode("ascii")
+
+
+def short_name(text: str) -> str:
+    """A file's name of at most 130 bytes, to which its suffix comes: a longer one is cut and ends in a hash."""
+    data = text.encode("utf-8")
+    if len(data) <= _NAME:
+        return text
+    return f"{data[: _NAME - 17].decode('utf-8', 'ignore')}-{hashlib.sha256(data).hexdigest()[:16]}"
 
 
 def xml_text(text: str) -> str:

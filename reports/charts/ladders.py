@@ -13,6 +13,7 @@ from reports.charts.labels import text_width
 from reports.conclusions.ladders import contrasts, title, words
 from reports.style import BLACK, BLUE, ORANGE, PINK, SKY, VERMILLION, Look, label
 from reports.tables.ladders import climbed, held
+from reports.text import short_name
 
 if TYPE_CHECKING:
     from reports.charts.report import Report
@@ -39,7 +40,7 @@ def kind_of(failure: str) -> str:
 
 def anchor(prefix: str, name: str) -> str:
     """Id of a place on the page, of a ladder or method."""
-    return f"{prefix}-{re.sub('[^a-z0-9]+', '-', name.lower()).strip('-')}"
+    return short_name(f"{prefix}-{re.sub('[^a-z0-9]+', '-', name.lower()).strip('-')}")
 
 
 def ladder_chart(climbs: Sequence[dict[str, Any]]) -> Chart:

@@ -11,7 +11,7 @@ from reports.pictures.difference import DELTA_E_MAX, scale
 from reports.pictures.panels import Panel, Shot
 from reports.style import row_label
 from reports.tables.columns import cell
-from reports.text import printable
+from reports.text import printable, short_name
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,7 +39,7 @@ def write(panels: list[Panel], scene: str, folder: Path) -> str:
     Returns:
         Name of the files without suffix: "panel-<dataset>-<scene>".
     """
-    name = "panel-" + re.sub(r"[^\w.@=+-]+", "-", scene)
+    name = short_name("panel-" + re.sub(r"[^\w.@=+-]+", "-", scene))
     save(draw([panel for panel in panels if panel.window is not None], scene), folder, name, dpi=200)
     return name
 

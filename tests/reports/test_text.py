@@ -17,7 +17,7 @@ from reports.charts import files
 from reports.charts.chart import Axis, Chart, Panel
 from reports.inputs import read_results
 from reports.tables.documents import tex, to_csv, to_markdown
-from reports.text import csv_cell, csv_text, markdown_cell, one_line, printable, xml_text
+from reports.text import csv_cell, csv_text, markdown_cell, one_line, printable, short_name, xml_text
 
 TERMINAL = "\x1b]0;title\x07\x1b[2J \x9b31m \r \x00 \u202e \u2028 \ud800"
 
@@ -27,6 +27,15 @@ def test_no_control_character_reaches_a_terminal() -> None:
     assert printable("rén\t512x512 … 🙂\n") == "rén\t512x512 … 🙂\n"
     assert one_line("a\nb\tc\x1b") == r"a\nb\tc\x1b"
     assert one_line("rén 512x512 …") == "rén 512x512 …"
+
+
+def test_long_names_of_files_are_cut_and_stay_different(tmp_path) -> None:
+    for name in ("a" * 130, "rén-1"):
+        assert short_name(name) == name
+    names = {short_name(sign * 5000 + end) for sign in "aé\U0001f600" for end in "xy"}
+    assert len(names) == 6
+    for name in names:
+        (tmp_path / f"{name}.pdf").touch()
 
 
 def test_every_character_is_valid_xml_and_what_xml_knows_stays() -> None:
