@@ -43,7 +43,7 @@ def _escaped(sign: re.Match[str]) -> str:
 
 
 def short_name(text: str) -> str:
-    """A file's name of at most 130 bytes, to which its suffix comes: a longer one is cut and ends in a hash."""
+    """A file's name of at most 130 bytes, without its suffix: a longer one is cut and ends in a hash."""
     data = text.encode("utf-8")
     if len(data) <= _NAME:
         return text
