@@ -30,7 +30,7 @@ class Volume:
             for grids.
         vertex_values: (n,) data values of ``vertices``, in the units of ``values``.
         whole: minimum and maximum with the outliers that ``value_range`` leaves out
-            (:mod:`datasets.readers.limits`); None: there are none.
+            (:mod:`datasets.readers.limits`); None: there are none, or the range is given.
     """
 
     name: str

@@ -197,7 +197,7 @@ def _limits(file: dict[str, Any], shown: Any) -> Limits:
 
     ends, missing = file.get("range", shown), file.get("missing", [])
     given = (ends[0], ends[1]) if isinstance(ends, list | tuple) else ends
-    return Limits(given, tuple(missing if isinstance(missing, list) else [missing]))
+    return Limits(given, tuple(missing if isinstance(missing, list) else [missing]), "range" not in file)
 
 
 _NARROW = 0.2

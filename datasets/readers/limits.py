@@ -45,16 +45,19 @@ class Limits:
             outliers included; None: minimum and maximum without outliers. Outliers within a given range are
             shown.
         missing: data values that stand for missing data; NaN is one of them or not.
+        implied: whether ``value_range`` gives way to one that the file itself says.
     """
 
     value_range: tuple[float, float] | Literal["all"] | None = None
     missing: tuple[float, ...] = ()
+    implied: bool = False
 
     def with_choice(self, other: Limits | None) -> Limits:
         """These limits, those of another choice where it has any."""
         if other is None:
             return self
-        given = self.value_range if other.value_range is None else other.value_range
+        own = other.value_range is None or (other.implied and self.value_range is not None)
+        given = self.value_range if own else other.value_range
         return Limits(given, other.missing or self.missing)
 
 
@@ -65,7 +68,7 @@ class Shown:
     Attributes:
         valid: of the values' shape, False for missing ones; None if all are valid.
         value_range: data values at 0 and 1 of a transfer function.
-        whole: minimum and maximum with the outliers; None where there are none.
+        whole: minimum and maximum with the outliers; None where there are none, or the range is given.
         isolated: (n, axes) indices of outliers without a neighbour among them; ``valid`` keeps them.
     """
 
@@ -97,7 +100,7 @@ def shown(
             bounds, whole = rest, (low, high)
             _report(path, number, values.size, bounds, whole)
     if isinstance(limits.value_range, tuple):
-        bounds = limits.value_range
+        bounds, whole = limits.value_range, None
         if not (math.isfinite(bounds[0]) and math.isfinite(bounds[1]) and bounds[0] < bounds[1]):
             raise DataError(path, f"range {list(bounds)} does not ascend", "Give the lower value first")
     if low == high and valid is not None:  # the shape of what is valid is something to see

@@ -138,6 +138,12 @@ def test_sidecar_of_a_raw_file(tmp_path: Path) -> None:
     assert volume.value_range == (0.0, 2.0)
     np.testing.assert_array_equal(volume.mask, values != -5.0)
     assert read_volume(path, limits=Limits(value_range=(0.0, 1.0))).value_range == (0.0, 1.0)
+    for ends in ([0.15, 0.2, 0.25, 0.3], [0.1, 0.2, 0.8, 0.9]):  # shares of the range of the sidecar
+        text = ENTRY.format(name="v", ends=ends, keys="").replace("v.npy", path.name)
+        (tmp_path / "v.toml").write_text(text, encoding="utf-8")
+        dataset = open_dataset(tmp_path / "v.toml")
+        assert dataset.volume("value").value_range == (0.0, 2.0)
+        assert dataset.scenes[0].transfer.bumps[0].start == ends[0]
 
 
 @pytest.mark.parametrize(
