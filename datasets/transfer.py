@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 MOST_ENTRIES = 1 << 20
 """Greatest size of a table."""
-_PER_BUMP = 256
+_PER_BUMP = 64  # the narrowest bump has this part of a table's least entries
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class TransferFunction:
         """Size of a table that resolves the narrowest bump: ``least``, or more up to :data:`MOST_ENTRIES`."""
         narrowest = min((b.end - b.start for b in self.bumps if b.end > b.start), default=1.0)
         size = least
-        while size * narrowest < _PER_BUMP and size < MOST_ENTRIES:
+        while size * narrowest < least / _PER_BUMP and size < MOST_ENTRIES:
             size *= 2
         return size
 

@@ -151,7 +151,7 @@ def _from_catalogue(name: str, table: dict[str, Any], folders: Sequence[Path], r
         )
         return Dataset(name, table["title"], "views", scenes)
     spacing = tuple(table["spacing"]) if "spacing" in table else None
-    volumes = {f["variable"]: _reader(paths[f["path"]], f, spacing, "all") for f in table["files"]}
+    volumes = {f["variable"]: _reader(paths[f["path"]], f, spacing) for f in table["files"]}
     framing = None if name in entries.built_in() else partial(_framing, table.get("frame"))
     compositions = entries.compositions_of(table)
     samples = samples_of(table.get("samples", "auto"), f"dataset {name}")
@@ -247,7 +247,7 @@ def _moved(scene: BasicScene, share: Callable[[float], float]) -> BasicScene:
     return replace(scene, transfer=transfer, isosurfaces=surfaces)
 
 
-def _reader(path: Path, file: dict[str, Any], spacing: Any, shown: Any) -> Callable[[], Volume]:
+def _reader(path: Path, file: dict[str, Any], spacing: Any, shown: Any = "all") -> Callable[[], Volume]:
     choice = {key: file.get(key) for key in ("array", "step", "resolution")}
 
     def read() -> Volume:
