@@ -75,8 +75,9 @@ def option(
     The field's annotation is the option's type: ``bool``, ``int``, ``float``, ``str``, or ``Literal[...]`` of
     the choices. Example: ``voxel: float = option(0.001, "lattice, scene units", minimum=1e-5)``
     """
-    declared = Option(default, doc, minimum, maximum, search=search, before=before)
-    return cast("V", field(default=default, metadata={OPTION: declared}))
+    about = Option(default, doc, minimum, maximum, search=search, before=before)
+    declared: Any = field(default=default, metadata={OPTION: about})
+    return cast("V", declared)
 
 
 def with_default(options: type, name: str, default: V) -> V:

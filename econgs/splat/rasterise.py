@@ -105,16 +105,15 @@ def rasterise(
         _find_bad(tensors)  # the same message for every backend
         raise
     if points > 1:
-        features, alpha, depth, radii = images
-        means_of_pixels = (_pixel_means(one, points) for one in (features, alpha, depth))
-        return SplatImages(*means_of_pixels, -(-radii // points))
+        features, alpha, depth = (_pixel_means(one, points) for one in images[:3])
+        return SplatImages(features, alpha, depth, -(-images[3] // points))
     return SplatImages(*images)
 
 
 def _pixel_means(points: Tensor, side: int) -> Tensor:
     """Means (H, W, …) over side × side points of each pixel, of (side · H, side · W, …)."""
     parts = [points[y::side, x::side] for y in range(side) for x in range(side)]
-    return sum(parts[1:], parts[0]) / len(parts)
+    return sum(parts[1:], start=parts[0]) / len(parts)
 
 
 def choose_backend(like: Tensor, backend: str | None = None) -> str:
