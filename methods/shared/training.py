@@ -145,7 +145,8 @@ class TrainingLoop(ABC):
     def fit_low_pass(self) -> LowPass:
         """How Gaussians are drawn in this iteration: at centres of pixels until half of the budget."""
         low_pass = self.low_pass
-        return low_pass if 2 * self.iteration > self.iterations else replace(low_pass, points=1)
+        late = 2 * self.iteration > self.schedule.iterations
+        return low_pass if late else replace(low_pass, points=1)
 
     @property
     @abstractmethod
