@@ -98,6 +98,7 @@ class Executor(ABC):
         self._retry = retry
         self._limits = limits or Limits()
         self._signals = 0
+        self._hung_up: int | None = None
         self._numbers: dict[str, int] = {}
         self._total = ""
         self._waiting: dict[str, Job] = {}
@@ -136,7 +137,8 @@ class Executor(ABC):
                 self._walk(outcome)
         finally:
             for number, handler in before.items():
-                signal.signal(number, handler)
+                # The second hang-up may come while the command ends.
+                signal.signal(number, signal.SIG_IGN if number == self._hung_up else handler)
         outcome.stopped = bool(self._signals)
         jobs = self._planner.jobs(self._store)
         results = [(job, self._store.record(job.id)) for job in jobs]
@@ -145,8 +147,11 @@ class Executor(ABC):
         return outcome
 
     def _on_signal(self, number: int, frame: Any) -> None:
-        if not (number == _HANGUP and self._signals):  # shell and system may both send it
-            self._signals += 1
+        if number == _HANGUP:
+            self._hung_up = number
+            if self._signals:  # shell and system may both send it
+                return
+        self._signals += 1
 
     def _walk(self, outcome: Outcome) -> None:
         self._plan()
