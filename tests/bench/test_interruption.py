@@ -49,6 +49,7 @@ class Hold:
 
     def start(self, bench, *before: str) -> subprocess.Popen:
         """A run, once its fit stands still; words before its command."""
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup a child would be deaf to it
         command = [*before, *bench.run_arguments("--no-report", *self.options, method=self.method)]
         process = bench._start(command)
         wait_for(lambda: _held(bench.store))

@@ -41,8 +41,9 @@ def test_the_examples_are_entries(tmp_path: Path) -> None:
     blocks = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
     for i, block in enumerate(blocks):
         (tmp_path / f"{i}.toml").write_text(block, encoding="utf-8")
-    least, whole = (read_entry(tmp_path / f"{i}.toml") for i in range(len(blocks)))
+    least, whole, mapped = (read_entry(tmp_path / f"{i}.toml") for i in range(len(blocks)))
     assert [scene.name for scene in _scenes(least)] == ["metal"]
+    assert [scene["transfer"] for scene in mapped["scenes"]] == ["map.json"]
     bone, surface = _scenes(whole)
     assert bone.transfer is not None
     assert bone.light is not None

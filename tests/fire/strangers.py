@@ -21,6 +21,7 @@ import time
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
@@ -90,12 +91,13 @@ class Watch:
                 stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
             )  # fmt: skip
             resource.prlimit(process.pid, resource.RLIMIT_AS, (8 * MEMORY, 8 * MEMORY))
-            while not (ended := os.wait4(process.pid, os.WNOHANG))[0]:
+            peak = 0
+            while process.poll() is None:
+                peak = max(peak, _peak(process.pid))
                 if time.monotonic() - start > SECONDS:
                     process.kill()
                 time.sleep(0.01)
-        process.returncode = code = os.waitstatus_to_exitcode(ended[1])
-        peak, text = 1024 * ended[2].ru_maxrss, log.read_text(encoding="utf-8", errors="replace")
+        code, text = process.returncode, log.read_text(encoding="utf-8", errors="replace")
         self.most = max(self.most, peak)
         faults = []
         if "Traceback" in text or code not in CODES:
@@ -125,6 +127,15 @@ class Watch:
             f"commands: {self.commands}, of which crashed: {self.crashes}, most memory {self.most >> 20} MiB"
         )
         print(f"attacks after which a file outside was touched: {self.touched}", flush=True)
+
+
+def _peak(process: int) -> int:
+    """Most bytes that a process has held, 0 once it is gone: what the system counts includes its parent's."""
+    with suppress(OSError):
+        for line in Path(f"/proc/{process}/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return 1024 * int(line.split()[1])
+    return 0
 
 
 def _holds(path: Path, words: bytes) -> bool:

@@ -223,7 +223,7 @@ def test_the_cloud_is_thinned_in_pixels_of_the_views(scene):
     np.testing.assert_allclose(color, np.asarray(scene.cloud.colors).mean(0))
     eyes = np.array([camera.position for camera in scene.train.cameras]) - cloud.mean(0)
     pixel = np.median(np.linalg.norm(eyes, axis=1) / [camera.fx for camera in scene.train.cameras])
-    thinned, same = starting_points(scene, options(start_spacing=4), 0)
+    thinned, same = starting_points(scene, options(start_spacing=4, start_points=0), 0)
     assert 1 <= len(thinned) < len(cloud)
     assert len(thinned) == len(np.unique(np.floor(cloud.astype(np.float64) / (4 * pixel)), axis=0))
     np.testing.assert_array_equal(same, color)

@@ -73,7 +73,7 @@ def test_values_are_activated_once(tiny, scene, tmp_path):
 
     The published code activates specular coefficients and shininess a second time.
     """
-    trainer = IvrTrainer(scene, fit.options(), 400, 0, "cpu")
+    trainer = IvrTrainer(scene, fit.options(supersampling=1), 400, 0, "cpu")
     trainer.run(tiny.Recorder())
     with torch.no_grad():
         trainer.optimiser["specular"].add_(1.0)  # highlights that a second sigmoid would change
