@@ -2,8 +2,8 @@
 
 python tests/benchmarks/bench_reading.py --against CHECKOUT [--samples 256] [--turns 5]
 
-Each reading is a process of its own, and the two checkouts take turns. Its time is that of the second call, as
-the first imports what it needs; its memory is the peak of the process. CHECKOUT may be a `git worktree`.
+Each reading is a process of its own, and the two checkouts take turns. Its time is that of the second call,
+as the first imports what it needs; its memory is the peak of the process.
 """
 
 from __future__ import annotations
