@@ -169,7 +169,8 @@ def test_every_damaged_byte_is_found():
 def test_damage_with_the_checksum_made_again_is_refused_or_a_volume(codec):
     data = Samples.of(volume("v", 5)).stored(codec, 0.01).data
     refused = 0
-    for place in range(0, len(data) - 4, 5):
+    # Each stream is decoded by a process of its own: headers are searched densely, the rest is not.
+    for place in (*range(0, 100, 5), *range(100, len(data) - 4, 50)):
         broken = bytearray(data)
         broken[place] ^= 0x10
         broken[-4:] = zlib.crc32(broken[:-4]).to_bytes(4, "little")
