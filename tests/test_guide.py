@@ -63,5 +63,5 @@ def test_a_new_method_keeps_the_contract_from_a_folder_and_installed(shell: Shel
 @pytest.mark.slow
 def test_all_commands_of_the_page_run_in_turn(shell: Shell) -> None:
     output = "".join(map(shell, _blocks()))
-    assert re.search(r"^vortices +cores +toy-blobs .* ok *$", output, re.M), output
+    assert re.search(r"^cores +toy-blobs +\d+\.\d+ ", output, re.M), output
     assert "toy-blobs" in (shell.folder / "runs" / "report.html").read_text(encoding="utf-8")
