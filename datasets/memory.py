@@ -1,4 +1,4 @@
-"""Peak memory of this process."""
+"""Peak memory of a process."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ import sys
 from pathlib import Path
 
 
-def peak_host_bytes() -> int | None:
-    """High-water mark of this process's resident memory (VmHWM), in bytes; None where unknown.
+def peak_host_bytes(process: int | None = None) -> int | None:
+    """High-water mark of a process's resident memory (VmHWM), in bytes; None where unknown.
 
     ``ru_maxrss`` would be inherited across exec from a larger parent.
+
+    Args:
+        process: its number; None: this process.
     """
+    place = Path("/proc", "self" if process is None else str(process), "status")
     try:
-        for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
+        for line in place.read_text(encoding="ascii", errors="replace").splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) * 1024
     except OSError:

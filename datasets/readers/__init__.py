@@ -152,9 +152,9 @@ def read_volume(
     """
     path = Path(path)
 
-    from datasets.readers.axes import notice
     from datasets.readers.fields import choose, plain
     from datasets.readers.finish import UNIT, check_spacing
+    from datasets.readers.notices import notice
     from datasets.readers.single import Single
     from datasets.volume import Volume
 

@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.readers.axes import notice, place
+from datasets.readers.axes import place
 from datasets.readers.container import Array, Container
 from datasets.readers.fields import Choice, Field, Variable, channels_of, scalar
 from datasets.readers.lengths import in_one_unit
+from datasets.readers.notices import notice
 from datasets.scratch import converted, new_array
 
 _TIME = ("time", "t", "times", "step", "time_step")

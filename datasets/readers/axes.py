@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Iterator, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +15,7 @@ from datasets.readers import limits as shown
 from datasets.readers.fields import Field
 from datasets.readers.finish import checked_grid
 from datasets.readers.limits import Limits
+from datasets.readers.notices import notice
 from datasets.scratch import converted, new_array
 
 CAP = 512
@@ -24,8 +23,6 @@ CAP = 512
 
 _UNEVEN = 1e-3
 """Deviation from uniform positions, in sample distances, that counts as rounding."""
-
-_log = logging.getLogger(__name__)
 
 
 def place(
@@ -104,12 +101,6 @@ def place(
     names = ", ".join("zyx"[at] for at in sorted(uneven, reverse=True))
     notice(f"{path}: samples along {names} are unevenly spaced; resampled from {before} to {after}")
     return Field(values, size, mask, found.value_range, found.whole)
-
-
-@cache
-def notice(text: str) -> None:
-    """Log a notice once for all variables of a file."""
-    _log.warning("%s", text)
 
 
 def resample(values: NDArray[np.generic], fractions: dict[int, NDArray[np.float64]]) -> NDArray[np.generic]:

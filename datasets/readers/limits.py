@@ -8,11 +8,9 @@ has an entry for each.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +19,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import DataError
 from datasets.readers.finish import check_range, value_range
+from datasets.readers.notices import notice
 from datasets.scratch import new_array
 
 FAR = 100.0
@@ -32,8 +31,6 @@ _LEAST_FILL = 999.0  # magnitude of a fill value
 _MOST_ISOLATED = 4096
 _SAMPLES = (1 << 12, 1 << 17)
 _CHUNK = 1 << 21
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -301,13 +298,7 @@ def _report(
     beyond = " and ".join(f"{v:g}" for v, out in zip(whole, (whole[0] < bounds[0], whole[1] > bounds[1]),
                                                       strict=True) if out)  # fmt: skip
     many = f"{number} of {size} values lie" if number > 1 else f"1 of {size} values lies"
-    _once(
+    notice(
         f"{path}: {many} far beyond the others ({bounds[0]:g} to {bounds[1]:g}), up to {beyond}, and counts "
         "as missing; a `range` that holds it shows it"
     )
-
-
-@cache
-def _once(text: str) -> None:
-    """Log a line once for all readings of a file."""
-    _log.warning("%s", text)

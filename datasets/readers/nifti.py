@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.readers.axes import notice
 from datasets.readers.fields import Variable, channels_of
 from datasets.readers.finish import Spacing, check_expansion, positive_dims, wrong_size
+from datasets.readers.notices import notice
 from datasets.readers.single import Single
 
 _REMEDY = "Copy it again, or write it with nibabel as one 3-D scalar image"

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from datasets.bounded import opened
 from datasets.errors import DataError
-from datasets.readers.axes import notice
 from datasets.readers.container import Array
 from datasets.readers.finish import Spacing, check_expansion
+from datasets.readers.notices import notice
 
 _REMEDY = "Write it with numpy.savez or numpy.savez_compressed, arrays of shape (z, y, x)"
 _CHUNK = 1 << 24

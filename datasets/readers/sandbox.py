@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import DataError
-from datasets.readers.axes import notice
 from datasets.readers.container import Array
 from datasets.readers.fields import Choice, Field, Variable, scalar
+from datasets.readers.notices import notice
 from datasets.scratch import new_array
 
 PATIENCE = 60.0

@@ -27,13 +27,13 @@ READ = """
 import json, sys, time
 # An editable installation would be found before the path.
 sys.meta_path = [one for one in sys.meta_path if "editable" not in getattr(one, "__module__", "")]
-import datasets.readers
+import datasets.memory, datasets.readers
 assert datasets.readers.__file__.startswith(sys.path[0])
 datasets.readers.read_volume(sys.argv[1])  # imports what it needs
 start, cpu = time.perf_counter(), time.process_time()
 volume = datasets.readers.read_volume(sys.argv[1])
 print(json.dumps([time.perf_counter() - start, time.process_time() - cpu]))
-print(next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
+print(datasets.memory.peak_host_bytes())
 """
 
 
@@ -75,7 +75,7 @@ def _values(samples: int) -> NDArray[np.float32]:
 
 
 def _read(checkout: Path, path: Path) -> tuple[float, float, float]:
-    """Seconds, seconds of the processor and KiB of one reading."""
+    """Seconds, seconds of the processor and bytes of one reading."""
     found = subprocess.run(
         [sys.executable, "-P", "-c", f"import sys; sys.path.insert(0, {str(checkout)!r})\n{READ}", str(path)],
         capture_output=True, text=True, check=True, cwd="/", env={**os.environ, "PYTHONPATH": ""},

@@ -21,7 +21,6 @@ import time
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
@@ -31,6 +30,7 @@ import numpy as np
 
 from bench.bundle import MANIFEST, write_bundle
 from bench.store import Store
+from datasets.memory import peak_host_bytes
 from datasets.seals import sealed, unsealed
 from tests.bench.conftest import Bench, write_dataset
 from tests.bench.test_bundle import resigned
@@ -93,7 +93,7 @@ class Watch:
             resource.prlimit(process.pid, resource.RLIMIT_AS, (8 * MEMORY, 8 * MEMORY))
             peak = 0
             while process.poll() is None:
-                peak = max(peak, _peak(process.pid))
+                peak = max(peak, peak_host_bytes(process.pid) or 0)
                 if time.monotonic() - start > SECONDS:
                     process.kill()
                 time.sleep(0.01)
@@ -127,15 +127,6 @@ class Watch:
             f"commands: {self.commands}, of which crashed: {self.crashes}, most memory {self.most >> 20} MiB"
         )
         print(f"attacks after which a file outside was touched: {self.touched}", flush=True)
-
-
-def _peak(process: int) -> int:
-    """Most bytes that a process has held, 0 once it is gone: what the system counts includes its parent's."""
-    with suppress(OSError):
-        for line in Path(f"/proc/{process}/status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return 1024 * int(line.split()[1])
-    return 0
 
 
 def _holds(path: Path, words: bytes) -> bool:
