@@ -218,7 +218,7 @@ def _fills(levels: NDArray[np.float64], counts: NDArray[np.int64]) -> set[float]
     """What may be fill values: repeated, or customary ones, at either end."""
     found: set[float] = set()
     for order in (range(len(levels)), range(len(levels) - 1, -1, -1)):
-        for i in list(order)[:3]:
+        for i in order[:3]:
             often = counts[i] > _RARE * counts.sum() and abs(levels[i]) >= _LEAST_FILL
             if not often and not _is_customary(levels[i]):
                 break
