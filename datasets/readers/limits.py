@@ -198,6 +198,8 @@ def _of_sample(
     stride = max(1, math.ceil((values.size / size) ** (1.0 / values.ndim)))
     some = (slice(None, None, stride),) * values.ndim
     sample = values[some] if valid is None else values[some][valid[some]]
+    if _is_compact(sample, low, high):
+        return None
     levels, counts = np.unique(np.append(sample.ravel(), [low, high]).astype(np.float64), return_counts=True)
     counts[[0, -1]] -= 1
     fills = _fills(levels, counts)
@@ -212,6 +214,20 @@ def _of_sample(
         if not a - reach <= v <= b + reach:
             return a, b, customary
     return None
+
+
+def _is_compact(sample: NDArray[np.generic], low: float, high: float) -> bool:
+    """Whether the middle half of a sample says at once that neither end is an outlier or a fill value."""
+    if sample.size < 8:
+        return False
+    for end in (low, high):
+        often = abs(end) >= _LEAST_FILL and np.count_nonzero(sample == end) > _RARE * sample.size
+        if often or _is_customary(end):
+            return False
+    i, j = sample.size // 4, (3 * sample.size) // 4
+    middle = np.partition(sample.ravel(), (i, j))
+    a, b = float(middle[i]), float(middle[j])
+    return a < b and a - FAR * (b - a) <= low and high <= b + FAR * (b - a)
 
 
 def _fills(levels: NDArray[np.float64], counts: NDArray[np.int64]) -> set[float]:
