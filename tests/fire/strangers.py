@@ -396,7 +396,7 @@ class Parent:
         self.outcome = ""
         self._process = subprocess.Popen(
             [sys.executable, "-W", "ignore", "-c", READER], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            encoding="utf-8", env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            encoding="utf-8", env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
         )  # fmt: skip
 
 
@@ -476,19 +476,22 @@ def _with_line(data: bytes) -> bytes:
 
 USERS = (1001, 1002)
 _OPEN = """
-user=$1 closed=$2 inner=$3
+user=$1 closed=$2 inner=$3 aside=$PWD/python
 shift 3
-if [ -n "$closed" ]; then
-    aside=$PWD/interpreter
-    mkdir "$aside"
-    mount --bind "$inner" "$aside"
-    mount -t tmpfs -o mode=755 tmpfs "$closed"
-    mkdir -p "$inner"
-    mount --bind "$aside" "$inner"
-fi
+IFS="
+"
+for folder in $inner; do
+    mkdir -p "$aside$folder"
+    mount --bind "$folder" "$aside$folder"
+done
+for folder in $closed; do mount -t tmpfs -o mode=755 tmpfs "$folder"; done
+for folder in $inner; do
+    mkdir -p "$folder"
+    mount --bind "$aside$folder" "$folder"
+done
 exec setpriv --reuid "$user" --regid "$user" --clear-groups "$@"
 """
-"""Runs a command as another user: user, closed folder and folder of the interpreter in it, command."""
+"""Runs a command as another user: user, closed folders, folders of Python within them, command."""
 PROTECTED = Path("/proc/sys/fs/protected_regular")
 
 
@@ -537,15 +540,20 @@ def attack_users(folder: Path, values: Iterable[int], tally: Tally) -> None:
 def _as_user(user: int, folder: Path, dataset: Path, locks: Path) -> subprocess.Popen[str]:
     """A run of another user in a folder of its own.
 
-    Where the interpreter lies in a home that is closed to others, they see the interpreter alone of it.
+    Where the interpreter or its packages lie in a folder that is closed to others, they see those alone of it.
     """
     folder.mkdir()
     os.chown(folder, user, user)
     bench = bench_in(folder, dataset)
     bench.environment |= {"BENCH_LOCKS": str(locks), "HOME": str(folder)}
-    interpreter = Path(sys.executable).resolve().parent.parent
-    closed = next((str(p) for p in reversed(interpreter.parents) if not p.stat().st_mode & 0o001), "")
-    words = ["sh", str(user), closed, str(interpreter), *bench.run_arguments("--no-report")]
+    inner: dict[str, str] = {}
+    for prefix in {sys.prefix, sys.base_prefix}:
+        path = Path(prefix).resolve()
+        closed = next((str(p) for p in reversed(path.parents) if not p.stat().st_mode & 0o001), None)
+        if closed:
+            inner[str(path)] = closed
+    lists = ["\n".join(sorted(set(paths))) for paths in (inner.values(), inner)]
+    words = ["sh", str(user), *lists, *bench.run_arguments("--no-report")]
     return subprocess.Popen(
         ["unshare", "--mount", "sh", "-ec", _OPEN, *words], env=bench.environment, cwd=folder,
         umask=0o022, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding="utf-8",
