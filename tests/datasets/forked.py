@@ -73,6 +73,8 @@ def use_forks(monkeypatch: pytest.MonkeyPatch, perturb: int = 0) -> None:
         if library == "vtk_data":
             reader = module.READERS[module.suffix_of(Path(path), set(module.READERS))]
             import_module(f"vtkmodules.{reader.partition('.')[0]}")
+            # Threads that VTK started here are not in a fork, which would wait for them.
+            import_module("vtkmodules.vtkCommonCore").vtkSMPTools.SetBackend("Sequential")
         gc.freeze()  # a collection in a fork would copy all pages
         return Fork(options, stderr, perturb)
 

@@ -446,15 +446,17 @@ def test_hard_scenes_have_converged(name):
     assert needed >= 50.0
 
 
+UNPUBLISHED = {"argon_bubble", "beetle", "combustion", "ionization", "supernova", "tangaroa", "vortex"}
+"""Volumes of the catalogue that no test folder holds."""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", entries.names())
+@pytest.mark.data
+@pytest.mark.parametrize("name", sorted(set(entries.names()) - UNPUBLISHED))
 def test_every_scene_of_the_catalogue_has_converged(name):
-    try:
-        dataset = open_dataset(name)
-        scenes = [scene.name for scene in dataset.scenes if dataset.kind == "volume"]
-        reached = {scene: against_64_rays(dataset, scene) for scene in scenes}
-    except DataError as error:
-        pytest.skip(f"{name} is not here: {error}")
+    dataset = open_dataset(name)
+    scenes = [scene.name for scene in dataset.scenes if dataset.kind == "volume"]
+    reached = {scene: against_64_rays(dataset, scene) for scene in scenes}
     for scene, (needed, one) in reached.items():
         print(name, scene, f"{needed:.1f} dB, one ray {one:.1f} dB")
     assert {scene: needed for scene, (needed, _) in reached.items() if needed < 50.0} == {}

@@ -363,5 +363,5 @@ def test_the_page_of_all_bundles_is_small_and_has_its_answer_first(driver: Brows
     cells = "Array.from(document.querySelector('tr.mean').cells)"
     driver.run("document.querySelector('#results').closest('details').open = true")
     heads = driver.run("Array.from(document.querySelectorAll('.results thead th'), (h) => h.textContent)")
-    assert heads[:4] == ["Scene", "Method", "PSNR [dB]", "Size [MiB]"]
+    assert heads[:4] == ["Scene", "Method", "PSNR [dB]", "Floor [dB]"]
     assert driver.run(f"{cells}[2].getBoundingClientRect().right") <= 420
