@@ -52,6 +52,16 @@ class Decoder(nn.Module):
         below = ascending[lowest_visible - 1] if lowest_visible else ascending[0] - 0.1
         self.second_bias.sub_(torch.clamp(0.5 * (below + ascending[lowest_visible]), max=0.0))
 
+    @torch.no_grad()
+    def start_at(self, opacity: float, outputs: Tensor) -> None:
+        """Move the last biases until an untrained network gives all of its outputs one opacity.
+
+        Args:
+            opacity: tanh of the outputs, in (0, 1).
+            outputs: (K,) what the network puts out as it is.
+        """
+        self.second_bias.add_(math.atanh(opacity) - outputs)
+
 
 class Decoders(nn.Module):
     """F_o, F_cov, F_s and F_n (ECoNGS, section on neural editable Gaussians).
@@ -79,6 +89,8 @@ class Decoders(nn.Module):
             and "implicit" have kernels.
         shading_bias: addition to the initial biases of k_a, k_d (linear), k_s (before sigmoid × 5) and β
             (before sigmoid × 50). Without it the linear ones start near 0, which is black.
+        start_opacity: opacity of every Gaussian at the start, in [0, 1); 0: as the initial weights have it,
+            some culled.
         generator: CPU generator of the initial weights.
 
     Raises:
@@ -98,6 +110,7 @@ class Decoders(nn.Module):
         offset_color: OffsetColor = "tanh",
         storage: Storage = "hybrid",
         shading_bias: Sequence[float] = (0.5, 0.5, 0.0, 0.0),
+        start_opacity: float = 0.0,
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
@@ -125,9 +138,12 @@ class Decoders(nn.Module):
                 with torch.no_grad():
                     decoder.first_weight[:, features : features + self.directions] *= direction_start
                 self.add_module(name, decoder)
-        if direction_start < 1.0:
-            first = self.network("opacity")
-            first.show_half(first.second_weight @ torch.relu(first.first_bias) + first.second_bias)
+        first = self.network("opacity")
+        outputs = first.second_weight @ torch.relu(first.first_bias) + first.second_bias
+        if start_opacity:
+            first.start_at(start_opacity, outputs)
+        elif direction_start < 1.0:
+            first.show_half(outputs)
         if "shading" in self.names:
             with torch.no_grad():
                 bias = self.network("shading").second_bias.view(7, offsets)

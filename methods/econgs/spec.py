@@ -56,6 +56,12 @@ class EcongsOptions(splatting.SplattingOptions):
         minimum=0.0,
         maximum=1.0,
     )
+    start_opacity: float = option(
+        0.0,
+        "first opacity of all Gaussians of an anchor; 0 = as the network draws it, some culled",
+        minimum=0.0,
+        maximum=0.9,
+    )
     storage: Literal["hybrid", "implicit", "partial", "explicit"] = option(
         "hybrid",
         "what anchors store: offsets; nothing but the feature; also normals; also all of the shading",
@@ -99,6 +105,14 @@ class EcongsOptions(splatting.SplattingOptions):
         "lineage",
         "learning rates of the decoders of opacity and covariance: as in Scaffold-GS; 0.01, as the paper "
         "states for opacity, scaling and rotation",
+    )
+    last_lr_share: float = option(
+        0.01,
+        "last learning rate of the covariance decoder as a share of the first, with the rates `lineage`; "
+        "1 = constant, as in Scaffold-GS",
+        minimum=1e-4,
+        maximum=1.0,
+        before=1.0,
     )
     palette_lr: float = option(1e-4, "learning rate of palette colors", minimum=0.0, maximum=1.0)
     # Context model
@@ -153,10 +167,10 @@ SPEC = MethodSpec(
     uses_alpha="views are composited on the scene's background; alpha is also a target of its own",
     options=EcongsOptions,
     presets={
-        "quick": {**splatting.QUICK, "feature_lr": 2e-2, "start_points": 2_000},
+        "quick": {**splatting.QUICK, "feature_lr": 2e-2, "start_points": 2_000, "start_opacity": 0.05},
         "paper": {"growth_gradient": 5.5e-4},  # growth_adapts makes it 3e-4 again
     },
-    iterations={"quick": 550, "standard": 2_500, "paper": 10_000},
+    iterations={"quick": 510, "standard": 2_500, "paper": 10_000},
     configurations={
         "fair": Configuration(),
         # What the paper states and what its code base implies where it is silent (docs/results/choices.md).
@@ -173,6 +187,7 @@ SPEC = MethodSpec(
                 "growth_adapts": False,
                 "view_direction": True,
                 "direction_start": 1.0,
+                "start_opacity": 0.0,
                 "specular_start": 2.5,
                 "shading_bias": 0.0,
                 "grid": "hac",
@@ -186,6 +201,7 @@ SPEC = MethodSpec(
                 "scaling_activation": "sigmoid",
                 "growth_pauses": False,
                 "decoder_rates": "stated",
+                "last_lr_share": 1.0,
                 "rate_sample": 1.0,
                 "rounding": 0.0,
                 "positions": "float32",

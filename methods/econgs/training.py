@@ -40,11 +40,12 @@ from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent,
 
 DECODER_RATES: dict[str, Rate] = {
     "opacity": (2e-3, 2e-5),
-    "covariance": (4e-3, 4e-3),
     "shading": (8e-3, 5e-5),
     "normal": (8e-3, 5e-5),
     "offset": (2e-3, 2e-5),
 }
+COVARIANCE_RATE = 4e-3
+"""Its first learning rate; the last is a share of it, the option ``last_lr_share``."""
 STATED_RATES: dict[str, Rate] = {"opacity": (1e-2, 1e-4), "covariance": (1e-2, 1e-4)}
 """Of the networks that decode what the paper's sentence on learning rates names."""
 SCALING_RATE: Rate = (1e-2, 1e-4)
@@ -298,9 +299,14 @@ class Trainer(AnchorLoop):
 
     def _set_rates(self, scene: _Scene) -> None:
         rates = self.optimiser.rates
-        stated = STATED_RATES if self.options.decoder_rates == "stated" else {}
+        decoders = {
+            **DECODER_RATES,
+            "covariance": (COVARIANCE_RATE, self.options.last_lr_share * COVARIANCE_RATE),
+        }
+        if self.options.decoder_rates == "stated":
+            decoders |= STATED_RATES
         for name in self.decoders.names:
-            rates[name] = self.decayed((DECODER_RATES | stated)[name])
+            rates[name] = self.decayed(decoders[name])
         first = self.options.feature_lr
         rates[scene.anchors.name("features")] = self.decayed((first, 0.01 * first))
         rates[scene.anchors.name("log_scalings")] = self.decayed(SCALING_RATE)
@@ -430,5 +436,6 @@ def make_decoders(options: EcongsOptions, hidden: int, generator: torch.Generato
         offset_color=options.offset_color,
         storage=options.storage,
         shading_bias=(bias, bias, raw_specular(options.specular_start), 0.0),
+        start_opacity=options.start_opacity,
         generator=generator,
     )

@@ -65,8 +65,11 @@ SPEC = replace(
     ),
     version="7",
     implementation="methods.hac.method:Hac",
-    # Masks move as far as in 30,000 iterations.
-    presets={"quick": {**PLAIN.presets["quick"], "mask_lr": 0.045}, "standard": {"mask_lr": 9.1e-3}},
+    # Masks move as far as in 30,000 iterations, and decide what shows.
+    presets={
+        "quick": {**PLAIN.presets["quick"], "start_opacity": 0.0, "mask_lr": 0.045},
+        "standard": {"mask_lr": 9.1e-3},
+    },
     options=HacOptions,
     rate_knobs=(RateKnob("rate_weight", (5e-4, 1e-3, 2e-3, 3e-3, 4e-3), refit=True),),
     configurations={

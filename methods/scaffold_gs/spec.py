@@ -33,6 +33,12 @@ class AnchorOptions(splatting.SplattingOptions):
     show_half: bool = option(
         False, "opacities begin with half of the offsets shown, whatever the seed draws (published: not)"
     )
+    start_opacity: float = option(
+        0.0,
+        "first opacity of all Gaussians of an anchor; 0 = as the network draws it, some hidden (published)",
+        minimum=0.0,
+        maximum=0.9,
+    )
     voxel: float = option(
         0.001,
         "lattice of anchors, scene units; 0 = median distance to the nearest point",
@@ -53,7 +59,8 @@ class AnchorOptions(splatting.SplattingOptions):
     )
     last_lr_share: float = option(
         1.0,
-        "last learning rate of features and scalings as a share of the first; 1 = constant (published)",
+        "last learning rate of features, scalings and the covariance decoder as a share of the first; "
+        "1 = constant (published)",
         minimum=1e-4,
         maximum=1.0,
         search=(0.01, 1.0),
@@ -80,6 +87,7 @@ PUBLISHED: dict[str, OptionValue] = {
     "hidden": 0,
     "offsets": 10,
     "show_half": False,
+    "start_opacity": 0.0,
     "growth_gradient": 2e-4,
     "feature_lr": 7.5e-3,
     "last_lr_share": 1.0,
@@ -110,7 +118,7 @@ SPEC = MethodSpec(
     edits=frozenset({"opacity"}),
     uses_alpha="views are composited on the training background; alpha is also a target of its own",
     options=ScaffoldOptions,
-    presets={"quick": {**splatting.QUICK, **TUNED}},
+    presets={"quick": {**splatting.QUICK, **TUNED, "start_opacity": 0.05}},
     iterations={"quick": 1_600, "standard": 8_000, "paper": 30_000},
     configurations={"fair": Configuration(), "paper": Configuration({**PUBLISHED, "storage": "released"})},
     tunable=(

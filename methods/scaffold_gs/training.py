@@ -31,7 +31,8 @@ from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent,
 
 _MOST_OPACITY = 1.0 - 1e-6
 """Of what is inverted: float32 has hidden Gaussians of -1, whose inverse is infinite."""
-DECODER_RATES: dict[str, Rate] = {"opacity": (2e-3, 2e-5), "covariance": (4e-3, 4e-3), "color": (8e-3, 5e-5)}
+DECODER_RATES: dict[str, Rate] = {"opacity": (2e-3, 2e-5), "color": (8e-3, 5e-5)}
+COVARIANCE_RATE = 4e-3
 SCALING_RATE = 7e-3
 OFFSET_RATE: Rate = (1e-2, 1e-4)
 """Times the extent."""
@@ -118,7 +119,9 @@ class Trainer(AnchorLoop):
         self.transparent = are_transparent(self.images)
         groups = self.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
-        if options.show_half:
+        if options.start_opacity:
+            self.decoders.network("opacity").start_at(options.start_opacity, self._first_opacities())
+        elif options.show_half:
             self._show_half()
         else:
             self._show_some()
@@ -130,13 +133,18 @@ class Trainer(AnchorLoop):
         Features start at zero, so that the networks hide the same offsets in all anchors, and what is hidden
         gets no gradient.
         """
+        self.decoders.network("opacity").show_half(self._first_opacities())
+
+    @torch.no_grad()
+    def _first_opacities(self) -> Tensor:
+        """(K,) outputs of the opacity network, means over anchors and training views."""
         values, positions = self.attributes(self.anchors), self.anchors.positions
         opacities = [
             decode_colors(positions, *values, self.decoders, camera.position).raw_opacities
             for camera in self.scene.train.cameras
         ]
         means = [one.clamp(-_MOST_OPACITY, _MOST_OPACITY).atanh().mean(0) for one in opacities]
-        self.decoders.network("opacity").show_half(torch.stack(means).mean(0))
+        return torch.stack(means).mean(0)
 
     @torch.no_grad()
     def _show_some(self) -> None:
@@ -191,7 +199,8 @@ class Trainer(AnchorLoop):
             "offsets": self.decayed(OFFSET_RATE) * self.scene.extent,
         }
         rates = {self.anchors.name(name): rate for name, rate in anchors.items()}
-        return rates | {name: self.decayed(rate) for name, rate in DECODER_RATES.items()}
+        rates |= {name: self.decayed(rate) for name, rate in DECODER_RATES.items()}
+        return rates | {"covariance": share * COVARIANCE_RATE}
 
     def visible(self, values: Attributes, camera: Camera) -> Tensor:
         """(N,) anchors that may show in a view."""

@@ -461,6 +461,19 @@ def test_decoders_that_start_blind_show_half_of_the_gaussians_of_untrained_ancho
     assert offsets == 1 or min(shares) < 1.0  # no more than it takes
 
 
+@pytest.mark.parametrize("direction_start", [0.0, 1.0])
+def test_all_gaussians_of_untrained_anchors_have_the_first_opacity_asked_for(direction_start: float) -> None:
+    for seed in range(5):
+        _, inputs = Case(count=3, offsets=4).make()
+        inputs |= {"features": torch.zeros(3, 50), "embedding": torch.zeros(50)}
+        generator = torch.Generator().manual_seed(seed)
+        decoders = Decoders(50, 4, generator=generator, direction_start=direction_start, start_opacity=0.05)
+        opacities = decode(**inputs, decoders=decoders, eye=EYE).raw_opacities
+        assert opacities.shape == (3, 4)
+        tolerance = 1e-6 if direction_start == 0.0 else 0.2  # the direction adds its part
+        assert torch.allclose(opacities, torch.full_like(opacities, 0.05), atol=tolerance)
+
+
 def camera_of(width: int, height: int) -> Camera:
     """A camera at z = -2 that looks along z."""
     pose = np.eye(4)

@@ -540,7 +540,7 @@ def attack_users(folder: Path, values: Iterable[int], tally: Tally) -> None:
 def _as_user(user: int, folder: Path, dataset: Path, locks: Path) -> subprocess.Popen[str]:
     """A run of another user in a folder of its own.
 
-    Where the interpreter or its packages lie in a folder that is closed to others, they see those alone of it.
+    Where Python or its packages lie in a folder that is closed to others, they see those alone of it.
     """
     folder.mkdir()
     os.chown(folder, user, user)

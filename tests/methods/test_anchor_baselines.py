@@ -100,20 +100,23 @@ def test_decoders_have_the_width_that_is_asked_for_also_once_loaded(tmp_path, ki
 def test_rates_are_constant_or_end_at_the_share_that_is_asked_for(kind, scene):
     def rates(**changed):
         trainer = kind.trainer(scene, kind.fit.options(**changed), 100, 0, "cpu")
+        names = [*map(trainer.anchors.name, ("features", "log_scalings")), "covariance"]
         for trainer.iteration in (1, 100):
-            yield [trainer.rates()[trainer.anchors.name(one)] for one in ("features", "log_scalings")]
+            yield [trainer.rates()[one] for one in names]
 
     for decay in ("linear", "exponential"):
-        assert list(rates(decay=decay)) == [[7.5e-3, 7e-3]] * 2
+        assert list(rates(decay=decay)) == [[7.5e-3, 7e-3, 4e-3]] * 2
         first, last = rates(decay=decay, feature_lr=2e-2, last_lr_share=0.05)
-        assert first == pytest.approx([2e-2, 7e-3], rel=0.05)
-        assert last == pytest.approx([1e-3, 3.5e-4])
+        assert first == pytest.approx([2e-2, 7e-3, 4e-3], rel=0.05)
+        assert last == pytest.approx([1e-3, 3.5e-4, 2e-4])
 
 
 def test_half_of_the_gaussians_are_shown_at_the_start_whatever_the_seed_draws(kind, scene):
     def shown(show_half, seed):
         """Share of Gaussians that are shown, over all training views."""
-        trainer = kind.trainer(scene, kind.fit.options(offsets=3, show_half=show_half), 100, seed, "cpu")
+        trainer = kind.trainer(
+            scene, kind.fit.options(offsets=3, show_half=show_half, start_opacity=0.0), 100, seed, "cpu"
+        )
         values, positions = trainer.attributes(trainer.anchors), trainer.anchors.positions
         views = [
             decode_colors(positions, *values, trainer.decoders, camera.position).raw_opacities > 0.0
@@ -123,6 +126,19 @@ def test_half_of_the_gaussians_are_shown_at_the_start_whatever_the_seed_draws(ki
 
     assert min(shown(True, seed) for seed in range(3)) > 0.5
     assert min(shown(False, seed) for seed in range(3)) < 0.3
+
+
+def test_the_first_opacity_is_that_of_all_gaussians_whatever_the_seed_draws(kind, scene):
+    for seed in range(3):
+        options = kind.fit.options(offsets=3, start_opacity=0.05)
+        trainer = kind.trainer(scene, options, 100, seed, "cpu")
+        values, positions = trainer.attributes(trainer.anchors), trainer.anchors.positions
+        views = [
+            decode_colors(positions, *values, trainer.decoders, camera.position).raw_opacities
+            for camera in scene.train.cameras
+        ]
+        means = torch.stack(views).mean(dim=(0, 1))
+        assert torch.allclose(means, torch.full((3,), 0.05), atol=5e-3)
 
 
 @pytest.mark.parametrize("depth", [1.0, 30.0])
@@ -209,7 +225,7 @@ def test_a_start_that_shows_nothing_is_turned_and_no_other(kind, scene):
     """With one offset about half of all seeds make it invisible."""
     turned = 0
     for seed in range(12):
-        trainer = kind.trainer(scene, kind.fit.options(offsets=1), 40, seed, "cpu")
+        trainer = kind.trainer(scene, kind.fit.options(offsets=1, start_opacity=0.0), 40, seed, "cpu")
         drawn = torch.Generator().manual_seed(seed)
         network = ColorDecoders(16, 1, distance=trainer.distance, generator=drawn).network("opacity")
         own = trainer.decoders.network("opacity")

@@ -43,6 +43,17 @@ def test_decoders_of_opacity_and_covariance_learn_at_the_stated_rates(scene):
     assert last["opacity"] == last["covariance"] == pytest.approx(1e-4)
 
 
+def test_the_covariance_decoder_ends_at_the_share_that_is_asked_for(scene):
+    def last(**changed):
+        trainer = Trainer([scene], options(**changed), 1, 0, "cpu")
+        trainer.step()
+        return trainer.optimiser.rates["covariance"]
+
+    assert last(last_lr_share=1.0) == pytest.approx(4e-3)
+    assert last() == pytest.approx(4e-5)
+    assert last(last_lr_share=1.0, decoder_rates="stated") == pytest.approx(1e-4)
+
+
 def test_clouds_are_compared_in_as_many_points_as_chosen(tiny, scene):
     """Two clouds with the same middle and other ends."""
     line = np.zeros((301, 3), np.float32)
