@@ -161,6 +161,8 @@ class Store:
         folder.mkdir(exist_ok=True)
         for temporary in folder.rglob(f".*.{_HEX}"):  # of an attempt that was killed within write_text
             temporary.unlink(missing_ok=True)
+        for entry in _neither_files_nor_folders(folder):  # of a method; the store could not be opened again
+            os.unlink(entry.path)
         write_text(folder / "record.json", sealed(record.model_dump_json(indent=1) + "\n"))
         self.put_in_place(folder, record.job.id, lease)
 
@@ -245,6 +247,17 @@ def check_files(root: Path) -> None:
     Raises:
         DataError: it holds a symbolic link, pipe, socket or device.
     """
+    for entry in _neither_files_nor_folders(root):
+        kind = "a symbolic link" if entry.is_symlink() else "a pipe, socket or device"
+        where = printable(os.path.relpath(entry.path, root))
+        raise DataError(
+            root,
+            f"holds {kind}, {where!r}, and a run store consists of files and folders",
+            "Remove it, or put in its place what it leads to, if you trust that",
+        )
+
+
+def _neither_files_nor_folders(root: Path) -> Iterator[os.DirEntry[str]]:
     folders = [str(root)]
     while folders:
         with suppress(FileNotFoundError), os.scandir(folders.pop()) as entries:
@@ -252,13 +265,7 @@ def check_files(root: Path) -> None:
                 if entry.is_dir(follow_symlinks=False):
                     folders.append(entry.path)
                 elif not entry.is_file(follow_symlinks=False) and os.path.lexists(entry.path):
-                    kind = "a symbolic link" if entry.is_symlink() else "a pipe, socket or device"
-                    where = printable(os.path.relpath(entry.path, root))
-                    raise DataError(
-                        root,
-                        f"holds {kind}, {where!r}, and a run store consists of files and folders",
-                        "Remove it, or put in its place what it leads to, if you trust that",
-                    )
+                    yield entry
 
 
 def write_text(path: Path, text: str) -> None:

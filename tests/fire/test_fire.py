@@ -55,7 +55,7 @@ def test_a_kill_within_a_measurement(finished, scenes, tmp_path, tally) -> None:
 def test_faults_of_stages_and_specs(scenes, tmp_path, tally) -> None:
     bench = bench_in(tmp_path / "stages", scenes)
     bench.plugins = plugins.FOLDER
-    chosen = (("save", "crash"), ("render", "bytes"))
+    chosen = (("save", "crash"), ("save", "link"), ("render", "bytes"))
     faults = plugins.all_faults()
     plugins.attack_stages(bench, {fault: faults[fault] for fault in chosen}, tally)
     plugins.attack_specs(bench, ("leave",), tally)
